@@ -1,0 +1,22 @@
+//! The `[clip]` section of the configuration.
+
+use serde::{Deserialize, Serialize};
+
+/// When a clip ends, where the camera does not say.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ClipConfig {
+    /// Seconds of one clip of a camera that names none (BDD100K clips have 40).
+    pub window_s: f64,
+    /// Seconds without a frame after which the open clip ends.
+    pub silence_s: f64,
+}
+
+impl Default for ClipConfig {
+    fn default() -> Self {
+        Self {
+            window_s: 40.0,
+            silence_s: 5.0,
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! Boxes in normalised centre form and in pixel corners, picture sizes, and intersection over union.
+
+use serde::{Deserialize, Serialize};
+
+/// Size of a picture in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct PictureSize {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+}
+
+impl PictureSize {
+    /// A size of `width` columns and `height` rows.
+    pub const fn new(width: u32, height: u32) -> Self {
+        Self { width, height }
+    }
+
+    /// Number of pixels; cannot overflow.
+    pub const fn pixels(self) -> u64 {
+        self.width as u64 * self.height as u64
+    }
+}
+
+impl std::fmt::Display for PictureSize {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.width, self.height)
+    }
+}
+
+/// A box in normalised centre form: `center_x` and `width` divided by the picture's width, `center_y`
+/// and `height` divided by its height (paper, section on the state vector).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BoundingBox {
+    /// Horizontal centre, 0 at the left edge and 1 at the right.
+    pub center_x: f64,
+    /// Vertical centre, 0 at the top edge and 1 at the bottom.
+    pub center_y: f64,
+    /// Width as a share of the picture's width.
+    pub width: f64,
+    /// Height as a share of the picture's height.
+    pub height: f64,
+}
+
+/// A box as the coordinates of its top-left and bottom-right corners, in pixels unless said otherwise.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Corners {
+    /// Left edge.
+    pub x1: f64,
+    /// Top edge.
+    pub y1: f64,
+    /// Right edge.
+    pub x2: f64,
+    /// Bottom edge.
+    pub y2: f64,
+}
+
+impl BoundingBox {
+    /// A box from its centre and its sides, all normalised.
+    pub const fn new(center_x: f64, center_y: f64, width: f64, height: f64) -> Self {
+        Self {
+            center_x,
+            center_y,
+            width,
+            height,
+        }
+    }
+
+    /// The corners in normalised coordinates.
+    pub fn corners(self) -> Corners {
+        Corners {
+            x1: self.center_x - self.width / 2.0,
+            y1: self.center_y - self.height / 2.0,
+            x2: self.center_x + self.width / 2.0,
+            y2: self.center_y + self.height / 2.0,
+        }
+    }
+
+    /// The corners in pixels of a picture of `size`, neither rounded nor clipped.
+    pub fn pixel_corners(self, size: PictureSize) -> Corners {
+        let (width, height) = (f64::from(size.width), f64::from(size.height));
+        let corners = self.corners();
+        Corners {
+            x1: corners.x1 * width,
+            y1: corners.y1 * height,
+            x2: corners.x2 * width,
+            y2: corners.y2 * height,
+        }
+    }
+
+    /// Intersection over union with `other`. Normalising scales both areas alike, so this equals the
+    /// value on pixel boxes. Zero when the boxes do not overlap or both are empty.
+    pub fn intersection_over_union(self, other: Self) -> f64 {
+        self.corners().intersection_over_union(other.corners())
+    }
+
+    /// Whether all four numbers are finite.
+    pub fn is_finite(self) -> bool {
+        self.center_x.is_finite()
+            && self.center_y.is_finite()
+            && self.width.is_finite()
+            && self.height.is_finite()
+    }
+}
+
+impl Corners {
+    /// The normalised centre form of these pixel corners in a picture of `size`.
+    pub fn normalise(self, size: PictureSize) -> BoundingBox {
+        let (width, height) = (f64::from(size.width), f64::from(size.height));
+        BoundingBox {
+            center_x: (self.x1 + self.x2) / 2.0 / width,
+            center_y: (self.y1 + self.y2) / 2.0 / height,
+            width: (self.x2 - self.x1) / width,
+            height: (self.y2 - self.y1) / height,
+        }
+    }
+
+    /// Area; zero for an inverted box.
+    pub fn area(self) -> f64 {
+        (self.x2 - self.x1).max(0.0) * (self.y2 - self.y1).max(0.0)
+    }
+
+    /// Intersection over union with `other` in the same coordinates; zero when the union is empty.
+    pub fn intersection_over_union(self, other: Self) -> f64 {
+        let overlap = Self {
+            x1: self.x1.max(other.x1),
+            y1: self.y1.max(other.y1),
+            x2: self.x2.min(other.x2),
+            y2: self.y2.min(other.y2),
+        }
+        .area();
+        let union = self.area() + other.area() - overlap;
+        if union > 0.0 { overlap / union } else { 0.0 }
+    }
+}

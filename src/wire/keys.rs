@@ -1,0 +1,139 @@
+//! Key expressions: `{prefix}/{node}/{camera}/…`.
+
+/// Why a name cannot stand in a key expression.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "{what} `{name}` cannot be used in a Zenoh key: {reason}; use letters, digits, `-`, `_` and `.`{}",
+    if *slashes { ", and `/` between parts" } else { "" }
+)]
+pub struct KeyError {
+    what: &'static str,
+    name: String,
+    reason: &'static str,
+    slashes: bool,
+}
+
+/// Checks that `name` can be one segment of a key expression.
+///
+/// # Errors
+/// [`KeyError`] when it is empty or has a character that means something to Zenoh (`/ * $ # ? @`) or
+/// that is not plain text. A leading `@` is Zenoh's own (verbatim segments), so names may not have it.
+pub fn check_segment(what: &'static str, name: &str) -> Result<(), KeyError> {
+    check(what, name, false)
+}
+
+fn check(what: &'static str, name: &str, slashes: bool) -> Result<(), KeyError> {
+    let reason = if name.is_empty() {
+        "it is empty"
+    } else if slashes && name.split('/').any(str::is_empty) {
+        "it has an empty part"
+    } else if !name
+        .chars()
+        .all(|c| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.') || (slashes && c == '/'))
+    {
+        "it has a character with a meaning of its own"
+    } else {
+        return Ok(());
+    };
+    Err(KeyError {
+        what,
+        name: name.to_owned(),
+        reason,
+        slashes,
+    })
+}
+
+/// The keys of one node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NodeKeys {
+    root: String,
+}
+
+impl NodeKeys {
+    /// The keys of `node` under `prefix` (which may have several parts).
+    ///
+    /// # Errors
+    /// [`KeyError`] when either name cannot be used.
+    pub fn new(prefix: &str, node: &str) -> Result<Self, KeyError> {
+        check("prefix", prefix, true)?;
+        check_segment("node name", node)?;
+        Ok(Self {
+            root: format!("{prefix}/{node}"),
+        })
+    }
+
+    /// The liveliness token: there while the node lives.
+    pub fn alive(&self) -> String {
+        format!("{}/@alive", self.root)
+    }
+
+    /// The keys of `camera`.
+    ///
+    /// # Errors
+    /// [`KeyError`] when the name cannot be used.
+    pub fn camera(&self, camera: &str) -> Result<CameraKeys, KeyError> {
+        check_segment("camera name", camera)?;
+        Ok(CameraKeys {
+            root: format!("{}/{camera}", self.root),
+        })
+    }
+}
+
+/// The keys of one camera of a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CameraKeys {
+    root: String,
+}
+
+impl CameraKeys {
+    /// Frames in.
+    pub fn frame(&self) -> String {
+        format!("{}/frame", self.root)
+    }
+
+    /// [`DetectionsMessage`](super::DetectionsMessage)s out, one a frame.
+    pub fn detections(&self) -> String {
+        format!("{}/detections", self.root)
+    }
+
+    /// [`ClipReport`](super::ClipReport)s out, one a clip.
+    pub fn clip(&self) -> String {
+        format!("{}/clip", self.root)
+    }
+
+    /// [`CountersMessage`](super::CountersMessage)s out, one a second.
+    pub fn counters(&self) -> String {
+        format!("{}/counters", self.root)
+    }
+
+    /// [`ThresholdMessage`](super::ThresholdMessage)s in by put, in and out by query.
+    pub fn threshold(&self) -> String {
+        format!("{}/threshold", self.root)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_keys_are_those_of_the_design() {
+        let node = NodeKeys::new("albireo", "car-7").unwrap();
+        let camera = node.camera("front").unwrap();
+        assert_eq!(node.alive(), "albireo/car-7/@alive");
+        assert_eq!(camera.frame(), "albireo/car-7/front/frame");
+        assert_eq!(camera.detections(), "albireo/car-7/front/detections");
+        assert_eq!(camera.clip(), "albireo/car-7/front/clip");
+        assert_eq!(camera.counters(), "albireo/car-7/front/counters");
+        assert_eq!(camera.threshold(), "albireo/car-7/front/threshold");
+    }
+
+    #[test]
+    fn a_name_that_means_something_to_zenoh_is_refused() {
+        for name in ["", "a/b", "*", "a$*", "@alive", "a b", "a#b", "ä"] {
+            assert!(check_segment("camera name", name).is_err(), "{name:?}");
+        }
+        assert!(NodeKeys::new("fleet/north", "n").is_ok());
+        assert!(NodeKeys::new("fleet//north", "n").is_err());
+    }
+}

@@ -1,0 +1,8 @@
+//! What goes over Zenoh: key expressions and the JSON messages on them. Node, hub and clients use these
+//! types and no others.
+
+mod keys;
+mod messages;
+
+pub use keys::{CameraKeys, KeyError, NodeKeys, check_segment};
+pub use messages::*;

@@ -1,0 +1,1 @@
+//! Promises of the whole program, one file each.
