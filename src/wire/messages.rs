@@ -195,7 +195,7 @@ pub struct DroppedFrames {
     pub lost: u64,
     /// Pushed out of the ring by a newer one before its turn.
     pub overrun: u64,
-    /// Arrived after a later frame.
+    /// Arrived after a later frame; it had been counted as lost when the later one came.
     pub late: u64,
     /// Arrived again with the same sequence number.
     pub duplicate: u64,
