@@ -1,0 +1,193 @@
+//! The task that reads the meter at every interval, and the handle that answers for it.
+
+use super::choose;
+use super::config::PowerConfig;
+use super::history::{History, SpanEnergy};
+use super::meter::{Meter, MeterError, Reading};
+use crate::wire::{DomainWatts, EnergyQuality};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tokio::time::{Instant, MissedTickBehavior};
+use tokio_util::sync::CancellationToken;
+
+/// Power now.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PowerNow {
+    /// The source's name.
+    pub source: String,
+    /// How far to trust it: [`EnergyQuality::Unavailable`] when there is no fresh sample.
+    pub quality: EnergyQuality,
+    /// Watts by domain; empty when there is no fresh sample.
+    pub watts: Vec<DomainWatts>,
+}
+
+/// What the sampler and its handles share. The lock is held for microseconds and never over a read.
+#[derive(Debug)]
+struct Shared {
+    source: String,
+    quality: EnergyQuality,
+    interval: Duration,
+    history: Mutex<History>,
+    failures: std::sync::atomic::AtomicU64,
+}
+
+impl Shared {
+    fn history(&self) -> MutexGuard<'_, History> {
+        self.history.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Answers for the energy of any span of the kept history. Cheap to clone; never waits for the meter.
+#[derive(Clone, Debug)]
+pub struct PowerHandle {
+    shared: Arc<Shared>,
+    sampled: watch::Receiver<Option<Instant>>,
+}
+
+impl PowerHandle {
+    /// Energy of the node over `[start, end]`, from the samples there are now.
+    pub fn energy(&self, start: Instant, end: Instant) -> SpanEnergy {
+        let shared = &self.shared;
+        shared
+            .history()
+            .energy(start, end, &shared.source, shared.quality)
+    }
+
+    /// As [`energy`](Self::energy), but waits until a sample later than `end` is in, so that the end of
+    /// the span is interpolated and not held. Gives up waiting after three intervals or when the sampler
+    /// has stopped, and answers with what there is.
+    pub async fn settled_energy(&self, start: Instant, end: Instant) -> SpanEnergy {
+        let mut sampled = self.sampled.clone();
+        let later = sampled.wait_for(|newest| newest.is_some_and(|at| at >= end));
+        let patience = 3 * self.shared.interval + Duration::from_millis(50);
+        let _ = tokio::time::timeout(patience, later).await;
+        self.energy(start, end)
+    }
+
+    /// Power now.
+    pub fn now(&self) -> PowerNow {
+        let watts = self.shared.history().watts(Instant::now());
+        PowerNow {
+            source: self.shared.source.clone(),
+            quality: if watts.is_empty() {
+                EnergyQuality::Unavailable
+            } else {
+                self.shared.quality
+            },
+            watts,
+        }
+    }
+
+    /// The source's name: `rapl`, `estimate`, `none`, …
+    pub fn source(&self) -> &str {
+        &self.shared.source
+    }
+
+    /// How often the meter could not be read.
+    pub fn failed_reads(&self) -> u64 {
+        self.shared
+            .failures
+            .load(std::sync::atomic::Ordering::Relaxed)
+    }
+}
+
+/// Opens the configured meter and starts sampling it until `shutdown`. Samples are kept for `keep`, and
+/// at least ten minutes: give it twice the longest clip.
+///
+/// # Errors
+/// [`MeterError`] when the meter asked for by name cannot be used here; `auto` always finds one.
+pub async fn start(
+    config: &PowerConfig,
+    keep: Duration,
+    shutdown: CancellationToken,
+) -> Result<(PowerHandle, JoinHandle<()>), MeterError> {
+    let wanted = config.clone();
+    let meter = tokio::task::spawn_blocking(move || choose::open(&wanted))
+        .await
+        .map_err(|error| {
+            MeterError::Configuration(format!("the meter could not be opened: {error}"))
+        })??;
+    let interval = Duration::from_millis(config.interval_ms);
+    Ok(start_with(meter, interval, keep, shutdown))
+}
+
+/// As [`start`], with a meter already open.
+pub fn start_with(
+    meter: Box<dyn Meter>,
+    interval: Duration,
+    keep: Duration,
+    shutdown: CancellationToken,
+) -> (PowerHandle, JoinHandle<()>) {
+    let interval = interval.max(Duration::from_millis(1));
+    let shared = Arc::new(Shared {
+        source: meter.source().to_owned(),
+        quality: meter.quality(),
+        interval,
+        history: Mutex::new(History::new(keep.max(Duration::from_secs(600)))),
+        failures: std::sync::atomic::AtomicU64::new(0),
+    });
+    let (announce, sampled) = watch::channel(None);
+    let task = tokio::spawn(sample(meter, Arc::clone(&shared), announce, shutdown));
+    (PowerHandle { shared, sampled }, task)
+}
+
+async fn sample(
+    mut meter: Box<dyn Meter>,
+    shared: Arc<Shared>,
+    announce: watch::Sender<Option<Instant>>,
+    shutdown: CancellationToken,
+) {
+    let mut ticks = tokio::time::interval(shared.interval);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+    let mut warned: Option<Instant> = None;
+    loop {
+        tokio::select! {
+            () = shutdown.cancelled() => return,
+            _ = ticks.tick() => {}
+        }
+        let read = tokio::task::spawn_blocking(move || {
+            let before = Instant::now();
+            let result = meter.poll(before);
+            (meter, result, before + before.elapsed() / 2)
+        });
+        let Ok((returned, result, at)) = read.await else {
+            tracing::error!(
+                source = shared.source,
+                "the power meter panicked; no more power figures"
+            );
+            return;
+        };
+        meter = returned;
+        match result {
+            Ok(readings) => record(&shared, &announce, at, &readings),
+            Err(error) => {
+                let failures = shared
+                    .failures
+                    .fetch_add(1, std::sync::atomic::Ordering::Relaxed)
+                    + 1;
+                if warned.is_none_or(|w| w.elapsed() > Duration::from_secs(60)) {
+                    tracing::warn!(%error, failures, "the power meter cannot be read now");
+                    warned = Some(Instant::now());
+                }
+            }
+        }
+    }
+}
+
+fn record(
+    shared: &Shared,
+    announce: &watch::Sender<Option<Instant>>,
+    at: Instant,
+    readings: &[Reading],
+) {
+    let newest = {
+        let mut history = shared.history();
+        for reading in readings {
+            history.push(reading.at.unwrap_or(at), reading);
+        }
+        history.newest()
+    };
+    announce.send_if_modified(|last| std::mem::replace(last, newest) != newest);
+}
