@@ -1,1 +1,3 @@
 //! Promises of the whole program, one file each.
+
+mod command_line;
