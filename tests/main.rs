@@ -1,2 +1,4 @@
 //! Promises of the whole program, one file each.
 mod support;
+
+mod command_line;

@@ -14,6 +14,10 @@ pub enum PictureFormat {
     Rgb8,
     /// Rows of blue, green, red, one byte each, without padding.
     Bgr8,
+    /// Rows of red, green, blue, alpha, one byte each, without padding. Alpha is not looked at.
+    Rgba8,
+    /// Rows of blue, green, red, alpha, one byte each, without padding. Alpha is not looked at.
+    Bgra8,
     /// Rows of luma, one byte each, without padding.
     Gray8,
     /// A plane of luma, then a plane of Cb, Cr pairs at half the size in each direction (rounded up):
@@ -29,9 +33,25 @@ impl PictureFormat {
             Self::Png => "png",
             Self::Rgb8 => "rgb8",
             Self::Bgr8 => "bgr8",
+            Self::Rgba8 => "rgba8",
+            Self::Bgra8 => "bgra8",
             Self::Gray8 => "gray8",
             Self::Nv12 => "nv12",
         }
+    }
+
+    /// The raw format of that name.
+    pub fn raw_from_name(name: &str) -> Option<Self> {
+        [
+            Self::Rgb8,
+            Self::Bgr8,
+            Self::Rgba8,
+            Self::Bgra8,
+            Self::Gray8,
+            Self::Nv12,
+        ]
+        .into_iter()
+        .find(|format| format.as_str().eq_ignore_ascii_case(name))
     }
 
     /// The number of bytes a raw picture of `size` has; `None` for the compressed formats and when the
@@ -40,6 +60,7 @@ impl PictureFormat {
         match self {
             Self::Jpeg | Self::Png => None,
             Self::Rgb8 | Self::Bgr8 => size.pixels().checked_mul(3),
+            Self::Rgba8 | Self::Bgra8 => size.pixels().checked_mul(4),
             Self::Gray8 => Some(size.pixels()),
             Self::Nv12 => {
                 let chroma = PictureSize::new(size.width.div_ceil(2), size.height.div_ceil(2));

@@ -3,12 +3,10 @@
 use super::event::{Event, FrameEvent, ThresholdEvent};
 use super::lock;
 use super::thresholds::ThresholdStore;
-use crate::geometry::PictureSize;
+use crate::frame::EncodedPicture;
 use crate::policy::{FrameState, Knob, KnobError};
 use crate::wire::{DetectionsMessage, DroppedFrames, FrameStates};
-use bytes::Bytes;
 use prometheus_client::metrics::histogram::Histogram;
-use std::borrow::Cow;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
@@ -40,12 +38,8 @@ pub struct CameraSetup {
 pub struct LatestFrame {
     /// Sequence number of the frame.
     pub seq: u64,
-    /// Media type as in the sample's Zenoh encoding: `image/jpeg`, `image/png`, `image/raw;rgb8`, …
-    pub format: Cow<'static, str>,
-    /// The payload; a cheap clone of what was received.
-    pub bytes: Bytes,
-    /// Size, where it is known without decoding.
-    pub size: Option<PictureSize>,
+    /// The picture; cloning it is cheap, its bytes are shared.
+    pub picture: EncodedPicture,
 }
 
 /// Where one camera stands; all numbers are of the same moment.
