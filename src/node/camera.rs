@@ -6,7 +6,7 @@ use super::board::CameraBoard;
 use super::intake::{DropKind, DropLedger, Incoming};
 use super::report::ClipDesk;
 use super::senses::Senses;
-use crate::clip::ClipEntry;
+use crate::clip::{FrameArrival, FrameResult};
 use crate::frame::{FrameFault, RingReceiver};
 use crate::policy::{Evidence, FrameHead, GreyPicture, Need, Outcome, Policy};
 use crate::wire::Latency;
@@ -44,6 +44,8 @@ pub struct Camera {
 struct Stream {
     threshold: watch::Receiver<Option<f64>>,
     last_index: Option<u64>,
+    /// Index of the stream's first frame; the policy counts from there.
+    first_index: u64,
     clip: Option<Arc<str>>,
     outcome: Outcome,
 }
@@ -55,16 +57,17 @@ impl Camera {
         let mut stream = Stream {
             threshold: self.board.watch_threshold(),
             last_index: None,
+            first_index: 0,
             clip: None,
             outcome: Outcome::default(),
         };
         stream.threshold.mark_changed();
         loop {
-            let due = self.desk.due();
+            let due = self.desk.deadline();
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => break,
-                () = at(due) => self.desk.close_due(&self.ledger),
+                () = at(due) => self.desk.tick(),
                 incoming = self.ring.next() => match incoming {
                     Some(incoming) => self.process(incoming, &mut stream).await,
                     None => break,
@@ -72,7 +75,7 @@ impl Camera {
             }
         }
         self.ring.close();
-        self.desk.shut(&self.ledger);
+        self.desk.shutdown();
     }
 
     async fn process(&mut self, incoming: Incoming, stream: &mut Stream) {
@@ -86,15 +89,24 @@ impl Camera {
         stream.clip.clone_from(&frame.clip);
         self.turn_knob(&mut stream.threshold);
 
-        let step = stream
-            .last_index
-            .map_or(1, |last| incoming.index.saturating_sub(last).max(1));
-        stream.last_index = Some(incoming.index);
+        let step = match stream.last_index.replace(incoming.index) {
+            Some(last) => incoming.index.saturating_sub(last).max(1),
+            None => {
+                stream.first_index = incoming.index;
+                1
+            }
+        };
         let head = FrameHead {
-            index: incoming.index,
+            index: incoming.index - stream.first_index,
             step: u32::try_from(step).unwrap_or(u32::MAX),
             picture: frame.picture.size,
         };
+        let clip = self.desk.arrive(&FrameArrival {
+            seq: frame.sequence,
+            t_ns: frame.time_ns,
+            clip: frame.clip.as_deref(),
+            arrival: frame.received,
+        });
         self.senses.next_frame();
         let deciding = match self.decide(&incoming, head).await {
             Ok(deciding) => deciding,
@@ -106,7 +118,6 @@ impl Camera {
         self.policy.finish(&mut stream.outcome);
         let policy_time = deciding + finishing.elapsed();
 
-        let clip = self.desk.clip_of(frame, taken);
         let times = self.senses.times;
         let message = detections_message(
             &stream.outcome,
@@ -120,7 +131,7 @@ impl Camera {
                     waiting: milliseconds(taken - frame.received),
                     decode: times.decode.map(milliseconds),
                     screen: times.screen.map(milliseconds),
-                    detector: times.detector.map(milliseconds),
+                    detector: times.detector().map(milliseconds),
                     policy: milliseconds(policy_time),
                 },
             },
@@ -140,20 +151,17 @@ impl Camera {
                 tracing::error!(camera = self.board.name(), %error, "detections not written");
             }
         }
-        self.desk.book(
-            ClipEntry {
-                sequence: frame.sequence,
-                time_ns: frame.time_ns,
-                clip: frame.clip.clone(),
-                arrival: frame.received,
-                state: message.state,
-                degraded: message.degraded,
-                total: frame.received.elapsed(),
-                detector: times.detector,
-                threshold: message.u,
-            },
-            &self.ledger,
-        );
+        if let Some((start, end)) = times.detector_span {
+            self.desk.detector_ran(start, end);
+        }
+        self.desk.count(&FrameResult {
+            seq: frame.sequence,
+            state: message.state,
+            degraded: message.degraded,
+            total: frame.received.elapsed(),
+            detector: times.detector(),
+            u: message.u,
+        });
         self.board.record_frame(Arc::new(message));
     }
 

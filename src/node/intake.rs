@@ -4,16 +4,14 @@
 use super::board::{CameraBoard, LatestFrame};
 use super::rate_limit::RateLimit;
 use crate::frame::{
-    Arrival, Frame, FrameLimits, PayloadFormat, Pushed, RawSample, RingSender, SequenceTracker,
-    read_frame,
+    Arrival, Frame, FrameLimits, PayloadFormat, Pushed, RingSender, SequenceTracker,
+    read_sample,
 };
 use crate::wire::DroppedFrames;
-use bytes::Bytes;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
-use zenoh::bytes::ZBytes;
 use zenoh::sample::Sample;
 
 /// Time between two log lines about dropped frames of one kind.
@@ -180,48 +178,12 @@ impl Intake {
 
     /// Takes one sample as it arrives.
     pub fn take(&self, sample: &Sample) {
-        let payload = sample.payload();
-        // An oversized payload is refused by its length; it is not copied.
-        let bytes = if payload.len() > self.limits.max_payload_bytes {
-            None
-        } else {
-            Some(shared_bytes(payload))
-        };
-        let encoding = sample.encoding().to_string();
-        let attachment = sample.attachment().map(ZBytes::to_bytes);
-        let timestamp_ns = sample
-            .timestamp()
-            .map(|timestamp| timestamp.get_time().to_duration().as_nanos())
-            .and_then(|nanoseconds| u64::try_from(nanoseconds).ok());
-        let received = Instant::now();
-
         // One lock over reading and numbering keeps the order of arrival where Zenoh calls from more
         // than one thread.
         let mut stream = self.stream.lock().unwrap_or_else(PoisonError::into_inner);
         let arrival = stream.arrivals;
         stream.arrivals += 1;
-        let Some(bytes) = bytes else {
-            drop(stream);
-            let (length, limit) = (payload.len(), self.limits.max_payload_bytes);
-            self.ledger.count(
-                DropKind::Oversized,
-                1,
-                &format_args!("a payload of {length} bytes is above the limit of {limit} (frame.max_payload_bytes)"),
-            );
-            return;
-        };
-        let read = read_frame(
-            RawSample {
-                payload: bytes,
-                encoding: &encoding,
-                attachment: attachment.as_deref(),
-                timestamp_ns,
-                arrival,
-                received,
-            },
-            self.format,
-            &self.limits,
-        );
+        let read = read_sample(sample, arrival, self.format, &self.limits);
         let (sequence, clip) = match &read {
             Ok(frame) => (Some(frame.sequence), frame.clip.clone()),
             Err(rejected) => (rejected.sequence, rejected.clip.clone()),
@@ -285,22 +247,5 @@ impl Intake {
                 &"a newer frame came before its turn (camera.ring, camera.delivery)",
             ),
         }
-    }
-}
-
-/// The payload as shared bytes: no copy where Zenoh holds it in one piece.
-fn shared_bytes(payload: &ZBytes) -> Bytes {
-    /// Owns the Zenoh buffer behind a `Bytes`; in one piece, as checked at construction.
-    struct OnePiece(ZBytes);
-    impl AsRef<[u8]> for OnePiece {
-        fn as_ref(&self) -> &[u8] {
-            self.0.slices().next().unwrap_or_default()
-        }
-    }
-    let mut slices = payload.slices();
-    match (slices.next(), slices.next()) {
-        (None, _) => Bytes::new(),
-        (Some(_), None) => Bytes::from_owner(OnePiece(payload.clone())),
-        (Some(_), Some(_)) => Bytes::from(payload.to_bytes().into_owned()),
     }
 }

@@ -17,10 +17,15 @@ pub struct Times {
     pub decode: Option<Duration>,
     /// The empty-scene screen.
     pub screen: Option<Duration>,
-    /// The detector, waiting included.
-    pub detector: Option<Duration>,
-    /// The model alone.
-    pub model: Option<Duration>,
+    /// When the detector was asked and when it had answered, waiting included.
+    pub detector_span: Option<(Instant, Instant)>,
+}
+
+impl Times {
+    /// The detector's time, waiting included.
+    pub fn detector(&self) -> Option<Duration> {
+        self.detector_span.map(|(start, end)| end - start)
+    }
 }
 
 /// One camera's eyes.

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 /// the disk of a small board. At 40 s a clip this is 23 days of one camera.
 const CAPACITY: usize = 50_000;
 
-/// A folder of reports that wait.
+/// A folder of one camera's reports that wait.
 #[derive(Debug)]
 pub struct Spool {
     folder: PathBuf,
@@ -17,12 +17,12 @@ pub struct Spool {
 }
 
 impl Spool {
-    /// Opens, and makes, the folder `clip-reports` in `state_dir`.
+    /// Opens, and makes, the folder of `camera` under `clip-reports` in `state_dir`.
     ///
     /// # Errors
     /// When the folder cannot be made.
-    pub fn open(state_dir: &Path) -> io::Result<Self> {
-        let folder = state_dir.join("clip-reports");
+    pub fn open(state_dir: &Path, camera: &str) -> io::Result<Self> {
+        let folder = state_dir.join("clip-reports").join(camera);
         std::fs::create_dir_all(&folder)?;
         Ok(Self { folder, dropped: 0 })
     }
@@ -40,11 +40,8 @@ impl Spool {
             self.dropped += 1;
             tracing::warn!(dropped = self.dropped, "clip report spool full: oldest report dropped");
         }
-        // Names sort by time; the camera and the report number keep them apart.
-        let name = format!(
-            "{:020}-{}-{:08}.json",
-            report.started_ns, report.camera, report.report
-        );
+        // Names sort by time; the report's number keeps two clips of one start apart.
+        let name = format!("{:020}-{:08}.json", report.started_ns, report.report);
         let part = self.folder.join(format!("{name}.part"));
         std::fs::write(&part, serde_json::to_vec(report)?)?;
         std::fs::rename(part, self.folder.join(name))
