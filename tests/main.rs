@@ -2,3 +2,4 @@
 mod support;
 
 mod command_line;
+mod golden_traces;
