@@ -1,1 +1,4 @@
 //! Promises of the whole program, one file each.
+
+mod frame_decoding;
+mod frame_formats;
