@@ -3,3 +3,6 @@ mod support;
 
 mod command_line;
 mod golden_traces;
+
+mod frame_decoding;
+mod frame_formats;

@@ -87,7 +87,8 @@ pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
 }
 
 /// Checks that an end-of-image marker follows the pixels. Decoders fill what is missing with grey and
-/// call it a success; a detector would then look at a picture that never was.
+/// call it a success; a detector would then look at a picture that never was. (Pixels that went missing
+/// before an end-of-image marker cannot be told from pixels that are grey.)
 pub(super) fn check_jpeg_is_whole(bytes: &[u8]) -> Result<(), FrameFault> {
     let mut segments = JpegSegments::new(bytes)?;
     while let Some((marker, _)) = segments.next()? {

@@ -21,4 +21,4 @@ pub use fault::FrameFault;
 pub use picture::{EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use read::{Frame, RawSample, RejectedFrame, read_frame, read_sample};
 pub use ring::{Pushed, RingReceiver, RingSender, frame_ring};
-pub use sequence::{Arrival, SequenceTracker};
+pub use sequence::{Arrival, MAX_GAP, RESTART_RUN, SequenceTracker, WINDOW};
