@@ -4,18 +4,17 @@
 mod error;
 mod http;
 mod load;
-mod policy;
 mod validate;
 mod zenoh;
 
 pub use error::{ConfigError, Problem};
 pub use http::{HttpConfig, Token};
-pub use policy::PolicyConfig;
 pub use zenoh::{ZenohConfig, ZenohMode};
 
 use crate::clip::ClipConfig;
 use crate::detector::DetectorConfig;
 use crate::frame::{Delivery, FrameLimits, PayloadFormat};
+use crate::policy::PolicyConfig;
 use crate::power::PowerConfig;
 use crate::screen::ScreenConfig;
 use crate::wire::{KeyError, NodeKeys};
@@ -134,6 +133,13 @@ pub struct CameraConfig {
     /// Threshold of this camera in place of the policy's.
     #[serde(default)]
     pub threshold: Option<f64>,
+    /// Whether a new clip id from the camera makes the policy forget its objects.
+    #[serde(default = "default_reset_at_clip")]
+    pub reset_at_clip: bool,
+}
+
+const fn default_reset_at_clip() -> bool {
+    true
 }
 
 const fn default_ring() -> usize {
@@ -150,6 +156,7 @@ impl CameraConfig {
             delivery: Delivery::default(),
             ring: default_ring(),
             threshold: None,
+            reset_at_clip: default_reset_at_clip(),
         }
     }
 }

@@ -188,7 +188,7 @@ impl Intake {
             Ok(frame) => (Some(frame.sequence), frame.clip.clone()),
             Err(rejected) => (rejected.sequence, rejected.clip.clone()),
         };
-        let place = sequence.map(|sequence| stream.tracker.arrive(sequence, clip.as_deref()));
+        let place = sequence.map(|sequence| stream.tracker.arrive(sequence, clip.as_ref()));
         drop(stream);
 
         if let Some(Arrival::New { lost, .. }) = place
@@ -232,7 +232,10 @@ impl Intake {
                 );
             }
         };
-        self.board.set_latest_frame(LatestFrame::of(&frame));
+        self.board.set_latest_frame(LatestFrame {
+            seq: frame.sequence,
+            picture: frame.picture.clone(),
+        });
         let pushed = self.ring.push_blocking(Incoming {
             frame,
             index,

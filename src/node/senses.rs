@@ -99,11 +99,9 @@ impl Senses {
             .detector
             .detect(self.slot, Arc::clone(&self.picture))
             .await;
-        self.times.detector = Some(start.elapsed());
+        self.times.detector_span = Some((start, Instant::now()));
         // The detector counts and logs its failures itself.
-        Ok(answer.ok().inspect(|detected| {
-            self.times.model = Some(detected.model);
-        }))
+        Ok(answer.ok())
     }
 
     /// The picture in grey at half its size.

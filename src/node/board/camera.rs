@@ -38,7 +38,7 @@ pub struct CameraSetup {
 pub struct LatestFrame {
     /// Sequence number of the frame.
     pub seq: u64,
-    /// The picture; cloning it is cheap, its bytes are shared.
+    /// The picture; a cheap clone of what was received.
     pub picture: EncodedPicture,
 }
 

@@ -1,6 +1,7 @@
 //! What a configuration's values must keep to beyond their types.
 
 use super::{CameraConfig, HttpConfig, NodeConfig, Problem};
+use crate::policy::KnobError;
 use crate::wire;
 use std::collections::HashSet;
 use std::path::Path;
@@ -62,6 +63,7 @@ impl NodeConfig {
         check_http(&self.http, &mut findings);
         self.check_models(&mut findings);
         self.check_figures(&mut findings);
+        self.check_policy(&mut findings);
         if let Err(reason) = check_level(&self.log.level) {
             findings.add("log.level", reason);
         }
@@ -76,6 +78,31 @@ impl NodeConfig {
             findings.add("node.prefix", error.to_string());
         }
         findings.path("node.state_dir", self.node.state_dir.as_deref());
+    }
+
+    /// The policy and every camera's threshold in place of the policy's.
+    fn check_policy(&self, findings: &mut Findings) {
+        let policy = match self.policy.build() {
+            Ok(policy) => policy,
+            Err(error) => return findings.add(error.key(), error.to_string()),
+        };
+        for camera in &self.cameras {
+            let Some(value) = camera.threshold else {
+                continue;
+            };
+            let checked = policy
+                .knob()
+                .ok_or(KnobError::Absent {
+                    policy: policy.name(),
+                })
+                .and_then(|knob| knob.check(value));
+            if let Err(error) = checked {
+                findings.add(
+                    format!("camera `{}`: threshold", camera.name),
+                    error.to_string(),
+                );
+            }
+        }
     }
 
     fn check_zenoh(&self, findings: &mut Findings) {
@@ -225,9 +252,6 @@ fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
         }
     }
     findings.count(&key("ring"), camera.ring as u64, 1, 1024);
-    if let Some(threshold) = camera.threshold {
-        findings.above_zero(&key("threshold"), threshold, f64::MAX);
-    }
 }
 
 fn check_level(level: &str) -> Result<(), String> {
