@@ -41,7 +41,7 @@ pub struct BoardSetup {
     /// Where thresholds that were changed while running are kept; `None` to forget them at the end.
     pub state_dir: Option<PathBuf>,
     /// Name of the policy.
-    pub policy: String,
+    pub policy: &'static str,
     /// What is known about the detector before it starts.
     pub detector: DetectorFacts,
     /// How the detector is doing.
@@ -85,7 +85,7 @@ impl Default for PowerNow {
 #[derive(Debug)]
 pub struct Board {
     node: String,
-    policy: String,
+    policy: &'static str,
     started: Instant,
     cameras: Vec<Arc<CameraBoard>>,
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
@@ -110,7 +110,14 @@ impl Board {
         let cameras = setup
             .cameras
             .into_iter()
-            .map(|camera| Arc::new(CameraBoard::new(camera, events.clone(), store.clone())))
+            .map(|camera| {
+                Arc::new(CameraBoard::new(
+                    camera,
+                    setup.policy,
+                    events.clone(),
+                    store.clone(),
+                ))
+            })
             .collect();
         Arc::new(Self {
             node: setup.node,
@@ -133,8 +140,8 @@ impl Board {
     }
 
     /// The policy's name.
-    pub fn policy(&self) -> &str {
-        &self.policy
+    pub fn policy(&self) -> &'static str {
+        self.policy
     }
 
     /// Time since the board was made.
@@ -196,6 +203,15 @@ impl Board {
                 message
             })
             .collect()
+    }
+
+    /// How things stand, as the events that would tell it: thresholds and counters of every camera.
+    pub fn current(&self, t_ns: u64) -> Vec<Event> {
+        let told = |camera: &Arc<CameraBoard>| {
+            let counters = Event::Counters(Arc::new(self.counters(camera, t_ns)));
+            camera.threshold_event().into_iter().chain([counters])
+        };
+        self.cameras.iter().flat_map(told).collect()
     }
 
     /// The counter message of one camera as it stands now.

@@ -74,6 +74,7 @@ struct Counts {
 pub struct CameraBoard {
     name: Arc<str>,
     key: String,
+    policy: &'static str,
     knob: Option<Knob>,
     configured: Option<f64>,
     threshold: watch::Sender<Option<f64>>,
@@ -90,6 +91,7 @@ pub struct CameraBoard {
 impl CameraBoard {
     pub(super) fn new(
         setup: CameraSetup,
+        policy: &'static str,
         events: broadcast::Sender<Event>,
         store: Option<Arc<ThresholdStore>>,
     ) -> Self {
@@ -114,6 +116,7 @@ impl CameraBoard {
         Self {
             name: setup.name.into(),
             key: setup.key,
+            policy,
             knob: setup.knob,
             configured,
             threshold: watch::Sender::new(kept.or(configured)),
@@ -235,13 +238,23 @@ impl CameraBoard {
         self.threshold.subscribe()
     }
 
+    /// The threshold in force as an event.
+    pub(super) fn threshold_event(&self) -> Option<Event> {
+        Some(Event::Threshold(ThresholdEvent {
+            camera: Arc::clone(&self.name),
+            knob: self.knob?.name,
+            u: self.threshold()?,
+        }))
+    }
+
     /// Checks a value without using it.
     ///
     /// # Errors
     /// [`KnobError`] when the policy has no knob or the value is outside its range.
     pub fn check_threshold(&self, value: f64) -> Result<Knob, KnobError> {
-        // A board knows the policy only by its knob, so its name is not at hand here.
-        let knob = self.knob.ok_or(KnobError::Absent { policy: "in use" })?;
+        let knob = self.knob.ok_or(KnobError::Absent {
+            policy: self.policy,
+        })?;
         knob.check(value)?;
         Ok(knob)
     }
@@ -259,11 +272,9 @@ impl CameraBoard {
         if let (Some(store), Some(configured)) = (&self.store, self.configured) {
             store.keep(&self.name, &knob, configured, value);
         }
-        let _ = self.events.send(Event::Threshold(ThresholdEvent {
-            camera: Arc::clone(&self.name),
-            knob: knob.name,
-            u: value,
-        }));
+        if let Some(event) = self.threshold_event() {
+            let _ = self.events.send(event);
+        }
         drop(changing);
         tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold changed");
         Ok(value)

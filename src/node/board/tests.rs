@@ -22,7 +22,7 @@ fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<
         node: "n".to_owned(),
         cameras: vec![camera("front"), camera("rear")],
         state_dir,
-        policy: "albireo".to_owned(),
+        policy: "albireo",
         detector: DetectorFacts::default(),
         detector_status,
     })
@@ -141,7 +141,7 @@ fn a_hold_keeps_the_node_from_being_ready_until_it_is_released() {
         node: "n".to_owned(),
         cameras: Vec::new(),
         state_dir: None,
-        policy: "albireo".to_owned(),
+        policy: "albireo",
         detector: DetectorFacts::default(),
         detector_status,
     });
