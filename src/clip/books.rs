@@ -8,6 +8,7 @@
 
 use super::config::ClipConfig;
 use super::latencies::Latencies;
+use super::report::ClosedClip;
 use crate::policy::FrameState;
 use crate::wire::{ClipEnd, DroppedFrames, FrameStates, ThresholdChange};
 use std::sync::Arc;
@@ -45,42 +46,6 @@ pub struct FrameResult {
     pub detector: Option<Duration>,
     /// Threshold in force for this frame, if the policy has one.
     pub u: Option<f64>,
-}
-
-/// A clip that has ended.
-#[derive(Clone, Debug)]
-pub struct ClosedClip {
-    /// The camera's own name, or `window-N`.
-    pub clip: Arc<str>,
-    /// Why it ended.
-    pub ended_by: ClipEnd,
-    /// Capture time of its first frame, nanoseconds since the Unix epoch.
-    pub started_ns: u64,
-    /// When it began: the arrival of its first frame, or the end of the window before.
-    pub start: Instant,
-    /// When it ended.
-    pub end: Instant,
-    /// Frame states; they add up to the frames.
-    pub states: FrameStates,
-    /// Frames answered from prediction because the detector could not be had.
-    pub degraded: u64,
-    /// Frames not processed, by kind.
-    pub dropped: DroppedFrames,
-    /// Threshold at the end.
-    pub u: Option<f64>,
-    /// The threshold at the start, then its changes.
-    pub u_changes: Vec<ThresholdChange>,
-    /// Latencies from reception to publication.
-    pub total: Latencies,
-    /// Latencies of the detector, over the frames where it ran.
-    pub detector: Latencies,
-}
-
-impl ClosedClip {
-    /// From the clip's start to its end.
-    pub fn duration(&self) -> Duration {
-        self.end.saturating_duration_since(self.start)
-    }
 }
 
 /// The clip now open.

@@ -8,9 +8,11 @@ mod config;
 mod latencies;
 mod report;
 mod share;
+#[cfg(test)]
+mod tests;
 
-pub use books::{ClipBooks, ClosedClip, FrameArrival, FrameResult};
+pub use books::{ClipBooks, FrameArrival, FrameResult};
 pub use config::ClipConfig;
 pub use latencies::Latencies;
-pub use report::{ClipMeta, clip_energy, energy_delay_product, energy_of};
+pub use report::{ClipMeta, ClosedClip, clip_energy, energy_delay_product, energy_of};
 pub use share::{CameraShare, ShareLedger, Slice};

@@ -1,10 +1,44 @@
 //! From a closed clip to its report on the wire.
 
-use super::books::ClosedClip;
+use super::latencies::Latencies;
 use super::share::{CameraShare, Slice};
 use crate::power::{PowerHandle, SpanEnergy};
-use crate::wire::{ClipEnergy, ClipReport, EnergyQuality, VERSION};
+use crate::wire::{
+    ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates, ThresholdChange,
+    VERSION,
+};
+use std::sync::Arc;
 use std::time::Duration;
+use tokio::time::Instant;
+
+/// A clip that has ended.
+#[derive(Clone, Debug)]
+pub struct ClosedClip {
+    /// The camera's own name, or `window-N`.
+    pub clip: Arc<str>,
+    /// Why it ended.
+    pub ended_by: ClipEnd,
+    /// Capture time of its first frame, nanoseconds since the Unix epoch.
+    pub started_ns: u64,
+    /// When it began: the arrival of its first frame, or the end of the window before.
+    pub start: Instant,
+    /// When it ended.
+    pub end: Instant,
+    /// Frame states; they add up to the frames.
+    pub states: FrameStates,
+    /// Frames answered from prediction because the detector could not be had.
+    pub degraded: u64,
+    /// Frames not processed, by kind.
+    pub dropped: DroppedFrames,
+    /// Threshold at the end.
+    pub u: Option<f64>,
+    /// The threshold at the start, then its changes.
+    pub u_changes: Vec<ThresholdChange>,
+    /// Latencies from reception to publication.
+    pub total: Latencies,
+    /// Latencies of the detector, over the frames where it ran.
+    pub detector: Latencies,
+}
 
 /// What the report says of the node and is not in the books.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -24,6 +58,11 @@ pub struct ClipMeta {
 }
 
 impl ClosedClip {
+    /// From the clip's start to its end.
+    pub fn duration(&self) -> Duration {
+        self.end.saturating_duration_since(self.start)
+    }
+
     /// The report.
     pub fn into_report(self, meta: ClipMeta, energy: ClipEnergy) -> ClipReport {
         ClipReport {
@@ -98,3 +137,6 @@ pub fn energy_of(
 pub fn energy_delay_product(joules: f64, duration: Duration, frames: u64) -> Option<f64> {
     (frames > 0).then(|| joules * duration.as_secs_f64() * 1e3 / frames as f64)
 }
+
+#[cfg(test)]
+mod tests;

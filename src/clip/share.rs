@@ -207,3 +207,6 @@ fn grown<T: Default + Clone>(list: &mut Vec<T>, index: usize) -> &mut T {
 fn lock(books: &Mutex<Books>) -> MutexGuard<'_, Books> {
     books.lock().unwrap_or_else(PoisonError::into_inner)
 }
+
+#[cfg(test)]
+mod tests;

@@ -270,3 +270,6 @@ fn rules<'a>(samples: impl Iterator<Item = &'a Sample>) -> String {
     }
     seen.join(", then ")
 }
+
+#[cfg(test)]
+mod tests;

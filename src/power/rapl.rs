@@ -225,3 +225,6 @@ impl Meter for Rapl {
         }])
     }
 }
+
+#[cfg(test)]
+mod tests;
