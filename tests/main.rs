@@ -1,1 +1,2 @@
 //! Promises of the whole program, one file each.
+mod eval_agreement;

@@ -112,7 +112,10 @@ fn without_ground_truth_accuracy_is_undefined_and_without_predictions_it_is_zero
     assert_eq!(none, None);
     let truths = vec![vec![truth(square(0.0, 0.0, 10.0))]];
     let result = pooled(&[], &truths);
-    assert_eq!((result.ap50, result.precision, result.recall), (0.0, 0.0, 0.0));
+    assert_eq!(
+        (result.ap50, result.precision, result.recall),
+        (0.0, 0.0, 0.0)
+    );
 }
 
 #[test]

@@ -5,4 +5,6 @@
 
 pub mod average_precision;
 pub mod data;
+pub mod scoring;
 pub mod statistics;
+pub mod trace;

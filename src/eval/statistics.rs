@@ -61,10 +61,7 @@ pub fn paired_t(differences: &[f64]) -> Option<PairedT> {
     let t = mean / standard_error;
     // P(|T| > t) as an incomplete beta function: exact far out, where 1 - CDF would be rounding noise.
     let p = beta_reg(freedom / 2.0, 0.5, freedom / (freedom + t * t));
-    let half = StudentsT::new(0.0, 1.0, freedom)
-        .ok()?
-        .inverse_cdf(0.975)
-        * standard_error;
+    let half = StudentsT::new(0.0, 1.0, freedom).ok()?.inverse_cdf(0.975) * standard_error;
     Some(PairedT {
         pairs,
         mean,
@@ -189,9 +186,7 @@ mod tests {
 
     /// 60 values with ties and zeros, both signs.
     fn long() -> Vec<f64> {
-        (0..60)
-            .map(|i| f64::from((i * 37) % 23) - 8.0)
-            .collect()
+        (0..60).map(|i| f64::from((i * 37) % 23) - 8.0).collect()
     }
 
     #[test]

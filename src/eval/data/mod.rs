@@ -264,9 +264,10 @@ impl Clips {
         if let Some(detections) = &clip.detections
             && detections.iter().all(Vec::is_empty)
         {
-            self.report
-                .notes
-                .push(format!("{}: not one detection in the whole clip", clip.name));
+            self.report.notes.push(format!(
+                "{}: not one detection in the whole clip",
+                clip.name
+            ));
         }
         if clip.truth.is_none() {
             self.report.notes.push(format!(

@@ -68,13 +68,15 @@ pub fn read(folder: &Path) -> Result<Clips, DataError> {
 }
 
 fn check(entry: &Entry, path: &Path) -> Result<(), DataError> {
-    let plain = !entry.name.is_empty()
-        && !entry.name.starts_with('.')
-        && !entry.name.contains(['/', '\\']);
+    let plain =
+        !entry.name.is_empty() && !entry.name.starts_with('.') && !entry.name.contains(['/', '\\']);
     if !plain {
         return Err(DataError::file(
             path,
-            format!("`{}` cannot be a sequence's name: it names a file", entry.name),
+            format!(
+                "`{}` cannot be a sequence's name: it names a file",
+                entry.name
+            ),
         ));
     }
     if entry.width == 0 || entry.height == 0 {
@@ -86,22 +88,26 @@ fn check(entry: &Entry, path: &Path) -> Result<(), DataError> {
             ),
         ));
     }
-    if entry.fps.is_some_and(|rate| !(rate.is_finite() && rate > 0.0)) {
+    if entry
+        .fps
+        .is_some_and(|rate| !(rate.is_finite() && rate > 0.0))
+    {
         return Err(DataError::file(
             path,
-            format!("the sequence `{}` has a frame rate that is not positive", entry.name),
+            format!(
+                "the sequence `{}` has a frame rate that is not positive",
+                entry.name
+            ),
         ));
     }
     Ok(())
 }
 
-fn read_sequence(
-    folder: &Path,
-    entry: Entry,
-    report: &mut LoadReport,
-) -> Result<Clip, DataError> {
+fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result<Clip, DataError> {
     let picture = PictureSize::new(entry.width, entry.height);
-    let path = folder.join("detections").join(format!("{}.csv", entry.name));
+    let path = folder
+        .join("detections")
+        .join(format!("{}.csv", entry.name));
     let text = read_text(
         &path,
         "every sequence in sequences.json needs its detections; a sequence without any has a file with \
@@ -125,10 +131,15 @@ fn read_sequence(
         Ok(())
     })?;
 
-    let path = folder.join("groundtruth").join(format!("{}.csv", entry.name));
+    let path = folder
+        .join("groundtruth")
+        .join(format!("{}.csv", entry.name));
     let expected = entry.ground_truth_boxes.is_some_and(|boxes| boxes > 0);
     let truth = if expected || path.exists() {
-        let text = read_text(&path, "sequences.json says that this sequence has ground truth")?;
+        let text = read_text(
+            &path,
+            "sequences.json says that this sequence has ground truth",
+        )?;
         let mut truth = vec![Vec::new(); entry.frames];
         comma_separated(&path, &text, Some(TRUTH_HEADER), |row| {
             let frame = columns(row, 7)?.frame(0, 0, entry.frames)?;
@@ -164,7 +175,10 @@ fn columns<'a, 'b>(row: &'a Row<'b>, count: usize) -> Result<&'a Row<'b>, DataEr
     if row.len() == count {
         Ok(row)
     } else {
-        Err(row.broken(format!("the row has {} columns, expected {count}", row.len())))
+        Err(row.broken(format!(
+            "the row has {} columns, expected {count}",
+            row.len()
+        )))
     }
 }
 
@@ -201,7 +215,12 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
         let path = detections.join(&file);
         let mut text = format!("{DETECTION_HEADER}\n").into_bytes();
         for (frame, boxes) in clip.detections.iter().flatten().enumerate() {
-            for StoredDetection { corners: b, class, confidence } in boxes {
+            for StoredDetection {
+                corners: b,
+                class,
+                confidence,
+            } in boxes
+            {
                 let _infallible = writeln!(
                     text,
                     "{frame},{},{},{},{},{confidence},{}",
@@ -214,7 +233,12 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
             let path = truths.join(&file);
             let mut text = format!("{TRUTH_HEADER}\n").into_bytes();
             for (frame, boxes) in truth.iter().enumerate() {
-                for TruthBox { corners: b, class, object } in boxes {
+                for TruthBox {
+                    corners: b,
+                    class,
+                    object,
+                } in boxes
+                {
                     let object = object.map_or(-1, |object| object as i64);
                     let _infallible = writeln!(
                         text,

@@ -19,20 +19,26 @@ impl Row<'_> {
 
     /// The field at `index` as text.
     pub fn text(&self, index: usize, name: &str) -> Result<&str, DataError> {
-        self.fields.get(index).map(|field| field.trim()).ok_or_else(|| {
-            self.broken(format!(
-                "the column `{name}` (number {}) is missing: the row has {} columns",
-                index + 1,
-                self.fields.len()
-            ))
-        })
+        self.fields
+            .get(index)
+            .map(|field| field.trim())
+            .ok_or_else(|| {
+                self.broken(format!(
+                    "the column `{name}` (number {}) is missing: the row has {} columns",
+                    index + 1,
+                    self.fields.len()
+                ))
+            })
     }
 
     /// The field at `index` as a number.
     pub fn number<T: FromStr>(&self, index: usize, name: &str) -> Result<T, DataError> {
         let text = self.text(index, name)?;
-        text.parse()
-            .map_err(|_| self.broken(format!("`{name}` is `{text}`, which is not a number of its kind")))
+        text.parse().map_err(|_| {
+            self.broken(format!(
+                "`{name}` is `{text}`, which is not a number of its kind"
+            ))
+        })
     }
 
     /// A whole number, also where the file writes it with a decimal point.
@@ -113,7 +119,10 @@ pub(super) fn space_separated(
     text: &str,
     mut visit: impl FnMut(&Row<'_>) -> Result<(), DataError>,
 ) -> Result<(), DataError> {
-    for (line, text) in (1..).zip(text.lines()).filter(|(_, text)| !text.trim().is_empty()) {
+    for (line, text) in (1..)
+        .zip(text.lines())
+        .filter(|(_, text)| !text.trim().is_empty())
+    {
         visit(&Row {
             path,
             line,
