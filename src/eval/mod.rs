@@ -5,6 +5,9 @@
 
 pub mod average_precision;
 pub mod data;
+pub mod pareto;
+pub mod replay;
 pub mod scoring;
+pub mod source;
 pub mod statistics;
 pub mod trace;
