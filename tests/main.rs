@@ -2,6 +2,7 @@
 mod support;
 
 mod command_line;
+mod eval_agreement;
 mod golden_traces;
 
 mod frame_decoding;
