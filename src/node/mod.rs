@@ -14,4 +14,4 @@ mod spool;
 mod start;
 mod threshold;
 
-pub use start::Node;
+pub use start::{Node, PreparedNode};

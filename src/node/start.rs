@@ -10,7 +10,7 @@ use super::session;
 use super::spool::Spool;
 use super::threshold::ThresholdService;
 use crate::clip::{ClipBooks, ShareLedger};
-use crate::detector::{CameraSlot, DetectorHandle};
+use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use crate::frame::frame_ring;
 use crate::power::{self, PowerHandle};
 use crate::screen::ScreenHandle;
@@ -20,6 +20,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, MissedTickBehavior};
 use tokio_util::sync::CancellationToken;
@@ -41,7 +42,6 @@ const STOP_LIMIT: Duration = Duration::from_millis(4500);
 
 /// A running node.
 pub struct Node {
-    board: Arc<Board>,
     session: Session,
     detector: DetectorHandle,
     screen: Option<ScreenHandle>,
@@ -55,13 +55,60 @@ pub struct Node {
     shutdown: CancellationToken,
 }
 
-impl Node {
-    /// Starts a node and returns when its cameras can be heard. It runs until `shutdown` is cancelled;
-    /// then call [`stopped`](Self::stopped).
+/// A node before it is started: its board can be shown already, and says that it is not ready.
+#[derive(Debug)]
+pub struct PreparedNode {
+    board: Arc<Board>,
+    detector_status: watch::Sender<DetectorStatus>,
+}
+
+impl PreparedNode {
+    /// Makes the board of a node with this configuration.
+    ///
+    /// # Errors
+    /// When a name or the policy cannot be used.
+    pub fn new(config: &NodeConfig) -> anyhow::Result<Self> {
+        let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
+        let policy = config.policy.build()?;
+        let (detector_status, status) = watch::channel(DetectorStatus::Starting);
+        let model = config.detector.model.file_name().unwrap_or_default();
+        let board = Board::new(BoardSetup {
+            node: config.node.name.clone(),
+            cameras: camera_setups(config, &keys, policy.knob(), policy.knob_value())?,
+            state_dir: config.node.state_dir.clone(),
+            policy: policy.name(),
+            detector: DetectorFacts {
+                model: model.to_string_lossy().into_owned(),
+                requested: config.detector.providers.clone(),
+            },
+            detector_status: status,
+        });
+        board.hold("cameras", "the cameras are not subscribed to yet");
+        Ok(Self {
+            board,
+            detector_status,
+        })
+    }
+
+    /// What the node shows of itself.
+    pub fn board(&self) -> &Arc<Board> {
+        &self.board
+    }
+
+    /// Starts the node and returns when its cameras can be heard. It runs until `shutdown` is cancelled;
+    /// then call [`Node::stopped`].
     ///
     /// # Errors
     /// When a part cannot start: the message says which, and what to do.
-    pub async fn start(config: &NodeConfig, shutdown: CancellationToken) -> anyhow::Result<Self> {
+    pub async fn start(
+        self,
+        config: &NodeConfig,
+        shutdown: CancellationToken,
+    ) -> anyhow::Result<Node> {
+        let Self {
+            board,
+            detector_status,
+        } = self;
         let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
         let session = session::open(&config.zenoh, config.frame.max_payload_bytes).await?;
         let sampling = CancellationToken::new();
@@ -74,19 +121,7 @@ impl Node {
             .await
             .context("[screen]")?;
 
-        let policy = config.policy.build()?;
-        let board = Board::new(BoardSetup {
-            node: config.node.name.clone(),
-            cameras: camera_setups(config, &keys, policy.knob(), policy.knob_value())?,
-            state_dir: config.node.state_dir.clone(),
-            policy: policy.name().to_owned(),
-            detector: DetectorFacts {
-                model: detector.model_name().to_owned(),
-                requested: config.detector.providers.clone(),
-            },
-            detector_status: detector.status(),
-        });
-
+        tokio::spawn(follow(detector.status(), detector_status));
         let mut parts = Parts {
             config,
             session: &session,
@@ -120,8 +155,8 @@ impl Node {
             .declare_token(keys.alive())
             .await
             .map_err(|error| anyhow!("liveliness token not declared: {error}"))?;
-        Ok(Self {
-            board,
+        board.release("cameras");
+        Ok(Node {
             session,
             detector,
             screen,
@@ -134,11 +169,9 @@ impl Node {
         })
     }
 
-    /// What the node shows of itself.
-    pub fn board(&self) -> &Arc<Board> {
-        &self.board
-    }
+}
 
+impl Node {
     /// Waits for the shutdown token, lets the frames in hand and the open clips out, and closes.
     /// Gives up after five seconds; what is not out then is in the spool or lost, and logged.
     pub async fn stopped(mut self) {
@@ -335,6 +368,17 @@ impl Parts<'_> {
             }
         });
         Ok(())
+    }
+}
+
+/// Copies the detector's status to where the board reads it.
+async fn follow(mut from: watch::Receiver<DetectorStatus>, to: watch::Sender<DetectorStatus>) {
+    loop {
+        let status = from.borrow_and_update().clone();
+        to.send_replace(status);
+        if from.changed().await.is_err() {
+            return;
+        }
     }
 }
 
