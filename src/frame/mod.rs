@@ -3,6 +3,7 @@
 mod config;
 mod decode;
 mod fault;
+mod letterbox;
 mod picture;
 mod read;
 mod ring;
@@ -11,6 +12,9 @@ mod sequence;
 pub use config::{Delivery, FrameLimits, PayloadFormat};
 pub use decode::{decode, decode_grey_half, to_jpeg};
 pub use fault::FrameFault;
+pub use letterbox::{
+    ColorOrder, Fit, InputFormat, InputMapping, Letterbox, LetterboxError, ValueRange,
+};
 pub use picture::{EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use read::{Frame, RawSample, RejectedFrame, read_frame};
 pub use ring::{Pushed, RingReceiver, RingSender, frame_ring};
