@@ -69,7 +69,9 @@ pub(super) async fn run_prepared(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> anyhow::Result<()> {
-    let address = listener.local_addr().context("the listener has no address")?;
+    let address = listener
+        .local_addr()
+        .context("the listener has no address")?;
     let view = NodeView {
         board: Arc::clone(prepared.board()),
         limits: config.frame,
@@ -77,7 +79,11 @@ pub(super) async fn run_prepared(
     // HTTP outlives the node, so that a look at the counters is possible until the end.
     let serving = CancellationToken::new();
     let http = http::run(&config.http, listener, view, serving.clone());
-    tracing::info!(http = format!("http://{address}"), node = config.node.name, "listening");
+    tracing::info!(
+        http = format!("http://{address}"),
+        node = config.node.name,
+        "listening"
+    );
     let node = async {
         let node = prepared.start(config, shutdown.clone()).await;
         let ended = match node {

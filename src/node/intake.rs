@@ -4,8 +4,7 @@
 use super::board::{CameraBoard, LatestFrame};
 use super::rate_limit::RateLimit;
 use crate::frame::{
-    Arrival, Frame, FrameLimits, PayloadFormat, Pushed, RingSender, SequenceTracker,
-    read_sample,
+    Arrival, Frame, FrameLimits, PayloadFormat, Pushed, RingSender, SequenceTracker, read_sample,
 };
 use crate::wire::DroppedFrames;
 use std::collections::BTreeMap;

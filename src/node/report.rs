@@ -94,7 +94,6 @@ impl ClipDesk {
 }
 
 /// Publishes one camera's clip reports.
-#[derive(Debug)]
 pub struct Reporter {
     /// Where reports are shown.
     pub board: Arc<Board>,

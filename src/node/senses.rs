@@ -2,9 +2,9 @@
 //! the screen and the detector, and keeps the times. A frame that needs nothing touches nothing here.
 
 use crate::detector::{CameraSlot, Detected, DetectorHandle};
-use crate::frame::{EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout};
-use crate::frame::{decode, decode_grey_half};
-use crate::geometry::PictureSize;
+use crate::frame::{
+    EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
+};
 use crate::screen::ScreenHandle;
 use std::sync::Arc;
 use std::time::Duration;
@@ -29,7 +29,6 @@ impl Times {
 }
 
 /// One camera's eyes.
-#[derive(Debug)]
 pub struct Senses {
     detector: DetectorHandle,
     screen: Option<ScreenHandle>,
@@ -80,7 +79,7 @@ impl Senses {
         };
         self.decode(encoded).await?;
         let start = Instant::now();
-        let verdict = screen.empty(Arc::clone(&self.picture)).await;
+        let verdict = screen.ask(self.slot, Arc::clone(&self.picture)).await;
         self.times.screen = Some(start.elapsed());
         Ok(verdict.ok().map(|verdict| verdict.empty))
     }
@@ -127,34 +126,17 @@ impl Senses {
             return Ok(());
         }
         let start = Instant::now();
-        let target = self.target();
         let (encoded, limits) = (encoded.clone(), self.limits);
         // The detector's thread may still hold the last picture after a time-out: then take a new buffer.
         let mut picture = Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
         self.picture = off_thread(move || {
-            decode(
-                &encoded,
-                &limits,
-                PixelLayout::Rgb8,
-                Some(target),
-                &mut picture,
-            )?;
+            decode(&encoded, &limits, PixelLayout::Rgb8, None, &mut picture)?;
             Ok(Arc::new(picture))
         })
         .await?;
         self.decoded = true;
         self.times.decode = Some(start.elapsed());
         Ok(())
-    }
-
-    /// The size below which no decoder may scale: what detector and screen need at most.
-    fn target(&self) -> PictureSize {
-        let detector = self.detector.input_size();
-        let screen = self.screen.as_ref().map_or(detector, ScreenHandle::input_size);
-        PictureSize::new(
-            detector.width.max(screen.width),
-            detector.height.max(screen.height),
-        )
     }
 }
 

@@ -38,7 +38,10 @@ impl Spool {
         {
             std::fs::remove_file(oldest)?;
             self.dropped += 1;
-            tracing::warn!(dropped = self.dropped, "clip report spool full: oldest report dropped");
+            tracing::warn!(
+                dropped = self.dropped,
+                "clip report spool full: oldest report dropped"
+            );
         }
         // Names sort by time; the report's number keeps two clips of one start apart.
         let name = format!("{:020}-{:08}.json", report.started_ns, report.report);
@@ -55,7 +58,10 @@ impl Spool {
         let mut files = std::fs::read_dir(&self.folder)?
             .map(|entry| entry.map(|entry| entry.path()))
             .collect::<io::Result<Vec<_>>>()?;
-        files.retain(|file| file.extension().is_some_and(|extension| extension == "json"));
+        files.retain(|file| {
+            file.extension()
+                .is_some_and(|extension| extension == "json")
+        });
         files.sort();
         Ok(files)
     }

@@ -117,7 +117,7 @@ impl PreparedNode {
         let detector = DetectorHandle::start(&config.detector)
             .await
             .context("[detector]")?;
-        let screen = ScreenHandle::start(&config.screen, &config.detector)
+        let screen = ScreenHandle::start(&config.screen, config.detector.onnxruntime.as_deref())
             .await
             .context("[screen]")?;
 
@@ -168,7 +168,6 @@ impl PreparedNode {
             shutdown,
         })
     }
-
 }
 
 impl Node {
@@ -410,5 +409,7 @@ fn camera_setups(
 fn unix_nanoseconds() -> u64 {
     SystemTime::now()
         .duration_since(UNIX_EPOCH)
-        .map_or(0, |since| u64::try_from(since.as_nanos()).unwrap_or(u64::MAX))
+        .map_or(0, |since| {
+            u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
+        })
 }

@@ -5,8 +5,8 @@ use crate::wire::{self, ThresholdMessage, VERSION};
 use std::sync::Arc;
 use zenoh::Session;
 use zenoh::bytes::Encoding;
-use zenoh::query::{Query, Queryable};
 use zenoh::pubsub::Subscriber;
+use zenoh::query::{Query, Queryable};
 
 /// Largest threshold message read; a valid one has a few dozen bytes.
 const MAX_MESSAGE_BYTES: usize = 4096;

@@ -39,10 +39,7 @@ impl Default for PolicyConfig {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicyConfigError {
     /// No policy has this name.
-    #[error(
-        "there is no policy `{name}`; the policies are {}",
-        names()
-    )]
+    #[error("there is no policy `{name}`; the policies are {}", names())]
     UnknownPolicy {
         /// The name found.
         name: String,

@@ -170,11 +170,15 @@ pub struct Client {
 impl Client {
     /// Subscribes to `key` at `endpoint` and waits until the subscription stands.
     pub async fn listen(endpoint: &str, key: &str, history: bool) -> Self {
-        let python = std::env::var("ALBIREO_PYTHON")
-            .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into());
+        let python = std::env::var("ALBIREO_PYTHON").unwrap_or_else(|_| {
+            concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into()
+        });
         let mut command = Command::new(&python);
         command
-            .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/clients/listen.py"))
+            .arg(concat!(
+                env!("CARGO_MANIFEST_DIR"),
+                "/tests/clients/listen.py"
+            ))
             .args([endpoint, key])
             .kill_on_drop(true)
             .stdin(Stdio::piped())
