@@ -1,3 +1,4 @@
 //! Promises of the whole program, one file each.
 
 mod command_line;
+mod http_api;
