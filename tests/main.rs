@@ -2,3 +2,4 @@
 
 mod command_line;
 mod http_api;
+mod golden_traces;
