@@ -3,6 +3,7 @@ mod support;
 
 mod command_line;
 mod eval_agreement;
+mod http_api;
 mod golden_traces;
 
 mod frame_decoding;

@@ -50,11 +50,15 @@ pub(super) async fn serve(
     shutdown: CancellationToken,
 ) -> Result<(), HttpError> {
     let limit = Duration::from_millis(config.timeout_ms);
-    let mut router = router
+    let inner = router
         .fallback(problem::not_found)
         .layer(DefaultBodyLimit::max(BODY_LIMIT))
         .layer(from_fn_with_state(limit, within))
-        .layer(from_fn_with_state(allowed, guard))
+        .layer(from_fn_with_state(allowed, guard));
+    // Axum puts the list of allowed methods on an answer outside all layers of its router; as the
+    // fallback of another router the whole answer can be seen.
+    let mut router = Router::new()
+        .fallback_service(inner)
         .layer(from_fn(problem::translate));
     if !config.cors_origins.is_empty() {
         let origins: Vec<HeaderValue> = config
