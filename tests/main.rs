@@ -2,3 +2,4 @@
 
 mod frame_decoding;
 mod frame_formats;
+mod replay;

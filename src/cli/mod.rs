@@ -1,1 +1,3 @@
-//! To be built.
+//! The program's subcommands, one file each.
+
+pub mod replay;
