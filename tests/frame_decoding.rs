@@ -1,5 +1,7 @@
 //! Pictures are decoded right, or refused: never wrong, never a panic, never more memory than allowed.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use albireo::frame::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode,
     decode_grey_half, to_jpeg,

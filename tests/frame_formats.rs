@@ -1,5 +1,7 @@
 //! Every payload format of a camera is read, and what cannot be read is told apart by kind.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use albireo::frame::{
     Frame, FrameLimits, PayloadFormat, PictureFormat, RawSample, RejectedFrame, read_frame,
 };
@@ -106,7 +108,7 @@ fn ros_image(
 ) -> Vec<u8> {
     let mut body = Vec::new();
     let word = |body: &mut Vec<u8>, value: u32| {
-        while body.len() % 4 != 0 {
+        while !body.len().is_multiple_of(4) {
             body.push(0);
         }
         body.extend_from_slice(&if little_endian {

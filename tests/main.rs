@@ -8,3 +8,4 @@ mod golden_traces;
 
 mod frame_decoding;
 mod frame_formats;
+mod replay;

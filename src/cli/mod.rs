@@ -46,3 +46,6 @@ impl Arguments {
         }
     }
 }
+//! The program's subcommands, one file each.
+
+pub mod replay;
