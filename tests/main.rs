@@ -3,8 +3,8 @@ mod support;
 
 mod command_line;
 mod eval_agreement;
-mod http_api;
 mod golden_traces;
+mod http_api;
 
 mod frame_decoding;
 mod frame_formats;

@@ -1,17 +1,24 @@
 //! The command line: one file a subcommand. Each has its arguments and a `run` that says how it ended.
 
 mod check;
+mod demo;
 mod logging;
 mod node;
+pub mod replay;
 mod signals;
 
+use anyhow::Context;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 
+pub use node::run_node;
+
 const EXAMPLES: &str = "\
 Examples:
+  albireo demo                           everything at once, with nothing to configure
   albireo check config/node.toml         say what is wrong with a configuration
   albireo node --config config/node.toml run a node
+  albireo replay drive.mp4               play a video to it as a camera
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
 
 /// An adaptive efficiency layer around an unchanged video object detector, for nodes on the edge.
@@ -28,6 +35,10 @@ enum Command {
     Node(node::Arguments),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
+    /// Publish a video, a folder of pictures or the synthetic dashcam as a camera.
+    Replay(replay::ReplayArguments),
+    /// Run a camera and a node in one process, with nothing to configure.
+    Demo(demo::Arguments),
 }
 
 impl Arguments {
@@ -36,6 +47,11 @@ impl Arguments {
         let ended = match self.command {
             Command::Node(arguments) => node::run(&arguments),
             Command::Check(arguments) => check::run(&arguments),
+            Command::Replay(arguments) => block_on(async {
+                let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+                replay::run(arguments, shutdown).await.map(drop)
+            }),
+            Command::Demo(arguments) => block_on(demo::run(arguments)),
         };
         match ended {
             Ok(()) => ExitCode::SUCCESS,
@@ -46,6 +62,12 @@ impl Arguments {
         }
     }
 }
-//! The program's subcommands, one file each.
 
-pub mod replay;
+/// Runs a subcommand that waits for things.
+fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
+    tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .context("the asynchronous runtime cannot be started")?
+        .block_on(work)
+}

@@ -1,6 +1,6 @@
 //! `albireo node`: runs a node until it is told to stop.
 
-use super::{logging, signals};
+use super::{block_on, logging, signals};
 use crate::http::{self, NodeView};
 use crate::node::PreparedNode;
 use crate::node::config::NodeConfig;
@@ -31,15 +31,11 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let config = NodeConfig::load(arguments.config.as_deref())?;
     logging::start(&config.log)?;
-    tokio::runtime::Builder::new_multi_thread()
-        .enable_all()
-        .build()
-        .context("the asynchronous runtime cannot be started")?
-        .block_on(serve(config))
+    block_on(serve(config))
 }
 
 async fn serve(config: NodeConfig) -> anyhow::Result<()> {
-    let shutdown = signals::shutdown().context("signals cannot be listened to")?;
+    let shutdown = signals::shutdown().context(signals::CONTEXT)?;
     let listener = TcpListener::bind(config.http.listen)
         .await
         .with_context(|| format!("http.listen: {} cannot be listened on", config.http.listen))?;

@@ -3,6 +3,9 @@
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
+/// What to say when the signals cannot be listened to.
+pub(super) const CONTEXT: &str = "signals cannot be listened to";
+
 /// A token that is cancelled by the first Ctrl-C or SIGTERM. A second one ends the program at once, with
 /// exit code 130, for whoever does not want to wait.
 ///

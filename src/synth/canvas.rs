@@ -242,9 +242,7 @@ impl Canvas {
             }
         }
         let first = (bounds.0 - 0.5).ceil().max(0.0) as usize;
-        let last = (bounds.1 + 0.5)
-            .floor()
-            .clamp(0.0, self.size.height as f32) as usize;
+        let last = (bounds.1 + 0.5).floor().clamp(0.0, self.size.height as f32) as usize;
         let mut fresh = 0;
         for row in first..last {
             let y = row as f32 + 0.5;
@@ -296,8 +294,8 @@ impl Canvas {
         let mut count = 0;
         let (mut left, mut right, mut top, mut bottom) = (usize::MAX, 0, usize::MAX, 0);
         for row in rows {
-            let line =
-                &self.objects[row * width + columns.start..row * width + columns.end.max(columns.start)];
+            let line = &self.objects
+                [row * width + columns.start..row * width + columns.end.max(columns.start)];
             let here = line.iter().filter(|&&pixel| pixel == number).count() as u32;
             if here == 0 {
                 continue;

@@ -150,7 +150,7 @@ async fn http_address<R: AsyncRead + Unpin>(lines: &mut Lines<BufReader<R>>) -> 
     while let Ok(Some(line)) = lines.next_line().await {
         if let Some(address) = serde_json::from_str::<Value>(&line)
             .ok()
-            .and_then(|entry| entry["fields"]["http"].as_str().map(str::to_owned))
+            .and_then(|entry| entry["http"].as_str().map(str::to_owned))
         {
             return address;
         }
