@@ -1,8 +1,9 @@
 //! Starts the parts of a node in a fixed order, and stops them in the opposite one.
 
-use super::board::{Board, BoardSetup, CameraSetup, DetectorFacts, PowerNow};
+use super::board::{Board, BoardSetup, CameraSetup, DetectorFacts};
 use super::camera::Camera;
 use super::config::{CameraConfig, NodeConfig};
+use super::counters::Counters;
 use super::intake::{DropLedger, Intake};
 use super::report::{ClipDesk, Reporter};
 use super::senses::Senses;
@@ -16,25 +17,20 @@ use crate::power::{self, PowerHandle};
 use crate::screen::ScreenHandle;
 use crate::wire::{CameraKeys, NodeKeys};
 use anyhow::{Context, anyhow};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::{Instant, MissedTickBehavior};
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
-use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh_ext::{AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 /// Clip reports a publisher keeps for clients that come late.
 const CACHED_REPORTS: usize = 64;
-
-/// Time between two counter messages of a camera (wire: once a second).
-const COUNTER_PERIOD: Duration = Duration::from_secs(1);
 
 /// How long stopping may take in all: longer, and what is not out yet is given up. A service manager's
 /// patience is longer than that.
@@ -143,7 +139,9 @@ impl PreparedNode {
                 .await
                 .with_context(|| format!("camera `{}`", camera.name))?;
         }
-        parts.add_counters(&keys).await?;
+        let counters =
+            Counters::declare(&session, &keys, Arc::clone(&board), power.clone()).await?;
+        parts.working.spawn(counters.run(shutdown.clone()));
         let Parts {
             working,
             intakes,
@@ -314,60 +312,6 @@ impl Parts<'_> {
         self.intakes.push(subscriber);
         Ok(())
     }
-
-    /// Publishes every camera's counters once a second, and keeps the board's power figures new.
-    async fn add_counters(&mut self, keys: &NodeKeys) -> anyhow::Result<()> {
-        let mut publishers = BTreeMap::new();
-        for camera in &self.config.cameras {
-            let publisher = self
-                .session
-                .declare_publisher(keys.camera(&camera.name)?.counters())
-                .congestion_control(CongestionControl::Drop)
-                .await
-                .map_err(|error| anyhow!("counters cannot be published: {error}"))?;
-            publishers.insert(camera.name.clone(), publisher);
-        }
-        let (board, power) = (Arc::clone(self.board), self.power.clone());
-        let shutdown = self.shutdown.clone();
-        self.working.spawn(async move {
-            let mut ticks = tokio::time::interval(COUNTER_PERIOD);
-            ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-            let mut joules = BTreeMap::<String, f64>::new();
-            let mut since = Instant::now();
-            loop {
-                tokio::select! {
-                    () = shutdown.cancelled() => return,
-                    _ = ticks.tick() => {}
-                }
-                let until = Instant::now();
-                for domain in power.energy(since, until).domains {
-                    *joules.entry(domain.domain).or_default() += domain.joules;
-                }
-                since = until;
-                let now = power.now();
-                board.set_power(PowerNow {
-                    source: now.source,
-                    quality: now.quality,
-                    watts: now.watts,
-                    joules: joules.clone(),
-                });
-                for message in board.publish_counters(unix_nanoseconds()) {
-                    let Some(publisher) = publishers.get(&message.camera) else {
-                        continue;
-                    };
-                    if let Ok(json) = serde_json::to_vec(&*message)
-                        && let Err(error) = publisher
-                            .put(json)
-                            .encoding(Encoding::APPLICATION_JSON)
-                            .await
-                    {
-                        tracing::warn!(camera = message.camera, %error, "counters not published");
-                    }
-                }
-            }
-        });
-        Ok(())
-    }
 }
 
 /// Copies the detector's status to where the board reads it.
@@ -403,13 +347,4 @@ fn camera_setups(
             })
         })
         .collect()
-}
-
-/// This machine's wall clock; 0 before 1970.
-fn unix_nanoseconds() -> u64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |since| {
-            u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
-        })
 }
