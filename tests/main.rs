@@ -1,4 +1,10 @@
 //! Promises of the whole program, one file each.
+mod support;
+
+mod command_line;
+mod eval_agreement;
+mod golden_traces;
+mod http_api;
 
 mod frame_decoding;
 mod frame_formats;

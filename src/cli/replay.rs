@@ -4,12 +4,14 @@ mod folder;
 mod publish;
 mod session;
 mod source;
+mod synthetic;
 mod video;
 
 pub use folder::PictureFolder;
 pub use publish::{OutgoingFrame, PublishOptions, Rate, Sent, declare_frame_publisher, publish};
 pub use session::{DEFAULT_ENDPOINT, flush, open_session, wait_for_subscriber};
 pub use source::{FrameSource, SourceName, Stopper};
+pub use synthetic::Synthetic;
 pub use video::{Ffmpeg, Video, VideoEncoding};
 
 use crate::wire::NodeKeys;
@@ -81,7 +83,7 @@ pub struct ReplayArguments {
     /// Clip id; numbered when there is more than one clip [default: the source's name]
     #[arg(long, value_name = "ID")]
     pub clip: Option<String>,
-    /// Begin a new clip after this many seconds [default: one clip a pass]
+    /// Begin a new clip after this many seconds [default: one clip a pass; 20 s for the synthetic dashcam]
     #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
     pub clip_seconds: Option<f64>,
     /// Name no clips: the node cuts by its own time window
@@ -134,7 +136,7 @@ impl ReplayArguments {
             repeat: self.repeat,
             frames: self.frames,
             clip: (!self.no_clip).then_some(clip),
-            clip_seconds: self.clip_seconds,
+            clip_seconds: self.clip_seconds.or(source.clip_seconds()),
             first_sequence: 0,
         }
     }

@@ -10,6 +10,7 @@ use std::ops::Range;
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 use tokio::time::Instant;
+use zenoh::bytes::ZBytes;
 use zenoh::sample::Sample;
 
 /// A sample of a frame key, as Zenoh delivers it.
@@ -75,7 +76,7 @@ pub fn read_sample(
     let payload = if too_large {
         Bytes::new()
     } else {
-        Bytes::from(sample.payload().to_bytes().into_owned())
+        shared_bytes(sample.payload())
     };
     let encoding = std::borrow::Cow::from(sample.encoding());
     let attachment = sample.attachment().map(|attachment| attachment.to_bytes());
@@ -90,6 +91,23 @@ pub fn read_sample(
         received: Instant::now(),
     };
     read_checked(raw, sample.payload().len(), format, limits)
+}
+
+/// The payload as shared bytes: no copy where Zenoh holds it in one piece.
+fn shared_bytes(payload: &ZBytes) -> Bytes {
+    /// Owns the Zenoh buffer behind a `Bytes`; in one piece, as checked at construction.
+    struct OnePiece(ZBytes);
+    impl AsRef<[u8]> for OnePiece {
+        fn as_ref(&self) -> &[u8] {
+            self.0.slices().next().unwrap_or_default()
+        }
+    }
+    let mut slices = payload.slices();
+    match (slices.next(), slices.next()) {
+        (None, _) => Bytes::new(),
+        (Some(_), None) => Bytes::from_owner(OnePiece(payload.clone())),
+        (Some(_), Some(_)) => Bytes::from(payload.to_bytes().into_owned()),
+    }
 }
 
 /// Reads a sample as a frame. Nothing is decoded; all limits are checked here, before memory is taken.

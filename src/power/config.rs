@@ -1,5 +1,6 @@
 //! The `[power]` section of the configuration.
 
+use super::meter::MeterError;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -46,5 +47,34 @@ impl Default for PowerConfig {
             idle_watts: 5.0,
             busy_watts: 25.0,
         }
+    }
+}
+
+impl PowerConfig {
+    /// Refuses impossible values.
+    ///
+    /// # Errors
+    /// [`MeterError::Configuration`] that names the key and what is allowed.
+    pub fn check(&self) -> Result<(), MeterError> {
+        let refuse = |text: String| Err(MeterError::Configuration(text));
+        if !(10..=10_000).contains(&self.interval_ms) {
+            return refuse(format!(
+                "interval_ms = {}: must be 10 to 10000",
+                self.interval_ms
+            ));
+        }
+        if !(self.idle_watts.is_finite() && self.idle_watts >= 0.0) {
+            return refuse(format!(
+                "idle_watts = {}: must be a number, 0 or more",
+                self.idle_watts
+            ));
+        }
+        if !(self.busy_watts.is_finite() && self.busy_watts >= self.idle_watts) {
+            return refuse(format!(
+                "busy_watts = {}: must be a number, at least idle_watts ({})",
+                self.busy_watts, self.idle_watts
+            ));
+        }
+        Ok(())
     }
 }

@@ -1,6 +1,7 @@
 //! Where replayed frames come from.
 
 use super::folder::PictureFolder;
+use super::synthetic::Synthetic;
 use super::video::{Ffmpeg, Video, VideoEncoding};
 use crate::frame::EncodedPicture;
 use anyhow::{Context, bail};
@@ -20,6 +21,11 @@ pub trait FrameSource: Send {
 
     /// How many frames one pass has, where that is known beforehand.
     fn frames(&self) -> Option<u64>;
+
+    /// Length of one of its clips, seconds, where it is cut into clips by itself.
+    fn clip_seconds(&self) -> Option<f64> {
+        None
+    }
 
     /// The next picture; `None` at the end of the pass.
     ///
@@ -86,7 +92,8 @@ impl SourceName {
     ) -> anyhow::Result<Box<dyn FrameSource>> {
         match self {
             Self::Synthetic { seed } => {
-                bail!("synth:{seed}: this build has no synthetic dashcam")
+                let source = Synthetic::open(*seed, rate.unwrap_or(Synthetic::RATE))?;
+                Ok(Box::new(source))
             }
             Self::Pictures(path) => {
                 let folder = PictureFolder::open(path, rate.unwrap_or(PictureFolder::RATE))?;

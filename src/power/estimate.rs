@@ -1,0 +1,180 @@
+//! Power from CPU utilisation: `idle_watts + (busy_watts - idle_watts) × utilisation`, counted up as
+//! energy. It is a model and not a measurement, and is marked estimated wherever it appears.
+//!
+//! Utilisation is the share of busy time in the first line of `/proc/stat` (proc_pid_stat(5), all cores
+//! together): user, nice, system, irq and softirq against those and idle, iowait and steal.
+
+use super::config::PowerConfig;
+use super::meter::{Domain, Meter, MeterError, Rail, Reading, Value, Values};
+use super::sysfs;
+use crate::wire::EnergyQuality;
+use std::path::PathBuf;
+use std::sync::Arc;
+use tokio::time::Instant;
+
+const SOURCE: &str = "estimate";
+
+/// The estimate from CPU utilisation.
+#[derive(Debug)]
+pub struct Estimate {
+    stat: PathBuf,
+    idle_watts: f64,
+    busy_watts: f64,
+    formula: Arc<str>,
+    rail: Arc<str>,
+    last: Option<(Instant, Ticks)>,
+    watts: f64,
+    joules: f64,
+}
+
+/// Clock ticks since boot, all cores together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Ticks {
+    busy: u64,
+    all: u64,
+}
+
+impl Estimate {
+    /// Opens `/proc/stat`.
+    ///
+    /// # Errors
+    /// [`MeterError`] when there is no such file, or the configured watts make no sense.
+    pub fn open(config: &PowerConfig) -> Result<Self, MeterError> {
+        config.check()?;
+        let meter = Self {
+            stat: config.procfs.join("stat"),
+            idle_watts: config.idle_watts,
+            busy_watts: config.busy_watts,
+            formula: format!(
+                "estimated: {} W idle to {} W with all cores busy, by CPU utilisation",
+                config.idle_watts, config.busy_watts
+            )
+            .into(),
+            rail: "cpu utilisation".into(),
+            last: None,
+            watts: config.idle_watts,
+            joules: 0.0,
+        };
+        meter.ticks()?;
+        Ok(meter)
+    }
+
+    fn ticks(&self) -> Result<Ticks, MeterError> {
+        let text = sysfs::text(SOURCE, &self.stat)?;
+        parse(&text).ok_or_else(|| MeterError::Unreadable {
+            source_name: SOURCE,
+            path: self.stat.clone(),
+            reason: "its first line is not `cpu` with at least four numbers".to_owned(),
+        })
+    }
+}
+
+fn parse(stat: &str) -> Option<Ticks> {
+    let mut words = stat.lines().next()?.split_ascii_whitespace();
+    if words.next() != Some("cpu") {
+        return None;
+    }
+    // user nice system idle iowait irq softirq steal; guest times are inside user and nice.
+    let mut ticks = [0_u64; 8];
+    let mut found = 0;
+    for (slot, word) in ticks.iter_mut().zip(words) {
+        *slot = word.parse().ok()?;
+        found += 1;
+    }
+    let [user, nice, system, idle, iowait, irq, softirq, steal] = ticks;
+    let busy = user + nice + system + irq + softirq;
+    (found >= 4).then_some(Ticks {
+        busy,
+        all: busy + idle + iowait + steal,
+    })
+}
+
+impl Meter for Estimate {
+    fn source(&self) -> &str {
+        SOURCE
+    }
+
+    fn quality(&self) -> EnergyQuality {
+        EnergyQuality::Estimated
+    }
+
+    fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
+        let ticks = self.ticks()?;
+        if let Some((then, before)) = self.last {
+            let all = ticks.all.saturating_sub(before.all);
+            // The kernel counts in ticks of 10 ms: within one tick the last figure still holds.
+            if all > 0 {
+                let busy = ticks.busy.saturating_sub(before.busy).min(all);
+                let utilisation = busy as f64 / all as f64;
+                self.watts = self.idle_watts + (self.busy_watts - self.idle_watts) * utilisation;
+            }
+            self.joules += self.watts * now.saturating_duration_since(then).as_secs_f64();
+        }
+        self.last = Some((now, ticks));
+        let value = Value::counter(self.joules);
+        let mut values = Values::default();
+        values.set(Domain::Total, value);
+        Ok(vec![Reading {
+            at: Some(now),
+            values,
+            total_from: Arc::clone(&self.formula),
+            rails: vec![Rail {
+                name: Arc::clone(&self.rail),
+                domain: None,
+                in_total: true,
+                value,
+            }],
+        }])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    fn config(stat: &str) -> (tempfile::TempDir, PowerConfig) {
+        let folder = tempfile::tempdir().unwrap();
+        std::fs::write(folder.path().join("stat"), stat).unwrap();
+        let config = PowerConfig {
+            procfs: folder.path().to_owned(),
+            idle_watts: 4.0,
+            busy_watts: 24.0,
+            ..PowerConfig::default()
+        };
+        (folder, config)
+    }
+
+    #[test]
+    fn half_busy_cores_cost_half_way_between_idle_and_busy() {
+        let (folder, config) = config("cpu  100 0 100 800 0 0 0 0 0 0\ncpu0 1 2 3 4\n");
+        let mut meter = Estimate::open(&config).unwrap();
+        let start = Instant::now();
+        meter.poll(start).unwrap();
+        std::fs::write(
+            folder.path().join("stat"),
+            "cpu  140 0 110 850 0 0 0 0 0 0\n",
+        )
+        .unwrap();
+        let readings = meter.poll(start + Duration::from_secs(2)).unwrap();
+        let value = readings[0].values.get(Domain::Total);
+        assert_eq!(value.joules, Some(28.0));
+        assert_eq!(meter.quality(), EnergyQuality::Estimated);
+    }
+
+    #[test]
+    fn a_stat_file_of_another_kind_is_refused() {
+        for text in ["", "intr 1 2 3", "cpu 1 2", "cpu 1 x 3 4"] {
+            let (_folder, config) = config(text);
+            assert!(Estimate::open(&config).is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn busy_watts_below_idle_watts_are_refused() {
+        let (_folder, mut config) = config("cpu 1 2 3 4");
+        config.busy_watts = 1.0;
+        let text = Estimate::open(&config).unwrap_err().to_string();
+        assert!(text.contains("busy_watts"), "{text}");
+    }
+}
