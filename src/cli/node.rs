@@ -1,9 +1,13 @@
 //! `albireo node`: runs a node until it is told to stop.
 
 use super::{logging, signals};
+use crate::detector::DetectorStatus;
+use crate::http::{self, NodeView};
+use crate::node::board::{Board, BoardSetup};
 use crate::node::config::NodeConfig;
 use anyhow::Context;
 use std::path::PathBuf;
+use tokio::sync::watch;
 
 const EXAMPLES: &str = "\
 Without --config the built-in defaults hold; config/node.toml shows them all. Environment variables
@@ -38,7 +42,13 @@ async fn serve(config: NodeConfig) -> anyhow::Result<()> {
     let listener = tokio::net::TcpListener::bind(config.http.listen)
         .await
         .with_context(|| format!("http.listen: {} cannot be listened on", config.http.listen))?;
-    tracing::info!(address = %listener.local_addr()?, node = config.node.name, "listening");
-    shutdown.cancelled().await;
+    let address = listener.local_addr().context("http.listen")?;
+    let (_detector, detector_status) = watch::channel(DetectorStatus::Starting);
+    let view = NodeView {
+        board: Board::new(BoardSetup::from_config(&config, detector_status)?),
+        limits: config.frame,
+    };
+    tracing::info!(%address, node = config.node.name, "HTTP interface");
+    http::run(&config.http, listener, view, shutdown).await?;
     Ok(())
 }

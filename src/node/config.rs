@@ -4,18 +4,17 @@
 mod error;
 mod http;
 mod load;
-mod policy;
 mod validate;
 mod zenoh;
 
 pub use error::{ConfigError, Problem};
 pub use http::{HttpConfig, Token};
-pub use policy::PolicyConfig;
 pub use zenoh::{ZenohConfig, ZenohMode};
 
 use crate::clip::ClipConfig;
 use crate::detector::DetectorConfig;
 use crate::frame::{Delivery, FrameLimits, PayloadFormat};
+use crate::policy::PolicyConfig;
 use crate::power::PowerConfig;
 use crate::screen::ScreenConfig;
 use crate::wire::{KeyError, NodeKeys};

@@ -1,6 +1,7 @@
 //! What a configuration's values must keep to beyond their types.
 
 use super::{CameraConfig, HttpConfig, NodeConfig, Problem};
+use crate::policy::Knob;
 use crate::wire;
 use std::collections::HashSet;
 use std::path::Path;
@@ -65,7 +66,8 @@ impl NodeConfig {
         if let Err(reason) = check_level(&self.log.level) {
             findings.add("log.level", reason);
         }
-        self.check_cameras(&mut findings);
+        let knob = self.check_policy(&mut findings);
+        self.check_cameras(knob, &mut findings);
         findings.0
     }
 
@@ -185,7 +187,20 @@ impl NodeConfig {
         }
     }
 
-    fn check_cameras(&self, findings: &mut Findings) {
+    /// The policy's knob; `None` when there is no policy to ask.
+    fn check_policy(&self, findings: &mut Findings) -> Option<Option<Knob>> {
+        match self.policy.build() {
+            Ok(policy) => Some(policy.knob()),
+            Err(error) => {
+                let message = error.to_string();
+                let (key, reason) = message.split_once(": ").unwrap_or(("policy", &message));
+                findings.add(key, reason);
+                None
+            }
+        }
+    }
+
+    fn check_cameras(&self, knob: Option<Option<Knob>>, findings: &mut Findings) {
         if self.cameras.is_empty() {
             findings.add("camera", "is empty: a node needs at least one [[camera]]");
         }
@@ -193,12 +208,33 @@ impl NodeConfig {
         for (index, camera) in self.cameras.iter().enumerate() {
             let key = |name: &str| format!("camera[{index}].{name}");
             check_camera(camera, &key, findings);
+            self.check_threshold(camera, knob, &key, findings);
             if !names.insert(camera.name.as_str()) {
                 findings.add(
                     key("name"),
                     format!("two cameras are named `{}`", camera.name),
                 );
             }
+        }
+    }
+
+    fn check_threshold(
+        &self,
+        camera: &CameraConfig,
+        knob: Option<Option<Knob>>,
+        key: &dyn Fn(&str) -> String,
+        findings: &mut Findings,
+    ) {
+        let (Some(threshold), Some(knob)) = (camera.threshold, knob) else {
+            return;
+        };
+        match knob.map(|knob| knob.check(threshold)) {
+            Some(Ok(_)) => {}
+            Some(Err(error)) => findings.add(key("threshold"), error.to_string()),
+            None => findings.add(
+                key("threshold"),
+                format!("policy `{}` has no threshold", self.policy.name),
+            ),
         }
     }
 }
@@ -225,9 +261,6 @@ fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
         }
     }
     findings.count(&key("ring"), camera.ring as u64, 1, 1024);
-    if let Some(threshold) = camera.threshold {
-        findings.above_zero(&key("threshold"), threshold, f64::MAX);
-    }
 }
 
 fn check_level(level: &str) -> Result<(), String> {
