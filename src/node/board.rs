@@ -9,8 +9,9 @@ pub use camera::{CameraBoard, CameraSetup, CameraSnapshot, LATENCY_BUCKETS_S, La
 pub use event::{Event, FrameEvent, ThresholdEvent};
 
 use crate::detector::{DetectorStatus, ExecutionProvider};
-use crate::policy::KnobError;
-use crate::wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
+use crate::node::config::{CameraConfig, NodeConfig};
+use crate::policy::{KnobError, PolicyConfigError};
+use crate::wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality, KeyError};
 use std::collections::{BTreeMap, VecDeque};
 use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -46,6 +47,55 @@ pub struct BoardSetup {
     pub detector: DetectorFacts,
     /// How the detector is doing.
     pub detector_status: watch::Receiver<DetectorStatus>,
+}
+
+impl BoardSetup {
+    /// The setup that a configuration describes.
+    ///
+    /// # Errors
+    /// What cannot be used; a configuration that passed its check has nothing of the kind.
+    pub fn from_config(
+        config: &NodeConfig,
+        detector_status: watch::Receiver<DetectorStatus>,
+    ) -> Result<Self, SetupError> {
+        let policy = config.policy.build()?;
+        let camera = |camera: &CameraConfig| -> Result<CameraSetup, SetupError> {
+            Ok(CameraSetup {
+                name: camera.name.clone(),
+                key: config.frame_key(camera)?,
+                knob: policy.knob(),
+                threshold: camera.threshold.or_else(|| policy.knob_value()),
+            })
+        };
+        let model = &config.detector.model;
+        let model = model.file_name().unwrap_or(model.as_os_str());
+        Ok(Self {
+            node: config.node.name.clone(),
+            cameras: config
+                .cameras
+                .iter()
+                .map(camera)
+                .collect::<Result<_, _>>()?,
+            state_dir: config.node.state_dir.clone(),
+            policy: policy.name(),
+            detector: DetectorFacts {
+                model: model.to_string_lossy().into_owned(),
+                requested: config.detector.providers.clone(),
+            },
+            detector_status,
+        })
+    }
+}
+
+/// Why a configuration describes no board.
+#[derive(Debug, thiserror::Error)]
+pub enum SetupError {
+    /// The policy cannot be made.
+    #[error(transparent)]
+    Policy(#[from] PolicyConfigError),
+    /// A name cannot stand in a key.
+    #[error(transparent)]
+    Key(#[from] KeyError),
 }
 
 /// What is known about the detector before it starts.
