@@ -7,7 +7,7 @@ use super::road::{HORIZON, Road, SIDE_ROAD_HALF_WIDTH, Setting, View};
 use super::scene::Scene;
 use super::space::{Camera, Color, NEAR, Pixel, mix_color, point, scale_color};
 
-const ASPHALT: Color = [0.30, 0.30, 0.315];
+const ASPHALT: Color = [0.37, 0.37, 0.38];
 const MARKING: Color = [0.88, 0.88, 0.84];
 const UP: super::space::Point = point(0.0, 1.0, 0.0);
 
@@ -69,12 +69,14 @@ fn sky(brush: &mut Brush, scene: &Scene, along: f32) {
     for _ in 0..clouds {
         let x = (random.unit() * 3.0 - heading * camera.focal / width).rem_euclid(2.0) - 0.5;
         let (y, w) = (random.range(0.05, 0.8) * horizon, random.range(0.08, 0.26) * width);
-        for puff in 0..3 {
-            let shift = (puff as f32 - 1.0) * w * 0.5;
-            let lift = if puff == 1 { -0.10 * w } else { 0.0 };
-            let blob = flat_blob((x * width + shift, y + lift), (w * 0.55, w * 0.13));
-            brush.canvas.overlay(&blob, cloud, 0.30);
-        }
+        let puffs = [-0.55, -0.1, 0.4].map(|shift: f32| {
+            let lift = -w * 0.09 * (1.0 - (2.2 * shift).powi(2));
+            flat_blob((x * width + shift * w, y + lift), (w * 0.5, w * 0.11))
+        });
+        // Mixed here and drawn opaque: blending large areas is what costs time.
+        let behind = mix_color(top, bottom, (y / horizon).powi(2));
+        let color = mix_color(behind, cloud, 0.45);
+        brush.canvas.overlays(puffs.iter().map(Vec::as_slice), color, 1.0);
     }
     hills(brush, scene, heading, &mut random);
 }

@@ -48,6 +48,8 @@ pub(super) fn paint(canvas: &mut Canvas, scene: &Scene, time: f32, hidden: Optio
             let depth = match placed.item {
                 // A row of houses is nearest where it faces the road.
                 scenery::Item::Building => at.z + 5.0,
+                // Traffic is always on this side of a rail, except beyond a median.
+                scenery::Item::Rail(length) => at.z + length + 6.0,
                 _ => at.z,
             };
             things.push((depth, Thing::Scenery(placed)));
@@ -64,7 +66,7 @@ pub(super) fn paint(canvas: &mut Canvas, scene: &Scene, time: f32, hidden: Optio
         let (at, _) = view.place(pose.along, pose.across);
         // Whoever drives beyond the median stands behind all of its rail.
         let beyond = scene.road.setting == Setting::Highway && pose.across < 0.0;
-        things.push((at.z + if beyond { 9.0 } else { 0.0 }, Thing::Actor(actor, pose)));
+        things.push((at.z + if beyond { 24.0 } else { 0.0 }, Thing::Actor(actor, pose)));
     }
     things.sort_by(|a, b| b.0.total_cmp(&a.0));
 

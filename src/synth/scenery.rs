@@ -73,7 +73,7 @@ pub(super) fn items(road: &Road, seed: u64, from: f32, to: f32) -> Vec<Placed> {
                     (!road.rails && clear(along, 6.0)).then_some((Item::Post, side * 5.1))
                 });
                 every(6.0, purpose + 4, &mut |along, _| {
-                    (road.rails && clear(along, 13.0)).then_some((Item::Rail(6.0), side * 5.2))
+                    (road.rails && clear(along, 13.0)).then_some((Item::Rail(6.0), side * 6.0))
                 });
                 every(70.0, purpose + 5, &mut |along, random| {
                     let item = random.pick([Item::House, Item::Bale, Item::Sign]);

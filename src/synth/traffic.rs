@@ -160,7 +160,7 @@ fn motor_vehicle(random: &mut Random) -> Kind {
 
 fn highway(cast: &mut Cast, density: f32, random: &mut Random) {
     let cruise = cast.ego.cruise;
-    for _ in 0..(5.0 * density) as usize {
+    for _ in 0..(9.0 * density) as usize {
         let kind = motor_vehicle(random);
         let motion = match random.below(3) {
             0 => Motion::Lead {
@@ -184,7 +184,7 @@ fn highway(cast: &mut Cast, density: f32, random: &mut Random) {
         };
         cast.add(kind, motion, random);
     }
-    for _ in 0..(9.0 * density) as usize {
+    for _ in 0..(14.0 * density) as usize {
         let kind = motor_vehicle(random);
         let motion = oncoming(cast, cruise * random.range(0.9, 1.1), random);
         cast.add(kind, motion, random);
@@ -229,7 +229,7 @@ fn country(cast: &mut Cast, density: f32, random: &mut Random) {
         ]);
         cast.add(kind, motion, random);
     }
-    for _ in 0..(5.0 * density) as usize {
+    for _ in 0..(7.0 * density) as usize {
         let kind = motor_vehicle(random);
         let motion = oncoming(cast, cruise * random.range(0.75, 1.1), random);
         cast.add(kind, motion, random);
