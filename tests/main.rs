@@ -1,1 +1,5 @@
 //! Promises of the whole program, one file each.
+
+mod power_sysfs;
+mod power_tegrastats;
+mod power_telemetry;
