@@ -1,1 +1,17 @@
-//! To be built.
+//! The Kalman filter of one object: a box that moves with constant acceleration and whose size changes
+//! with constant velocity, in normalised coordinates; its uncertainty τ and its distance to a detection.
+//!
+//! [`Filter`] is what runs. [`dense`] is the same filter as a textbook prints it, with full matrices:
+//! slower, easier to read, and the measure of the first.
+
+pub mod dense;
+mod filter;
+mod parameters;
+
+pub use filter::{Filter, Gauge};
+pub use parameters::{
+    Deviations, FilterModel, FilterParameters, MeasurementNoise, MeasurementUnit, MotionModel,
+};
+
+#[cfg(test)]
+mod tests;

@@ -17,6 +17,20 @@ use crate::detection::{ClassId, Detection};
 use crate::geometry::{BoundingBox, PictureSize};
 use serde::{Deserialize, Serialize};
 
+mod albireo;
+mod albireo_settings;
+mod config;
+mod record;
+mod vanilla;
+
+pub use albireo::Albireo;
+pub use albireo_settings::{
+    AlbireoSettings, DetectorFrameBoxes, PeriodicCap, Profile, ReportedConfidence,
+};
+pub use config::{PolicyConfig, PolicyConfigError, Table, known_policies};
+pub use record::ObjectRecord;
+pub use vanilla::Vanilla;
+
 /// What a policy is told about a frame before anything of it is decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameHead {
@@ -288,4 +302,16 @@ pub trait Policy: Send {
 
     /// Forgets all objects, as at the start of a stream. Settings and the knob's value stay.
     fn reset(&mut self);
+
+    /// Shows the record of every object that is remembered, oldest first: for traces and evaluation.
+    /// A policy that keeps no objects shows none.
+    fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
+        let _ = visit;
+    }
+
+    /// Detections refused so far because their numbers make no box (not finite, sides of zero or less,
+    /// absurdly large) or no confidence. They are neither followed nor reported.
+    fn rejected_detections(&self) -> u64 {
+        0
+    }
 }

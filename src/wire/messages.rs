@@ -187,6 +187,16 @@ impl FrameStates {
     }
 }
 
+impl std::ops::AddAssign for FrameStates {
+    fn add_assign(&mut self, more: Self) {
+        self.e += more.e;
+        self.p += more.p;
+        self.ei += more.ei;
+        self.i += more.i;
+        self.ai += more.ai;
+    }
+}
+
 /// Frames that were not processed, each kind under its own name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
@@ -195,7 +205,7 @@ pub struct DroppedFrames {
     pub lost: u64,
     /// Pushed out of the ring by a newer one before its turn.
     pub overrun: u64,
-    /// Arrived after a later frame.
+    /// Arrived after a later frame; it had been counted as lost when the later one came.
     pub late: u64,
     /// Arrived again with the same sequence number.
     pub duplicate: u64,
@@ -242,8 +252,8 @@ pub struct Percentiles {
     pub p99: f64,
 }
 
-/// How far an energy figure can be trusted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+/// How far an energy figure can be trusted; the order is from most to least.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EnergyQuality {
     /// Read from a meter over the whole clip.

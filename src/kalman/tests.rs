@@ -1,0 +1,228 @@
+//! The running filter against the textbook's, over random lives.
+
+use super::dense::DenseFilter;
+use super::{Filter, FilterModel, FilterParameters, MeasurementUnit, MotionModel};
+use crate::geometry::{BoundingBox, PictureSize};
+use proptest::prelude::*;
+
+fn boxes() -> impl Strategy<Value = BoundingBox> {
+    (0.0..1.0, 0.0..1.0, 0.001..0.9, 0.001..0.9)
+        .prop_map(|(x, y, width, height)| BoundingBox::new(x, y, width, height))
+}
+
+/// A life: each frame is predicted, and those with a box are updated.
+fn lives(frames: usize) -> impl Strategy<Value = Vec<Option<BoundingBox>>> {
+    prop::collection::vec(prop::option::weighted(0.6, boxes()), 1..frames)
+}
+
+fn sizes() -> impl Strategy<Value = PictureSize> {
+    (1u32..8192, 1u32..8192).prop_map(|(width, height)| PictureSize::new(width, height))
+}
+
+/// Parameters from a third to three times the default.
+fn parameters(motion: MotionModel) -> impl Strategy<Value = FilterParameters> {
+    prop::array::uniform11(0.33f64..3.0).prop_map(move |f| {
+        let mut parameters = FilterParameters {
+            motion,
+            ..FilterParameters::default()
+        };
+        for (part, factors) in [
+            (&mut parameters.process, &f[..5]),
+            (&mut parameters.initial, &f[5..10]),
+        ] {
+            part.center *= factors[0];
+            part.size *= factors[1];
+            part.center_velocity *= factors[2];
+            part.size_velocity *= factors[3];
+            part.acceleration *= factors[4];
+        }
+        parameters.measurement.deviation *= f[10];
+        parameters
+    })
+}
+
+fn close(a: f64, b: f64) -> bool {
+    (a - b).abs() <= 1e-12 * a.abs().max(1.0)
+}
+
+/// Lives `life` in both filters and compares everything after every step.
+fn compare<const N: usize>(
+    mut dense: DenseFilter<N>,
+    mut filter: Filter,
+    model: &FilterModel,
+    life: &[Option<BoundingBox>],
+) -> Result<(), TestCaseError> {
+    for measured in life {
+        filter.predict(model);
+        dense.predict();
+        if let Some(measured) = *measured {
+            let expected = dense.squared_distance(measured).unwrap();
+            let found = filter.squared_distance(model, measured);
+            prop_assert!(
+                (found - expected).abs() <= 1e-9 * expected.max(1.0),
+                "{found} {expected}"
+            );
+            filter.update(model, measured);
+            dense.update(measured).unwrap();
+        }
+        let (mean, covariance) = (filter.mean(), filter.covariance());
+        for row in 0..N {
+            prop_assert!(close(mean[row], dense.mean[row]), "{mean} {}", dense.mean);
+            for column in 0..N {
+                prop_assert!(close(
+                    covariance[(row, column)],
+                    dense.covariance[(row, column)]
+                ));
+            }
+        }
+        prop_assert!((filter.tau() - dense.tau()).abs() <= 1e-12);
+        prop_assert!(mean.rows(N, 10 - N).iter().all(|&value| value == 0.0));
+    }
+    Ok(())
+}
+
+proptest! {
+    #[test]
+    fn ten_dimensions_equal_the_textbook_filter(
+        parameters in parameters(MotionModel::ConstantAcceleration),
+        size in sizes(), first in boxes(), life in lives(60),
+    ) {
+        let model = FilterModel::new(&parameters, size);
+        let dense = DenseFilter::constant_acceleration(&model, first);
+        compare(dense, Filter::new(&model, first), &model, &life)?;
+    }
+
+    #[test]
+    fn eight_dimensions_equal_the_textbook_filter(
+        parameters in parameters(MotionModel::ConstantVelocity),
+        size in sizes(), first in boxes(), life in lives(60),
+    ) {
+        let model = FilterModel::new(&parameters, size);
+        let dense = DenseFilter::constant_velocity(&model, first);
+        compare(dense, Filter::new(&model, first), &model, &life)?;
+    }
+
+    /// 256 cases of 400 cycles: 10^5 cycles in all.
+    #[test]
+    fn the_covariance_stays_symmetric_and_positive_definite(
+        parameters in parameters(MotionModel::ConstantAcceleration),
+        size in sizes(), first in boxes(),
+        life in prop::collection::vec(prop::option::weighted(0.6, boxes()), 400),
+    ) {
+        let model = FilterModel::new(&parameters, size);
+        let mut filter = Filter::new(&model, first);
+        for measured in life {
+            filter.predict(&model);
+            if let Some(measured) = measured {
+                filter.update(&model, measured);
+            }
+            let covariance = filter.covariance();
+            prop_assert_eq!(covariance, covariance.transpose());
+            prop_assert!(covariance.cholesky().is_some(), "{covariance}");
+        }
+    }
+
+    #[test]
+    fn tau_is_the_trace_of_the_measured_part_of_the_covariance(
+        size in sizes(), first in boxes(), life in lives(40),
+    ) {
+        let model = FilterModel::new(&FilterParameters::default(), size);
+        let mut filter = Filter::new(&model, first);
+        for measured in life {
+            filter.predict(&model);
+            if let Some(measured) = measured {
+                filter.update(&model, measured);
+            }
+            let trace = filter.covariance().fixed_view::<4, 4>(0, 0).trace();
+            prop_assert!((filter.tau() - trace).abs() <= 1e-15);
+        }
+    }
+
+    #[test]
+    fn n_predicted_frames_are_the_nth_power_of_the_transition(
+        size in sizes(), first in boxes(), second in boxes(), n in 1usize..30,
+    ) {
+        let model = FilterModel::new(&FilterParameters::default(), size);
+        let mut filter = Filter::new(&model, first);
+        let mut dense = DenseFilter::constant_acceleration(&model, first);
+        filter.predict(&model);
+        filter.update(&model, second);
+        dense.predict();
+        dense.update(second).unwrap();
+        let (mean, covariance) = (dense.mean, dense.covariance);
+        let mut power = dense.transition;
+        let mut noise = dense.process_noise;
+        for _ in 1..n {
+            noise = dense.transition * noise * dense.transition.transpose() + dense.process_noise;
+            power = dense.transition * power;
+        }
+        for _ in 0..n {
+            filter.predict(&model);
+        }
+        let (expected_mean, expected) = (power * mean, power * covariance * power.transpose() + noise);
+        for row in 0..10 {
+            prop_assert!(close(filter.mean()[row], expected_mean[row]));
+            for column in 0..10 {
+                prop_assert!(close(filter.covariance()[(row, column)], expected[(row, column)]));
+            }
+        }
+    }
+}
+
+#[test]
+fn tau_of_a_new_object_and_in_the_steady_state_are_the_published_ones() {
+    let size = PictureSize::new(1280, 720);
+    let model = FilterModel::new(&FilterParameters::default(), size);
+    let here = BoundingBox::new(0.5, 0.5, 0.1, 0.1);
+    let mut filter = Filter::new(&model, here);
+    assert!((filter.tau() - 2.5e-4).abs() < 1e-15);
+    filter.predict(&model);
+    assert!((filter.tau() - 3.765e-4).abs() < 1e-15);
+    for _ in 0..100 {
+        filter.update(&model, here);
+        filter.predict(&model);
+    }
+    assert!(
+        (filter.tau() - 1.91e-4).abs() < 0.005e-4,
+        "{}",
+        filter.tau()
+    );
+    filter.update(&model, here);
+    assert!(
+        (filter.tau() - 4.54e-5).abs() < 0.005e-5,
+        "{}",
+        filter.tau()
+    );
+}
+
+#[test]
+fn measurement_noise_is_pixels_over_the_padded_longer_side() {
+    let mut noise = FilterParameters::default().measurement;
+    assert_eq!(
+        noise.variance(PictureSize::new(1242, 375)),
+        (5.0f64 / 1248.0).powi(2)
+    );
+    assert_eq!(
+        noise.variance(PictureSize::new(480, 640)),
+        (5.0f64 / 640.0).powi(2)
+    );
+    assert!(noise.variance(PictureSize::new(0, 0)).is_finite());
+    assert!(noise.variance(PictureSize::new(u32::MAX, u32::MAX)) > 0.0);
+    noise.unit = MeasurementUnit::Normalised;
+    noise.deviation = 0.01;
+    assert_eq!(noise.variance(PictureSize::new(1, 1)), 0.01 * 0.01);
+}
+
+#[test]
+fn a_number_no_filter_can_have_is_named() {
+    assert_eq!(FilterParameters::default().first_impossible(), None);
+    let mut parameters = FilterParameters::default();
+    parameters.initial.size = f64::NAN;
+    assert_eq!(parameters.first_impossible().unwrap().0, "initial.size");
+    let mut parameters = FilterParameters::default();
+    parameters.measurement.deviation = 0.0;
+    assert_eq!(
+        parameters.first_impossible(),
+        Some(("measurement.deviation", 0.0))
+    );
+}

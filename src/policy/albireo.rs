@@ -1,0 +1,328 @@
+//! The paper's policy: the detector runs when an object has become too uncertain.
+//!
+//! Each frame first advances every object's filter. Without active objects the empty-scene screen is
+//! asked, and unless it says "empty", the detector. With objects the detector runs if any τ reaches the
+//! threshold `u`, any object's age reaches T_max, or the periodic cap is due; otherwise the predicted
+//! boxes are the answer.
+
+use super::albireo_settings::{
+    AlbireoSettings, DetectorFrameBoxes, PeriodicCap, ReportedConfidence,
+};
+use super::config::with_overrides;
+use super::{
+    BoxSource, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
+    OutputBox, Policy, PolicyConfig, PolicyConfigError,
+};
+use crate::detection::Detection;
+use crate::objects::{Missed, ObjectState, ObjectStates};
+
+/// How far the frame in hand has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Progress {
+    /// The screen was asked.
+    AwaitsScreen,
+    /// The detector was asked, after the screen said "not empty" or without its verdict.
+    AwaitsDetections { screened: bool },
+    /// Decided.
+    Decided(FrameState),
+}
+
+/// The Albireo policy.
+#[derive(Clone, Debug)]
+pub struct Albireo {
+    settings: AlbireoSettings,
+    objects: ObjectStates,
+    u: f64,
+    /// `u` as it was when the frame began.
+    u_in_force: f64,
+    frame: Option<FrameHead>,
+    progress: Progress,
+    tau_max: Option<f64>,
+    active: usize,
+    /// Frames since the detector last answered.
+    since_detector: u32,
+    /// Index of the last frame that came to its end with what it asked for.
+    last_complete: Option<u64>,
+    /// Boxes of a detector frame.
+    boxes: Vec<OutputBox>,
+}
+
+impl Albireo {
+    /// The name in configuration and reports.
+    pub const NAME: &'static str = "albireo";
+
+    /// The threshold. τ is a sum of variances of shares of the picture: at 1 nothing is known of where
+    /// an object is, and below 1e-9 every frame runs the detector.
+    pub const KNOB: Knob = Knob {
+        name: "u",
+        meaning: "The detector is skipped while every object's uncertainty is below this: higher saves \
+                  more energy, lower is more accurate",
+        minimum: 1e-9,
+        maximum: 1.0,
+        default: 3e-4,
+    };
+
+    /// A policy with these settings and threshold.
+    ///
+    /// # Errors
+    /// [`PolicyConfigError`] when a setting or the threshold cannot be used.
+    pub fn new(settings: AlbireoSettings, u: f64) -> Result<Self, PolicyConfigError> {
+        settings
+            .check()
+            .map_err(|reason| PolicyConfigError::Setting {
+                table: Self::NAME,
+                reason,
+            })?;
+        let u = Self::KNOB.check(u)?;
+        Ok(Self {
+            settings,
+            objects: ObjectStates::new(settings.objects()),
+            u,
+            u_in_force: u,
+            frame: None,
+            progress: Progress::Decided(FrameState::P),
+            tau_max: None,
+            active: 0,
+            since_detector: 0,
+            last_complete: None,
+            boxes: Vec::new(),
+        })
+    }
+
+    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let profile = AlbireoSettings::of(config.profile);
+        let settings = with_overrides(&profile, &config.albireo).map_err(|reason| {
+            PolicyConfigError::Setting {
+                table: Self::NAME,
+                reason,
+            }
+        })?;
+        Ok(Box::new(Self::new(settings, config.u)?))
+    }
+
+    /// The settings in force.
+    pub fn settings(&self) -> &AlbireoSettings {
+        &self.settings
+    }
+
+    /// Sums up the active objects, and says whether one of them calls the detector.
+    fn survey(&mut self) -> bool {
+        let (u, settings) = (self.u_in_force, &self.settings);
+        let mut calls = false;
+        let mut tau_max = f64::NEG_INFINITY;
+        self.active = 0;
+        for state in self.objects.states() {
+            if !(state.confirmed || settings.tentative_counts) {
+                continue;
+            }
+            let tau = state.filter.tau();
+            let certain = tau < u || (settings.skip_at_equality && tau == u);
+            calls |= !certain || state.since_infer >= settings.t_max;
+            tau_max = tau_max.max(tau);
+            self.active += 1;
+        }
+        self.tau_max = (self.active > 0).then_some(tau_max);
+        calls
+    }
+
+    fn periodic_cap_is_due(&self, index: u64) -> bool {
+        let cap = self.settings.periodic_cap;
+        match self.settings.periodic_cap_counts {
+            PeriodicCap::SinceDetector => self.since_detector >= cap,
+            PeriodicCap::FrameIndex => {
+                let cap = u64::from(cap);
+                // A multiple between the last complete frame and this one fell into a gap.
+                let gap = self
+                    .last_complete
+                    .is_some_and(|last| last / cap < index / cap);
+                index.is_multiple_of(cap) || gap
+            }
+        }
+    }
+
+    fn take_detections(&mut self, detections: &[Detection], screened: bool) -> FrameState {
+        self.since_detector = 0;
+        let life_cycle = self.settings.life_cycle;
+        let create = life_cycle.creates_on_every_detector_frame || self.active == 0;
+        let mut rescued = false;
+        self.objects.observe(detections, create, |state| {
+            let fate = life_cycle.missed(state);
+            rescued |= fate == Missed::Rescued;
+            fate
+        });
+        self.report_detector_frame(detections);
+        if screened {
+            FrameState::EI
+        } else if rescued {
+            FrameState::AI
+        } else {
+            FrameState::I
+        }
+    }
+
+    fn report_detector_frame(&mut self, detections: &[Detection]) {
+        self.boxes.clear();
+        let own_boxes = self.settings.detector_frame_boxes == DetectorFrameBoxes::Detector;
+        if own_boxes {
+            for (detection, sighting) in detections.iter().zip(self.objects.sightings()) {
+                if sighting.usable {
+                    self.boxes.push(OutputBox {
+                        bounding_box: detection.bounding_box,
+                        class: detection.class,
+                        confidence: detection.confidence,
+                        source: BoxSource::Detected,
+                        object: sighting.object,
+                        confirmed: sighting.confirmed,
+                    });
+                }
+            }
+        }
+        for state in self.objects.states() {
+            let source = match state.since_update {
+                0 => BoxSource::Detected,
+                _ => BoxSource::Rescued,
+            };
+            // A tentative object that outlives a miss is kept, not rescued: it has no box.
+            let reported = match source {
+                BoxSource::Detected => !own_boxes && self.is_reported(state),
+                _ => state.confirmed,
+            };
+            if reported {
+                self.boxes.push(self.filter_box(state, source));
+            }
+        }
+    }
+
+    fn is_reported(&self, state: &ObjectState) -> bool {
+        state.confirmed || self.settings.report_tentative
+    }
+
+    fn filter_box(&self, state: &ObjectState, source: BoxSource) -> OutputBox {
+        let kept = match self.settings.confidence {
+            ReportedConfidence::Last => 1.0,
+            ReportedConfidence::Decayed => {
+                (1.0 - state.filter.tau() / self.u_in_force).max(self.settings.decay_floor)
+            }
+        };
+        OutputBox {
+            bounding_box: state.filter.bounding_box(),
+            class: state.class,
+            confidence: state.confidence * kept,
+            source,
+            object: Some(state.id),
+            confirmed: state.confirmed,
+        }
+    }
+}
+
+impl Policy for Albireo {
+    fn name(&self) -> &'static str {
+        Self::NAME
+    }
+
+    fn knob(&self) -> Option<Knob> {
+        Some(Self::KNOB)
+    }
+
+    fn knob_value(&self) -> Option<f64> {
+        Some(self.u)
+    }
+
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        self.u = Self::KNOB.check(value)?;
+        Ok(())
+    }
+
+    fn begin(&mut self, frame: FrameHead) -> Need {
+        self.frame = Some(frame);
+        self.u_in_force = self.u;
+        let frames = frame.step.max(1);
+        self.since_detector = self.since_detector.saturating_add(frames);
+        self.objects.predict(frame.picture, frames);
+        let called = self.survey();
+        let (progress, need) = if self.active == 0 {
+            (Progress::AwaitsScreen, Need::Screen)
+        } else if called || self.periodic_cap_is_due(frame.index) {
+            (
+                Progress::AwaitsDetections { screened: false },
+                Need::Detections,
+            )
+        } else {
+            (Progress::Decided(FrameState::P), Need::Nothing)
+        };
+        self.progress = progress;
+        need
+    }
+
+    /// A screen that is unavailable leaves the frame without its verdict: the detector is asked, and the
+    /// frame is `I`, not `E+I`. Evidence of a kind not asked for counts as unavailable.
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        match (self.progress, evidence) {
+            (Progress::AwaitsScreen, Evidence::Screen { empty: true }) => {
+                self.progress = Progress::Decided(FrameState::E);
+                Need::Nothing
+            }
+            (Progress::AwaitsScreen, evidence) => {
+                let screened = matches!(evidence, Evidence::Screen { .. });
+                self.progress = Progress::AwaitsDetections { screened };
+                Need::Detections
+            }
+            (Progress::AwaitsDetections { screened }, Evidence::Detections(detections)) => {
+                let state = self.take_detections(detections, screened);
+                self.progress = Progress::Decided(state);
+                Need::Nothing
+            }
+            // Left as it is: `finish` sees that the detections never came.
+            (Progress::AwaitsDetections { .. } | Progress::Decided(_), _) => Need::Nothing,
+        }
+    }
+
+    fn finish(&mut self, outcome: &mut Outcome) {
+        let (state, degraded) = match self.progress {
+            Progress::Decided(state) => (state, false),
+            Progress::AwaitsScreen | Progress::AwaitsDetections { .. } => (FrameState::P, true),
+        };
+        if let (Some(frame), false) = (self.frame, degraded) {
+            self.last_complete = Some(frame.index);
+        }
+        outcome.state = state;
+        outcome.tau_max = self.tau_max;
+        outcome.active = self.active;
+        outcome.degraded = degraded;
+        outcome.boxes.clear();
+        match state {
+            FrameState::E => {}
+            FrameState::P => outcome.boxes.extend(
+                (self.objects.states().iter())
+                    .filter(|state| self.is_reported(state))
+                    .map(|state| self.filter_box(state, BoxSource::Predicted)),
+            ),
+            FrameState::EI | FrameState::I | FrameState::AI => {
+                outcome.boxes.extend_from_slice(&self.boxes);
+            }
+        }
+    }
+
+    fn reset(&mut self) {
+        self.objects.clear();
+        self.frame = None;
+        self.progress = Progress::Decided(FrameState::P);
+        self.tau_max = None;
+        self.active = 0;
+        self.since_detector = 0;
+        self.last_complete = None;
+    }
+
+    fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
+        for state in self.objects.states() {
+            visit(&ObjectRecord::from(state));
+        }
+    }
+
+    fn rejected_detections(&self) -> u64 {
+        self.objects.rejected_detections()
+    }
+}
+
+#[cfg(test)]
+mod tests;

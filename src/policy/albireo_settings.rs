@@ -1,0 +1,220 @@
+//! Every choice the Albireo policy leaves open, by name, and the two profiles that make them.
+//!
+//! The paper's text and the code published with it disagree in places. Each such place is one setting
+//! here, or in the [`LifeCycle`] and [`Association`] it contains; a profile is a value for each.
+
+use crate::kalman::FilterParameters;
+use crate::objects::{Association, GateOrder, LifeCycle, ObjectSettings};
+use serde::{Deserialize, Serialize};
+
+/// A set of settings with a name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Profile {
+    /// The paper's text.
+    #[default]
+    Paper,
+    /// The published code, to reproduce its decisions exactly.
+    Reference,
+}
+
+/// What the periodic cap counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum PeriodicCap {
+    /// Due when the frame's index in the stream is a multiple of the cap (published code). An index
+    /// that was lost makes the next frame due.
+    FrameIndex,
+    /// Due when the detector was last called so many frames ago (paper).
+    SinceDetector,
+}
+
+/// Which boxes are reported when the detector ran.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum DetectorFrameBoxes {
+    /// The detector's own, all of them, with the detector's confidences; and the predicted boxes of
+    /// rescued objects (paper).
+    Detector,
+    /// The filters' boxes after the update, of every object (published code).
+    Filter,
+}
+
+/// The confidence reported with a filter's box.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ReportedConfidence {
+    /// That of the object's last detection (paper).
+    Last,
+    /// That, times `max(decay_floor, 1 − τ/u)` (published code, on every frame).
+    Decayed,
+}
+
+/// The settings of the Albireo policy, the threshold `u` aside.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AlbireoSettings {
+    /// Whether τ = u skips the detector. Published code: yes; paper: only τ < u does.
+    pub skip_at_equality: bool,
+    /// Whether tentative objects are active: whether they keep the screen from being asked and can call
+    /// the detector. So in the published code; the paper does not say otherwise.
+    pub tentative_counts: bool,
+    /// The detector runs when an active object's age reaches this many frames (paper, T_max).
+    pub t_max: u32,
+    /// The detector runs after so many frames, as long as objects are active.
+    pub periodic_cap: u32,
+    /// What `periodic_cap` counts. Published code: the frame index; paper: frames since the last
+    /// detector call.
+    pub periodic_cap_counts: PeriodicCap,
+    /// Boxes reported when the detector ran. Published code: the filters'; paper: the detector's.
+    pub detector_frame_boxes: DetectorFrameBoxes,
+    /// Confidence of filters' boxes. Published code: decayed; paper: last.
+    pub confidence: ReportedConfidence,
+    /// What decay leaves at least.
+    pub decay_floor: f64,
+    /// Whether tentative objects' filter boxes are reported. The published code returns confirmed ones
+    /// from its step function, but its evaluation scores all; the paper reports all active ones.
+    pub report_tentative: bool,
+    /// The filter's numbers.
+    pub filter: FilterParameters,
+    /// The rules of matching.
+    pub association: Association,
+    /// The rules of birth and death.
+    pub life_cycle: LifeCycle,
+}
+
+impl AlbireoSettings {
+    /// The settings of `profile`.
+    pub fn of(profile: Profile) -> Self {
+        match profile {
+            Profile::Paper => Self::paper(),
+            Profile::Reference => Self::reference(),
+        }
+    }
+
+    /// The paper's text, and the published code where the paper is silent.
+    pub fn paper() -> Self {
+        let reference = Self::reference();
+        Self {
+            skip_at_equality: false,
+            periodic_cap_counts: PeriodicCap::SinceDetector,
+            detector_frame_boxes: DetectorFrameBoxes::Detector,
+            confidence: ReportedConfidence::Last,
+            association: Association {
+                gate: GateOrder::BeforeAssignment,
+                ..reference.association
+            },
+            life_cycle: LifeCycle {
+                rescue_resets_age: false,
+                boundary_margin: 0.0,
+                ..reference.life_cycle
+            },
+            ..reference
+        }
+    }
+
+    /// The published code.
+    pub fn reference() -> Self {
+        Self {
+            skip_at_equality: true,
+            tentative_counts: true,
+            t_max: 15,
+            periodic_cap: 30,
+            periodic_cap_counts: PeriodicCap::FrameIndex,
+            detector_frame_boxes: DetectorFrameBoxes::Filter,
+            confidence: ReportedConfidence::Decayed,
+            decay_floor: 0.1,
+            report_tentative: true,
+            filter: FilterParameters::default(),
+            association: Association {
+                iou_gate: 0.25,
+                iou_frames: 2,
+                mahalanobis_gate: 9.4877,
+                gate: GateOrder::AfterAssignment,
+                same_class_only: false,
+            },
+            life_cycle: LifeCycle {
+                hits_to_confirm: 3,
+                tentative_misses: 0,
+                c_rescue: 0.5,
+                r_max: 2,
+                rescue_resets_age: true,
+                boundary_margin: 0.05,
+                minimum_side: 1.0,
+                creates_on_every_detector_frame: true,
+                longest_gap: 300,
+            },
+        }
+    }
+
+    /// The part that governs object states.
+    pub fn objects(&self) -> ObjectSettings {
+        ObjectSettings {
+            filter: self.filter,
+            association: self.association,
+            life_cycle: self.life_cycle,
+        }
+    }
+
+    /// Whether every number can be used.
+    ///
+    /// # Errors
+    /// A sentence that names the first that cannot, its value, and what is allowed.
+    pub fn check(&self) -> Result<(), String> {
+        if let Some((name, value)) = self.filter.first_impossible() {
+            return Err(format!(
+                "`filter.{name}` is {value}; it must be a number from 0 to 1000, and the measurement's \
+                 above 0"
+            ));
+        }
+        let (association, life_cycle) = (&self.association, &self.life_cycle);
+        for (name, value, least, most) in [
+            ("decay_floor", self.decay_floor, 0.0, 1.0),
+            ("association.iou_gate", association.iou_gate, 0.0, 1.0),
+            (
+                "association.mahalanobis_gate",
+                association.mahalanobis_gate,
+                0.0,
+                1e6,
+            ),
+            ("life_cycle.c_rescue", life_cycle.c_rescue, 0.0, 1.0),
+            (
+                "life_cycle.boundary_margin",
+                life_cycle.boundary_margin,
+                -0.5,
+                10.0,
+            ),
+            (
+                "life_cycle.minimum_side",
+                life_cycle.minimum_side,
+                1e-3,
+                1e3,
+            ),
+        ] {
+            if !(least..=most).contains(&value) {
+                return Err(format!(
+                    "`{name}` is {value}; it must be a number from {least} to {most}"
+                ));
+            }
+        }
+        for (name, value, least, most) in [
+            ("t_max", self.t_max, 1, u32::MAX),
+            ("periodic_cap", self.periodic_cap, 1, u32::MAX),
+            (
+                "life_cycle.hits_to_confirm",
+                life_cycle.hits_to_confirm,
+                1,
+                u32::MAX,
+            ),
+            // Every lost frame of a gap is predicted for every object, so the gap has a limit.
+            ("life_cycle.longest_gap", life_cycle.longest_gap, 0, 10_000),
+        ] {
+            if !(least..=most).contains(&value) {
+                return Err(format!(
+                    "`{name}` is {value}; it must be a whole number from {least} to {most}"
+                ));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,238 @@
+//! The `[policy]` section of the configuration, and the list of policies it can name.
+
+use super::{Albireo, Policy, Profile, Vanilla};
+use serde::{Deserialize, Serialize};
+
+/// A table of settings by name, as it stands in the configuration.
+pub type Table = serde_json::Map<String, serde_json::Value>;
+
+/// Which policy decides, and its settings. Each camera gets a policy of its own from
+/// [`build`](PolicyConfig::build).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PolicyConfig {
+    /// Name of the policy: one of [`known_policies`].
+    pub name: String,
+    /// The settings the Albireo policy starts from.
+    pub profile: Profile,
+    /// The uncertainty threshold of the policies that have one.
+    pub u: f64,
+    /// Single settings of the Albireo policy that differ from the profile's: the fields of
+    /// [`AlbireoSettings`](super::AlbireoSettings), as deep as it goes.
+    pub albireo: Table,
+}
+
+impl Default for PolicyConfig {
+    fn default() -> Self {
+        Self {
+            name: Albireo::NAME.to_owned(),
+            profile: Profile::default(),
+            u: Albireo::KNOB.default,
+            albireo: Table::new(),
+        }
+    }
+}
+
+/// Why no policy can be made from the configuration.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PolicyConfigError {
+    /// No policy has this name.
+    #[error("there is no policy `{name}`; the policies are {}", names())]
+    UnknownPolicy {
+        /// The name found.
+        name: String,
+    },
+    /// The threshold is out of range.
+    #[error("{0}")]
+    Threshold(#[from] super::KnobError),
+    /// A setting that does not exist, or has a value it cannot have.
+    #[error("{reason}")]
+    Setting {
+        /// The table it stands in.
+        table: &'static str,
+        /// What is wrong and what is allowed.
+        reason: String,
+    },
+}
+
+impl PolicyConfigError {
+    /// The key of the configuration it is about.
+    pub fn key(&self) -> String {
+        match self {
+            Self::UnknownPolicy { .. } => "policy.name".to_owned(),
+            Self::Threshold(_) => "policy.u".to_owned(),
+            Self::Setting { table, .. } => format!("policy.{table}"),
+        }
+    }
+}
+
+type Build = fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>;
+
+/// All policies: one line each.
+const POLICIES: &[(&str, Build)] = &[
+    (Albireo::NAME, Albireo::from_config),
+    (Vanilla::NAME, Vanilla::from_config),
+];
+
+/// The names that [`PolicyConfig::name`] can have.
+pub fn known_policies() -> impl Iterator<Item = &'static str> {
+    POLICIES.iter().map(|(name, _)| *name)
+}
+
+fn names() -> String {
+    let quoted: Vec<_> = known_policies().map(|name| format!("`{name}`")).collect();
+    quoted.join(", ")
+}
+
+impl PolicyConfig {
+    /// A new policy, at the start of a stream.
+    ///
+    /// # Errors
+    /// [`PolicyConfigError`] when the name is not known or a setting cannot be used.
+    pub fn build(&self) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let (_, build) = POLICIES
+            .iter()
+            .find(|(name, _)| *name == self.name)
+            .ok_or_else(|| PolicyConfigError::UnknownPolicy {
+                name: self.name.clone(),
+            })?;
+        build(self)
+    }
+}
+
+/// `settings` with the values of `overrides` in place of its own, table by table.
+///
+/// # Errors
+/// A sentence that names the setting that does not exist or the value it cannot have.
+pub(super) fn with_overrides<T: Serialize + for<'a> Deserialize<'a>>(
+    settings: &T,
+    overrides: &Table,
+) -> Result<T, String> {
+    let mut merged = serde_json::to_value(settings).map_err(|error| error.to_string())?;
+    let own = merged.as_object_mut().ok_or("the settings are no table")?;
+    merge(own, overrides, &mut String::new())?;
+    serde_json::from_value(merged).map_err(|error| error.to_string())
+}
+
+fn merge(own: &mut Table, overrides: &Table, path: &mut String) -> Result<(), String> {
+    for (key, value) in overrides {
+        let Some(present) = own.get_mut(key) else {
+            let known: Vec<_> = own.keys().map(|key| format!("`{path}{key}`")).collect();
+            let known = known.join(", ");
+            return Err(format!(
+                "there is no setting `{path}{key}`; there are {known}"
+            ));
+        };
+        match (present, value) {
+            (serde_json::Value::Object(present), serde_json::Value::Object(value)) => {
+                let length = path.len();
+                path.push_str(key);
+                path.push('.');
+                merge(present, value, path)?;
+                path.truncate(length);
+            }
+            (present, value) if same_kind(present, value) => *present = value.clone(),
+            (present, value) => {
+                return Err(format!(
+                    "`{path}{key}` cannot be {value}; the profile's value is {present}"
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+fn same_kind(a: &serde_json::Value, b: &serde_json::Value) -> bool {
+    std::mem::discriminant(a) == std::mem::discriminant(b)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::AlbireoSettings;
+
+    fn config(text: &str) -> PolicyConfig {
+        toml::from_str(text).unwrap()
+    }
+
+    fn error(text: &str) -> String {
+        config(text).build().err().unwrap().to_string()
+    }
+
+    #[test]
+    fn without_configuration_it_is_albireo_with_the_papers_threshold() {
+        let policy = config("").build().unwrap();
+        assert_eq!(policy.name(), "albireo");
+        assert_eq!(policy.knob_value(), Some(3e-4));
+    }
+
+    #[test]
+    fn every_known_name_builds_a_policy_of_that_name() {
+        for name in known_policies() {
+            let config = PolicyConfig {
+                name: name.to_owned(),
+                ..PolicyConfig::default()
+            };
+            assert_eq!(config.build().unwrap().name(), name);
+        }
+    }
+
+    #[test]
+    fn an_unknown_policy_is_refused_with_the_names_there_are() {
+        let message = error("name = 'albiro'");
+        assert!(message.contains("albiro"), "{message}");
+        assert!(message.contains("`albireo`, `vanilla`"), "{message}");
+    }
+
+    #[test]
+    fn a_bad_threshold_is_refused() {
+        for u in ["0", "-1.0", "nan", "inf", "2"] {
+            let message = error(&format!("u = {u}"));
+            assert!(message.starts_with("`u` must be"), "{message}");
+        }
+    }
+
+    #[test]
+    fn a_single_setting_goes_over_the_profile() {
+        let config = config(
+            "profile = 'reference'\n[albireo]\nt_max = 7\nlife_cycle.r_max = 4\n\
+             filter.measurement = { deviation = 0.01, unit = 'normalised' }",
+        );
+        let settings = with_overrides(&AlbireoSettings::of(config.profile), &config.albireo);
+        let settings: AlbireoSettings = settings.unwrap();
+        let mut expected = AlbireoSettings::reference();
+        expected.t_max = 7;
+        expected.life_cycle.r_max = 4;
+        expected.filter.measurement.deviation = 0.01;
+        expected.filter.measurement.unit = crate::kalman::MeasurementUnit::Normalised;
+        assert_eq!(settings, expected);
+        assert!(config.build().is_ok());
+    }
+
+    #[test]
+    fn a_setting_that_does_not_exist_or_cannot_be_is_named() {
+        for (text, part) in [
+            ("[albireo]\ntmax = 7", "`tmax`"),
+            ("[albireo.life_cycle]\nrmax = 7", "`life_cycle.rmax`"),
+            ("[albireo]\nt_max = 'x'", "`t_max`"),
+            ("[albireo]\nt_max = 0", "`t_max`"),
+            ("[albireo]\nperiodic_cap_counts = 'x'", "`x`"),
+            (
+                "[albireo.filter.initial]\nsize = -1",
+                "`filter.initial.size`",
+            ),
+            (
+                "[albireo.filter.process]\nsize = nan",
+                "`filter.process.size`",
+            ),
+            (
+                "[albireo.association]\niou_gate = 2",
+                "`association.iou_gate`",
+            ),
+        ] {
+            let message = error(text);
+            assert!(message.starts_with("policy.albireo: "), "{message}");
+            assert!(message.contains(part), "{message}");
+        }
+    }
+}
