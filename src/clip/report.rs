@@ -87,6 +87,7 @@ impl ClosedClip {
             total_latency_ms: self.total.percentiles(),
             detector_latency_ms: self.detector.percentiles(),
             energy,
+            board: None,
         }
     }
 }

@@ -1,9 +1,17 @@
 //! What every power meter can do, and what it reads.
 
+use super::condition::Condition;
 use crate::wire::EnergyQuality;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::time::Instant;
+
+/// [`Reading::total_from`] of a total that one rail or counter tells for the whole board.
+pub const INPUT_RAIL: &str = "input_rail";
+
+/// [`Reading::total_from`] of a total that was added up.
+pub const SUM_OF_RAILS: &str = "sum_of_rails";
 
 /// A part of the board whose energy is told apart (paper: total, GPU, CPU, IO and memory).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -172,4 +180,14 @@ pub trait Meter: Send {
     /// [`MeterError`] when nothing can be read now; the sampler counts it and asks again at the next
     /// interval.
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError>;
+
+    /// What the source tells of the board besides power, as of the last poll. Asked once a second.
+    fn condition(&mut self) -> Condition {
+        Condition::default()
+    }
+
+    /// CPU time the meter has used outside of [`poll`](Self::poll): threads and processes of its own.
+    fn other_cpu(&self) -> Duration {
+        Duration::ZERO
+    }
 }

@@ -8,7 +8,10 @@
 //! the CPU domain is the packages without it: no joule is in two domains.
 
 use super::config::PowerConfig;
-use super::meter::{Domain, Meter, MeterError, Rail, Reading, Value, Values};
+use super::counter::Counter;
+use super::meter::{
+    Domain, INPUT_RAIL, Meter, MeterError, Rail, Reading, SUM_OF_RAILS, Value, Values,
+};
 use super::sysfs;
 use crate::wire::EnergyQuality;
 use std::path::{Path, PathBuf};
@@ -16,9 +19,6 @@ use std::sync::Arc;
 use tokio::time::Instant;
 
 const SOURCE: &str = "rapl";
-
-/// No package draws more: a counter that rises faster was reset (after suspend, say) and did not wrap.
-const IMPLAUSIBLE_WATTS: f64 = 10_000.0;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
@@ -49,10 +49,7 @@ struct Zone {
     kind: Kind,
     name: Arc<str>,
     energy: PathBuf,
-    /// Where the counter wraps, microjoules.
-    range: u64,
-    last: Option<(Instant, u64)>,
-    counted: u64,
+    counter: Counter,
 }
 
 impl Zone {
@@ -60,6 +57,7 @@ impl Zone {
         let name = sysfs::text(SOURCE, &directory.join("name"))?;
         let energy = directory.join("energy_uj");
         sysfs::number::<u64>(SOURCE, &energy)?;
+        let range = sysfs::number(SOURCE, &directory.join("max_energy_range_uj"))?;
         Ok(Self {
             kind: Kind::of(&name),
             name: match label {
@@ -67,33 +65,20 @@ impl Zone {
                 None => name.into(),
             },
             energy,
-            range: sysfs::number(SOURCE, &directory.join("max_energy_range_uj"))?,
-            last: None,
-            counted: 0,
+            counter: Counter::new(1e-6, Some(range)),
         })
     }
 
     fn read(&mut self, now: Instant) -> Result<(), MeterError> {
-        let raw: u64 = sysfs::number(SOURCE, &self.energy)?;
-        if let Some((then, before)) = self.last {
-            let rise = if raw >= before {
-                raw - before
-            } else {
-                self.range.saturating_sub(before).saturating_add(raw)
-            };
-            let seconds = now.saturating_duration_since(then).as_secs_f64().max(0.1);
-            if (rise as f64) * 1e-6 <= IMPLAUSIBLE_WATTS * seconds {
-                self.counted += rise;
-            } else {
-                tracing::warn!(zone = %self.name, before, raw, "an energy counter jumped; starting afresh from it");
-            }
+        let raw = sysfs::number(SOURCE, &self.energy)?;
+        if !self.counter.update(now, raw) {
+            tracing::warn!(zone = %self.name, raw, "an energy counter was reset; counting on from it");
         }
-        self.last = Some((now, raw));
         Ok(())
     }
 
     fn value(&self) -> Value {
-        Value::counter(self.counted as f64 * 1e-6)
+        Value::counter(self.counter.joules())
     }
 }
 
@@ -128,12 +113,7 @@ impl Rapl {
         }
         Ok(Self {
             zones,
-            total_from: if platform {
-                "input_rail"
-            } else {
-                "sum_of_rails"
-            }
-            .into(),
+            total_from: if platform { INPUT_RAIL } else { SUM_OF_RAILS }.into(),
             platform,
         })
     }
@@ -208,7 +188,7 @@ impl Meter for Rapl {
                 values.add(domain, zone.value());
             }
             if zone.kind == Kind::Uncore {
-                values.add(Domain::Cpu, Value::counter(-(zone.counted as f64) * 1e-6));
+                values.add(Domain::Cpu, Value::counter(-zone.counter.joules()));
             }
             rails.push(Rail {
                 name: Arc::clone(&zone.name),

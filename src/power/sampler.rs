@@ -1,16 +1,26 @@
 //! The task that reads the meter at every interval, and the handle that answers for it.
 
 use super::choose;
+use super::condition::{Condition, Conditions};
 use super::config::PowerConfig;
+use super::cost::{MeterCost, thread_cpu};
 use super::history::{History, SpanEnergy};
+use super::machine::Machine;
 use super::meter::{Meter, MeterError, Reading};
-use crate::wire::{DomainWatts, EnergyQuality};
+use crate::wire::{BoardState, DomainWatts, EnergyQuality};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior};
 use tokio_util::sync::CancellationToken;
+
+/// Time between two looks at the board's condition.
+const CONDITION_EVERY: Duration = Duration::from_secs(1);
+
+/// History kept at least.
+const KEEP_AT_LEAST: Duration = Duration::from_secs(600);
 
 /// Power now.
 #[derive(Clone, Debug, PartialEq)]
@@ -30,13 +40,13 @@ struct Shared {
     quality: EnergyQuality,
     interval: Duration,
     history: Mutex<History>,
-    failures: std::sync::atomic::AtomicU64,
+    conditions: Mutex<Conditions>,
+    cost: Mutex<MeterCost>,
+    failures: AtomicU64,
 }
 
-impl Shared {
-    fn history(&self) -> MutexGuard<'_, History> {
-        self.history.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Answers for the energy of any span of the kept history. Cheap to clone; never waits for the meter.
@@ -50,9 +60,7 @@ impl PowerHandle {
     /// Energy of the node over `[start, end]`, from the samples there are now.
     pub fn energy(&self, start: Instant, end: Instant) -> SpanEnergy {
         let shared = &self.shared;
-        shared
-            .history()
-            .energy(start, end, &shared.source, shared.quality)
+        lock(&shared.history).energy(start, end, &shared.source, shared.quality)
     }
 
     /// As [`energy`](Self::energy), but waits until a sample later than `end` is in, so that the end of
@@ -68,7 +76,7 @@ impl PowerHandle {
 
     /// Power now.
     pub fn now(&self) -> PowerNow {
-        let watts = self.shared.history().watts(Instant::now());
+        let watts = lock(&self.shared.history).watts(Instant::now());
         PowerNow {
             source: self.shared.source.clone(),
             quality: if watts.is_empty() {
@@ -87,9 +95,18 @@ impl PowerHandle {
 
     /// How often the meter could not be read.
     pub fn failed_reads(&self) -> u64 {
-        self.shared
-            .failures
-            .load(std::sync::atomic::Ordering::Relaxed)
+        self.shared.failures.load(Ordering::Relaxed)
+    }
+
+    /// The board's state over `[start, end]`: temperature, throttling, clocks, power mode. `None` where the
+    /// board tells nothing of it.
+    pub fn board(&self, start: Instant, end: Instant) -> Option<BoardState> {
+        lock(&self.shared.conditions).state(start, end)
+    }
+
+    /// What reading the meter has cost so far.
+    pub fn cost(&self) -> MeterCost {
+        *lock(&self.shared.cost)
     }
 }
 
@@ -104,69 +121,138 @@ pub async fn start(
     shutdown: CancellationToken,
 ) -> Result<(PowerHandle, JoinHandle<()>), MeterError> {
     let wanted = config.clone();
-    let meter = tokio::task::spawn_blocking(move || choose::open(&wanted))
-        .await
-        .map_err(|error| {
-            MeterError::Configuration(format!("the meter could not be opened: {error}"))
-        })??;
+    let opened = tokio::task::spawn_blocking(move || {
+        choose::open(&wanted).map(|meter| (meter, Machine::new(&wanted)))
+    });
+    let (meter, machine) = opened.await.map_err(|error| {
+        MeterError::Configuration(format!("the meter could not be opened: {error}"))
+    })??;
     let interval = Duration::from_millis(config.interval_ms);
-    Ok(start_with(meter, interval, keep, shutdown))
+    Ok(launch(meter, Some(machine), interval, keep, shutdown))
 }
 
-/// As [`start`], with a meter already open.
+/// As [`start`], with a meter already open, and without a look at the machine's condition.
 pub fn start_with(
     meter: Box<dyn Meter>,
     interval: Duration,
     keep: Duration,
     shutdown: CancellationToken,
 ) -> (PowerHandle, JoinHandle<()>) {
+    launch(meter, None, interval, keep, shutdown)
+}
+
+fn launch(
+    meter: Box<dyn Meter>,
+    machine: Option<Machine>,
+    interval: Duration,
+    keep: Duration,
+    shutdown: CancellationToken,
+) -> (PowerHandle, JoinHandle<()>) {
     let interval = interval.max(Duration::from_millis(1));
+    let keep = keep.max(KEEP_AT_LEAST);
     let shared = Arc::new(Shared {
         source: meter.source().to_owned(),
         quality: meter.quality(),
         interval,
-        history: Mutex::new(History::new(keep.max(Duration::from_secs(600)))),
-        failures: std::sync::atomic::AtomicU64::new(0),
+        history: Mutex::new(History::new(keep)),
+        conditions: Mutex::new(Conditions::new(keep)),
+        cost: Mutex::default(),
+        failures: AtomicU64::new(0),
     });
     let (announce, sampled) = watch::channel(None);
-    let task = tokio::spawn(sample(meter, Arc::clone(&shared), announce, shutdown));
+    let senses = Senses {
+        meter,
+        machine,
+        last_condition: None,
+        cpu: Duration::ZERO,
+    };
+    let task = tokio::spawn(sample(senses, Arc::clone(&shared), announce, shutdown));
     (PowerHandle { shared, sampled }, task)
 }
 
+/// What is read at every interval, on a thread where waiting for files does no harm.
+struct Senses {
+    meter: Box<dyn Meter>,
+    machine: Option<Machine>,
+    last_condition: Option<Instant>,
+    /// CPU time spent in [`look`](Self::look) so far.
+    cpu: Duration,
+}
+
+/// What one look has seen.
+struct Seen {
+    readings: Result<Vec<Reading>, MeterError>,
+    condition: Option<Condition>,
+    /// The middle of the reading.
+    at: Instant,
+    /// CPU time of all looks so far, other threads and processes of the meter included.
+    cpu: Duration,
+}
+
+impl Senses {
+    fn look(&mut self) -> Seen {
+        let cpu = thread_cpu();
+        let before = Instant::now();
+        let readings = self.meter.poll(before);
+        let at = before + before.elapsed() / 2;
+        let due = self
+            .last_condition
+            .is_none_or(|last| before.saturating_duration_since(last) >= CONDITION_EVERY);
+        let condition = due.then(|| {
+            self.last_condition = Some(before);
+            let machine = self.machine.as_mut().map(|m| m.read(before));
+            self.meter.condition().and(machine.unwrap_or_default())
+        });
+        self.cpu += thread_cpu().saturating_sub(cpu);
+        Seen {
+            readings,
+            condition,
+            at,
+            cpu: self.cpu + self.meter.other_cpu(),
+        }
+    }
+}
+
 async fn sample(
-    mut meter: Box<dyn Meter>,
+    mut senses: Senses,
     shared: Arc<Shared>,
     announce: watch::Sender<Option<Instant>>,
     shutdown: CancellationToken,
 ) {
+    let began = Instant::now();
     let mut ticks = tokio::time::interval(shared.interval);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut warned: Option<Instant> = None;
     loop {
         tokio::select! {
-            () = shutdown.cancelled() => return,
+            () = shutdown.cancelled() => break,
             _ = ticks.tick() => {}
         }
-        let read = tokio::task::spawn_blocking(move || {
-            let before = Instant::now();
-            let result = meter.poll(before);
-            (meter, result, before + before.elapsed() / 2)
+        let look = tokio::task::spawn_blocking(move || {
+            let seen = senses.look();
+            (senses, seen)
         });
-        let Ok((returned, result, at)) = read.await else {
+        let Ok((returned, seen)) = look.await else {
             tracing::error!(
                 source = shared.source,
                 "the power meter panicked; no more power figures"
             );
             return;
         };
-        meter = returned;
-        match result {
-            Ok(readings) => record(&shared, &announce, at, &readings),
+        senses = returned;
+        if let Some(condition) = seen.condition {
+            lock(&shared.conditions).push(seen.at, condition);
+        }
+        {
+            let mut cost = lock(&shared.cost);
+            cost.polls += 1;
+            cost.cpu = seen.cpu;
+            cost.elapsed = began.elapsed();
+        }
+        match seen.readings {
+            Ok(readings) => record(&shared, &announce, seen.at, &readings),
             Err(error) => {
-                let failures = shared
-                    .failures
-                    .fetch_add(1, std::sync::atomic::Ordering::Relaxed)
-                    + 1;
+                let failures = shared.failures.fetch_add(1, Ordering::Relaxed) + 1;
                 if warned.is_none_or(|w| w.elapsed() > Duration::from_secs(60)) {
                     tracing::warn!(%error, failures, "the power meter cannot be read now");
                     warned = Some(Instant::now());
@@ -174,6 +260,8 @@ async fn sample(
             }
         }
     }
+    // Closing a meter may wait for its child process.
+    let _ = tokio::task::spawn_blocking(move || drop(senses)).await;
 }
 
 fn record(
@@ -183,7 +271,7 @@ fn record(
     readings: &[Reading],
 ) {
     let newest = {
-        let mut history = shared.history();
+        let mut history = lock(&shared.history);
         for reading in readings {
             history.push(reading.at.unwrap_or(at), reading);
         }
@@ -193,98 +281,4 @@ fn record(
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::power::{Domain, NoMeter, Value, Values};
-
-    /// A meter that follows a curve of power over the seconds since it was made.
-    struct Curve<F>(Instant, F);
-
-    impl<F: FnMut(f64) -> Option<f64> + Send> Meter for Curve<F> {
-        fn source(&self) -> &str {
-            "curve"
-        }
-
-        fn quality(&self) -> EnergyQuality {
-            EnergyQuality::Measured
-        }
-
-        fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
-            let watts = self.1(now.duration_since(self.0).as_secs_f64());
-            let watts = watts.ok_or_else(|| MeterError::Configuration("stalled".to_owned()))?;
-            let mut values = Values::default();
-            values.set(Domain::Total, Value::power(watts));
-            Ok(vec![Reading {
-                at: None,
-                values,
-                total_from: "input_rail".into(),
-                rails: Vec::new(),
-            }])
-        }
-    }
-
-    fn sampled(
-        curve: impl FnMut(f64) -> Option<f64> + Send + 'static,
-    ) -> (PowerHandle, Instant, CancellationToken, JoinHandle<()>) {
-        let start = Instant::now();
-        let stop = CancellationToken::new();
-        let interval = Duration::from_millis(100);
-        let (handle, task) = start_with(
-            Box::new(Curve(start, curve)),
-            interval,
-            Duration::ZERO,
-            stop.clone(),
-        );
-        (handle, start, stop, task)
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_span_is_answered_to_its_edges_and_the_sampler_stops_when_told() {
-        let (handle, start, stop, task) = sampled(|t| Some(10.0 + t));
-        let end = start + Duration::from_millis(8_250);
-        tokio::time::sleep_until(end).await;
-        let found = handle
-            .settled_energy(start + Duration::from_millis(250), end)
-            .await;
-        let exact = 10.0 * 8.0 + 0.5 * (8.25_f64.powi(2) - 0.25_f64.powi(2));
-        assert!((found.total_joules().unwrap() / exact - 1.0).abs() < 1e-3);
-        assert_eq!(found.quality, EnergyQuality::Measured);
-        assert_eq!(handle.now().quality, EnergyQuality::Measured);
-        stop.cancel();
-        task.await.unwrap();
-        tokio::time::sleep(Duration::from_secs(5)).await;
-        assert_eq!(handle.now().quality, EnergyQuality::Unavailable);
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn a_stalled_meter_is_counted_and_its_time_is_not_covered() {
-        let (handle, start, stop, task) = sampled(|t| (!(2.95..5.95).contains(&t)).then_some(20.0));
-        tokio::time::sleep_until(start + Duration::from_secs(11)).await;
-        let found = handle.energy(start, start + Duration::from_secs(10));
-        assert!(handle.failed_reads() >= 29);
-        assert_eq!(found.quality, EnergyQuality::Partial);
-        assert!((found.coverage - 0.69).abs() < 0.02, "{}", found.coverage);
-        let joules = found.total_joules().unwrap();
-        assert!((joules - 200.0 * found.coverage).abs() < 1e-6);
-        stop.cancel();
-        task.await.unwrap();
-    }
-
-    #[tokio::test(start_paused = true)]
-    async fn without_a_meter_energy_is_unavailable_and_nobody_waits_long() {
-        let stop = CancellationToken::new();
-        let (handle, _task) = start_with(
-            Box::new(NoMeter),
-            Duration::from_millis(100),
-            Duration::ZERO,
-            stop.clone(),
-        );
-        let start = Instant::now();
-        tokio::time::sleep(Duration::from_secs(2)).await;
-        let asked = Instant::now();
-        let found = handle.settled_energy(start, asked).await;
-        assert!(asked.elapsed() < Duration::from_millis(500));
-        assert_eq!(found, SpanEnergy::unavailable("none"));
-        stop.cancel();
-    }
-}
+mod tests;

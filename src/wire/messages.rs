@@ -378,6 +378,35 @@ pub struct ClipReport {
     pub detector_latency_ms: Percentiles,
     /// Energy.
     pub energy: ClipEnergy,
+    /// The state of the board during the clip; absent where the board tells nothing of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board: Option<BoardState>,
+}
+
+/// The state of the board during a clip, as far as the board tells: the same clip costs differently in
+/// each.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(default)]
+pub struct BoardState {
+    /// Power mode: `nvpmodel`'s name for it, else the platform profile of ACPI. Several, in order, when it
+    /// changed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub power_mode: Option<String>,
+    /// Highest temperature of any sensor, °C.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hottest_celsius: Option<f64>,
+    /// The sensor that read it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hottest_sensor: Option<String>,
+    /// Whether clocks were held back by heat, current or power at any time; absent when nothing tells.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub throttled: Option<bool>,
+    /// Mean clock of the CPU cores, MHz.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cpu_mhz: Option<f64>,
+    /// Mean clock of the GPU, MHz.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gpu_mhz: Option<f64>,
 }
 
 /// Where a camera stands, once a second.
