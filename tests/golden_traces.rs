@@ -3,8 +3,10 @@
 //! The traces are `golden/albireo-*` of the shared data, over its recorded detections; excerpts are in
 //! `fixtures/golden`.
 
+#![allow(clippy::unwrap_used, clippy::panic)]
+
 use albireo::detection::{ClassId, Detection};
-use albireo::geometry::{Corners, PictureSize};
+use albireo::geometry::{BoundingBox, Corners, PictureSize};
 use albireo::policy::{
     Albireo, AlbireoSettings, BoxSource, Evidence, FrameHead, Need, ObjectRecord, Outcome, Policy,
 };
@@ -40,6 +42,14 @@ struct GoldenObject {
     since_update: u32,
     since_infer: u32,
     rescues: u32,
+}
+
+/// A line of an excerpt, beside what is golden in it.
+#[derive(Deserialize)]
+struct ExcerptFrame {
+    frame: u64,
+    /// cx, cy, w, h, confidence, class.
+    detections: Vec<(f64, f64, f64, f64, f64, u16)>,
 }
 
 /// What the empty-scene screen of a trace says.
@@ -219,6 +229,53 @@ fn compare_all(folder: &str, u: f64, screen: Screen) {
         let frames = compare(&what, u, screen, picture, &detections, &golden);
         assert_eq!(frames, sequence.frames, "{what}");
     }
+}
+
+/// Replays an excerpt, whose lines carry the detections.
+fn compare_excerpt(lines: &str, u: f64, screen: Screen, picture: PictureSize) {
+    let mut recorded = Recorded::new();
+    for line in lines.lines() {
+        let frame: ExcerptFrame = serde_json::from_str(line).unwrap();
+        let detections = frame.detections.iter().map(|d| Detection {
+            bounding_box: BoundingBox::new(d.0, d.1, d.2, d.3),
+            confidence: d.4,
+            class: ClassId(d.5),
+        });
+        recorded.insert(frame.frame, detections.collect());
+    }
+    let frames = compare("excerpt", u, screen, picture, &recorded, lines);
+    assert_eq!(frames, recorded.len());
+    assert!(frames >= 36, "{frames}");
+}
+
+#[test]
+fn golden_excerpt_with_all_five_frame_states() {
+    compare_excerpt(
+        include_str!("fixtures/golden/albireo-u3e-4-erd-detections.kitti-0018.jsonl"),
+        3e-4,
+        Screen::EmptyWithoutDetections,
+        PictureSize::new(1238, 374),
+    );
+}
+
+#[test]
+fn golden_excerpt_with_runs_of_predicted_frames() {
+    compare_excerpt(
+        include_str!("fixtures/golden/albireo-u1e-3-erd-nonempty.kitti-0008.jsonl"),
+        1e-3,
+        Screen::NeverEmpty,
+        PictureSize::new(1242, 375),
+    );
+}
+
+#[test]
+fn golden_excerpt_with_rescues_and_removals() {
+    compare_excerpt(
+        include_str!("fixtures/golden/albireo-u3e-4-erd-nonempty.PETS09-S2L1.jsonl"),
+        3e-4,
+        Screen::NeverEmpty,
+        PictureSize::new(768, 576),
+    );
 }
 
 #[test]
