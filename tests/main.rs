@@ -1,3 +1,4 @@
 //! Promises of the whole program, one file each.
 mod eval_agreement;
+mod eval_coco;
 mod golden_traces;
