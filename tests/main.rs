@@ -7,6 +7,7 @@ mod support;
 
 mod command_line;
 mod eval_agreement;
+mod eval_coco;
 mod golden_traces;
 mod http_api;
 

@@ -71,3 +71,5 @@ fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()
         .context("the asynchronous runtime cannot be started")?
         .block_on(work)
 }
+//! To be built.
+pub mod eval;
