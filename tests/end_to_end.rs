@@ -1,7 +1,9 @@
 //! The whole way over real processes: `albireo node`, `albireo replay`, and a client that shares no code
 //! with them.
 
-use crate::support::{Client, Node, PATIENCE, albireo, shared};
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::support::{Client, Node, PATIENCE, albireo, python, shared};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -73,6 +75,21 @@ fn total_dropped(report: &Value) -> u64 {
         .sum()
 }
 
+/// The metric families Prometheus' own strict parser finds.
+fn parsed_by_prometheus(metrics: &str) -> BTreeMap<String, u64> {
+    let mut parser = std::process::Command::new(python())
+        .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/clients/parse_metrics.py"))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("Python starts");
+    std::io::Write::write_all(&mut parser.stdin.take().expect("piped"), metrics.as_bytes())
+        .expect("the parser reads");
+    let output = parser.wait_with_output().expect("the parser ends");
+    assert!(output.status.success(), "the parser refuses:\n{metrics}");
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     let node = Node::start(&yolox_settings("albireo")).await;
@@ -112,6 +129,20 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
         kept.iter().any(|(_, message)| message["clip"] == "two-cars"),
         "a client that comes late gets the report from the cache"
     );
+
+    let metrics = reqwest::Client::new()
+        .get(format!("{}/metrics", node.http))
+        .header("accept", "application/openmetrics-text")
+        .send()
+        .await
+        .expect("the node answers")
+        .text()
+        .await
+        .expect("metrics are text");
+    let families = parsed_by_prometheus(&metrics);
+    for family in ["albireo_frames", "albireo_frames_dropped", "albireo_threshold"] {
+        assert!(families.contains_key(family), "no {family} in {families:?}");
+    }
 
     let (status, took, log, _) = node.stop().await;
     assert!(status.success(), "{log}");

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use crate::support::shared;
 use albireo::power::{Condition, Domain, RailMap, TegrastatsLine};
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -70,11 +71,7 @@ fn every_line_kept_here_says_what_it_says() {
 
 #[test]
 fn shared_every_recorded_line_says_what_it_says() {
-    let folder = std::env::var_os("ALBIREO_SHARED").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-        PathBuf::from,
-    );
-    let folder = folder.join("telemetry");
+    let folder = shared("telemetry");
     let expected = expected();
     for board in [
         "agx_orin_jp5",

@@ -2,10 +2,12 @@
 
 mod check;
 mod demo;
+pub mod eval;
 mod logging;
 mod node;
 pub mod replay;
 mod signals;
+pub mod synth;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
@@ -37,6 +39,10 @@ enum Command {
     Check(check::Arguments),
     /// Publish a video, a folder of pictures or the synthetic dashcam as a camera.
     Replay(replay::ReplayArguments),
+    /// Replay recordings through any policy: accuracy against what it saves.
+    Eval(eval::EvalArguments),
+    /// Write the synthetic dashcam's pictures with their ground truth into a folder.
+    Synth(synth::SynthArguments),
     /// Run a camera and a node in one process, with nothing to configure.
     Demo(demo::Arguments),
 }
@@ -51,6 +57,8 @@ impl Arguments {
                 let shutdown = signals::shutdown().context(signals::CONTEXT)?;
                 replay::run(arguments, shutdown).await.map(drop)
             }),
+            Command::Eval(arguments) => eval::run(&arguments),
+            Command::Synth(arguments) => synth::run(&arguments),
             Command::Demo(arguments) => block_on(demo::run(arguments)),
         };
         match ended {
@@ -71,5 +79,3 @@ fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()
         .context("the asynchronous runtime cannot be started")?
         .block_on(work)
 }
-//! To be built.
-pub mod eval;

@@ -169,6 +169,13 @@ impl PreparedNode {
 }
 
 impl Node {
+    /// Where the node's Zenoh session really listens: the ports of endpoints that were configured with
+    /// port 0 are known only now.
+    pub async fn endpoints(&self) -> Vec<String> {
+        let locators = self.session.info().locators().await;
+        locators.iter().map(ToString::to_string).collect()
+    }
+
     /// Waits for the shutdown token, lets the frames in hand and the open clips out, and closes.
     /// Gives up after five seconds; what is not out then is in the spool or lost, and logged.
     pub async fn stopped(mut self) {
