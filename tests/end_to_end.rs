@@ -10,6 +10,7 @@ use std::path::Path;
 use std::process::Stdio;
 use tokio::time::timeout;
 
+/// A node with YOLOX-Nano. The clip has 720x576 pixels, where the default threshold skips nothing.
 fn yolox_settings(policy: &str) -> String {
     format!(
         r#"
@@ -21,6 +22,7 @@ head = "yolox"
 timeout_ms = 30000
 [policy]
 name = "{policy}"
+u = 5e-4
 [clip]
 silence_s = 2.0
 [[camera]]
@@ -36,7 +38,14 @@ async fn replay(node: &Node, source: &Path, more: &[&str]) {
     let output = albireo()
         .arg("replay")
         .arg(source)
-        .args(["--connect", &node.zenoh, "--node", "bench", "--camera", "front"])
+        .args([
+            "--connect",
+            &node.zenoh,
+            "--node",
+            "bench",
+            "--camera",
+            "front",
+        ])
         .args(["--every", "--wait-for-subscriber"])
         .args(more)
         .stdout(Stdio::piped())
@@ -78,7 +87,10 @@ fn total_dropped(report: &Value) -> u64 {
 /// The metric families Prometheus' own strict parser finds.
 fn parsed_by_prometheus(metrics: &str) -> BTreeMap<String, u64> {
     let mut parser = std::process::Command::new(python())
-        .arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/clients/parse_metrics.py"))
+        .arg(concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/tests/clients/parse_metrics.py"
+        ))
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
@@ -102,17 +114,27 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     assert_eq!(report["frames"], detections.len(), "{report}");
     assert_eq!(detections.len() as u64 + dropped, 251, "{report}");
     let numbers: BTreeSet<_> = detections.iter().map(|d| d["seq"].as_u64()).collect();
-    assert_eq!(numbers.len(), detections.len(), "every frame is answered once");
+    assert_eq!(
+        numbers.len(),
+        detections.len(),
+        "every frame is answered once"
+    );
 
     let mut states = BTreeMap::<&str, u64>::new();
     for message in &detections {
-        *states.entry(message["state"].as_str().expect("a state")).or_default() += 1;
+        *states
+            .entry(message["state"].as_str().expect("a state"))
+            .or_default() += 1;
     }
     for state in ["P", "I", "AI"] {
         assert!(states.contains_key(state), "no {state} in {states:?}");
     }
     for (state, count) in report["states"].as_object().expect("five counters") {
-        assert_eq!(states.get(state.as_str()).copied().unwrap_or(0), *count, "{state}");
+        assert_eq!(
+            states.get(state.as_str()).copied().unwrap_or(0),
+            *count,
+            "{state}"
+        );
     }
     let energy = &report["energy"];
     assert!(energy["joules"].as_f64().expect("energy") > 0.0);
@@ -126,7 +148,8 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     let late = Client::listen(&node.zenoh, "albireo/bench/front/clip", true).await;
     let kept = late.finish().await;
     assert!(
-        kept.iter().any(|(_, message)| message["clip"] == "two-cars"),
+        kept.iter()
+            .any(|(_, message)| message["clip"] == "two-cars"),
         "a client that comes late gets the report from the cache"
     );
 
@@ -140,7 +163,11 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
         .await
         .expect("metrics are text");
     let families = parsed_by_prometheus(&metrics);
-    for family in ["albireo_frames", "albireo_frames_dropped", "albireo_threshold"] {
+    for family in [
+        "albireo_frames",
+        "albireo_frames_dropped",
+        "albireo_threshold",
+    ] {
         assert!(families.contains_key(family), "no {family} in {families:?}");
     }
 
@@ -177,9 +204,15 @@ async fn shared_the_check_values_of_yolox_nano_come_out_at_the_far_end() {
                 .zip(corners)
                 .all(|(edge, expected)| (edge.as_f64().expect("a number") - expected).abs() <= 2.0)
         };
-        let found = boxes.iter().find(near).unwrap_or_else(|| panic!("no {corners:?} in {boxes:?}"));
+        let found = boxes
+            .iter()
+            .find(near)
+            .unwrap_or_else(|| panic!("no {corners:?} in {boxes:?}"));
         assert_eq!(found["class"], "car");
         let score = found["confidence"].as_f64().expect("a confidence");
-        assert!((score - confidence).abs() <= 0.01, "{score} for {confidence}");
+        assert!(
+            (score - confidence).abs() <= 0.01,
+            "{score} for {confidence}"
+        );
     }
 }

@@ -13,7 +13,6 @@ use albireo::eval::spec::{Common, resolve};
 use albireo::eval::trace;
 use albireo::policy::Profile;
 use std::collections::HashMap;
-use std::path::PathBuf;
 
 /// `summary.csv` of the published code: figures by sequence, policy and column.
 pub fn golden_summary() -> HashMap<(String, String), HashMap<String, f64>> {

@@ -14,7 +14,7 @@ use albireo::policy::{
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Largest difference of boxes and τ.
 const TOLERANCE: f64 = 1e-9;

@@ -128,7 +128,10 @@ impl Bench {
     }
 
     async fn answer(&mut self) -> DetectionsMessage {
-        timeout(LONG, self.detections.recv()).await.unwrap().unwrap()
+        timeout(LONG, self.detections.recv())
+            .await
+            .unwrap()
+            .unwrap()
     }
 
     async fn stop(self) {
@@ -167,7 +170,9 @@ async fn a_corrupt_frame_is_counted_and_the_next_one_is_answered() {
     let picture = pictures(1).remove(0);
     bench.send(picture.clone(), "image/jpeg", 0).await;
     // Half a picture has a sound header: only decoding shows that it is broken.
-    bench.send(&picture[..picture.len() / 2], "image/jpeg", 1).await;
+    bench
+        .send(&picture[..picture.len() / 2], "image/jpeg", 1)
+        .await;
     bench.send(picture, "image/jpeg", 2).await;
     assert_eq!(bench.answer().await.seq, 0);
     assert_eq!(bench.answer().await.seq, 2);
@@ -188,12 +193,18 @@ async fn every_kind_of_dropped_frame_is_counted_under_its_own_name() {
     bench.send(picture.clone(), "image/jpeg", 9).await;
     bench.send(vec![0; 400_001], "image/jpeg", 11).await;
     bench.send(b"hello".to_vec(), "text/plain", 12).await;
-    bench.send(b"not a picture".to_vec(), "image/jpeg", 13).await;
+    bench
+        .send(b"not a picture".to_vec(), "image/jpeg", 13)
+        .await;
     bench.send(picture.clone(), "image/jpeg", 17).await;
     assert_eq!(bench.answer().await.seq, 10);
     assert_eq!(bench.answer().await.seq, 17);
     let dropped = bench.board.camera(CAMERA).unwrap().snapshot().dropped;
-    let named: Vec<_> = dropped.by_kind().into_iter().filter(|(_, n)| *n > 0).collect();
+    let named: Vec<_> = dropped
+        .by_kind()
+        .into_iter()
+        .filter(|(_, n)| *n > 0)
+        .collect();
     assert_eq!(
         named,
         [
@@ -232,7 +243,10 @@ async fn a_predicted_frame_is_never_decoded() {
             assert_eq!(message.latency_ms.decode, None);
         }
     }
-    assert!(predicted >= 3, "{predicted} broken pictures were answered from prediction");
+    assert!(
+        predicted >= 3,
+        "{predicted} broken pictures were answered from prediction"
+    );
     bench.stop().await;
 }
 
@@ -260,7 +274,14 @@ async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_a_bad_one_is_refus
     bench.send(picture.clone(), "image/jpeg", 1).await;
     assert_eq!(bench.answer().await.u, Some(5e-4));
 
-    for bad in [r#"{"u":-1}"#, r#"{"u":0}"#, r#"{"u":"x"}"#, "{}", r#"{"u":1,"w":2}"#, r#"{"v":9,"u":1}"#] {
+    for bad in [
+        r#"{"u":-1}"#,
+        r#"{"u":0}"#,
+        r#"{"u":"x"}"#,
+        "{}",
+        r#"{"u":1,"w":2}"#,
+        r#"{"v":9,"u":1}"#,
+    ] {
         let reason = ask(&bench.session, Some(bad)).await.expect_err(bad);
         assert!(!reason.is_empty());
     }

@@ -6,7 +6,7 @@ use crate::support::shared;
 use albireo::power::{Condition, Domain, RailMap, TegrastatsLine};
 use serde::Deserialize;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 #[derive(Deserialize)]
 struct Expected {

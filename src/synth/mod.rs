@@ -196,7 +196,11 @@ impl Dashcam {
     }
 
     fn enter(&mut self, clip: u64) -> &(Scene, Sensor) {
-        if self.current.as_ref().is_none_or(|(scene, _)| scene.index != clip) {
+        if self
+            .current
+            .as_ref()
+            .is_none_or(|(scene, _)| scene.index != clip)
+        {
             self.current = None;
         }
         let settings = &self.settings;

@@ -93,12 +93,16 @@ impl Scene {
         } * self.shaking
             * (speed / self.ego.cruise).clamp(0.15, 1.2);
         let phase = self.index as f32;
-        let sway = |hertz: f32, shift: f32| (std::f32::consts::TAU * hertz * time + shift + phase).sin();
+        let sway =
+            |hertz: f32, shift: f32| (std::f32::consts::TAU * hertz * time + shift + phase).sin();
         let mut jolt = Random::new(&[self.seed, self.index, 6, u64::from(time.to_bits())]);
         let pitch = roughness
-            * (0.0016 * sway(0.7, 0.0) + 0.0012 * sway(1.9, 1.3) + 0.0007 * sway(4.7, 2.1)
+            * (0.0016 * sway(0.7, 0.0)
+                + 0.0012 * sway(1.9, 1.3)
+                + 0.0007 * sway(4.7, 2.1)
                 + 0.0005 * jolt.normal());
-        let yaw = roughness * (0.0010 * sway(0.45, 0.6) + 0.0006 * sway(3.1, 0.2) + 0.0003 * jolt.normal());
+        let yaw = roughness
+            * (0.0010 * sway(0.45, 0.6) + 0.0006 * sway(3.1, 0.2) + 0.0003 * jolt.normal());
         let focal = self.focal * width;
         Camera {
             focal,

@@ -222,11 +222,7 @@ fn country(cast: &mut Cast, density: f32, random: &mut Random) {
             from: -1.85,
             to: 1.85,
         };
-        let kind = random.pick([
-            Kind::Car,
-            Kind::Car,
-            Kind::Motorcycle { ridden: true },
-        ]);
+        let kind = random.pick([Kind::Car, Kind::Car, Kind::Motorcycle { ridden: true }]);
         cast.add(kind, motion, random);
     }
     for _ in 0..(7.0 * density) as usize {
@@ -352,7 +348,11 @@ fn town(cast: &mut Cast, slow: &[SlowDown], density: f32, random: &mut Random) {
                 d if d < 0.90 => Kind::Motorcycle { ridden: false },
                 _ => Kind::Bicycle { ridden: false },
             };
-            let yaw = if side > 0.0 { 0.0 } else { std::f32::consts::PI };
+            let yaw = if side > 0.0 {
+                0.0
+            } else {
+                std::f32::consts::PI
+            };
             let across = side * if kind.walks() { 6.6 } else { 4.75 };
             cast.add(kind, Motion::Parked { along, across, yaw }, random);
         }
@@ -365,11 +365,7 @@ fn town(cast: &mut Cast, slow: &[SlowDown], density: f32, random: &mut Random) {
                 random.range(6.6, 8.6) * random.sign(),
                 random.range(0.9, 1.7) * random.sign(),
             ),
-            d if d < 0.9 => (
-                Kind::Bicycle { ridden: true },
-                3.35,
-                random.range(3.5, 5.5),
-            ),
+            d if d < 0.9 => (Kind::Bicycle { ridden: true }, 3.35, random.range(3.5, 5.5)),
             _ => (
                 Kind::Bicycle { ridden: true },
                 -3.35,

@@ -137,11 +137,17 @@ impl Model {
                 self.solids.push(Solid::cuboid(
                     0,
                     TYRE,
-                    [inner.min(outer), inner.max(outer), axle - radius * 0.8, axle + radius * 0.8],
+                    [
+                        inner.min(outer),
+                        inner.max(outer),
+                        axle - radius * 0.8,
+                        axle + radius * 0.8,
+                    ],
                     0.0,
                     radius * 1.8,
                 ));
-                self.wheels.push(point(side * self.half_width, radius, axle));
+                self.wheels
+                    .push(point(side * self.half_width, radius, axle));
             }
         }
     }
@@ -169,12 +175,24 @@ impl Model {
         )
         .with(Side::Back, DARK, &[[0.0, 0.0, 1.0, 0.22]])
         .with(Side::Back, PLATE, &[[0.36, 0.36, 0.64, 0.54]])
-        .with(Side::Front, DARK, &[[0.0, 0.0, 1.0, 0.20], [0.26, 0.34, 0.74, 0.66]])
+        .with(
+            Side::Front,
+            DARK,
+            &[[0.0, 0.0, 1.0, 0.20], [0.26, 0.34, 0.74, 0.66]],
+        )
         .with(Side::Front, PLATE, &[[0.38, 0.14, 0.62, 0.30]])
         .with(Side::Right, DARK, &[[0.0, 0.0, 1.0, 0.13]])
         .with(Side::Left, DARK, &[[0.0, 0.0, 1.0, 0.13]])
-        .with(Side::Right, scale_color(color, 0.8), &[[0.3, 0.15, 0.31, 1.0], [0.55, 0.15, 0.56, 1.0]])
-        .with(Side::Left, scale_color(color, 0.8), &[[0.44, 0.15, 0.45, 1.0], [0.69, 0.15, 0.70, 1.0]])
+        .with(
+            Side::Right,
+            scale_color(color, 0.8),
+            &[[0.3, 0.15, 0.31, 1.0], [0.55, 0.15, 0.56, 1.0]],
+        )
+        .with(
+            Side::Left,
+            scale_color(color, 0.8),
+            &[[0.44, 0.15, 0.45, 1.0], [0.69, 0.15, 0.70, 1.0]],
+        )
         .shining(
             Side::Back,
             TAIL,
@@ -192,8 +210,16 @@ impl Model {
         let cabin = Solid::new(2, color, (belt, foot), (height, top))
             .with(Side::Back, GLASS, &[[0.08, 0.12, 0.92, 0.86]])
             .with(Side::Front, GLASS, &[[0.05, 0.06, 0.95, 0.90]])
-            .with(Side::Right, GLASS, &[[0.10, 0.08, 0.48, 0.84], [0.52, 0.08, 0.92, 0.84]])
-            .with(Side::Left, GLASS, &[[0.08, 0.08, 0.48, 0.84], [0.52, 0.08, 0.90, 0.84]]);
+            .with(
+                Side::Right,
+                GLASS,
+                &[[0.10, 0.08, 0.48, 0.84], [0.52, 0.08, 0.92, 0.84]],
+            )
+            .with(
+                Side::Left,
+                GLASS,
+                &[[0.08, 0.08, 0.48, 0.84], [0.52, 0.08, 0.90, 0.84]],
+            );
         self.solids.push(body);
         self.solids.push(cabin);
     }
@@ -233,7 +259,11 @@ impl Model {
                 .with(
                     Side::Back,
                     scale_color(cargo, 0.72),
-                    &[[0.49, 0.02, 0.51, 0.98], [0.0, 0.0, 1.0, 0.035], [0.0, 0.965, 1.0, 1.0]],
+                    &[
+                        [0.49, 0.02, 0.51, 0.98],
+                        [0.0, 0.0, 1.0, 0.035],
+                        [0.0, 0.965, 1.0, 1.0],
+                    ],
                 )
                 .with(Side::Right, accent, &[[0.08, stripe, 0.92, stripe + 0.25]])
                 .with(Side::Left, accent, &[[0.08, stripe, 0.92, stripe + 0.25]]),
@@ -247,7 +277,11 @@ impl Model {
                 (height.min(2.75), [-w * 0.92, w * 0.92, split, l - 0.25]),
             )
             .with(Side::Front, GLASS, &[[0.07, 0.52, 0.93, 0.90]])
-            .with(Side::Front, DARK, &[[0.0, 0.0, 1.0, 0.12], [0.2, 0.2, 0.8, 0.42]])
+            .with(
+                Side::Front,
+                DARK,
+                &[[0.0, 0.0, 1.0, 0.12], [0.2, 0.2, 0.8, 0.42]],
+            )
             .with(Side::Right, GLASS, &[[0.30, 0.52, 0.90, 0.88]])
             .with(Side::Left, GLASS, &[[0.10, 0.52, 0.70, 0.88]])
             .shining(
@@ -292,10 +326,19 @@ impl Model {
             .with(Side::Right, GLASS, &windows)
             .with(Side::Left, GLASS, &windows)
             .with(Side::Back, GLASS, &[[0.12, 0.50, 0.88, 0.82]])
-            .with(Side::Back, DARK, &[[0.0, 0.0, 1.0, 0.10], [0.25, 0.12, 0.75, 0.26]])
+            .with(
+                Side::Back,
+                DARK,
+                &[[0.0, 0.0, 1.0, 0.10], [0.25, 0.12, 0.75, 0.26]],
+            )
             .with(Side::Front, GLASS, &[[0.04, 0.32, 0.96, 0.82]])
             .with(Side::Front, DARK, &[[0.0, 0.0, 1.0, 0.10]])
-            .shining(Side::Front, [1.0, 0.75, 0.25], Finish::Lamp, &[[0.2, 0.86, 0.8, 0.96]])
+            .shining(
+                Side::Front,
+                [1.0, 0.75, 0.25],
+                Finish::Lamp,
+                &[[0.2, 0.86, 0.8, 0.96]],
+            )
             .shining(
                 Side::Back,
                 TAIL,
@@ -317,14 +360,22 @@ impl Model {
         self.lamps = (0.75, 0.0);
         let color = paintwork(random);
         for axle in [-0.70, 0.72] {
-            self.solids
-                .push(Solid::cuboid(0, TYRE, [-0.08, 0.08, axle - 0.28, axle + 0.28], 0.0, 0.62));
+            self.solids.push(Solid::cuboid(
+                0,
+                TYRE,
+                [-0.08, 0.08, axle - 0.28, axle + 0.28],
+                0.0,
+                0.62,
+            ));
             for side in [-1.0, 1.0] {
-                self.wheels.push(point(side * 0.085, self.wheel_radius, axle));
+                self.wheels
+                    .push(point(side * 0.085, self.wheel_radius, axle));
             }
         }
-        let body = |layer, color, rectangle, low, high| Solid::cuboid(layer, color, rectangle, low, high);
-        self.solids.push(body(1, DARK, [-0.16, 0.16, -0.45, 0.42], 0.28, 0.62));
+        let body =
+            |layer, color, rectangle, low, high| Solid::cuboid(layer, color, rectangle, low, high);
+        self.solids
+            .push(body(1, DARK, [-0.16, 0.16, -0.45, 0.42], 0.28, 0.62));
         self.solids.push(
             body(2, color, [-0.15, 0.15, -0.95, 0.45], 0.62, 0.86).shining(
                 Side::Back,
@@ -398,7 +449,13 @@ impl Model {
     }
 
     /// Adds the light its lamps throw into the lens.
-    pub(super) fn paint_lamps(&self, kind: Kind, brush: &mut Brush, placement: &Placement, braking: bool) {
+    pub(super) fn paint_lamps(
+        &self,
+        kind: Kind,
+        brush: &mut Brush,
+        placement: &Placement,
+        braking: bool,
+    ) {
         if !brush.air.lamps_lit || matches!(kind, Kind::Pedestrian | Kind::Bicycle { .. }) {
             return;
         }
@@ -424,7 +481,8 @@ impl Model {
                 }
                 let clear = 1.0 - brush.air.air(at.z) * 0.7;
                 let resolution = brush.camera.focal / 985.0;
-                let radius = (reach * brush.camera.scale(at.z)).clamp(2.0 * resolution, 60.0 * resolution)
+                let radius = (reach * brush.camera.scale(at.z))
+                    .clamp(2.0 * resolution, 60.0 * resolution)
                     + 4.0 * resolution * end.max(0.0);
                 let center = brush.camera.project(at);
                 brush
