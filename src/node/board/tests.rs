@@ -1,6 +1,9 @@
 use super::*;
+use crate::detector::ExecutionProvider;
+use crate::node::config::{CameraConfig, NodeConfig};
 use crate::policy::{FrameState, Knob};
 use crate::wire::{DetectionsMessage, DroppedFrames, Latency};
+use std::path::PathBuf;
 
 const KNOB: Knob = Knob {
     name: "u",
