@@ -15,3 +15,5 @@ mod power_sysfs;
 mod power_tegrastats;
 mod power_telemetry;
 mod replay;
+mod detector_models;
+mod detector_session;
