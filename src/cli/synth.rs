@@ -103,7 +103,9 @@ impl From<&GroundTruthBox> for ObjectLine {
         Self {
             object: found.object,
             class,
-            class_name: BDD100K_CLASSES.get(usize::from(class)).unwrap_or(&"unknown"),
+            class_name: BDD100K_CLASSES
+                .get(usize::from(class))
+                .unwrap_or(&"unknown"),
             x1: round(found.corners.x1, 100.0),
             y1: round(found.corners.y1, 100.0),
             x2: round(found.corners.x2, 100.0),
@@ -118,7 +120,8 @@ impl From<&GroundTruthBox> for ObjectLine {
 /// Runs `albireo synth`.
 pub fn run(arguments: &SynthArguments) -> Result<()> {
     let out = &arguments.out;
-    std::fs::create_dir_all(out).with_context(|| format!("cannot make the folder {}", out.display()))?;
+    std::fs::create_dir_all(out)
+        .with_context(|| format!("cannot make the folder {}", out.display()))?;
     let listing = out.join("ground_truth.jsonl");
     if listing.exists() {
         bail!(
@@ -126,7 +129,8 @@ pub fn run(arguments: &SynthArguments) -> Result<()> {
             listing.display()
         );
     }
-    let file = File::create(&listing).with_context(|| format!("cannot write {}", listing.display()))?;
+    let file =
+        File::create(&listing).with_context(|| format!("cannot write {}", listing.display()))?;
     let mut listing = BufWriter::new(file);
     let total = arguments.seeds.0.len() as u64 * arguments.frames;
     let progress = ProgressBar::new(total).with_style(
@@ -146,7 +150,9 @@ pub fn run(arguments: &SynthArguments) -> Result<()> {
             progress.inc(1);
         }
     }
-    listing.flush().context("cannot finish ground_truth.jsonl")?;
+    listing
+        .flush()
+        .context("cannot finish ground_truth.jsonl")?;
     progress.finish();
     Ok(())
 }
@@ -172,7 +178,9 @@ fn write_frame(
         objects: frame.ground_truth.iter().map(ObjectLine::from).collect(),
     };
     serde_json::to_writer(&mut *listing, &line).context("cannot write ground_truth.jsonl")?;
-    listing.write_all(b"\n").context("cannot write ground_truth.jsonl")
+    listing
+        .write_all(b"\n")
+        .context("cannot write ground_truth.jsonl")
 }
 
 /// Reads `1280x720`.
@@ -185,14 +193,17 @@ fn parse_size(text: &str) -> Result<PictureSize, String> {
 
 /// Reads `1-40,90`.
 fn parse_seeds(text: &str) -> Result<Seeds, String> {
-    let wrong = |part: &str| format!("`{part}`: seeds are numbers and ranges, such as 7 or 1-40,90");
+    let wrong =
+        |part: &str| format!("`{part}`: seeds are numbers and ranges, such as 7 or 1-40,90");
     let number = |text: &str, part: &str| text.trim().parse::<u64>().map_err(|_| wrong(part));
     let mut seeds = Vec::new();
     for part in text.split(',') {
         let (from, to) = part.split_once('-').unwrap_or((part, part));
         let (from, to) = (number(from, part)?, number(to, part)?);
         if to < from || to - from >= 100_000 {
-            return Err(format!("`{part}`: a range runs upwards and holds at most 100000 seeds"));
+            return Err(format!(
+                "`{part}`: a range runs upwards and holds at most 100000 seeds"
+            ));
         }
         seeds.extend(from..=to);
     }
@@ -235,7 +246,10 @@ mod tests {
         };
         run(&arguments).unwrap();
         let text = std::fs::read_to_string(arguments.out.join("ground_truth.jsonl")).unwrap();
-        let lines: Vec<serde_json::Value> = text.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+        let lines: Vec<serde_json::Value> = text
+            .lines()
+            .map(|l| serde_json::from_str(l).unwrap())
+            .collect();
         assert_eq!(lines.len(), 6);
         for line in &lines {
             let file = line["file"].as_str().unwrap();

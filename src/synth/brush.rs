@@ -85,7 +85,13 @@ impl Solid {
     }
 
     /// An upright box.
-    pub(super) fn cuboid(layer: u8, color: Color, rectangle: Rectangle, low: f32, high: f32) -> Self {
+    pub(super) fn cuboid(
+        layer: u8,
+        color: Color,
+        rectangle: Rectangle,
+        low: f32,
+        high: f32,
+    ) -> Self {
         Self::new(layer, color, (low, rectangle), (high, rectangle))
     }
 
@@ -153,7 +159,10 @@ impl Brush<'_> {
         let mut pixels = Vec::with_capacity(8);
         for (side, indices) in SIDES {
             let face = indices.map(|index| corners[index]);
-            let normal = face[3].minus(face[0]).cross(face[1].minus(face[0])).normalised();
+            let normal = face[3]
+                .minus(face[0])
+                .cross(face[1].minus(face[0]))
+                .normalised();
             if normal.dot(eye.minus(face[0])) <= 0.0 {
                 continue;
             }
@@ -171,7 +180,14 @@ impl Brush<'_> {
         }
     }
 
-    fn decal(&mut self, decal: &Decal, face: &[Point; 4], normal: Point, middle: Point, braking: bool) {
+    fn decal(
+        &mut self,
+        decal: &Decal,
+        face: &[Point; 4],
+        normal: Point,
+        middle: Point,
+        braking: bool,
+    ) {
         let mut quads: Vec<Vec<Pixel>> = Vec::with_capacity(decal.patches.len());
         for patch in &decal.patches {
             let at = |u: f32, v: f32| face[0].lerp(face[1], u).lerp(face[3].lerp(face[2], u), v);
@@ -249,8 +265,7 @@ impl Brush<'_> {
             ]);
         }
         let color = self.air.shade(color, point(0.0, 0.3, -0.95), distance);
-        self.canvas
-            .solid(polygons.iter().map(Vec::as_slice), color);
+        self.canvas.solid(polygons.iter().map(Vec::as_slice), color);
     }
 
     /// Draws an upright disc that faces sideways (a wheel): `side` is -1 for the left face of an object.
@@ -275,7 +290,11 @@ impl Brush<'_> {
         let polygon: Vec<Pixel> = (0..count)
             .map(|index| {
                 let angle = std::f32::consts::TAU * index as f32 / count as f32;
-                let rim = point(center.x, center.y + radius * angle.cos(), center.z + radius * angle.sin());
+                let rim = point(
+                    center.x,
+                    center.y + radius * angle.cos(),
+                    center.z + radius * angle.sin(),
+                );
                 self.camera.project(placement.place(rim))
             })
             .collect();

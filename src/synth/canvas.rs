@@ -4,8 +4,8 @@
 use super::space::{Color, Pixel, mix_color};
 use crate::geometry::{Corners, PictureSize};
 use tiny_skia::{
-    BlendMode, FillRule, GradientStop, Paint, PathBuilder, Pixmap, Point,
-    RadialGradient, Shader, SpreadMode, Transform,
+    BlendMode, FillRule, GradientStop, Paint, PathBuilder, Pixmap, Point, RadialGradient, Shader,
+    SpreadMode, Transform,
 };
 
 /// What is known of one object after the picture is complete.
@@ -255,9 +255,7 @@ impl Canvas {
             }
         }
         let first = (bounds.0 - 0.5).ceil().max(0.0) as usize;
-        let last = (bounds.1 + 0.5)
-            .floor()
-            .clamp(0.0, self.size.height as f32) as usize;
+        let last = (bounds.1 + 0.5).floor().clamp(0.0, self.size.height as f32) as usize;
         let mut fresh = 0;
         for row in first..last {
             let y = row as f32 + 0.5;
@@ -309,8 +307,8 @@ impl Canvas {
         let mut count = 0;
         let (mut left, mut right, mut top, mut bottom) = (usize::MAX, 0, usize::MAX, 0);
         for row in rows {
-            let line =
-                &self.objects[row * width + columns.start..row * width + columns.end.max(columns.start)];
+            let line = &self.objects
+                [row * width + columns.start..row * width + columns.end.max(columns.start)];
             let here = line.iter().filter(|&&pixel| pixel == number).count() as u32;
             if here == 0 {
                 continue;
@@ -372,7 +370,13 @@ fn push(builder: &mut PathBuilder, polygon: &[Pixel]) {
 /// Keeps what of `polygon` lies above (`upper`) or below `row`.
 fn cut(polygon: &[Pixel], row: f32, upper: bool, kept: &mut Vec<Pixel>) {
     kept.clear();
-    let inside = |pixel: &Pixel| if upper { pixel.1 <= row } else { pixel.1 >= row };
+    let inside = |pixel: &Pixel| {
+        if upper {
+            pixel.1 <= row
+        } else {
+            pixel.1 >= row
+        }
+    };
     for (index, from) in polygon.iter().enumerate() {
         let to = &polygon[(index + 1) % polygon.len()];
         if inside(from) {

@@ -53,7 +53,13 @@ pub(super) fn boxes(canvas: &Canvas, drawn: &[Drawn], offset: u64) -> Vec<Ground
             continue;
         }
         // Where nothing hides an edge the polygon's own edge is finer than whole pixels.
-        let edge = |fine: f64, coarse: f64| if (fine - coarse).abs() <= 1.5 { fine } else { coarse };
+        let edge = |fine: f64, coarse: f64| {
+            if (fine - coarse).abs() <= 1.5 {
+                fine
+            } else {
+                coarse
+            }
+        };
         let corners = Corners {
             x1: edge(inside.x1, seen.x1),
             y1: edge(inside.y1, seen.y1),

@@ -288,7 +288,6 @@ pub(super) fn braked(speed: f32, brake: f32, time: f32) -> f32 {
     } else if since < slowing {
         speed * time - 0.5 * slope * since * since
     } else {
-        speed * (brake + slowing) - 0.5 * slope * slowing * slowing
-            + BEND_SPEED * (since - slowing)
+        speed * (brake + slowing) - 0.5 * slope * slowing * slowing + BEND_SPEED * (since - slowing)
     }
 }

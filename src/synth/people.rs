@@ -44,8 +44,18 @@ impl Clothes {
             [0.45, 0.30, 0.22],
             [0.90, 0.74, 0.64],
         ]);
-        let hair = random.pick([[0.12, 0.09, 0.07], [0.36, 0.24, 0.14], [0.65, 0.55, 0.35], [0.6, 0.6, 0.6]]);
-        let helmet = random.pick([[0.9, 0.9, 0.9], [0.1, 0.1, 0.12], [0.8, 0.2, 0.15], [0.9, 0.7, 0.1]]);
+        let hair = random.pick([
+            [0.12, 0.09, 0.07],
+            [0.36, 0.24, 0.14],
+            [0.65, 0.55, 0.35],
+            [0.6, 0.6, 0.6],
+        ]);
+        let helmet = random.pick([
+            [0.9, 0.9, 0.9],
+            [0.1, 0.1, 0.12],
+            [0.8, 0.2, 0.15],
+            [0.9, 0.7, 0.1],
+        ]);
         Self {
             scale: if random.chance(0.15) {
                 random.range(0.66, 0.82)
@@ -57,9 +67,9 @@ impl Clothes {
             skin,
             hair,
             helmet,
-            bag: random.chance(0.35).then(|| {
-                random.pick([[0.2, 0.2, 0.22], [0.55, 0.2, 0.15], [0.2, 0.35, 0.3]])
-            }),
+            bag: random
+                .chance(0.35)
+                .then(|| random.pick([[0.2, 0.2, 0.22], [0.55, 0.2, 0.15], [0.2, 0.35, 0.3]])),
             phase: random.range(0.0, 6.0),
         }
     }
@@ -84,12 +94,17 @@ pub(super) fn paint(brush: &mut Brush, placement: &Placement, stance: Stance, cl
 
 fn walking(brush: &mut Brush, placement: &Placement, travelled: f32, clothes: &Clothes) {
     let k = clothes.scale;
-    let swing = (travelled * 4.3 / k + clothes.phase).sin() * if travelled > 0.01 { 0.5 } else { 0.12 };
+    let swing =
+        (travelled * 4.3 / k + clothes.phase).sin() * if travelled > 0.01 { 0.5 } else { 0.12 };
     let mut legs = Vec::with_capacity(4);
     for (side, angle) in [(-1.0, swing), (1.0, -swing)] {
         let hip = point(side * 0.10 * k, 0.90 * k, 0.0);
         let knee = point(side * 0.10 * k, 0.48 * k, 0.42 * k * (angle + 0.10).sin());
-        let bend = if angle < 0.0 { angle * 1.6 } else { angle * 0.9 };
+        let bend = if angle < 0.0 {
+            angle * 1.6
+        } else {
+            angle * 0.9
+        };
         let foot = point(side * 0.10 * k, 0.06 * k, knee.z + 0.42 * k * bend.sin());
         legs.push((hip, 0.095 * k, knee, 0.075 * k));
         legs.push((knee, 0.075 * k, foot, 0.055 * k));
@@ -98,22 +113,46 @@ fn walking(brush: &mut Brush, placement: &Placement, travelled: f32, clothes: &C
     }
     brush.limbs(placement, &legs, clothes.trousers);
     if let Some(bag) = clothes.bag {
-        let (top, bottom) = (point(0.0, 1.30 * k, -0.16 * k), point(0.0, 1.02 * k, -0.18 * k));
+        let (top, bottom) = (
+            point(0.0, 1.30 * k, -0.16 * k),
+            point(0.0, 1.02 * k, -0.18 * k),
+        );
         brush.limbs(placement, &[(top, 0.14 * k, bottom, 0.15 * k)], bag);
     }
     let mut upper = vec![
-        (point(-0.09 * k, 1.36 * k, 0.0), 0.13 * k, point(-0.07 * k, 0.93 * k, 0.0), 0.12 * k),
-        (point(0.09 * k, 1.36 * k, 0.0), 0.13 * k, point(0.07 * k, 0.93 * k, 0.0), 0.12 * k),
+        (
+            point(-0.09 * k, 1.36 * k, 0.0),
+            0.13 * k,
+            point(-0.07 * k, 0.93 * k, 0.0),
+            0.12 * k,
+        ),
+        (
+            point(0.09 * k, 1.36 * k, 0.0),
+            0.13 * k,
+            point(0.07 * k, 0.93 * k, 0.0),
+            0.12 * k,
+        ),
     ];
     for (side, angle) in [(-1.0, -swing), (1.0, swing)] {
         let shoulder = point(side * 0.21 * k, 1.38 * k, 0.0);
         let elbow = point(side * 0.25 * k, 1.10 * k, 0.26 * k * angle.sin());
-        let hand = point(side * 0.24 * k, 0.86 * k, elbow.z + 0.26 * k * (angle + 0.25).sin());
+        let hand = point(
+            side * 0.24 * k,
+            0.86 * k,
+            elbow.z + 0.26 * k * (angle + 0.25).sin(),
+        );
         upper.push((shoulder, 0.065 * k, elbow, 0.055 * k));
         upper.push((elbow, 0.055 * k, hand, 0.045 * k));
     }
     brush.limbs(placement, &upper, clothes.coat);
-    head(brush, placement, point(0.0, 1.62 * k, 0.02), k, clothes.skin, clothes.hair);
+    head(
+        brush,
+        placement,
+        point(0.0, 1.62 * k, 0.02),
+        k,
+        clothes.skin,
+        clothes.hair,
+    );
 }
 
 fn head(
@@ -128,7 +167,10 @@ fn head(
     let neck = point(at.x, at.y - 0.20 * k, at.z - 0.02);
     brush.limbs(
         placement,
-        &[(at, 0.105 * k, chin, 0.09 * k), (chin, 0.055 * k, neck, 0.06 * k)],
+        &[
+            (at, 0.105 * k, chin, 0.09 * k),
+            (chin, 0.055 * k, neck, 0.06 * k),
+        ],
         skin,
     );
     let crown = point(at.x, at.y + 0.055 * k, at.z - 0.03 * k);
@@ -146,7 +188,11 @@ fn seated(brush: &mut Brush, placement: &Placement, seat: f32, crank: f32, cloth
             0.30 + 0.16 * turn.cos(),
             0.08 + 0.16 * turn.sin(),
         );
-        let knee = point(side * 0.15, (hip.y + foot.y) / 2.0 + 0.10, (hip.z + foot.z) / 2.0 + 0.22);
+        let knee = point(
+            side * 0.15,
+            (hip.y + foot.y) / 2.0 + 0.10,
+            (hip.z + foot.z) / 2.0 + 0.22,
+        );
         legs.push((hip, 0.10 * k, knee, 0.075 * k));
         legs.push((knee, 0.075 * k, foot, 0.055 * k));
     }
@@ -154,8 +200,18 @@ fn seated(brush: &mut Brush, placement: &Placement, seat: f32, crank: f32, cloth
     let shoulder = seat + 0.50 * k;
     let lean = 0.10;
     let mut upper = vec![
-        (point(-0.08, shoulder, lean), 0.14 * k, point(-0.06, seat + 0.04, -0.22), 0.13 * k),
-        (point(0.08, shoulder, lean), 0.14 * k, point(0.06, seat + 0.04, -0.22), 0.13 * k),
+        (
+            point(-0.08, shoulder, lean),
+            0.14 * k,
+            point(-0.06, seat + 0.04, -0.22),
+            0.13 * k,
+        ),
+        (
+            point(0.08, shoulder, lean),
+            0.14 * k,
+            point(0.06, seat + 0.04, -0.22),
+            0.13 * k,
+        ),
     ];
     for side in [-1.0, 1.0] {
         let top = point(side * 0.20, shoulder - 0.02, lean);
@@ -184,7 +240,11 @@ pub(super) fn bicycle(
     for axle in [-0.52_f32, 0.52] {
         let rim = |index: usize| {
             let angle = std::f32::consts::TAU * index as f32 / count as f32;
-            point(0.0, radius + radius * angle.cos(), axle + radius * angle.sin())
+            point(
+                0.0,
+                radius + radius * angle.cos(),
+                axle + radius * angle.sin(),
+            )
         };
         for index in 0..count {
             tyres.push((rim(index), 0.028, rim(index + 1), 0.028));
@@ -223,7 +283,12 @@ pub(super) fn bicycle(
     brush.limbs(
         placement,
         &[
-            (point(-0.26, 1.02, 0.38), 0.022, point(0.26, 1.02, 0.38), 0.022),
+            (
+                point(-0.26, 1.02, 0.38),
+                0.022,
+                point(0.26, 1.02, 0.38),
+                0.022,
+            ),
             (head, 0.022, point(0.0, 1.02, 0.38), 0.022),
             (point(0.0, 0.92, -0.34), 0.05, point(0.0, 0.92, -0.14), 0.04),
         ],

@@ -3,14 +3,16 @@
 use super::brush::Brush;
 use super::canvas::Canvas;
 use super::ground;
+use super::kind::RIDER;
 use super::motion::Pose;
 use super::random::Random;
 use super::road::{Setting, View};
-use super::scenery::{self, Placed};
+use super::roadside;
 use super::scene::Scene;
+use super::scenery::{self, Placed};
+use super::sky;
 use super::space::{Color, Pixel, Placement, Point, mix_color, point, scale_color};
 use super::traffic::{Actor, SIGHT};
-use super::vehicles::RIDER;
 use crate::detection::ClassId;
 
 /// An object that was drawn: its identity and its number in the canvas.
@@ -26,7 +28,12 @@ enum Thing<'a> {
 }
 
 /// Draws `scene` at `time` and lists the objects drawn. `hidden` is left out (for tests).
-pub(super) fn paint(canvas: &mut Canvas, scene: &Scene, time: f32, hidden: Option<u64>) -> Vec<Drawn> {
+pub(super) fn paint(
+    canvas: &mut Canvas,
+    scene: &Scene,
+    time: f32,
+    hidden: Option<u64>,
+) -> Vec<Drawn> {
     canvas.begin();
     let along = scene.ego.along(time);
     let view = View::new(&scene.road, along, scene.ego.across);
@@ -36,6 +43,7 @@ pub(super) fn paint(canvas: &mut Canvas, scene: &Scene, time: f32, hidden: Optio
         camera,
         air: &scene.air,
     };
+    sky::paint(&mut brush, scene, along);
     ground::paint(&mut brush, scene, &view, along);
 
     let seed = super::random::mix(&[scene.seed, scene.index, 30]);
@@ -66,7 +74,10 @@ pub(super) fn paint(canvas: &mut Canvas, scene: &Scene, time: f32, hidden: Optio
         let (at, _) = view.place(pose.along, pose.across);
         // Whoever drives beyond the median stands behind all of its rail.
         let beyond = scene.road.setting == Setting::Highway && pose.across < 0.0;
-        things.push((at.z + if beyond { 24.0 } else { 0.0 }, Thing::Actor(actor, pose)));
+        things.push((
+            at.z + if beyond { 24.0 } else { 0.0 },
+            Thing::Actor(actor, pose),
+        ));
     }
     things.sort_by(|a, b| b.0.total_cmp(&a.0));
 
@@ -82,7 +93,7 @@ pub(super) fn paint(canvas: &mut Canvas, scene: &Scene, time: f32, hidden: Optio
     for (_, thing) in &things {
         match thing {
             Thing::Scenery(placed) => {
-                scenery::paint(&mut brush, &view, placed, &mut lamps);
+                roadside::paint(&mut brush, &view, placed, &mut lamps);
                 for (at, strength) in lamps.drain(..) {
                     street_lamp(&mut brush, at, strength);
                 }
@@ -115,7 +126,14 @@ fn paint_actor(brush: &mut Brush, view: &View, actor: &Actor, pose: &Pose, drawn
         });
     };
     let model = &actor.model;
-    model.paint(actor.kind, brush, &placement, pose.travelled, pose.braking, rider);
+    model.paint(
+        actor.kind,
+        brush,
+        &placement,
+        pose.travelled,
+        pose.braking,
+        rider,
+    );
     brush.canvas.end_object();
     model.paint_lamps(actor.kind, brush, &placement, pose.braking);
 }
@@ -131,22 +149,32 @@ fn street_lamp(brush: &mut Brush, at: Point, strength: f32) {
     let unit = brush.camera.focal / 985.0;
     let radius = (0.8 * scale).clamp(2.5 * unit, 40.0 * unit);
     let center = brush.camera.project(at);
-    brush.canvas.glow(center, (radius, radius), color, 0.85 * fade * night);
+    brush
+        .canvas
+        .glow(center, (radius, radius), color, 0.85 * fade * night);
     // The pool of light below it.
     let ground = brush.camera.project(point(at.x, 0.0, at.z));
     let pool = (5.0 * scale).min(420.0 * unit);
     let flat = pool * (brush.camera.height / at.z).min(0.5);
-    brush.canvas.glow(ground, (pool, flat), color, 0.22 * fade * night);
+    brush
+        .canvas
+        .glow(ground, (pool, flat), color, 0.22 * fade * night);
 }
 
 /// The own car's bonnet at the lower edge.
 fn bonnet(brush: &mut Brush, scene: &Scene) {
-    let (width, height) = (brush.camera.size.width as f32, brush.camera.size.height as f32);
+    let (width, height) = (
+        brush.camera.size.width as f32,
+        brush.camera.size.height as f32,
+    );
     let curve = |level: f32, sag: f32| -> Vec<Pixel> {
         let mut outline: Vec<Pixel> = (0..=16)
             .map(|index| {
                 let share = index as f32 / 8.0 - 1.0;
-                (width * index as f32 / 16.0, height * (level + sag * share * share))
+                (
+                    width * index as f32 / 16.0,
+                    height * (level + sag * share * share),
+                )
             })
             .collect();
         outline.push((width, height + 1.0));
@@ -156,16 +184,23 @@ fn bonnet(brush: &mut Brush, scene: &Scene) {
     let up = point(0.0, 1.0, -0.2).normalised();
     let lit: Color = brush.air.shade(scene.bonnet, up, point(0.0, 1.0, 0.0));
     let reflected = mix_color(lit, brush.air.sky_horizon, 0.28);
-    brush.canvas.solid([curve(0.945, 0.035).as_slice()], scale_color(lit, 0.75));
+    brush
+        .canvas
+        .solid([curve(0.945, 0.035).as_slice()], scale_color(lit, 0.75));
     brush.canvas.overlay(&curve(0.952, 0.038), reflected, 1.0);
-    brush.canvas.overlay(&curve(0.978, 0.05), scale_color(lit, 0.85), 1.0);
+    brush
+        .canvas
+        .overlay(&curve(0.978, 0.05), scale_color(lit, 0.85), 1.0);
 }
 
 fn rain(brush: &mut Brush, scene: &Scene, time: f32) {
     if brush.air.wetness == 0.0 {
         return;
     }
-    let (width, height) = (brush.camera.size.width as f32, brush.camera.size.height as f32);
+    let (width, height) = (
+        brush.camera.size.width as f32,
+        brush.camera.size.height as f32,
+    );
     let unit = height / 720.0;
     let pale = mix_color(brush.air.sky_horizon, [1.0, 1.0, 1.0], 0.35);
     let mut random = Random::new(&[scene.seed, scene.index, 31, u64::from(time.to_bits())]);
@@ -175,10 +210,17 @@ fn rain(brush: &mut Brush, scene: &Scene, time: f32) {
             let length = random.range(12.0, 42.0) * unit;
             let slant = (x / width - 0.5) * 0.5 * length;
             let half = random.range(0.4, 0.9) * unit;
-            [(x - half, y), (x + half, y), (x + half + slant, y + length), (x - half + slant, y + length)]
+            [
+                (x - half, y),
+                (x + half, y),
+                (x + half + slant, y + length),
+                (x - half + slant, y + length),
+            ]
         })
         .collect();
-    brush.canvas.overlays(streaks.iter().map(|s| s.as_slice()), pale, 0.22);
+    brush
+        .canvas
+        .overlays(streaks.iter().map(|s| s.as_slice()), pale, 0.22);
     for drop in 0..34_u64 {
         // Each drop sits on the glass for a second or two, then another takes its turn elsewhere.
         let phase = Random::new(&[scene.seed, scene.index, 32, drop]).unit();
@@ -190,11 +232,16 @@ fn rain(brush: &mut Brush, scene: &Scene, time: f32) {
             (0..9)
                 .map(|index| {
                     let angle = std::f32::consts::TAU * index as f32 / 9.0;
-                    (x + radius * share * angle.cos(), y + lift * radius + radius * share * 1.15 * angle.sin())
+                    (
+                        x + radius * share * angle.cos(),
+                        y + lift * radius + radius * share * 1.15 * angle.sin(),
+                    )
                 })
                 .collect()
         };
-        brush.canvas.overlay(&ring(1.0, 0.0), scale_color(pale, 0.55), 0.30);
+        brush
+            .canvas
+            .overlay(&ring(1.0, 0.0), scale_color(pale, 0.55), 0.30);
         brush.canvas.overlay(&ring(0.62, 0.25), pale, 0.30);
     }
 }

@@ -19,9 +19,11 @@ pub(super) struct Scene {
     pub quiet: Quiet,
     /// How strongly the camera shakes, 1 usual.
     shaking: f32,
-    /// Horizontal field of view as focal length over picture width.
+    /// Focal length over picture width.
     focal: f32,
+    /// How far the optical axis is off the middle, and the horizon's row, as shares of the picture.
     mounting: (f32, f32),
+    /// Colour of the own bonnet.
     pub bonnet: [f32; 3],
     /// How blurred the lens is: 0 sharp, 1 or 2.
     pub blur: u8,
@@ -93,12 +95,16 @@ impl Scene {
         } * self.shaking
             * (speed / self.ego.cruise).clamp(0.15, 1.2);
         let phase = self.index as f32;
-        let sway = |hertz: f32, shift: f32| (std::f32::consts::TAU * hertz * time + shift + phase).sin();
+        let sway =
+            |hertz: f32, shift: f32| (std::f32::consts::TAU * hertz * time + shift + phase).sin();
         let mut jolt = Random::new(&[self.seed, self.index, 6, u64::from(time.to_bits())]);
         let pitch = roughness
-            * (0.0016 * sway(0.7, 0.0) + 0.0012 * sway(1.9, 1.3) + 0.0007 * sway(4.7, 2.1)
+            * (0.0016 * sway(0.7, 0.0)
+                + 0.0012 * sway(1.9, 1.3)
+                + 0.0007 * sway(4.7, 2.1)
                 + 0.0005 * jolt.normal());
-        let yaw = roughness * (0.0010 * sway(0.45, 0.6) + 0.0006 * sway(3.1, 0.2) + 0.0003 * jolt.normal());
+        let yaw = roughness
+            * (0.0010 * sway(0.45, 0.6) + 0.0006 * sway(3.1, 0.2) + 0.0003 * jolt.normal());
         let focal = self.focal * width;
         Camera {
             focal,
@@ -109,7 +115,7 @@ impl Scene {
         }
     }
 
-    /// How much the shaking smears a frame, pixels per metre of focal length: 0 still.
+    /// Rows, at 720, that the horizon moves while the shutter is open (1/120 s).
     pub(super) fn smear(&self, size: PictureSize, time: f32) -> f32 {
         let step = 1.0 / 120.0;
         let (now, then) = (self.camera(size, time), self.camera(size, time + step));

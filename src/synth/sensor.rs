@@ -20,7 +20,13 @@ impl Sensor {
     }
 
     /// Reads the picture out: RGB from RGBA, times `exposure`, with noise.
-    pub(super) fn read(&self, rgba: &[u8], size: PictureSize, exposure: f32, random: &mut Random) -> Vec<u8> {
+    pub(super) fn read(
+        &self,
+        rgba: &[u8],
+        size: PictureSize,
+        exposure: f32,
+        random: &mut Random,
+    ) -> Vec<u8> {
         let mut curve = [0_u8; 256];
         for (level, entry) in curve.iter_mut().enumerate() {
             *entry = (level as f32 * exposure + 0.5).clamp(0.0, 255.0) as u8;
@@ -64,7 +70,11 @@ pub(super) fn blur(rgba: &mut [u8], size: PictureSize) {
         let (head, tail) = rgba.split_at_mut((row + 1) * stride);
         let line = &mut head[row * stride..];
         here.copy_from_slice(line);
-        let below = if tail.is_empty() { &here[..] } else { &tail[..stride] };
+        let below = if tail.is_empty() {
+            &here[..]
+        } else {
+            &tail[..stride]
+        };
         let (out, _) = line.as_chunks_mut::<4>();
         let (upper, _) = above.as_chunks::<4>();
         let (lower, _) = below.as_chunks::<4>();

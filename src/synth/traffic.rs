@@ -1,10 +1,11 @@
 //! Who is on the road in a clip: drawn from chance, kept clear of each other, of the own car, and of the
 //! quiet stretches.
 
+use super::kind::Kind;
 use super::motion::{Ego, Motion, Pose, SlowDown, braked};
 use super::random::Random;
 use super::road::{HORIZON, Road, Setting};
-use super::vehicles::{Kind, Model};
+use super::vehicles::Model;
 
 /// One participant: a vehicle, a pedestrian, or a two-wheeler with its rider.
 #[derive(Clone, Debug)]
@@ -222,11 +223,7 @@ fn country(cast: &mut Cast, density: f32, random: &mut Random) {
             from: -1.85,
             to: 1.85,
         };
-        let kind = random.pick([
-            Kind::Car,
-            Kind::Car,
-            Kind::Motorcycle { ridden: true },
-        ]);
+        let kind = random.pick([Kind::Car, Kind::Car, Kind::Motorcycle { ridden: true }]);
         cast.add(kind, motion, random);
     }
     for _ in 0..(7.0 * density) as usize {
@@ -352,7 +349,11 @@ fn town(cast: &mut Cast, slow: &[SlowDown], density: f32, random: &mut Random) {
                 d if d < 0.90 => Kind::Motorcycle { ridden: false },
                 _ => Kind::Bicycle { ridden: false },
             };
-            let yaw = if side > 0.0 { 0.0 } else { std::f32::consts::PI };
+            let yaw = if side > 0.0 {
+                0.0
+            } else {
+                std::f32::consts::PI
+            };
             let across = side * if kind.walks() { 6.6 } else { 4.75 };
             cast.add(kind, Motion::Parked { along, across, yaw }, random);
         }
@@ -365,11 +366,7 @@ fn town(cast: &mut Cast, slow: &[SlowDown], density: f32, random: &mut Random) {
                 random.range(6.6, 8.6) * random.sign(),
                 random.range(0.9, 1.7) * random.sign(),
             ),
-            d if d < 0.9 => (
-                Kind::Bicycle { ridden: true },
-                3.35,
-                random.range(3.5, 5.5),
-            ),
+            d if d < 0.9 => (Kind::Bicycle { ridden: true }, 3.35, random.range(3.5, 5.5)),
             _ => (
                 Kind::Bicycle { ridden: true },
                 -3.35,
