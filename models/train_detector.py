@@ -62,12 +62,29 @@ def overlaps(a, b):
     return inside / union, inside / union - (hull - union) / hull
 
 
-def loss_of(detector, raw, boxes, class_weights):
+def assign_all(cells, boxes):
+    """`assign` for every frame, once, kept as small numbers."""
+    parts = [assign(cells, torch.from_numpy(boxes[i : i + 64])) for i in range(0, len(boxes), 64)]
+    return torch.cat([part.to(torch.int8) for part in parts])
+
+
+def mirror(chosen):
+    """The assignment of the mirrored picture."""
+    columns, rows = DETECTOR_SIZE
+    parts, start = [], 0
+    for stride in STRIDES:
+        count = rows // stride * (columns // stride)
+        grid = chosen[:, start : start + count].view(-1, rows // stride, columns // stride)
+        parts.append(grid.flip(2).reshape(-1, count))
+        start += count
+    return torch.cat(parts, 1)
+
+
+def loss_of(detector, raw, boxes, chosen, class_weights):
     """Class and box loss of a batch, each per positive cell."""
-    chosen = assign(detector.cells, boxes)
     found, logits = detector.boxes(raw), raw[:, 4:].transpose(1, 2)
     frame, cell = torch.nonzero(chosen >= 0, as_tuple=True)
-    target = boxes[frame, chosen[frame, cell]]
+    target = boxes[frame, chosen[frame, cell].long()]
     overlap, generalised = overlaps(found[frame, cell], target[:, :4])
     kinds = target[:, 4].long()
     # The score a cell should give says how well its box fits, so that the better of two survives.
@@ -80,7 +97,7 @@ def loss_of(detector, raw, boxes, class_weights):
     return classes, (1 - generalised).sum() / count
 
 
-def batches(pictures, boxes, size, random):
+def batches(pictures, boxes, assigned, size, random):
     """Endless augmented batches: mirrored, brighter, darker, tinted."""
     order = np.array([], dtype=int)
     while True:
@@ -95,12 +112,13 @@ def batches(pictures, boxes, size, random):
         flipped[..., 0] = DETECTOR_SIZE[0] - truth[..., 2]
         flipped[..., 2] = DETECTOR_SIZE[0] - truth[..., 0]
         truth = torch.where(mirrored[:, None, None], flipped, truth)
-        used = int((truth[..., 4] >= 0).sum(1).max().clamp(min=1))
+        cells = assigned[chosen]
+        cells = torch.where(mirrored[:, None], mirror(cells), cells)
         batch = batch.float() / 255
         gain = torch.from_numpy(random.uniform(0.75, 1.25, (size, 1, 1, 1)).astype(np.float32))
         tint = torch.from_numpy(random.uniform(0.93, 1.07, (size, 3, 1, 1)).astype(np.float32))
         batch = (batch * gain * tint).clamp(0, 1).contiguous(memory_format=torch.channels_last)
-        yield batch, truth[:, :used]
+        yield batch, truth, cells
 
 
 def main():
@@ -108,10 +126,10 @@ def main():
     parser.add_argument("--train", nargs="+", required=True)
     parser.add_argument("--held-out", required=True)
     parser.add_argument("--out", default="detector.onnx")
-    parser.add_argument("--epochs", type=int, default=14)
+    parser.add_argument("--epochs", type=int, default=9)
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--rate", type=float, default=3e-3)
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args()
     torch.manual_seed(arguments.seed)
@@ -144,13 +162,13 @@ def main():
     schedule = torch.optim.lr_scheduler.OneCycleLR(
         optimiser, arguments.rate, total_steps=steps, pct_start=0.08, final_div_factor=50
     )
-    source = batches(picture, boxes, arguments.batch, random)
+    source = batches(picture, boxes, assign_all(detector.cells, boxes), arguments.batch, random)
     started, sums = time.time(), np.zeros(2)
     for step in range(steps):
-        batch, truth = next(source)
+        batch, truth, cells = next(source)
         with torch.autocast("cpu", torch.bfloat16):
             raw = detector(batch)
-        losses = loss_of(detector, raw.float(), truth, class_weights)
+        losses = loss_of(detector, raw.float(), truth, cells, class_weights)
         optimiser.zero_grad(set_to_none=True)
         (losses[0] + 2.5 * losses[1]).backward()
         torch.nn.utils.clip_grad_norm_(detector.parameters(), 10.0)

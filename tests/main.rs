@@ -3,6 +3,8 @@
 mod support;
 
 mod command_line;
+mod detector_models;
+mod detector_session;
 mod end_to_end;
 mod eval_agreement;
 mod eval_coco;
@@ -15,5 +17,3 @@ mod power_sysfs;
 mod power_tegrastats;
 mod power_telemetry;
 mod replay;
-mod detector_models;
-mod detector_session;

@@ -1,10 +1,11 @@
 //! Who is on the road in a clip: drawn from chance, kept clear of each other, of the own car, and of the
 //! quiet stretches.
 
+use super::kind::Kind;
 use super::motion::{Ego, Motion, Pose, SlowDown, braked};
 use super::random::Random;
 use super::road::{HORIZON, Road, Setting};
-use super::vehicles::{Kind, Model};
+use super::vehicles::Model;
 
 /// One participant: a vehicle, a pedestrian, or a two-wheeler with its rider.
 #[derive(Clone, Debug)]
