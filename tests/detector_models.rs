@@ -97,7 +97,7 @@ async fn shared_yolox_finds_the_two_cars_of_its_readme() {
     .unwrap();
     let picture = frame("highway_two_cars.mp4", 60, size);
     let detected = detector.detect(CAMERA, picture).await.unwrap();
-    assert_eq!(detector.model_name(), "yolox_nano_416");
+    assert_eq!(detector.model_name(), "yolox_nano_416.onnx");
     let right = ("car", 0.88, [554.0, 324.0, 659.0, 396.0]);
     let left = ("car", 0.82, [455.0, 325.0, 528.0, 396.0]);
     assert_found(&detector, &detected, size, right);

@@ -48,7 +48,7 @@ async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
     let detector = DetectorHandle::start(&config("demonstration.onnx"))
         .await
         .unwrap();
-    assert_eq!(detector.model_name(), "demonstration");
+    assert_eq!(detector.model_name(), "demonstration.onnx");
     assert_eq!(detector.class_names().len(), 7);
     assert_eq!(detector.provider(), ExecutionProvider::Cpu);
     // Its class scores are the means of the planes: here green, the second.

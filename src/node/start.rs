@@ -1,6 +1,6 @@
 //! Starts the parts of a node in a fixed order, and stops them in the opposite one.
 
-use super::board::{Board, BoardSetup, CameraSetup, DetectorFacts};
+use super::board::{Board, BoardSetup};
 use super::camera::Camera;
 use super::config::{CameraConfig, NodeConfig};
 use super::counters::Counters;
@@ -12,7 +12,7 @@ use super::spool::Spool;
 use super::threshold::ThresholdService;
 use crate::clip::{ClipBooks, ShareLedger};
 use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
-use crate::frame::frame_ring;
+use crate::frame::{Delivery, frame_ring};
 use crate::power::{self, PowerHandle};
 use crate::screen::ScreenHandle;
 use crate::wire::{CameraKeys, NodeKeys};
@@ -64,21 +64,8 @@ impl PreparedNode {
     /// # Errors
     /// When a name or the policy cannot be used.
     pub fn new(config: &NodeConfig) -> anyhow::Result<Self> {
-        let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
-        let policy = config.policy.build()?;
         let (detector_status, status) = watch::channel(DetectorStatus::Starting);
-        let model = config.detector.model.file_name().unwrap_or_default();
-        let board = Board::new(BoardSetup {
-            node: config.node.name.clone(),
-            cameras: camera_setups(config, &keys, policy.knob(), policy.knob_value())?,
-            state_dir: config.node.state_dir.clone(),
-            policy: policy.name(),
-            detector: DetectorFacts {
-                model: model.to_string_lossy().into_owned(),
-                requested: config.detector.providers.clone(),
-            },
-            detector_status: status,
-        });
+        let board = Board::new(BoardSetup::from_config(config, status)?);
         board.hold("cameras", "the cameras are not subscribed to yet");
         Ok(Self {
             board,
@@ -243,10 +230,15 @@ impl Parts<'_> {
             Arc::clone(&drops),
         );
 
+        // A live camera's answers age with its frames; a replay wants each of them.
+        let congestion = match config.delivery {
+            Delivery::Newest => CongestionControl::Drop,
+            Delivery::Every => CongestionControl::Block,
+        };
         let detections = self
             .session
             .declare_publisher(keys.detections())
-            .congestion_control(CongestionControl::Drop)
+            .congestion_control(congestion)
             .await
             .map_err(|error| anyhow!("detections cannot be published: {error}"))?;
         let reports = self
@@ -330,28 +322,4 @@ async fn follow(mut from: watch::Receiver<DetectorStatus>, to: watch::Sender<Det
             return;
         }
     }
-}
-
-fn camera_setups(
-    config: &NodeConfig,
-    keys: &NodeKeys,
-    knob: Option<crate::policy::Knob>,
-    value: Option<f64>,
-) -> anyhow::Result<Vec<CameraSetup>> {
-    config
-        .cameras
-        .iter()
-        .map(|camera| {
-            let key = match &camera.key {
-                Some(key) => key.clone(),
-                None => keys.camera(&camera.name)?.frame(),
-            };
-            Ok(CameraSetup {
-                name: camera.name.clone(),
-                key,
-                knob,
-                threshold: camera.threshold.or(value),
-            })
-        })
-        .collect()
 }
