@@ -14,8 +14,16 @@ use std::fs::File;
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
 
+const EXAMPLES: &str = "\
+Examples:
+  albireo synth --out pictures                     a minute of world 1, 10 pictures a second
+  albireo synth --out train --seeds 1-40 --frames 200 --every 5
+      a training set of forty worlds
+  albireo synth --out small --size 640x360 --frame-rate 5";
+
 /// Write pictures of the synthetic dashcam and their ground truth into a folder.
 #[derive(Clone, Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
 pub struct SynthArguments {
     /// Folder to write to; made if missing. It must not hold a ground truth file yet.
     #[arg(long, value_name = "FOLDER")]

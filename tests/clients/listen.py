@@ -24,14 +24,14 @@ def main() -> None:
     configuration.insert_json5("scouting/multicast/enabled", "false")
 
     write = threading.Lock()
-
-    def say(line: str) -> None:
-        with write:
-            print(line, flush=True)
+    ready = threading.Event()
 
     def received(sample: zenoh.Sample) -> None:
         message = json.loads(sample.payload.to_bytes())
-        say(json.dumps({"key": str(sample.key_expr), "message": message}))
+        # What the history brings may come before everything stands.
+        ready.wait()
+        with write:
+            print(json.dumps({"key": str(sample.key_expr), "message": message}), flush=True)
 
     with zenoh.open(configuration) as session:
         if history:
@@ -46,7 +46,8 @@ def main() -> None:
         node = "/".join(key.split("/")[:2])
         alive = session.liveliness().declare_subscriber(f"{node}/@alive", history=True)
         alive.recv()
-        say("ready")
+        print("ready", flush=True)
+        ready.set()
         sys.stdin.read()
         subscriber.undeclare()
 
