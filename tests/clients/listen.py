@@ -3,7 +3,7 @@
 Usage: listen.py ENDPOINT KEY [--history]
 
 Prints `ready` once the node's liveliness token has been seen and the subscriptions stand, then one JSON
-line {"key": ..., "message": ...} for every sample under KEY, until its standard input closes.
+line {"key": ..., "message": ...} for every JSON message under KEY (frames are left out), until its standard input closes.
 `--history` also asks for what was published before (clip reports).
 """
 
@@ -27,6 +27,8 @@ def main() -> None:
     ready = threading.Event()
 
     def received(sample: zenoh.Sample) -> None:
+        if str(sample.key_expr).endswith("/frame"):
+            return
         message = json.loads(sample.payload.to_bytes())
         # What the history brings may come before everything stands.
         ready.wait()
