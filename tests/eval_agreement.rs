@@ -2,6 +2,7 @@
 //! COCO's own tool.
 #![allow(clippy::expect_used)]
 
+use crate::support::shared;
 use albireo::eval::average_precision::{Accuracy, Classes, Interpolation, ScoredBox, accuracy};
 use albireo::eval::data::{Clip, recorded};
 use albireo::eval::replay::Scoring;
@@ -12,26 +13,11 @@ use albireo::eval::spec::{Common, resolve};
 use albireo::eval::trace;
 use albireo::policy::Profile;
 use std::collections::HashMap;
-use std::path::PathBuf;
-
-/// The folder of shared data; a missing one fails the test with what to do.
-pub fn shared() -> PathBuf {
-    let folder = std::env::var_os("ALBIREO_SHARED").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-        PathBuf::from,
-    );
-    assert!(
-        folder.join("golden").is_dir(),
-        "{} has no golden/: set ALBIREO_SHARED to the folder of shared data",
-        folder.display()
-    );
-    folder
-}
 
 /// `summary.csv` of the published code: figures by sequence, policy and column.
 pub fn golden_summary() -> HashMap<(String, String), HashMap<String, f64>> {
     let mut reader =
-        csv::Reader::from_path(shared().join("golden/summary.csv")).expect("the summary is there");
+        csv::Reader::from_path(shared("golden/summary.csv")).expect("the summary is there");
     let headers = reader.headers().expect("it has a header").clone();
     reader
         .records()
@@ -62,7 +48,7 @@ fn pooled(boxes: &[Vec<ScoredBox>], clip: &Clip) -> Accuracy {
 #[test]
 fn shared_average_precision_of_the_golden_traces_is_the_published_evaluators() {
     let summary = golden_summary();
-    let clips = recorded::read(&shared().join("data/recorded")).expect("the recordings");
+    let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
     let mut compared = 0;
     for (policy, u) in [
         ("albireo-u3e-4-erd-nonempty", 3e-4),
@@ -72,7 +58,7 @@ fn shared_average_precision_of_the_golden_traces_is_the_published_evaluators() {
         ("ctd-0.50", 3e-4),
     ] {
         for clip in clips.clips.iter().filter(|clip| clip.truth.is_some()) {
-            let path = shared().join(format!("golden/{policy}/{}.jsonl.gz", clip.name));
+            let path = shared(&format!("golden/{policy}/{}.jsonl.gz", clip.name));
             let frames = trace::read(&path).expect("the golden trace");
             let last: Vec<Vec<ScoredBox>> = frames
                 .iter()
@@ -123,7 +109,7 @@ fn shared_average_precision_of_the_golden_traces_is_the_published_evaluators() {
 #[test]
 fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
     let summary = golden_summary();
-    let clips = recorded::read(&shared().join("data/recorded")).expect("the recordings");
+    let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
     let mut compared = 0;
     for screen in [ScreenRule::Nonempty, ScreenRule::Detections] {
         let common = Common {

@@ -3,7 +3,7 @@
 //! These tests need the Python environment of tests/requirements.txt at .cache/python.
 #![allow(clippy::expect_used)]
 
-use crate::eval_agreement::shared;
+use crate::support::{python, shared};
 use albireo::detection::ClassId;
 use albireo::eval::average_precision::{
     Accuracy, Classes, Interpolation, ScoredBox, TruthBox, accuracy,
@@ -24,18 +24,12 @@ fn coco(cases: &[Case]) -> Value {
     let clips: Vec<Value> = cases.iter().map(frames).collect();
     let request = json!({"clips": clips}).to_string();
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let python = root.join(".cache/python/bin/python");
-    assert!(
-        python.exists(),
-        "{} is missing: make a virtual environment there from tests/requirements.txt",
-        python.display()
-    );
-    let mut child = Command::new(python)
+    let mut child = Command::new(python())
         .arg(root.join("tests/python/coco_average_precision.py"))
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
         .spawn()
-        .expect("Python starts");
+        .expect("Python starts: `make python` sets it up");
     let mut stdin = child.stdin.take().expect("its standard input is a pipe");
     stdin
         .write_all(request.as_bytes())
@@ -142,7 +136,7 @@ fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
 
 #[test]
 fn shared_python_recorded_detections_score_as_in_pycocotools() {
-    let clips = recorded::read(&shared().join("data/recorded")).expect("the recordings");
+    let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
     let mut cases: Vec<Case> = Vec::new();
     for clip in &clips.clips {
         let (Some(detections), Some(truth)) = (&clip.detections, &clip.truth) else {

@@ -1,7 +1,7 @@
 //! The paper's main table and the energy model are recomputed from published per-clip results.
 #![allow(clippy::expect_used, clippy::panic)]
 
-use crate::eval_agreement::shared;
+use crate::support::shared;
 use albireo::eval::energy_fit;
 use albireo::eval::energy_model::EnergyModel;
 use albireo::eval::paper::table;
@@ -10,7 +10,7 @@ use std::path::Path;
 
 fn rows() -> Vec<PublishedRow> {
     let file = "data/published-results/thor/albireo/yolo26x/summary-selected-columns.csv";
-    published::read(&shared().join(file)).expect("the published results")
+    published::read(&shared(file)).expect("the published results")
 }
 
 /// Fails unless `value` rounds to `expected` at the last digit given.

@@ -5,6 +5,7 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use crate::support::shared;
 use albireo::detection::{ClassId, Detection};
 use albireo::geometry::{BoundingBox, Corners, PictureSize};
 use albireo::policy::{
@@ -13,7 +14,7 @@ use albireo::policy::{
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Largest difference of boxes and τ.
 const TOLERANCE: f64 = 1e-9;
@@ -176,20 +177,6 @@ fn close(found: f64, expected: f64, at: &str, what: &str) {
     );
 }
 
-/// The shared data: `ALBIREO_SHARED`, else `../shared` beside the project.
-fn shared() -> PathBuf {
-    let shared = std::env::var_os("ALBIREO_SHARED").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-        PathBuf::from,
-    );
-    assert!(
-        shared.join("golden").is_dir(),
-        "{} has no golden traces; set ALBIREO_SHARED to the folder of the shared data",
-        shared.display()
-    );
-    shared
-}
-
 #[derive(Deserialize)]
 struct Sequences {
     sequences: Vec<Sequence>,
@@ -208,7 +195,7 @@ fn read_to_string(path: &Path) -> String {
 }
 
 fn compare_all(folder: &str, u: f64, screen: Screen) {
-    let shared = shared();
+    let shared = shared("");
     let recorded = shared.join("data/recorded");
     let list = read_to_string(&recorded.join("sequences.json"));
     let sequences = serde_json::from_str::<Sequences>(&list).unwrap().sequences;

@@ -18,8 +18,16 @@ use clap::{Args, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
 
+const EXAMPLES: &str = "\
+Examples:
+  albireo eval recorded DIR --policy albireo --sweep u=3e-4,5e-4,7e-4,1e-3
+      what each threshold costs in accuracy and saves in detector calls
+  albireo eval recorded DIR --profile reference --screen detections --traces traces
+      the published code's decisions, frame by frame";
+
 /// Compare policies side by side: accuracy, skip rate, frame time, energy.
 #[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
 pub struct EvalArguments {
     #[command(subcommand)]
     what: What,

@@ -37,25 +37,33 @@ impl Default for PolicyConfig {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicyConfigError {
     /// No policy has this name.
-    #[error(
-        "policy.name: there is no policy `{name}`; the policies are {}",
-        names()
-    )]
+    #[error("there is no policy `{name}`; the policies are {}", names())]
     UnknownPolicy {
         /// The name found.
         name: String,
     },
     /// The threshold is out of range.
-    #[error("policy.u: {0}")]
+    #[error("{0}")]
     Threshold(#[from] super::KnobError),
     /// A setting that does not exist, or has a value it cannot have.
-    #[error("policy.{table}: {reason}")]
+    #[error("{reason}")]
     Setting {
         /// The table it stands in.
         table: &'static str,
         /// What is wrong and what is allowed.
         reason: String,
     },
+}
+
+impl PolicyConfigError {
+    /// The key of the configuration it is about.
+    pub fn key(&self) -> String {
+        match self {
+            Self::UnknownPolicy { .. } => "policy.name".to_owned(),
+            Self::Threshold(_) => "policy.u".to_owned(),
+            Self::Setting { table, .. } => format!("policy.{table}"),
+        }
+    }
 }
 
 type Build = fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>;
@@ -180,7 +188,7 @@ mod tests {
     fn a_bad_threshold_is_refused() {
         for u in ["0", "-1.0", "nan", "inf", "2"] {
             let message = error(&format!("u = {u}"));
-            assert!(message.starts_with("policy.u: `u` must be"), "{message}");
+            assert!(message.starts_with("`u` must be"), "{message}");
         }
     }
 
