@@ -5,8 +5,12 @@
 
 pub mod average_precision;
 pub mod data;
+pub mod energy_fit;
 pub mod energy_model;
+pub mod paper;
+pub mod paper_text;
 pub mod pareto;
+pub mod published;
 pub mod replay;
 pub mod report;
 pub mod result;

@@ -192,6 +192,21 @@ fn label(name: &str, config: &PolicyConfig, has_u: bool, screen: Option<ScreenRu
     format!("{name}-u{:e}{screen}", config.u)
 }
 
+/// A label's family, shared by all settings of a policy, and its setting: `albireo-u3e-4-erd-nonempty` is
+/// `albireo` at `u = 3e-4`, `fixedskip-2` is `fixedskip` at `2`, `vanilla` has none.
+pub fn split_label(label: &str) -> (&str, String) {
+    let base = label.split_once("-erd-").map_or(label, |(base, _)| base);
+    if let Some((family, u)) = base.rsplit_once("-u")
+        && u.parse::<f64>().is_ok()
+    {
+        return (family, format!("u = {u}"));
+    }
+    match base.rsplit_once('-') {
+        Some((family, setting)) if setting.parse::<f64>().is_ok() => (family, setting.to_owned()),
+        _ => (base, String::new()),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -223,6 +238,20 @@ mod tests {
                 "albireo-u1e-3-erd-nonempty"
             ]
         );
+    }
+
+    #[test]
+    fn a_label_is_split_into_family_and_setting() {
+        for (label, family, setting) in [
+            ("albireo-u3e-4-erd-nonempty", "albireo", "u = 3e-4"),
+            ("kill+erd-10d-u1e-3", "kill+erd-10d", "u = 1e-3"),
+            ("fixedskip-2", "fixedskip", "2"),
+            ("ctd-0.50", "ctd", "0.50"),
+            ("erd-only-erd-detections", "erd-only", ""),
+            ("vanilla", "vanilla", ""),
+        ] {
+            assert_eq!(split_label(label), (family, setting.to_owned()));
+        }
     }
 
     #[test]

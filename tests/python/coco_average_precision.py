@@ -1,9 +1,9 @@
 """Average precision of boxes by pycocotools.
 
 Reads JSON from standard input:
-  {"frames": [{"predictions": [[x1, y1, x2, y2, class, confidence], ...],
-               "truth": [[x1, y1, x2, y2, class], ...]}, ...]}
-Writes JSON: for each kind of judging, AP@50 and the mean over IoU 0.50 to 0.95.
+  {"clips": [[{"predictions": [[x1, y1, x2, y2, class, confidence], ...],
+               "truth": [[x1, y1, x2, y2, class], ...]}, ...], ...]}
+Writes JSON: for each clip and kind of judging, AP@50 and the mean over IoU 0.50 to 0.95.
 
 COCO samples precision at 101 recall levels. The area over all points is the mean of the interpolated
 precision at the recalls 1/n, 2/n, ... n/n with n the number of ground-truth boxes, so asking pycocotools
@@ -76,18 +76,22 @@ def evaluate(coco, found, pooled, recalls):
     return {"ap50": by_threshold[0], "map": by_threshold.mean()}
 
 
+def judge(frames):
+    coco, found, truths = build(frames)
+    all_points = numpy.arange(1, truths + 1) / truths
+    levels = numpy.linspace(0.0, 1.0, 101)
+    return {
+        "pooled_all_points": evaluate(coco, found, True, all_points),
+        "pooled_101": evaluate(coco, found, True, levels),
+        "separate_101": evaluate(coco, found, False, levels),
+    }
+
+
 def main():
-    frames = json.load(sys.stdin)["frames"]
+    clips = json.load(sys.stdin)["clips"]
     with contextlib.redirect_stdout(io.StringIO()):
-        coco, found, truths = build(frames)
-        all_points = numpy.arange(1, truths + 1) / truths
-        levels = numpy.linspace(0.0, 1.0, 101)
-        result = {
-            "pooled_all_points": evaluate(coco, found, True, all_points),
-            "pooled_101": evaluate(coco, found, True, levels),
-            "separate_101": evaluate(coco, found, False, levels),
-        }
-    json.dump(result, sys.stdout)
+        results = [judge(frames) for frames in clips]
+    json.dump(results, sys.stdout)
 
 
 main()

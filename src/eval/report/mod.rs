@@ -1,5 +1,8 @@
-//! What a run leaves behind with `--out`: `summary.csv`, `report.json`, plots, and `report.html`.
+//! What a run leaves behind with `--out`: `summary.csv`, `report.json`, figures as SVG and PNG, and
+//! `report.html`, which shows it all in one file that needs no other.
 
+mod html;
+pub mod plot;
 mod summary_csv;
 
 use crate::eval::data::LoadReport;
@@ -21,6 +24,8 @@ pub struct Report {
     pub policies: Vec<PolicySummary>,
     /// One entry a clip and policy.
     pub clips: Vec<ClipResult>,
+    /// Power over one clip under some of the policies, where there is energy.
+    pub power: Vec<plot::PowerTrace>,
 }
 
 /// A report that cannot be written.
@@ -66,6 +71,17 @@ impl Report {
         write(
             "report.json",
             serde_json::to_vec_pretty(self).map_err(|error| error.to_string()),
-        )
+        )?;
+        let mut shown = Vec::new();
+        for figure in plot::figures(self) {
+            let svg = figure.svg();
+            write(&format!("{}.png", figure.name), figure.png())?;
+            write(
+                &format!("{}.svg", figure.name),
+                svg.clone().map(String::into_bytes),
+            )?;
+            shown.extend(svg.ok().map(|svg| (figure, svg)));
+        }
+        write("report.html", Ok(html::render(self, &shown).into_bytes()))
     }
 }
