@@ -36,7 +36,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Arguments {
-    /// Stop after so many seconds [default: run until Ctrl-C]
+    /// Stop so many seconds after the camera starts [default: run until Ctrl-C]
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u64>,
     /// World the synthetic dashcam drives through
@@ -72,14 +72,6 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         ..LogConfig::default()
     })?;
     let shutdown = signals::shutdown().context(signals::CONTEXT)?;
-    if let Some(seconds) = arguments.seconds {
-        let shutdown = shutdown.clone();
-        tokio::spawn(async move {
-            tokio::time::sleep(Duration::from_secs(seconds)).await;
-            shutdown.cancel();
-        });
-    }
-
     let listener = listen(arguments.port).await?;
     let address = listener.local_addr()?;
     let endpoint = format!("tcp/127.0.0.1:{}", listen(7447).await?.local_addr()?.port());
@@ -166,6 +158,13 @@ async fn camera(
         let session = open_session(&[endpoint.to_owned()], &[], PATIENCE).await?;
         let publisher = declare_frame_publisher(&session, &key, false).await?;
         wait_for_subscriber(&publisher, PATIENCE).await?;
+        if let Some(seconds) = arguments.seconds {
+            let shutdown = shutdown.clone();
+            tokio::spawn(async move {
+                tokio::time::sleep(Duration::from_secs(seconds)).await;
+                shutdown.cancel();
+            });
+        }
         publish(source, publisher, &options, |_| {}, shutdown).await?;
         session
             .close()

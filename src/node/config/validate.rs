@@ -192,7 +192,10 @@ impl NodeConfig {
         match self.policy.build() {
             Ok(policy) => Some(policy.knob()),
             Err(error) => {
-                findings.add(error.key(), error.to_string());
+                // The message begins with the key, as other users of the error want it.
+                let message = error.to_string();
+                let (key, reason) = message.split_once(": ").unwrap_or(("policy", &message));
+                findings.add(key, reason);
                 None
             }
         }
