@@ -98,7 +98,13 @@ async fn a_ramp_is_integrated_between_its_samples() {
 
 #[tokio::test]
 async fn a_square_wave_keeps_its_mean_and_its_peak() {
-    let wave = json!([[0, 39.5], [0.5, 39.5], [0.500001, 40.5], [1, 40.5], [1.000001, 39.5]]);
+    let wave = json!([
+        [0, 39.5],
+        [0.5, 39.5],
+        [0.500001, 40.5],
+        [1, 40.5],
+        [1.000001, 39.5]
+    ]);
     let running = run(&json!({"curve": wave})).await;
     let (mean, found) = running.watch(Duration::from_secs(5)).await;
     assert!(close(mean, 40.0), "{mean} {found:?}");

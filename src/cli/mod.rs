@@ -4,6 +4,7 @@ mod check;
 mod demo;
 mod logging;
 mod node;
+mod power;
 pub mod replay;
 mod signals;
 
@@ -17,6 +18,7 @@ const EXAMPLES: &str = "\
 Examples:
   albireo demo                           everything at once, with nothing to configure
   albireo check config/node.toml         say what is wrong with a configuration
+  albireo power                          say which power meters work here
   albireo node --config config/node.toml run a node
   albireo replay drive.mp4               play a video to it as a camera
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
@@ -35,6 +37,8 @@ enum Command {
     Node(node::Arguments),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
+    /// Say which power sources work on this machine, their rails, and watts now.
+    Power(power::Arguments),
     /// Publish a video, a folder of pictures or the synthetic dashcam as a camera.
     Replay(replay::ReplayArguments),
     /// Run a camera and a node in one process, with nothing to configure.
@@ -47,6 +51,7 @@ impl Arguments {
         let ended = match self.command {
             Command::Node(arguments) => node::run(&arguments),
             Command::Check(arguments) => check::run(&arguments),
+            Command::Power(arguments) => power::run(&arguments),
             Command::Replay(arguments) => block_on(async {
                 let shutdown = signals::shutdown().context(signals::CONTEXT)?;
                 replay::run(arguments, shutdown).await.map(drop)

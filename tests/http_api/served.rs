@@ -225,5 +225,6 @@ pub fn clip(camera: &str, report: u64) -> ClipReport {
                 peak_watts: None,
             }],
         },
+        board: None,
     }
 }
