@@ -1,13 +1,16 @@
 //! The whole way over real processes: `albireo node`, `albireo replay`, and a client that shares no code
 //! with them.
 
-use crate::support::{Client, Node, PATIENCE, albireo, shared};
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::support::{Client, Node, PATIENCE, albireo, python, shared};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::process::Stdio;
 use tokio::time::timeout;
 
+/// A node with YOLOX-Nano. The clip has 720x576 pixels, where the default threshold skips nothing.
 fn yolox_settings(policy: &str) -> String {
     format!(
         r#"
@@ -19,6 +22,7 @@ head = "yolox"
 timeout_ms = 30000
 [policy]
 name = "{policy}"
+u = 5e-4
 [clip]
 silence_s = 2.0
 [[camera]]
@@ -34,7 +38,14 @@ async fn replay(node: &Node, source: &Path, more: &[&str]) {
     let output = albireo()
         .arg("replay")
         .arg(source)
-        .args(["--connect", &node.zenoh, "--node", "bench", "--camera", "front"])
+        .args([
+            "--connect",
+            &node.zenoh,
+            "--node",
+            "bench",
+            "--camera",
+            "front",
+        ])
         .args(["--every", "--wait-for-subscriber"])
         .args(more)
         .stdout(Stdio::piped())
@@ -73,6 +84,24 @@ fn total_dropped(report: &Value) -> u64 {
         .sum()
 }
 
+/// The metric families Prometheus' own strict parser finds.
+fn parsed_by_prometheus(metrics: &str) -> BTreeMap<String, u64> {
+    let mut parser = std::process::Command::new(python())
+        .arg(concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/tests/clients/parse_metrics.py"
+        ))
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("Python starts");
+    std::io::Write::write_all(&mut parser.stdin.take().expect("piped"), metrics.as_bytes())
+        .expect("the parser reads");
+    let output = parser.wait_with_output().expect("the parser ends");
+    assert!(output.status.success(), "the parser refuses:\n{metrics}");
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     let node = Node::start(&yolox_settings("albireo")).await;
@@ -85,17 +114,27 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     assert_eq!(report["frames"], detections.len(), "{report}");
     assert_eq!(detections.len() as u64 + dropped, 251, "{report}");
     let numbers: BTreeSet<_> = detections.iter().map(|d| d["seq"].as_u64()).collect();
-    assert_eq!(numbers.len(), detections.len(), "every frame is answered once");
+    assert_eq!(
+        numbers.len(),
+        detections.len(),
+        "every frame is answered once"
+    );
 
     let mut states = BTreeMap::<&str, u64>::new();
     for message in &detections {
-        *states.entry(message["state"].as_str().expect("a state")).or_default() += 1;
+        *states
+            .entry(message["state"].as_str().expect("a state"))
+            .or_default() += 1;
     }
     for state in ["P", "I", "AI"] {
         assert!(states.contains_key(state), "no {state} in {states:?}");
     }
     for (state, count) in report["states"].as_object().expect("five counters") {
-        assert_eq!(states.get(state.as_str()).copied().unwrap_or(0), *count, "{state}");
+        assert_eq!(
+            states.get(state.as_str()).copied().unwrap_or(0),
+            *count,
+            "{state}"
+        );
     }
     let energy = &report["energy"];
     assert!(energy["joules"].as_f64().expect("energy") > 0.0);
@@ -106,12 +145,29 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
         / detections.len() as f64;
     assert!((edp - expected).abs() < 1e-6 * expected, "{edp} {expected}");
 
-    let late = Client::listen(&node.zenoh, "albireo/bench/front/clip", true).await;
-    let kept = late.finish().await;
-    assert!(
-        kept.iter().any(|(_, message)| message["clip"] == "two-cars"),
-        "a client that comes late gets the report from the cache"
-    );
+    // A client that comes late gets the report from the publisher's cache.
+    let mut late = Client::listen(&node.zenoh, "albireo/bench/front/clip", true).await;
+    let (_, kept) = late.next().await.expect("the cache answers");
+    assert_eq!(kept, report);
+    late.finish().await;
+
+    let metrics = reqwest::Client::new()
+        .get(format!("{}/metrics", node.http))
+        .header("accept", "application/openmetrics-text")
+        .send()
+        .await
+        .expect("the node answers")
+        .text()
+        .await
+        .expect("metrics are text");
+    let families = parsed_by_prometheus(&metrics);
+    for family in [
+        "albireo_frames",
+        "albireo_frames_dropped",
+        "albireo_threshold",
+    ] {
+        assert!(families.contains_key(family), "no {family} in {families:?}");
+    }
 
     let (status, took, log, _) = node.stop().await;
     assert!(status.success(), "{log}");
@@ -146,9 +202,15 @@ async fn shared_the_check_values_of_yolox_nano_come_out_at_the_far_end() {
                 .zip(corners)
                 .all(|(edge, expected)| (edge.as_f64().expect("a number") - expected).abs() <= 2.0)
         };
-        let found = boxes.iter().find(near).unwrap_or_else(|| panic!("no {corners:?} in {boxes:?}"));
+        let found = boxes
+            .iter()
+            .find(near)
+            .unwrap_or_else(|| panic!("no {corners:?} in {boxes:?}"));
         assert_eq!(found["class"], "car");
         let score = found["confidence"].as_f64().expect("a confidence");
-        assert!((score - confidence).abs() <= 0.01, "{score} for {confidence}");
+        assert!(
+            (score - confidence).abs() <= 0.01,
+            "{score} for {confidence}"
+        );
     }
 }

@@ -2,11 +2,13 @@
 
 mod check;
 mod demo;
+pub mod eval;
 mod logging;
 mod node;
 mod power;
 pub mod replay;
 mod signals;
+pub mod synth;
 
 use anyhow::Context;
 use clap::{Parser, Subcommand};
@@ -41,6 +43,10 @@ enum Command {
     Power(power::Arguments),
     /// Publish a video, a folder of pictures or the synthetic dashcam as a camera.
     Replay(replay::ReplayArguments),
+    /// Replay recordings through any policy: accuracy against what it saves.
+    Eval(eval::EvalArguments),
+    /// Write the synthetic dashcam's pictures with their ground truth into a folder.
+    Synth(synth::SynthArguments),
     /// Run a camera and a node in one process, with nothing to configure.
     Demo(demo::Arguments),
 }
@@ -56,6 +62,8 @@ impl Arguments {
                 let shutdown = signals::shutdown().context(signals::CONTEXT)?;
                 replay::run(arguments, shutdown).await.map(drop)
             }),
+            Command::Eval(arguments) => eval::run(&arguments),
+            Command::Synth(arguments) => synth::run(&arguments),
             Command::Demo(arguments) => block_on(demo::run(arguments)),
         };
         match ended {

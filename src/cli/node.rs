@@ -84,7 +84,8 @@ pub(super) async fn run_prepared(
         let node = prepared.start(config, shutdown.clone()).await;
         let ended = match node {
             Ok(node) => {
-                tracing::info!(zenoh = ?config.zenoh.listen, cameras = config.cameras.len(), "ready");
+                let zenoh = node.endpoints().await;
+                tracing::info!(?zenoh, cameras = config.cameras.len(), "ready");
                 node.stopped().await;
                 Ok(())
             }

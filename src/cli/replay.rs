@@ -9,7 +9,7 @@ mod video;
 
 pub use folder::PictureFolder;
 pub use publish::{OutgoingFrame, PublishOptions, Rate, Sent, declare_frame_publisher, publish};
-pub use session::{DEFAULT_ENDPOINT, open_session, wait_for_subscriber};
+pub use session::{DEFAULT_ENDPOINT, flush, open_session, wait_for_subscriber};
 pub use source::{FrameSource, SourceName, Stopper};
 pub use synthetic::Synthetic;
 pub use video::{Ffmpeg, Video, VideoEncoding};
@@ -20,6 +20,9 @@ use clap::Args;
 use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
+
+/// How long the receiver may take for the frames still on their way at the end.
+const FLUSH_PATIENCE: Duration = Duration::from_secs(300);
 
 /// Arguments of `albireo replay`.
 #[derive(Args, Clone, Debug)]
@@ -181,7 +184,12 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     )
     .await;
     bar.finish_and_clear();
-    // Closing sends what still waits.
+    if arguments.every {
+        tokio::select! {
+            flushed = flush(&session, &key, FLUSH_PATIENCE) => flushed?,
+            () = shutdown.cancelled() => {}
+        }
+    }
     session
         .close()
         .await

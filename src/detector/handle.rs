@@ -153,7 +153,7 @@ impl DetectorHandle {
         &self.facts.class_names
     }
 
-    /// The model's file name without its ending.
+    /// The model's file name.
     pub fn model_name(&self) -> &str {
         &self.facts.model_name
     }
@@ -178,7 +178,7 @@ impl DetectorHandle {
 fn model_name(config: &DetectorConfig) -> String {
     config
         .model
-        .file_stem()
+        .file_name()
         .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
 }
 

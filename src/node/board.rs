@@ -3,16 +3,17 @@
 
 mod camera;
 mod event;
+mod setup;
 mod thresholds;
 
 pub use camera::{CameraBoard, CameraSetup, CameraSnapshot, LATENCY_BUCKETS_S, LatestFrame};
 pub use event::{Event, FrameEvent, ThresholdEvent};
+pub use setup::{BoardSetup, DetectorFacts, SetupError};
 
-use crate::detector::{DetectorStatus, ExecutionProvider};
+use crate::detector::DetectorStatus;
 use crate::policy::KnobError;
 use crate::wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
 use std::collections::{BTreeMap, VecDeque};
-use std::path::PathBuf;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use thresholds::ThresholdStore;
@@ -29,32 +30,6 @@ const EVENT_BACKLOG: usize = 1024;
 /// leave half-written in a way that matters.
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-/// What a board is made from.
-#[derive(Debug)]
-pub struct BoardSetup {
-    /// The node's name.
-    pub node: String,
-    /// The cameras, in the order they are to be listed. Names must differ.
-    pub cameras: Vec<CameraSetup>,
-    /// Where thresholds that were changed while running are kept; `None` to forget them at the end.
-    pub state_dir: Option<PathBuf>,
-    /// Name of the policy.
-    pub policy: &'static str,
-    /// What is known about the detector before it starts.
-    pub detector: DetectorFacts,
-    /// How the detector is doing.
-    pub detector_status: watch::Receiver<DetectorStatus>,
-}
-
-/// What is known about the detector before it starts.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct DetectorFacts {
-    /// File name of the model.
-    pub model: String,
-    /// Execution providers asked for, in order.
-    pub requested: Vec<ExecutionProvider>,
 }
 
 /// Power now, and energy since the node started.

@@ -5,6 +5,7 @@ mod answer;
 pub mod board;
 mod camera;
 pub mod config;
+mod counters;
 mod intake;
 mod rate_limit;
 mod report;

@@ -68,14 +68,14 @@ impl Senses {
         self.times = Times::default();
     }
 
-    /// The screen's verdict: whether it says that nothing is in view. `None` when it cannot say; without
-    /// a screen everything counts as "not empty".
+    /// The screen's verdict: whether it says that nothing is in view. `None` when it cannot say, or when
+    /// there is no screen.
     ///
     /// # Errors
     /// [`FrameFault`] when the picture cannot be decoded.
     pub async fn screen(&mut self, encoded: &EncodedPicture) -> Result<Option<bool>, FrameFault> {
         let Some(screen) = self.screen.clone() else {
-            return Ok(Some(false));
+            return Ok(None);
         };
         self.decode(encoded).await?;
         let start = Instant::now();

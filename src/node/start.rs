@@ -1,8 +1,9 @@
 //! Starts the parts of a node in a fixed order, and stops them in the opposite one.
 
-use super::board::{Board, BoardSetup, CameraSetup, DetectorFacts, PowerNow};
+use super::board::{Board, BoardSetup};
 use super::camera::Camera;
 use super::config::{CameraConfig, NodeConfig};
+use super::counters::Counters;
 use super::intake::{DropLedger, Intake};
 use super::report::{ClipDesk, Reporter};
 use super::senses::Senses;
@@ -11,30 +12,25 @@ use super::spool::Spool;
 use super::threshold::ThresholdService;
 use crate::clip::{ClipBooks, ShareLedger};
 use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
-use crate::frame::frame_ring;
+use crate::frame::{Delivery, frame_ring};
 use crate::power::{self, PowerHandle};
 use crate::screen::ScreenHandle;
 use crate::wire::{CameraKeys, NodeKeys};
 use anyhow::{Context, anyhow};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::AtomicU64;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
-use tokio::time::{Instant, MissedTickBehavior};
+use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
-use zenoh::bytes::Encoding;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh_ext::{AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 /// Clip reports a publisher keeps for clients that come late.
 const CACHED_REPORTS: usize = 64;
-
-/// Time between two counter messages of a camera (wire: once a second).
-const COUNTER_PERIOD: Duration = Duration::from_secs(1);
 
 /// How long stopping may take in all: longer, and what is not out yet is given up. A service manager's
 /// patience is longer than that.
@@ -68,21 +64,8 @@ impl PreparedNode {
     /// # Errors
     /// When a name or the policy cannot be used.
     pub fn new(config: &NodeConfig) -> anyhow::Result<Self> {
-        let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
-        let policy = config.policy.build()?;
         let (detector_status, status) = watch::channel(DetectorStatus::Starting);
-        let model = config.detector.model.file_name().unwrap_or_default();
-        let board = Board::new(BoardSetup {
-            node: config.node.name.clone(),
-            cameras: camera_setups(config, &keys, policy.knob(), policy.knob_value())?,
-            state_dir: config.node.state_dir.clone(),
-            policy: policy.name(),
-            detector: DetectorFacts {
-                model: model.to_string_lossy().into_owned(),
-                requested: config.detector.providers.clone(),
-            },
-            detector_status: status,
-        });
+        let board = Board::new(BoardSetup::from_config(config, status)?);
         board.hold("cameras", "the cameras are not subscribed to yet");
         Ok(Self {
             board,
@@ -143,7 +126,9 @@ impl PreparedNode {
                 .await
                 .with_context(|| format!("camera `{}`", camera.name))?;
         }
-        parts.add_counters(&keys).await?;
+        let counters =
+            Counters::declare(&session, &keys, Arc::clone(&board), power.clone()).await?;
+        parts.working.spawn(counters.run(shutdown.clone()));
         let Parts {
             working,
             intakes,
@@ -171,6 +156,13 @@ impl PreparedNode {
 }
 
 impl Node {
+    /// Where the node's Zenoh session really listens: the ports of endpoints that were configured with
+    /// port 0 are known only now.
+    pub async fn endpoints(&self) -> Vec<String> {
+        let locators = self.session.info().locators().await;
+        locators.iter().map(ToString::to_string).collect()
+    }
+
     /// Waits for the shutdown token, lets the frames in hand and the open clips out, and closes.
     /// Gives up after five seconds; what is not out then is in the spool or lost, and logged.
     pub async fn stopped(mut self) {
@@ -238,10 +230,15 @@ impl Parts<'_> {
             Arc::clone(&drops),
         );
 
+        // A live camera's answers age with its frames; a replay wants each of them.
+        let congestion = match config.delivery {
+            Delivery::Newest => CongestionControl::Drop,
+            Delivery::Every => CongestionControl::Block,
+        };
         let detections = self
             .session
             .declare_publisher(keys.detections())
-            .congestion_control(CongestionControl::Drop)
+            .congestion_control(congestion)
             .await
             .map_err(|error| anyhow!("detections cannot be published: {error}"))?;
         let reports = self
@@ -314,60 +311,6 @@ impl Parts<'_> {
         self.intakes.push(subscriber);
         Ok(())
     }
-
-    /// Publishes every camera's counters once a second, and keeps the board's power figures new.
-    async fn add_counters(&mut self, keys: &NodeKeys) -> anyhow::Result<()> {
-        let mut publishers = BTreeMap::new();
-        for camera in &self.config.cameras {
-            let publisher = self
-                .session
-                .declare_publisher(keys.camera(&camera.name)?.counters())
-                .congestion_control(CongestionControl::Drop)
-                .await
-                .map_err(|error| anyhow!("counters cannot be published: {error}"))?;
-            publishers.insert(camera.name.clone(), publisher);
-        }
-        let (board, power) = (Arc::clone(self.board), self.power.clone());
-        let shutdown = self.shutdown.clone();
-        self.working.spawn(async move {
-            let mut ticks = tokio::time::interval(COUNTER_PERIOD);
-            ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-            let mut joules = BTreeMap::<String, f64>::new();
-            let mut since = Instant::now();
-            loop {
-                tokio::select! {
-                    () = shutdown.cancelled() => return,
-                    _ = ticks.tick() => {}
-                }
-                let until = Instant::now();
-                for domain in power.energy(since, until).domains {
-                    *joules.entry(domain.domain).or_default() += domain.joules;
-                }
-                since = until;
-                let now = power.now();
-                board.set_power(PowerNow {
-                    source: now.source,
-                    quality: now.quality,
-                    watts: now.watts,
-                    joules: joules.clone(),
-                });
-                for message in board.publish_counters(unix_nanoseconds()) {
-                    let Some(publisher) = publishers.get(&message.camera) else {
-                        continue;
-                    };
-                    if let Ok(json) = serde_json::to_vec(&*message)
-                        && let Err(error) = publisher
-                            .put(json)
-                            .encoding(Encoding::APPLICATION_JSON)
-                            .await
-                    {
-                        tracing::warn!(camera = message.camera, %error, "counters not published");
-                    }
-                }
-            }
-        });
-        Ok(())
-    }
 }
 
 /// Copies the detector's status to where the board reads it.
@@ -379,37 +322,4 @@ async fn follow(mut from: watch::Receiver<DetectorStatus>, to: watch::Sender<Det
             return;
         }
     }
-}
-
-fn camera_setups(
-    config: &NodeConfig,
-    keys: &NodeKeys,
-    knob: Option<crate::policy::Knob>,
-    value: Option<f64>,
-) -> anyhow::Result<Vec<CameraSetup>> {
-    config
-        .cameras
-        .iter()
-        .map(|camera| {
-            let key = match &camera.key {
-                Some(key) => key.clone(),
-                None => keys.camera(&camera.name)?.frame(),
-            };
-            Ok(CameraSetup {
-                name: camera.name.clone(),
-                key,
-                knob,
-                threshold: camera.threshold.or(value),
-            })
-        })
-        .collect()
-}
-
-/// This machine's wall clock; 0 before 1970.
-fn unix_nanoseconds() -> u64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |since| {
-            u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
-        })
 }

@@ -1,6 +1,10 @@
 //! The `[policy]` section of the configuration, and the list of policies it can name.
 
-use super::{Albireo, Policy, Profile, Vanilla};
+use super::ablation::Ablation;
+use super::{
+    Albireo, AlbireoSettings, Ctd, CtdSettings, ErdOnly, FixedSkip, FixedSkipSettings, Policy,
+    Profile, Statues, StatuesSettings, Vanilla,
+};
 use serde::{Deserialize, Serialize};
 
 /// A table of settings by name, as it stands in the configuration.
@@ -13,13 +17,20 @@ pub type Table = serde_json::Map<String, serde_json::Value>;
 pub struct PolicyConfig {
     /// Name of the policy: one of [`known_policies`].
     pub name: String,
-    /// The settings the Albireo policy starts from.
+    /// What holds where the paper's text and the published code disagree.
     pub profile: Profile,
-    /// The uncertainty threshold of the policies that have one.
+    /// The uncertainty threshold of `albireo` and its ablations.
     pub u: f64,
     /// Single settings of the Albireo policy that differ from the profile's: the fields of
-    /// [`AlbireoSettings`](super::AlbireoSettings), as deep as it goes.
+    /// [`AlbireoSettings`], as deep as it goes. Every policy that keeps objects has them, as far as it
+    /// has the parts they are about.
     pub albireo: Table,
+    /// Settings of `fixed-skip`.
+    pub fixed_skip: FixedSkipSettings,
+    /// Settings of `ctd`.
+    pub ctd: CtdSettings,
+    /// Settings of `statues`.
+    pub statues: StatuesSettings,
 }
 
 impl Default for PolicyConfig {
@@ -29,6 +40,9 @@ impl Default for PolicyConfig {
             profile: Profile::default(),
             u: Albireo::KNOB.default,
             albireo: Table::new(),
+            fixed_skip: FixedSkipSettings::default(),
+            ctd: CtdSettings::default(),
+            statues: StatuesSettings::default(),
         }
     }
 }
@@ -45,6 +59,16 @@ pub enum PolicyConfigError {
     /// The threshold is out of range.
     #[error("{0}")]
     Threshold(#[from] super::KnobError),
+    /// The argument behind the policy's name makes no sense.
+    #[error("`{policy}:{argument}`: {reason}")]
+    Argument {
+        /// The policy's name.
+        policy: &'static str,
+        /// What was given.
+        argument: String,
+        /// What was expected.
+        reason: String,
+    },
     /// A setting that does not exist, or has a value it cannot have.
     #[error("{reason}")]
     Setting {
@@ -60,23 +84,54 @@ impl PolicyConfigError {
     pub fn key(&self) -> String {
         match self {
             Self::UnknownPolicy { .. } => "policy.name".to_owned(),
-            Self::Threshold(_) => "policy.u".to_owned(),
+            Self::Threshold(_) => "policy".to_owned(),
+            Self::Argument { policy, .. } => format!("policy {policy}"),
             Self::Setting { table, .. } => format!("policy.{table}"),
         }
     }
 }
 
-type Build = fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>;
+/// A policy that the configuration can name.
+struct Entry {
+    name: &'static str,
+    build: fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
+    /// Where the value of its knob stands; `None` without a knob.
+    knob_value: Option<fn(&mut PolicyConfig) -> &mut f64>,
+}
+
+const fn entry(
+    name: &'static str,
+    build: fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
+    knob_value: Option<fn(&mut PolicyConfig) -> &mut f64>,
+) -> Entry {
+    Entry {
+        name,
+        build,
+        knob_value,
+    }
+}
+
+const KILL_ONLY: Ablation = Ablation::KillOnly;
+const KILL_ERD: Ablation = Ablation::KillErd;
+const KILL_ERD_10D: Ablation = Ablation::KillErd10d;
 
 /// All policies: one line each.
-const POLICIES: &[(&str, Build)] = &[
-    (Albireo::NAME, Albireo::from_config),
-    (Vanilla::NAME, Vanilla::from_config),
+#[rustfmt::skip]
+const POLICIES: &[Entry] = &[
+    entry(Albireo::NAME, Albireo::from_config, Some(|c| &mut c.u)),
+    entry(Vanilla::NAME, Vanilla::from_config, None),
+    entry(FixedSkip::NAME, FixedSkip::from_config, Some(|c| &mut c.fixed_skip.n)),
+    entry(Ctd::NAME, Ctd::from_config, Some(|c| &mut c.ctd.threshold)),
+    entry(Statues::NAME, Statues::from_config, Some(|c| &mut c.statues.component_size)),
+    entry(ErdOnly::NAME, ErdOnly::from_config, None),
+    entry(KILL_ONLY.name(), |c| Albireo::ablated(KILL_ONLY, c), Some(|c| &mut c.u)),
+    entry(KILL_ERD.name(), |c| Albireo::ablated(KILL_ERD, c), Some(|c| &mut c.u)),
+    entry(KILL_ERD_10D.name(), |c| Albireo::ablated(KILL_ERD_10D, c), Some(|c| &mut c.u)),
 ];
 
 /// The names that [`PolicyConfig::name`] can have.
 pub fn known_policies() -> impl Iterator<Item = &'static str> {
-    POLICIES.iter().map(|(name, _)| *name)
+    POLICIES.iter().map(|entry| entry.name)
 }
 
 fn names() -> String {
@@ -90,13 +145,73 @@ impl PolicyConfig {
     /// # Errors
     /// [`PolicyConfigError`] when the name is not known or a setting cannot be used.
     pub fn build(&self) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let (_, build) = POLICIES
+        (self.entry()?.build)(self)
+    }
+
+    /// Takes `NAME[:ARGUMENT]`, as a command line has it: the policy, and the value of its knob. Without
+    /// an argument that value stays what it is; nothing else is touched. Whether the value is in range
+    /// [`build`](Self::build) tells.
+    ///
+    /// # Errors
+    /// [`PolicyConfigError`] when the name is not known, or the argument is no number or the policy takes
+    /// none; the configuration is as before then.
+    pub fn select(&mut self, asked: &str) -> Result<(), PolicyConfigError> {
+        let (name, argument) = match asked.split_once(':') {
+            Some((name, argument)) => (name, Some(argument)),
+            None => (asked, None),
+        };
+        let before = std::mem::replace(&mut self.name, name.to_owned());
+        let taken = match argument {
+            Some(argument) => self.set_argument(argument),
+            None => self.entry().map(|_| ()),
+        };
+        if taken.is_err() {
+            self.name = before;
+        }
+        taken
+    }
+
+    /// Sets the knob of the policy that is configured to `argument`, a number as text.
+    ///
+    /// # Errors
+    /// [`PolicyConfigError`] when the name is not known, the policy has no knob, or this is no number.
+    pub fn set_argument(&mut self, argument: &str) -> Result<(), PolicyConfigError> {
+        let entry = self.entry()?;
+        let wrong = |reason: &str| PolicyConfigError::Argument {
+            policy: entry.name,
+            argument: argument.to_owned(),
+            reason: reason.to_owned(),
+        };
+        let place = entry
+            .knob_value
+            .ok_or_else(|| wrong("this policy takes no argument"))?;
+        *place(self) = argument
+            .trim()
+            .parse()
+            .map_err(|_| wrong("the argument must be a number"))?;
+        Ok(())
+    }
+
+    /// The settings of Albireo: the profile's, with single ones in their place.
+    ///
+    /// # Errors
+    /// [`PolicyConfigError::Setting`] for one that does not exist or cannot have its value.
+    pub fn albireo_settings(&self) -> Result<AlbireoSettings, PolicyConfigError> {
+        with_overrides(&AlbireoSettings::of(self.profile), &self.albireo).map_err(|reason| {
+            PolicyConfigError::Setting {
+                table: Albireo::NAME,
+                reason,
+            }
+        })
+    }
+
+    fn entry(&self) -> Result<&'static Entry, PolicyConfigError> {
+        POLICIES
             .iter()
-            .find(|(name, _)| *name == self.name)
+            .find(|entry| entry.name == self.name)
             .ok_or_else(|| PolicyConfigError::UnknownPolicy {
                 name: self.name.clone(),
-            })?;
-        build(self)
+            })
     }
 }
 
@@ -104,7 +219,7 @@ impl PolicyConfig {
 ///
 /// # Errors
 /// A sentence that names the setting that does not exist or the value it cannot have.
-pub(super) fn with_overrides<T: Serialize + for<'a> Deserialize<'a>>(
+fn with_overrides<T: Serialize + for<'a> Deserialize<'a>>(
     settings: &T,
     overrides: &Table,
 ) -> Result<T, String> {
@@ -147,92 +262,4 @@ fn same_kind(a: &serde_json::Value, b: &serde_json::Value) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::policy::AlbireoSettings;
-
-    fn config(text: &str) -> PolicyConfig {
-        toml::from_str(text).unwrap()
-    }
-
-    fn error(text: &str) -> String {
-        config(text).build().err().unwrap().to_string()
-    }
-
-    #[test]
-    fn without_configuration_it_is_albireo_with_the_papers_threshold() {
-        let policy = config("").build().unwrap();
-        assert_eq!(policy.name(), "albireo");
-        assert_eq!(policy.knob_value(), Some(3e-4));
-    }
-
-    #[test]
-    fn every_known_name_builds_a_policy_of_that_name() {
-        for name in known_policies() {
-            let config = PolicyConfig {
-                name: name.to_owned(),
-                ..PolicyConfig::default()
-            };
-            assert_eq!(config.build().unwrap().name(), name);
-        }
-    }
-
-    #[test]
-    fn an_unknown_policy_is_refused_with_the_names_there_are() {
-        let message = error("name = 'albiro'");
-        assert!(message.contains("albiro"), "{message}");
-        assert!(message.contains("`albireo`, `vanilla`"), "{message}");
-    }
-
-    #[test]
-    fn a_bad_threshold_is_refused() {
-        for u in ["0", "-1.0", "nan", "inf", "2"] {
-            let message = error(&format!("u = {u}"));
-            assert!(message.starts_with("`u` must be"), "{message}");
-        }
-    }
-
-    #[test]
-    fn a_single_setting_goes_over_the_profile() {
-        let config = config(
-            "profile = 'reference'\n[albireo]\nt_max = 7\nlife_cycle.r_max = 4\n\
-             filter.measurement = { deviation = 0.01, unit = 'normalised' }",
-        );
-        let settings = with_overrides(&AlbireoSettings::of(config.profile), &config.albireo);
-        let settings: AlbireoSettings = settings.unwrap();
-        let mut expected = AlbireoSettings::reference();
-        expected.t_max = 7;
-        expected.life_cycle.r_max = 4;
-        expected.filter.measurement.deviation = 0.01;
-        expected.filter.measurement.unit = crate::kalman::MeasurementUnit::Normalised;
-        assert_eq!(settings, expected);
-        assert!(config.build().is_ok());
-    }
-
-    #[test]
-    fn a_setting_that_does_not_exist_or_cannot_be_is_named() {
-        for (text, part) in [
-            ("[albireo]\ntmax = 7", "`tmax`"),
-            ("[albireo.life_cycle]\nrmax = 7", "`life_cycle.rmax`"),
-            ("[albireo]\nt_max = 'x'", "`t_max`"),
-            ("[albireo]\nt_max = 0", "`t_max`"),
-            ("[albireo]\nperiodic_cap_counts = 'x'", "`x`"),
-            (
-                "[albireo.filter.initial]\nsize = -1",
-                "`filter.initial.size`",
-            ),
-            (
-                "[albireo.filter.process]\nsize = nan",
-                "`filter.process.size`",
-            ),
-            (
-                "[albireo.association]\niou_gate = 2",
-                "`association.iou_gate`",
-            ),
-        ] {
-            let message = error(text);
-            assert!(message.starts_with("policy.albireo: "), "{message}");
-            assert!(message.contains(part), "{message}");
-        }
-    }
-}
+mod tests;

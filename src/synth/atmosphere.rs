@@ -74,19 +74,19 @@ impl Atmosphere {
         };
         let (top, horizon, cloud, ambient, sun, height) = match light {
             Light::Day => (
-                [0.22, 0.45, 0.78],
+                [0.30, 0.52, 0.82],
                 [0.72, 0.84, 0.93],
-                [0.72, 0.75, 0.78],
-                [0.56, 0.59, 0.64],
-                [0.55, 0.51, 0.43],
+                [0.80, 0.83, 0.86],
+                [0.70, 0.72, 0.76],
+                [0.62, 0.57, 0.47],
                 random.range(0.5, 0.9),
             ),
             Light::Dusk => (
                 [0.22, 0.25, 0.44],
                 [0.93, 0.62, 0.42],
                 [0.46, 0.44, 0.50],
-                [0.36, 0.34, 0.40],
-                [0.50, 0.30, 0.16],
+                [0.44, 0.41, 0.46],
+                [0.58, 0.36, 0.20],
                 random.range(0.12, 0.25),
             ),
             Light::Night => (
@@ -114,7 +114,7 @@ impl Atmosphere {
                 Weather::Rain => random.range(0.005, 0.010),
                 Weather::Fog => random.range(0.011, 0.022),
             },
-            ambient: scale_color(ambient, exposure * (1.0 + 0.12 * grey)),
+            ambient: scale_color(ambient, exposure * (1.0 + 0.18 * grey)),
             sun: scale_color(sun, exposure * (1.0 - 0.92 * grey)),
             sun_direction: point(around.sin(), height, around.cos()).normalised(),
             headlights: match light {

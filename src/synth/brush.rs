@@ -171,7 +171,7 @@ impl Brush<'_> {
             let color = self.air.shade(solid.color, normal, middle);
             self.canvas.solid([pixels.as_slice()], color);
             // Patches that would be smaller than a pixel only cost time.
-            if self.camera.scale(middle.z) < 2.5 {
+            if self.camera.scale(middle.z) < 4.0 {
                 continue;
             }
             for decal in solid.decals.iter().filter(|decal| decal.side == side) {

@@ -1,11 +1,11 @@
 //! The picture under construction: polygons drawn by tiny-skia, and beside it a plane that records
 //! which object each pixel shows.
 
-use super::space::{Color, Pixel};
+use super::space::{Color, Pixel, mix_color};
 use crate::geometry::{Corners, PictureSize};
 use tiny_skia::{
-    BlendMode, FillRule, GradientStop, LinearGradient, Paint, PathBuilder, Pixmap, Point,
-    RadialGradient, Shader, SpreadMode, Transform,
+    BlendMode, FillRule, GradientStop, Paint, PathBuilder, Pixmap, Point, RadialGradient, Shader,
+    SpreadMode, Transform,
 };
 
 /// What is known of one object after the picture is complete.
@@ -152,29 +152,42 @@ impl Canvas {
         self.fill(builder, &paint(Shader::SolidColor(skia(color, alpha))));
     }
 
-    /// Draws one polygon, coloured from row to row by `stops` of (row, colour).
+    /// Draws one polygon, coloured from row to row by `stops` of (row, colour). It is cut into bands of
+    /// whole rows with one colour each: several times faster than a gradient, and the steps stay below
+    /// what eight bits a channel can show.
     pub(super) fn graded(&mut self, polygon: &[Pixel], stops: &[(f32, Color)]) {
         let (Some(first), Some(last)) = (stops.first(), stops.last()) else {
             return;
         };
-        let span = (last.0 - first.0).max(1.0);
-        let gradient = LinearGradient::new(
-            Point::from_xy(0.0, first.0),
-            Point::from_xy(0.0, first.0 + span),
-            stops
-                .iter()
-                .map(|stop| GradientStop::new((stop.0 - first.0) / span, skia(stop.1, 1.0)))
-                .collect(),
-            SpreadMode::Pad,
-            Transform::identity(),
-        );
-        let Some(shader) = gradient else { return };
         if polygon.len() < 3 || self.outside(polygon) {
             return;
         }
-        let mut builder = self.builder.take().unwrap_or_default();
-        push(&mut builder, polygon);
-        self.fill(builder, &paint(shader));
+        let rows = polygon
+            .iter()
+            .fold((f32::MAX, f32::MIN), |b, p| (b.0.min(p.1), b.1.max(p.1)));
+        let bottom = rows.1.min(self.size.height as f32).ceil();
+        let mut top = rows.0.max(0.0).floor();
+        let (mut above, mut band) = (Vec::new(), Vec::new());
+        while top < bottom {
+            let at = top.clamp(first.0, last.0);
+            let next = stops.windows(2).find(|pair| at < pair[1].0);
+            let (color, height) = match next {
+                Some(pair) => {
+                    let span = (pair[1].0 - pair[0].0).max(0.01);
+                    let step = (0..3)
+                        .map(|c| (pair[1].1[c] - pair[0].1[c]).abs())
+                        .fold(0.0, f32::max);
+                    let height = (span * 0.008 / step.max(1e-4)).ceil().clamp(1.0, 48.0);
+                    let share = (at + height * 0.5 - pair[0].0) / span;
+                    (mix_color(pair[0].1, pair[1].1, share), height)
+                }
+                None => (last.1, bottom - top),
+            };
+            cut(polygon, top, false, &mut above);
+            cut(&above, top + height, true, &mut band);
+            self.overlay(&band, color, 1.0);
+            top += height;
+        }
     }
 
     /// Adds light: a soft ellipse around `center`, strongest there.
@@ -352,4 +365,26 @@ fn push(builder: &mut PathBuilder, polygon: &[Pixel]) {
         builder.line_to(at(index).0, at(index).1);
     }
     builder.close();
+}
+
+/// Keeps what of `polygon` lies above (`upper`) or below `row`.
+fn cut(polygon: &[Pixel], row: f32, upper: bool, kept: &mut Vec<Pixel>) {
+    kept.clear();
+    let inside = |pixel: &Pixel| {
+        if upper {
+            pixel.1 <= row
+        } else {
+            pixel.1 >= row
+        }
+    };
+    for (index, from) in polygon.iter().enumerate() {
+        let to = &polygon[(index + 1) % polygon.len()];
+        if inside(from) {
+            kept.push(*from);
+        }
+        if inside(from) != inside(to) {
+            let share = (row - from.1) / (to.1 - from.1);
+            kept.push((from.0 + (to.0 - from.0) * share, row));
+        }
+    }
 }

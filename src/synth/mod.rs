@@ -5,23 +5,29 @@
 //! from the seed. The same settings give the same bytes on the same kind of machine (sines come from
 //! the platform's mathematics library). Everything is drawn in code: no recorded material is used.
 //!
-//! The way of a frame: [`scene`] and [`traffic`] say what there is, [`motion`] and [`road`] where it is,
-//! [`render`] draws it back to front through a [`brush`] on a [`canvas`], [`sensor`] reads the picture
-//! out, and [`ground_truth`] reads the boxes from the canvas's object plane.
+//! The way of a frame: `scene` and `traffic` say what there is, `motion` and `road` where it is, `render`
+//! draws it back to front through a `brush` on a `canvas`, `sensor` reads the picture out, and
+//! `ground_truth` reads the boxes from the canvas's object plane.
 
 mod atmosphere;
+mod bodies;
 mod brush;
+mod buildings;
 mod canvas;
 mod ground;
 mod ground_truth;
+mod kind;
 mod motion;
 mod people;
+mod plants;
 mod random;
 mod render;
 mod road;
+mod roadside;
 mod scene;
 mod scenery;
 mod sensor;
+mod sky;
 mod space;
 mod traffic;
 mod vehicles;

@@ -3,14 +3,16 @@
 use super::brush::Brush;
 use super::canvas::Canvas;
 use super::ground;
+use super::kind::RIDER;
 use super::motion::Pose;
 use super::random::Random;
 use super::road::{Setting, View};
+use super::roadside;
 use super::scene::Scene;
 use super::scenery::{self, Placed};
+use super::sky;
 use super::space::{Color, Pixel, Placement, Point, mix_color, point, scale_color};
 use super::traffic::{Actor, SIGHT};
-use super::vehicles::RIDER;
 use crate::detection::ClassId;
 
 /// An object that was drawn: its identity and its number in the canvas.
@@ -41,6 +43,7 @@ pub(super) fn paint(
         camera,
         air: &scene.air,
     };
+    sky::paint(&mut brush, scene, along);
     ground::paint(&mut brush, scene, &view, along);
 
     let seed = super::random::mix(&[scene.seed, scene.index, 30]);
@@ -53,6 +56,8 @@ pub(super) fn paint(
             let depth = match placed.item {
                 // A row of houses is nearest where it faces the road.
                 scenery::Item::Building => at.z + 5.0,
+                // Traffic is always on this side of a rail, except beyond a median.
+                scenery::Item::Rail(length) => at.z + length + 6.0,
                 _ => at.z,
             };
             things.push((depth, Thing::Scenery(placed)));
@@ -70,7 +75,7 @@ pub(super) fn paint(
         // Whoever drives beyond the median stands behind all of its rail.
         let beyond = scene.road.setting == Setting::Highway && pose.across < 0.0;
         things.push((
-            at.z + if beyond { 9.0 } else { 0.0 },
+            at.z + if beyond { 24.0 } else { 0.0 },
             Thing::Actor(actor, pose),
         ));
     }
@@ -88,7 +93,7 @@ pub(super) fn paint(
     for (_, thing) in &things {
         match thing {
             Thing::Scenery(placed) => {
-                scenery::paint(&mut brush, &view, placed, &mut lamps);
+                roadside::paint(&mut brush, &view, placed, &mut lamps);
                 for (at, strength) in lamps.drain(..) {
                     street_lamp(&mut brush, at, strength);
                 }

@@ -19,9 +19,11 @@ pub(super) struct Scene {
     pub quiet: Quiet,
     /// How strongly the camera shakes, 1 usual.
     shaking: f32,
-    /// Horizontal field of view as focal length over picture width.
+    /// Focal length over picture width.
     focal: f32,
+    /// How far the optical axis is off the middle, and the horizon's row, as shares of the picture.
     mounting: (f32, f32),
+    /// Colour of the own bonnet.
     pub bonnet: [f32; 3],
     /// How blurred the lens is: 0 sharp, 1 or 2.
     pub blur: u8,
@@ -113,7 +115,7 @@ impl Scene {
         }
     }
 
-    /// How much the shaking smears a frame, pixels per metre of focal length: 0 still.
+    /// Rows, at 720, that the horizon moves while the shutter is open (1/120 s).
     pub(super) fn smear(&self, size: PictureSize, time: f32) -> f32 {
         let step = 1.0 / 120.0;
         let (now, then) = (self.camera(size, time), self.camera(size, time + step));

@@ -1,10 +1,11 @@
 //! Who is on the road in a clip: drawn from chance, kept clear of each other, of the own car, and of the
 //! quiet stretches.
 
+use super::kind::Kind;
 use super::motion::{Ego, Motion, Pose, SlowDown, braked};
 use super::random::Random;
 use super::road::{HORIZON, Road, Setting};
-use super::vehicles::{Kind, Model};
+use super::vehicles::Model;
 
 /// One participant: a vehicle, a pedestrian, or a two-wheeler with its rider.
 #[derive(Clone, Debug)]
@@ -160,7 +161,7 @@ fn motor_vehicle(random: &mut Random) -> Kind {
 
 fn highway(cast: &mut Cast, density: f32, random: &mut Random) {
     let cruise = cast.ego.cruise;
-    for _ in 0..(5.0 * density) as usize {
+    for _ in 0..(9.0 * density) as usize {
         let kind = motor_vehicle(random);
         let motion = match random.below(3) {
             0 => Motion::Lead {
@@ -184,7 +185,7 @@ fn highway(cast: &mut Cast, density: f32, random: &mut Random) {
         };
         cast.add(kind, motion, random);
     }
-    for _ in 0..(9.0 * density) as usize {
+    for _ in 0..(14.0 * density) as usize {
         let kind = motor_vehicle(random);
         let motion = oncoming(cast, cruise * random.range(0.9, 1.1), random);
         cast.add(kind, motion, random);
@@ -225,7 +226,7 @@ fn country(cast: &mut Cast, density: f32, random: &mut Random) {
         let kind = random.pick([Kind::Car, Kind::Car, Kind::Motorcycle { ridden: true }]);
         cast.add(kind, motion, random);
     }
-    for _ in 0..(5.0 * density) as usize {
+    for _ in 0..(7.0 * density) as usize {
         let kind = motor_vehicle(random);
         let motion = oncoming(cast, cruise * random.range(0.75, 1.1), random);
         cast.add(kind, motion, random);

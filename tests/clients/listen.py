@@ -3,7 +3,7 @@
 Usage: listen.py ENDPOINT KEY [--history]
 
 Prints `ready` once the node's liveliness token has been seen and the subscriptions stand, then one JSON
-line {"key": ..., "message": ...} for every sample under KEY, until its standard input closes.
+line {"key": ..., "message": ...} for every JSON message under KEY (frames are left out), until its standard input closes.
 `--history` also asks for what was published before (clip reports).
 """
 
@@ -24,14 +24,16 @@ def main() -> None:
     configuration.insert_json5("scouting/multicast/enabled", "false")
 
     write = threading.Lock()
-
-    def say(line: str) -> None:
-        with write:
-            print(line, flush=True)
+    ready = threading.Event()
 
     def received(sample: zenoh.Sample) -> None:
+        if str(sample.key_expr).endswith("/frame"):
+            return
         message = json.loads(sample.payload.to_bytes())
-        say(json.dumps({"key": str(sample.key_expr), "message": message}))
+        # What the history brings may come before everything stands.
+        ready.wait()
+        with write:
+            print(json.dumps({"key": str(sample.key_expr), "message": message}), flush=True)
 
     with zenoh.open(configuration) as session:
         if history:
@@ -46,7 +48,8 @@ def main() -> None:
         node = "/".join(key.split("/")[:2])
         alive = session.liveliness().declare_subscriber(f"{node}/@alive", history=True)
         alive.recv()
-        say("ready")
+        print("ready", flush=True)
+        ready.set()
         sys.stdin.read()
         subscriber.undeclare()
 

@@ -209,6 +209,7 @@ pub fn clip(camera: &str, report: u64) -> ClipReport {
         provider: "cpu".to_owned(),
         total_latency_ms: Percentiles::default(),
         detector_latency_ms: Percentiles::default(),
+        board: None,
         energy: ClipEnergy {
             joules: Some(412.0),
             node_joules: Some(412.0),

@@ -1,6 +1,8 @@
 //! What the end-to-end tests share: the program as a process, the independent Zenoh client, and the
 //! folder of recordings.
 
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
@@ -25,6 +27,12 @@ pub fn shared(path: &str) -> PathBuf {
         file.display()
     );
     file
+}
+
+/// The Python of the independent clients, as `make python` sets it up.
+pub fn python() -> String {
+    std::env::var("ALBIREO_PYTHON")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into())
 }
 
 /// A port nobody listens on at this moment.
@@ -110,16 +118,6 @@ impl Node {
             }
         };
         timeout(PATIENCE, ready).await.expect("the node gets ready");
-    }
-
-    /// JSON from a route of the node.
-    pub async fn get(&self, path: &str) -> Value {
-        reqwest::get(format!("{}{path}", self.http))
-            .await
-            .expect("the node answers")
-            .json()
-            .await
-            .expect("the answer is JSON")
     }
 
     /// Sends the signal a service manager sends.

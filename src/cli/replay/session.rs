@@ -97,3 +97,32 @@ pub async fn wait_for_subscriber(
         )
     })?
 }
+
+/// Waits until everything put before has left this session and, where it is a client, has been taken by
+/// its node or router: a query travels behind the frames and its end comes back only then. Closing a
+/// session gives up what a slow receiver has not taken after ten seconds.
+///
+/// # Errors
+/// When that takes longer than `patience`.
+pub async fn flush(session: &Session, key: &str, patience: Duration) -> anyhow::Result<()> {
+    // No one answers on this key; the query's end is what is waited for.
+    let replies = session
+        .get(format!("{key}/@flush"))
+        .timeout(patience)
+        .await
+        .map_err(|error| anyhow!("waiting for the last frames to be taken: {error}"))?;
+    let waited = tokio::time::timeout(patience, async {
+        while let Ok(reply) = replies.recv_async().await {
+            if let Err(error) = reply.result() {
+                bail!("the last frames may be lost: {error}");
+            }
+        }
+        Ok(())
+    });
+    waited.await.with_context(|| {
+        format!(
+            "the last frames were not taken within {} s",
+            patience.as_secs()
+        )
+    })?
+}

@@ -31,9 +31,9 @@ pub struct TaskCounters {
     pub refused: u64,
     /// Pictures whose asker had gone before their turn came.
     pub cancelled: u64,
-    /// Sessions built after the first.
+    /// Attempts to build a new session after a failure.
     pub rebuilds: u64,
-    /// Attempts to build one that failed.
+    /// Those of them that failed.
     pub rebuilds_failed: u64,
     /// Threads that still hang in a run that was given up: a number that goes down again.
     pub abandoned: u64,

@@ -90,6 +90,12 @@ impl<T> Shared<T> {
         }
     }
 
+    /// How many pictures wait.
+    #[cfg(test)]
+    pub(super) fn waiting(&self) -> usize {
+        self.lock().waiting.len()
+    }
+
     fn lock(&self) -> MutexGuard<'_, State<T>> {
         // Nothing that runs under this lock can leave the state half changed.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
@@ -243,9 +249,11 @@ impl<T> Shared<T> {
         }
     }
 
-    /// The number of the worker that may take pictures.
-    pub(super) fn generation(&self) -> u64 {
-        self.lock().generation
+    /// The number of a new worker, the only one from now on that may take pictures.
+    pub(super) fn next_generation(&self) -> u64 {
+        let mut state = self.lock();
+        state.generation += 1;
+        state.generation
     }
 
     /// Opens the queue for a freshly built worker.

@@ -102,9 +102,9 @@ impl<M: Model> Supervisor<M> {
                     return;
                 }
                 pause = (pause * 2).min(self.settings.longest_pause);
+                Counters::add(&self.shared.counters.rebuilds);
                 match self.build().await {
                     Some(Ok(())) => {
-                        Counters::add(&self.shared.counters.rebuilds);
                         info!(task = self.settings.name, "the session has been rebuilt");
                         break;
                     }
@@ -133,7 +133,7 @@ impl<M: Model> Supervisor<M> {
 
     /// Starts a worker and waits for its model; `None` when the task was stopped meanwhile.
     async fn build(&mut self) -> Option<Result<(), StartError>> {
-        self.worker = self.shared.generation();
+        self.worker = self.shared.next_generation();
         let spawned = worker::spawn(
             self.settings.name,
             self.worker,
@@ -156,17 +156,17 @@ impl<M: Model> Supervisor<M> {
                 event = self.next_event() => event,
             };
             match event {
-                Event::Built {
+                Some(Event::Built {
                     provider,
                     interrupter,
-                } => {
+                }) => {
                     self.interrupter = interrupter;
                     self.shared.ready(provider);
                     return Some(Ok(()));
                 }
-                Event::BuildFailed(error) => return Some(Err(error)),
-                Event::RunFailed(_) => {}
-                Event::Ended => {
+                Some(Event::BuildFailed(error)) => return Some(Err(error)),
+                Some(Event::RunFailed(_)) | None => {}
+                Some(Event::Ended) => {
                     return Some(Err(StartError::Thread {
                         task: self.settings.name,
                         reason: "it ended without a word".to_owned(),
@@ -186,12 +186,12 @@ impl<M: Model> Supervisor<M> {
                 biased;
                 () = stop.cancelled() => return End::Stopped,
                 event = self.next_event() => match event {
-                    Event::RunFailed(reason) => {
+                    Some(Event::RunFailed(reason)) => {
                         warn!(task = self.settings.name, reason, "the session will be rebuilt");
                         return End::Failed;
                     }
-                    Event::Ended => return End::Failed,
-                    Event::Built { .. } | Event::BuildFailed(_) => {}
+                    Some(Event::Ended) => return End::Failed,
+                    Some(Event::Built { .. } | Event::BuildFailed(_)) | None => {}
                 },
                 () = sleep_until(deadline.unwrap_or_else(Instant::now)),
                     if deadline.is_some() =>
@@ -266,23 +266,21 @@ impl<M: Model> Supervisor<M> {
         }
     }
 
-    /// The next event of the present worker. Earlier workers only tell that their thread is gone.
-    async fn next_event(&mut self) -> Event {
-        loop {
-            // Never `None`: `self.tell` keeps the channel open.
-            let Some((worker, event)) = self.events.recv().await else {
-                return Event::Ended;
-            };
-            let ended = matches!(event, Event::Ended);
-            if ended && self.abandoned.remove(&worker) {
-                self.count_abandoned();
-            }
-            if worker == self.worker {
-                if ended {
-                    self.alive = false;
-                }
-                return event;
-            }
+    /// Waits for one event and returns it if it is of the present worker. Earlier workers only tell that their
+    /// thread is gone.
+    async fn next_event(&mut self) -> Option<Event> {
+        // Always some: `self.tell` keeps the channel open.
+        let (worker, event) = self.events.recv().await?;
+        let ended = matches!(event, Event::Ended);
+        if ended && self.abandoned.remove(&worker) {
+            self.count_abandoned();
         }
+        if worker != self.worker {
+            return None;
+        }
+        if ended {
+            self.alive = false;
+        }
+        Some(event)
     }
 }

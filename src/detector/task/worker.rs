@@ -42,12 +42,12 @@ pub(super) fn spawn<M: Model>(
             let _entered = runtime.enter();
             let telling = Telling { generation, events };
             match build(task, &*factory) {
-                Ok(model) => {
+                Ok(mut model) => {
                     telling.tell(Event::Built {
                         provider: model.provider(),
                         interrupter: model.interrupter(),
                     });
-                    if let Some(failure) = work(model, generation, &shared) {
+                    if let Some(failure) = work(&mut model, generation, &shared) {
                         telling.tell(Event::RunFailed(failure));
                     }
                 }
@@ -86,7 +86,7 @@ fn build<M: Model>(task: &'static str, factory: &Factory<M>) -> Result<M, StartE
 }
 
 /// Runs pictures until told to leave, or until a run fails: then says why.
-fn work<M: Model>(mut model: M, generation: u64, shared: &Shared<M::Output>) -> Option<String> {
+fn work<M: Model>(model: &mut M, generation: u64, shared: &Shared<M::Output>) -> Option<String> {
     while let Some(assignment) = shared.next(generation) {
         let result = catch_unwind(AssertUnwindSafe(|| {
             model.run(assignment.camera, &assignment.picture)

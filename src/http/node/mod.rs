@@ -7,6 +7,7 @@ mod health;
 mod metrics;
 mod page;
 mod picture;
+mod plain_metrics;
 mod states;
 mod threshold;
 

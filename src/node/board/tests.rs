@@ -1,6 +1,9 @@
 use super::*;
+use crate::detector::ExecutionProvider;
+use crate::node::config::{CameraConfig, NodeConfig};
 use crate::policy::{FrameState, Knob};
 use crate::wire::{DetectionsMessage, DroppedFrames, Latency};
+use std::path::PathBuf;
 
 const KNOB: Knob = Knob {
     name: "u",
@@ -153,4 +156,25 @@ fn a_hold_keeps_the_node_from_being_ready_until_it_is_released() {
     assert_eq!(board.reasons_not_ready()[0].0, "zenoh");
     board.release("zenoh");
     assert!(board.reasons_not_ready().is_empty());
+}
+
+#[test]
+fn a_configuration_describes_its_cameras_with_their_own_thresholds() {
+    let mut config = NodeConfig::default();
+    config.policy.u = 7e-4;
+    config.cameras.push(CameraConfig {
+        key: Some("vehicle/rear".to_owned()),
+        threshold: Some(1e-3),
+        ..CameraConfig::named("rear")
+    });
+    let (_, detector_status) = watch::channel(DetectorStatus::Starting);
+    let board = Board::new(BoardSetup::from_config(&config, detector_status).unwrap());
+    let front = board.camera("front").unwrap();
+    assert_eq!(front.key(), "albireo/node/front/frame");
+    assert_eq!(front.threshold(), Some(7e-4));
+    let rear = board.camera("rear").unwrap();
+    assert_eq!(rear.key(), "vehicle/rear");
+    assert_eq!(rear.threshold(), Some(1e-3));
+    assert_eq!(board.detector_facts().model, "detector.onnx");
+    assert_eq!(board.policy(), "albireo");
 }

@@ -1,5 +1,6 @@
 use super::load::misspelt_variables;
 use super::*;
+use crate::policy::AlbireoSettings;
 use std::path::Path;
 
 fn shipped() -> PathBuf {
@@ -58,6 +59,13 @@ fn the_shipped_file_is_exactly_the_defaults() {
     assert_eq!(NodeConfig::load(None).unwrap(), NodeConfig::default());
 }
 
+/// The key of a line that sets one, also when it is commented out.
+fn key_of(line: &str) -> Option<&str> {
+    let (key, _) = line.strip_prefix("# ").unwrap_or(line).split_once(" = ")?;
+    let is_key = |byte: u8| byte.is_ascii_lowercase() || matches!(byte, b'_' | b'.');
+    key.bytes().all(is_key).then_some(key)
+}
+
 #[test]
 fn every_key_is_in_the_shipped_file_with_a_comment() {
     let text = std::fs::read_to_string(shipped()).unwrap();
@@ -68,11 +76,7 @@ fn every_key_is_in_the_shipped_file_with_a_comment() {
         if line.starts_with('[') {
             section = line.trim_matches(['[', ']']).to_owned();
             commented = false;
-        } else if let Some((key, _)) = line.trim_start_matches("# ").split_once(" = ")
-            && key
-                .bytes()
-                .all(|byte| byte.is_ascii_lowercase() || byte == b'_' || byte.is_ascii_digit())
-        {
+        } else if let Some(key) = key_of(line) {
             assert!(commented, "no comment above: {line}");
             shown.push(format!("{section}.{key}"));
             commented = false;
@@ -81,11 +85,11 @@ fn every_key_is_in_the_shipped_file_with_a_comment() {
         }
     }
     let mut wanted = Vec::new();
-    keys(
-        &serde_json::to_value(NodeConfig::default()).unwrap(),
-        "",
-        &mut wanted,
-    );
+    let defaults = serde_json::to_value(NodeConfig::default()).unwrap();
+    keys(&defaults, "", &mut wanted);
+    // The settings of a policy are there only where they differ from its profile's.
+    let settings = serde_json::to_value(AlbireoSettings::paper()).unwrap();
+    keys(&settings, "policy.albireo", &mut wanted);
     shown.sort();
     wanted.sort();
     assert_eq!(shown, wanted);
@@ -96,26 +100,24 @@ fn the_keys_shown_as_comments_can_be_used_as_they_stand() {
     let text: String = std::fs::read_to_string(shipped())
         .unwrap()
         .lines()
-        .map(|line| {
-            let key = line
-                .strip_prefix("# ")
-                .and_then(|rest| rest.split_once(" = "));
-            match key {
-                Some((key, _))
-                    if key
-                        .bytes()
-                        .all(|byte| byte.is_ascii_lowercase() || byte == b'_') =>
-                {
-                    format!("{}\n", &line[2..])
-                }
-                _ => format!("{line}\n"),
-            }
+        // A token and a token file exclude each other.
+        .filter(|line| key_of(line) != Some("token_file"))
+        .map(|line| match key_of(line) {
+            Some(_) => format!("{}\n", line.trim_start_matches("# ")),
+            None => format!("{line}\n"),
         })
         .collect();
-    // A token and a token file exclude each other; that both were read is what is wanted here.
-    let error = load(&text).expect_err("both tokens");
-    assert_eq!(error.problems.len(), 1, "{error}");
-    assert_eq!(error.problems[0].key, "http.token_file");
+    let config = load(&text).unwrap();
+    assert_eq!(config.http.token.unwrap().secret(), "a-long-random-secret");
+    assert_eq!(
+        config.cameras[0].key.as_deref(),
+        Some("vehicle/camera/front")
+    );
+    // The settings shown are those of the default profile.
+    assert_eq!(
+        serde_json::to_value(config.policy.albireo).unwrap(),
+        serde_json::to_value(AlbireoSettings::of(config.policy.profile)).unwrap()
+    );
 }
 
 #[test]
@@ -175,6 +177,13 @@ fn an_impossible_value_is_refused_with_its_key() {
         ("[power]\nidle_watts = nan", "power.idle_watts"),
         ("[power]\nidle_watts = 30.0", "power.busy_watts"),
         ("[log]\nlevel = \"loud\"", "log.level"),
+        ("[policy]\nname = \"albiro\"", "policy.name"),
+        ("[policy]\nu = 0", "policy.u"),
+        ("[policy]\nu = nan", "policy.u"),
+        ("[policy]\nu = \"small\"", "policy.u"),
+        ("[policy]\nprofile = \"mine\"", "policy.profile"),
+        ("[policy.albireo]\ntmax = 1", "policy.albireo"),
+        ("[policy.albireo]\nt_max = 0", "policy.albireo"),
         ("[log]\nformat = \"xml\"", "log.format"),
         ("camera = []", "camera"),
         ("[[camera]]\nkey = \"a\"", "camera[0]"),
@@ -193,6 +202,14 @@ fn an_impossible_value_is_refused_with_its_key() {
         ),
         (
             "[[camera]]\nname = \"a\"\nthreshold = nan",
+            "camera[0].threshold",
+        ),
+        (
+            "[[camera]]\nname = \"a\"\nthreshold = 2.0",
+            "camera[0].threshold",
+        ),
+        (
+            "[policy]\nname = \"vanilla\"\n[[camera]]\nname = \"a\"\nthreshold = 3e-4",
             "camera[0].threshold",
         ),
     ] {

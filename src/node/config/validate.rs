@@ -1,7 +1,7 @@
 //! What a configuration's values must keep to beyond their types.
 
 use super::{CameraConfig, HttpConfig, NodeConfig, Problem};
-use crate::policy::KnobError;
+use crate::policy::Knob;
 use crate::wire;
 use std::collections::HashSet;
 use std::path::Path;
@@ -63,11 +63,11 @@ impl NodeConfig {
         check_http(&self.http, &mut findings);
         self.check_models(&mut findings);
         self.check_figures(&mut findings);
-        self.check_policy(&mut findings);
         if let Err(reason) = check_level(&self.log.level) {
             findings.add("log.level", reason);
         }
-        self.check_cameras(&mut findings);
+        let knob = self.check_policy(&mut findings);
+        self.check_cameras(knob, &mut findings);
         findings.0
     }
 
@@ -78,31 +78,6 @@ impl NodeConfig {
             findings.add("node.prefix", error.to_string());
         }
         findings.path("node.state_dir", self.node.state_dir.as_deref());
-    }
-
-    /// The policy and every camera's threshold in place of the policy's.
-    fn check_policy(&self, findings: &mut Findings) {
-        let policy = match self.policy.build() {
-            Ok(policy) => policy,
-            Err(error) => return findings.add(error.key(), error.to_string()),
-        };
-        for camera in &self.cameras {
-            let Some(value) = camera.threshold else {
-                continue;
-            };
-            let checked = policy
-                .knob()
-                .ok_or(KnobError::Absent {
-                    policy: policy.name(),
-                })
-                .and_then(|knob| knob.check(value));
-            if let Err(error) = checked {
-                findings.add(
-                    format!("camera `{}`: threshold", camera.name),
-                    error.to_string(),
-                );
-            }
-        }
     }
 
     fn check_zenoh(&self, findings: &mut Findings) {
@@ -200,7 +175,18 @@ impl NodeConfig {
         }
     }
 
-    fn check_cameras(&self, findings: &mut Findings) {
+    /// The policy's knob; `None` when there is no policy to ask.
+    fn check_policy(&self, findings: &mut Findings) -> Option<Option<Knob>> {
+        match self.policy.build() {
+            Ok(policy) => Some(policy.knob()),
+            Err(error) => {
+                findings.add(error.key(), error.to_string());
+                None
+            }
+        }
+    }
+
+    fn check_cameras(&self, knob: Option<Option<Knob>>, findings: &mut Findings) {
         if self.cameras.is_empty() {
             findings.add("camera", "is empty: a node needs at least one [[camera]]");
         }
@@ -208,12 +194,33 @@ impl NodeConfig {
         for (index, camera) in self.cameras.iter().enumerate() {
             let key = |name: &str| format!("camera[{index}].{name}");
             check_camera(camera, &key, findings);
+            self.check_threshold(camera, knob, &key, findings);
             if !names.insert(camera.name.as_str()) {
                 findings.add(
                     key("name"),
                     format!("two cameras are named `{}`", camera.name),
                 );
             }
+        }
+    }
+
+    fn check_threshold(
+        &self,
+        camera: &CameraConfig,
+        knob: Option<Option<Knob>>,
+        key: &dyn Fn(&str) -> String,
+        findings: &mut Findings,
+    ) {
+        let (Some(threshold), Some(knob)) = (camera.threshold, knob) else {
+            return;
+        };
+        match knob.map(|knob| knob.check(threshold)) {
+            Some(Ok(_)) => {}
+            Some(Err(error)) => findings.add(key("threshold"), error.to_string()),
+            None => findings.add(
+                key("threshold"),
+                format!("policy `{}` has no threshold", self.policy.name),
+            ),
         }
     }
 }
