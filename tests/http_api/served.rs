@@ -226,6 +226,5 @@ pub fn clip(camera: &str, report: u64) -> ClipReport {
                 peak_watts: None,
             }],
         },
-        board: None,
     }
 }
