@@ -170,20 +170,8 @@ impl NodeConfig {
             1,
             1 << 34,
         );
-        let power = &self.power;
-        findings.count("power.interval_ms", power.interval_ms, 1, 60_000);
-        findings.path("power.sysfs", Some(&power.sysfs));
-        findings.path("power.procfs", Some(&power.procfs));
-        findings.between("power.idle_watts", power.idle_watts, 0.0, 1e5);
-        findings.between("power.busy_watts", power.busy_watts, 0.0, 1e5);
-        if power.busy_watts < power.idle_watts {
-            findings.add(
-                "power.busy_watts",
-                format!(
-                    "is {}, below idle_watts ({})",
-                    power.busy_watts, power.idle_watts
-                ),
-            );
+        for (key, reason) in self.power.problems() {
+            findings.add(format!("power.{key}"), reason);
         }
     }
 
