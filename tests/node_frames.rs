@@ -127,6 +127,21 @@ impl Bench {
             .unwrap();
     }
 
+    /// The clip reports of the camera from now on.
+    async fn reports(&self) -> UnboundedReceiver<ClipReport> {
+        let (sender, reports) = unbounded_channel();
+        self.session
+            .declare_subscriber("albireo/node/front/clip")
+            .callback(move |sample| {
+                let report = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+                let _ = sender.send(report);
+            })
+            .background()
+            .await
+            .unwrap();
+        reports
+    }
+
     async fn answer(&mut self) -> DetectionsMessage {
         timeout(LONG, self.detections.recv())
             .await
@@ -320,16 +335,7 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_open_clip_is_published_when_the_node_stops() {
     let mut bench = Bench::start(&configuration()).await;
-    let (sender, mut reports) = unbounded_channel::<ClipReport>();
-    bench
-        .session
-        .declare_subscriber("albireo/node/front/clip")
-        .callback(move |sample| {
-            let _ = sender.send(serde_json::from_slice(&sample.payload().to_bytes()).unwrap());
-        })
-        .background()
-        .await
-        .unwrap();
+    let mut reports = bench.reports().await;
     for (seq, picture) in pictures(3).into_iter().enumerate() {
         let clip = if seq == 0 { "a" } else { "b" };
         bench
@@ -366,16 +372,7 @@ async fn a_report_nobody_took_is_delivered_when_somebody_comes_after_a_restart()
     assert_eq!(waiting(), 1);
 
     let bench = Bench::start(&config).await;
-    let (sender, mut reports) = unbounded_channel::<ClipReport>();
-    bench
-        .session
-        .declare_subscriber("albireo/node/front/clip")
-        .callback(move |sample| {
-            let _ = sender.send(serde_json::from_slice(&sample.payload().to_bytes()).unwrap());
-        })
-        .background()
-        .await
-        .unwrap();
+    let mut reports = bench.reports().await;
     let report = timeout(LONG, reports.recv()).await.unwrap().unwrap();
     assert_eq!(report.clip, "alone");
     bench.stop().await;

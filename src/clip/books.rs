@@ -139,7 +139,7 @@ impl ClipBooks {
             .open
             .as_mut()
             .map_or(&mut self.pending, |o| &mut o.dropped);
-        add(books, more);
+        *books += more;
     }
 
     /// The clip the last frame belongs to.
@@ -265,14 +265,4 @@ impl OpenClip {
         let mean = between.checked_div(intervals).unwrap_or_default();
         self.last_answered.max(self.last_arrival + mean)
     }
-}
-
-fn add(sum: &mut DroppedFrames, more: &DroppedFrames) {
-    sum.lost += more.lost;
-    sum.overrun += more.overrun;
-    sum.late += more.late;
-    sum.duplicate += more.duplicate;
-    sum.undecodable += more.undecodable;
-    sum.oversized += more.oversized;
-    sum.unknown_format += more.unknown_format;
 }

@@ -3,7 +3,9 @@
 
 use crate::eval::scoring::DEFAULT_DECAY_U;
 use crate::eval::source::ScreenRule;
-use crate::policy::{Albireo, Policy, PolicyConfig, PolicyConfigError, Profile, known_policies};
+use crate::policy::{
+    Albireo, Ctd, FixedSkip, Policy, PolicyConfig, PolicyConfigError, Profile, Statues, Vanilla,
+};
 
 /// The label and name of the policy all others are compared with.
 pub const BASELINE: &str = "vanilla";
@@ -29,14 +31,6 @@ pub enum SpecError {
         asked: String,
         /// Why not.
         source: PolicyConfigError,
-    },
-    /// The argument behind the colon makes no sense.
-    #[error("--policy {asked}: {reason}")]
-    Argument {
-        /// What was asked for.
-        asked: String,
-        /// What was expected.
-        reason: String,
     },
     /// The sweep cannot be read or applies to nothing.
     #[error("--sweep {asked}: {reason}")]
@@ -140,37 +134,22 @@ pub fn resolve(
 
 /// Reads `NAME[:ARGUMENT]` and makes sure that the policy can be built.
 fn parse(asked: &str, common: &Common) -> Result<PolicySpec, SpecError> {
-    let (name, argument) = match asked.split_once(':') {
-        Some((name, argument)) => (name, Some(argument)),
-        None => (asked, None),
+    let refused = |source| SpecError::Config {
+        asked: asked.to_owned(),
+        source,
     };
     let mut config = PolicyConfig {
-        name: name.to_owned(),
         profile: common.profile,
         u: common.u,
         ..PolicyConfig::default()
     };
-    if let Some(argument) = argument {
-        let wrong = |reason: String| SpecError::Argument {
-            asked: asked.to_owned(),
-            reason,
-        };
-        match name {
-            Albireo::NAME => {
-                config.u = argument.parse().map_err(|_| {
-                    wrong(format!("`{argument}` is not a threshold u, such as 3e-4"))
-                })?;
-            }
-            _ if known_policies().any(|known| known == name) => {
-                return Err(wrong(format!("`{name}` takes no argument")));
-            }
-            _ => {}
-        }
-    }
+    config.select(asked).map_err(refused)?;
     let policy = build(&config, asked)?;
-    let has_u = policy.knob().is_some_and(|knob| knob.name == "u");
+    let has_u = policy
+        .knob()
+        .is_some_and(|knob| knob.name == Albireo::KNOB.name);
     Ok(PolicySpec {
-        label: label(name, &config, has_u, common.screen),
+        label: label(policy.as_ref(), common.screen),
         decay_u: if has_u { config.u } else { DEFAULT_DECAY_U },
         config,
     })
@@ -184,12 +163,26 @@ fn build(config: &PolicyConfig, asked: &str) -> Result<Box<dyn Policy>, SpecErro
 }
 
 /// The label of the published traces where they have one.
-fn label(name: &str, config: &PolicyConfig, has_u: bool, screen: Option<ScreenRule>) -> String {
-    if !has_u {
-        return name.to_owned();
+fn label(policy: &dyn Policy, screen: Option<ScreenRule>) -> String {
+    let name = match policy.name() {
+        FixedSkip::NAME => "fixedskip",
+        name => name,
+    };
+    let setting = match (policy.knob(), policy.knob_value()) {
+        (Some(knob), Some(value)) if knob.name == Albireo::KNOB.name => format!("-u{value:e}"),
+        (Some(_), Some(value)) if policy.name() == Ctd::NAME => format!("-{value:.2}"),
+        (Some(_), Some(value)) => format!("-{value}"),
+        _ => String::new(),
+    };
+    // Where the screen has a say, what it says is part of the label.
+    let screened = !matches!(
+        policy.name(),
+        Vanilla::NAME | FixedSkip::NAME | Ctd::NAME | Statues::NAME
+    );
+    match screen {
+        Some(rule) if screened => format!("{name}{setting}-erd-{}", rule.as_str()),
+        _ => format!("{name}{setting}"),
     }
-    let screen = screen.map_or(String::new(), |rule| format!("-erd-{}", rule.as_str()));
-    format!("{name}-u{:e}{screen}", config.u)
 }
 
 /// A label's family, shared by all settings of a policy, and its setting: `albireo-u3e-4-erd-nonempty` is
@@ -255,6 +248,32 @@ mod tests {
     }
 
     #[test]
+    fn every_policy_has_a_label_of_its_own_that_says_its_setting() {
+        let asked = [
+            "fixed-skip:2",
+            "ctd:0.5",
+            "statues:75",
+            "erd-only",
+            "kill-only",
+            "kill+erd",
+            "kill+erd-10d",
+        ];
+        let labels = labels(&asked, &[]).expect("known policies");
+        assert_eq!(
+            labels[1..],
+            [
+                "fixedskip-2",
+                "ctd-0.50",
+                "statues-75",
+                "erd-only-erd-nonempty",
+                "kill-only-u3e-4-erd-nonempty",
+                "kill+erd-u3e-4-erd-nonempty",
+                "kill+erd-10d-u3e-4-erd-nonempty"
+            ]
+        );
+    }
+
+    #[test]
     fn a_sweep_runs_every_value_once_and_leaves_the_others_alone() {
         let labels =
             labels(&["albireo", "vanilla"], &["u=3e-4,7e-4,3e-4"]).expect("a proper sweep");
@@ -272,9 +291,9 @@ mod tests {
     fn what_cannot_be_run_is_refused_by_name() {
         for (asked, sweeps, part) in [
             (&["albiro"][..], &[][..], "albiro"),
-            (&["albireo:x"], &[], "`x` is not a threshold"),
+            (&["albireo:x"], &[], "must be a number"),
             (&["albireo:-1"], &[], "must be a number"),
-            (&["vanilla:3"], &[], "takes no argument"),
+            (&["vanilla:3"], &[], "no argument"),
             (&["vanilla"], &["u=1e-3"], "no policy of this run"),
             (&["albireo"], &["u"], "NAME=VALUE"),
             (&["albireo"], &["u=1e-3,zwei"], "`zwei` is not a number"),

@@ -237,6 +237,18 @@ impl DroppedFrames {
     }
 }
 
+impl std::ops::AddAssign<&Self> for DroppedFrames {
+    fn add_assign(&mut self, more: &Self) {
+        self.lost += more.lost;
+        self.overrun += more.overrun;
+        self.late += more.late;
+        self.duplicate += more.duplicate;
+        self.undecodable += more.undecodable;
+        self.oversized += more.oversized;
+        self.unknown_format += more.unknown_format;
+    }
+}
+
 /// Middle and tail of a set of durations, milliseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Percentiles {

@@ -120,16 +120,6 @@ impl Node {
         timeout(PATIENCE, ready).await.expect("the node gets ready");
     }
 
-    /// JSON from a route of the node.
-    pub async fn get(&self, path: &str) -> Value {
-        reqwest::get(format!("{}{path}", self.http))
-            .await
-            .expect("the node answers")
-            .json()
-            .await
-            .expect("the answer is JSON")
-    }
-
     /// Sends the signal a service manager sends.
     pub fn terminate(&self) {
         let id = self.child.id().expect("the node runs").to_string();

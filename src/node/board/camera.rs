@@ -173,15 +173,7 @@ impl CameraBoard {
 
     /// Adds frames that were not processed, each kind under its own name.
     pub fn record_dropped(&self, more: &DroppedFrames) {
-        let mut counts = lock(&self.counts);
-        let all = &mut counts.dropped;
-        all.lost += more.lost;
-        all.overrun += more.overrun;
-        all.late += more.late;
-        all.duplicate += more.duplicate;
-        all.undecodable += more.undecodable;
-        all.oversized += more.oversized;
-        all.unknown_format += more.unknown_format;
+        lock(&self.counts).dropped += more;
     }
 
     pub(super) fn count_clip(&self) {
