@@ -5,10 +5,11 @@ use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// What runs the model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum ExecutionProvider {
     /// NVIDIA TensorRT.
+    #[value(name = "tensorrt")]
     TensorRt,
     /// NVIDIA CUDA.
     Cuda,
@@ -28,7 +29,7 @@ impl ExecutionProvider {
 }
 
 /// How a model's output tensors are read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum HeadName {
     /// YOLOX: `[1, cells, 5 + classes]`, not decoded.
