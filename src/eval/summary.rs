@@ -237,9 +237,12 @@ fn summarise_energy(results: &[&ClipResult]) -> Option<EnergySummary> {
     })
 }
 
+/// A figure of a clip and how it is known.
+type Figure<'a> = dyn Fn(&ClipResult) -> Option<(f64, Option<Provenance>)> + 'a;
+
 fn compare(results: &[&ClipResult], baseline: &HashMap<&str, &ClipResult>) -> Comparison {
     // Measured is compared with measured and projected with projected, never across.
-    let differences = |figure: &dyn Fn(&ClipResult) -> Option<(f64, Option<Provenance>)>| {
+    let differences = |figure: &Figure<'_>| {
         let pairs = results.iter().filter_map(|result| {
             let other = baseline.get(result.clip.as_str())?;
             let ((value, kind), (other, other_kind)) = (figure(result)?, figure(other)?);

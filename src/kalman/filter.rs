@@ -67,9 +67,10 @@ impl Filter {
         let process = &model.process;
         // F P, then (F P) Fᵀ, with F = [1 1 ½; 0 1 1; 0 0 1]; sums in the order of the columns.
         let p = &mut self.center_covariance.0;
-        for column in 0..3 {
-            p[0][column] = p[0][column] + p[1][column] + 0.5 * p[2][column];
-            p[1][column] += p[2][column];
+        let [position, velocity, acceleration] = &mut *p;
+        for ((x, v), a) in position.iter_mut().zip(velocity).zip(acceleration) {
+            *x = *x + *v + 0.5 * *a;
+            *v += *a;
         }
         for row in p.iter_mut() {
             row[0] = row[0] + row[1] + 0.5 * row[2];
@@ -79,8 +80,9 @@ impl Filter {
         p[1][1] += process.center_velocity;
         p[2][2] += process.acceleration;
         let p = &mut self.size_covariance.0;
-        for column in 0..2 {
-            p[0][column] += p[1][column];
+        let [size, velocity] = &mut *p;
+        for (x, v) in size.iter_mut().zip(velocity) {
+            *x += *v;
         }
         for row in p.iter_mut() {
             row[0] += row[1];

@@ -228,6 +228,9 @@ struct Evaluation<'a> {
 #[derive(Default)]
 struct Judged(Vec<Vec<ClipResult>>);
 
+/// Picks one step out of the times of a frame.
+type StepTime = fn(&StepTimes) -> f64;
+
 impl Judged {
     /// In order of policies, then clips.
     fn into_results(self) -> Vec<ClipResult> {
@@ -448,7 +451,7 @@ impl<'a> Evaluation<'a> {
         if let Some(screen) = &self.pass.screen_model {
             rows.push(("Screen model".to_owned(), screen.display().to_string()));
         }
-        let steps: [(&str, bool, fn(&StepTimes) -> f64); 4] = [
+        let steps: [(&str, bool, StepTime); 4] = [
             ("Time of the detector", true, |times| times.detector),
             ("Time of the screen", self.observer.has_screen(), |times| {
                 times.screen

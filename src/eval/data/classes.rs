@@ -81,7 +81,7 @@ pub fn from_mot_challenge(number: i64) -> Meaning {
         4 => Meaning::Class(BICYCLE),
         5 => Meaning::Class(MOTORCYCLE),
         // Distractor, occluder, occluder on the ground, occluder full, reflection, crowd.
-        8 | 9 | 10 | 11 | 12 | 13 => Meaning::Ignored,
+        8..=13 => Meaning::Ignored,
         _ => Meaning::Unmapped,
     }
 }

@@ -57,7 +57,7 @@ pub enum PassError {
         /// Number of the frame, from 0.
         frame: usize,
         /// Why.
-        source: ObserveError,
+        source: Box<ObserveError>,
     },
     /// The pictures are not all of one size.
     #[error(
@@ -114,10 +114,10 @@ pub fn collect(
                 first,
             });
         }
-        let failed = |source| PassError::Frame {
+        let failed = |source: ObserveError| PassError::Frame {
             clip: name.clone(),
             frame,
-            source,
+            source: Box::new(source),
         };
         let observed = observer.look(&encoded).map_err(failed)?;
         let mut step = StepTimes {

@@ -38,10 +38,10 @@ pub(super) fn render(report: &Report, figures: &[(Figure, String)]) -> String {
     }
     classes(&mut page, &report.policies);
     clips(&mut page, &report.clips);
-    let _ = write!(
+    let _ = writeln!(
         page,
         "<footer><p>Made by albireo {}. The same figures are in <code>summary.csv</code> and \
-         <code>report.json</code>.</p></footer></main><script>{SCRIPT}</script></body></html>\n",
+         <code>report.json</code>.</p></footer></main><script>{SCRIPT}</script></body></html>",
         env!("CARGO_PKG_VERSION")
     );
     page
