@@ -17,7 +17,7 @@ from evaluate import check_export, session
 from network import Screen, export_screen, parameters
 
 # Missing an object is worse than waking the detector for nothing, so its loss counts more.
-WEIGHT_OF_NON_EMPTY = 4.0
+WEIGHT_OF_NON_EMPTY = 3.0
 
 
 def report(path, folder):
@@ -53,7 +53,7 @@ def main():
     parser.add_argument("--held-out", required=True)
     parser.add_argument("--out", default="screen.onnx")
     parser.add_argument("--every", type=int, default=1, help="use every n-th training picture")
-    parser.add_argument("--epochs", type=int, default=14)
+    parser.add_argument("--epochs", type=int, default=6)
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--rate", type=float, default=4e-3)
     parser.add_argument("--threads", type=int, default=1)
