@@ -131,6 +131,7 @@ def main():
     parser.add_argument("--rate", type=float, default=3e-3)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--resume", help="weights (.pt) of an earlier run to begin with")
     arguments = parser.parse_args()
     torch.manual_seed(arguments.seed)
     torch.set_num_threads(arguments.threads)
@@ -150,6 +151,8 @@ def main():
     class_weights = torch.tensor((counts.max() / counts.clip(1)) ** 0.35, dtype=torch.float32)
 
     detector = Detector().to(memory_format=torch.channels_last)
+    if arguments.resume:
+        detector.load_state_dict(torch.load(arguments.resume, weights_only=True))
     smooth = copy.deepcopy(detector).eval()
     print("parameters", parameters(detector), flush=True)
     decayed = [p for p in detector.parameters() if p.ndim > 1]
@@ -186,8 +189,8 @@ def main():
             taken = time.time() - started
             print(f"step {step + 1}/{steps} class {sums[0] / 100:.3f} box {sums[1] / 100:.3f} {taken:.0f} s", flush=True)
             sums[:] = 0
-        if (step + 1) % (len(boxes) // arguments.batch * 3) == 0:
-            torch.save(smooth.state_dict(), arguments.out + ".partial")
+        if step + 1 == steps or (step + 1) % 500 == 0:
+            torch.save(smooth.state_dict(), arguments.out + ".pt")
 
     export_detector(copy.deepcopy(smooth).to(memory_format=torch.contiguous_format), arguments.out)
     check_export(smooth, arguments.out, DETECTOR_SIZE, smooth.decode)

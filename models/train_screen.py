@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from dataset import SCREEN_SIZE, screen_arrays
+from dataset import SCREEN_SIZE, label, read_lines, screen_arrays
 from evaluate import check_export, session
 from network import Screen, export_screen, parameters
 
@@ -20,21 +20,31 @@ from network import Screen, export_screen, parameters
 WEIGHT_OF_NON_EMPTY = 3.0
 
 
-def report(path, pictures, labels):
+def report(path, folder):
     """What the exported screen says of unseen worlds."""
     network = session(path)
+    pictures, labels, _ = screen_arrays(folder)
+    tallest = np.array([tallest_object(line) for line in read_lines(folder) if label(line) >= 0])
     verdicts = []
     for picture in pictures:
         planes = (picture.astype(np.float32) / 255).transpose(2, 0, 1)[None]
         verdicts.append(network.run(None, {"picture": np.ascontiguousarray(planes)})[0][0].argmax())
     verdicts = np.array(verdicts)
-    empty, busy = labels == 0, labels == 1
+    empty, busy, plain = labels == 0, labels == 1, tallest >= 32.0
     return {
         "frames": len(labels),
         "empty": int(empty.sum()),
         "false-empty rate": round(float((verdicts[busy] == 0).mean()), 4),
+        "frames with an object of 32 rows or more": int(plain.sum()),
+        "false-empty rate among them": round(float((verdicts[plain] == 0).mean()), 4),
         "false-non-empty rate": round(float((verdicts[empty] == 1).mean()), 4),
     }
+
+
+def tallest_object(line):
+    """Height at 720 rows of the tallest object that must be found; 0 without one."""
+    heights = [found["y2"] - found["y1"] for found in line["objects"] if not found["ignore"]]
+    return max(heights, default=0.0) * 720.0 / line["height"]
 
 
 def main():
@@ -48,6 +58,7 @@ def main():
     parser.add_argument("--rate", type=float, default=4e-3)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--resume", help="weights (.pt) of an earlier run to begin with")
     arguments = parser.parse_args()
     torch.manual_seed(arguments.seed)
     torch.set_num_threads(arguments.threads)
@@ -64,6 +75,8 @@ def main():
         return folders[folder][0][index - starts[folder]]
 
     screen = Screen().to(memory_format=torch.channels_last)
+    if arguments.resume:
+        screen.load_state_dict(torch.load(arguments.resume, weights_only=True))
     smooth = copy.deepcopy(screen).eval()
     print("parameters", parameters(screen) - parameters(screen.places), flush=True)
     optimiser = torch.optim.AdamW(screen.parameters(), lr=arguments.rate, weight_decay=0.02)
@@ -106,10 +119,10 @@ def main():
             print(f"step {step + 1}/{steps} loss {total / 50:.3f} {time.time() - started:.0f} s", flush=True)
             total = 0.0
 
+    torch.save(smooth.state_dict(), arguments.out + ".pt")
     export_screen(copy.deepcopy(smooth).to(memory_format=torch.contiguous_format), arguments.out)
     check_export(smooth, arguments.out, SCREEN_SIZE)
-    pictures, labels, _ = screen_arrays(arguments.held_out)
-    print(json.dumps(report(arguments.out, pictures, labels), indent=1))
+    print(json.dumps(report(arguments.out, arguments.held_out), indent=1))
 
 
 if __name__ == "__main__":
