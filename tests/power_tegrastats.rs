@@ -184,7 +184,8 @@ fn the_meter_takes_its_child_with_it() {
             .count()
     };
     let mut meter = Tegrastats::open(&config).unwrap();
-    meter.poll(Instant::now()).unwrap();
+    // On a busy machine the child may be late with a line; whether it lives and dies is asked here.
+    let _ = meter.poll(Instant::now());
     assert_eq!(children(), 1);
     drop(meter);
     assert_eq!(children(), 0);
