@@ -122,7 +122,8 @@ pub fn clip_name(path: &Path) -> String {
     let own = path.file_stem().unwrap_or_default();
     let parent = path.parent().and_then(Path::file_name);
     let stem = parent.filter(|_| own == "img1").unwrap_or(own);
-    plain_name(&stem.to_string_lossy())
+    // A name that begins with a dot hides the files named after it.
+    plain_name(stem.to_string_lossy().trim_start_matches('.'))
 }
 
 /// `text` as a name that can stand in a clip id.

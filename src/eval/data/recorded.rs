@@ -233,8 +233,8 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
             }
         }
         std::fs::write(&path, text).map_err(|error| failed(&path, error))?;
+        let path = truths.join(&file);
         if let Some(truth) = &clip.truth {
-            let path = truths.join(&file);
             let mut text = format!("{TRUTH_HEADER}\n").into_bytes();
             for (frame, boxes) in truth.iter().enumerate() {
                 for TruthBox {
@@ -252,6 +252,9 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
                 }
             }
             std::fs::write(&path, text).map_err(|error| failed(&path, error))?;
+        } else if path.exists() {
+            // Of an earlier run: it would be taken for this clip's.
+            std::fs::remove_file(&path).map_err(|error| failed(&path, error))?;
         }
         super::screen_verdicts::write(folder, clip)?;
         index.sequences.push(Entry {

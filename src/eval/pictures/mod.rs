@@ -18,6 +18,3 @@ pub use truth::{GroundTruth, TruthError, TruthFormat, against_vanilla};
 
 /// The pass keeps detections from this confidence on, so that a run may ask for any above it.
 pub const LOWEST_CONFIDENCE: f64 = 0.05;
-
-#[cfg(test)]
-mod tests;

@@ -1,0 +1,373 @@
+//! Evaluation on pictures: what is stored of a run gives the same decisions again, and both are those of a
+//! policy that asks detector and screen itself, frame by frame, as in the node.
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod bad_input;
+mod live;
+
+use crate::support::shared;
+use albireo::detection::ClassId;
+use albireo::detector::{DetectorConfig, HeadName};
+use albireo::eval::average_precision::{Classes, Interpolation};
+use albireo::eval::data::{Clip, LoadReport, StoredDetection, recorded};
+use albireo::eval::pictures::{
+    LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes, against_vanilla, collect,
+    looks_at_pixels, run_pictured,
+};
+use albireo::eval::replay::Scoring;
+use albireo::eval::result::{ClipResult, Provenance};
+use albireo::eval::run::{Settings, run_stored};
+use albireo::eval::source::ScreenRule;
+use albireo::eval::spec::{Common, PolicySpec, resolve};
+use albireo::eval::trace;
+use albireo::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
+use albireo::frame::ColorOrder;
+use albireo::geometry::{Corners, PictureSize};
+use albireo::policy::Profile;
+use albireo::screen::ScreenConfig;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+fn model(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/fixtures/models")
+        .join(name)
+}
+
+fn albireo(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(arguments)
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("the program starts")
+}
+
+/// A folder of JPEG pictures. The fixture detector's confidences are the means of the three colours, and the
+/// fixture screen calls a picture empty while red is below one half: here they come and go.
+fn write_pictures(folder: &Path, frames: u32) {
+    let size = PictureSize::new(1280, 720);
+    for frame in 0..frames {
+        let red = if frame % 17 < 9 { 150 + frame % 50 } else { 30 };
+        let green = if frame % 11 < 6 { 135 + frame % 7 } else { 60 };
+        let colour = [red as u8, green as u8, (frame % 80) as u8];
+        let pixels = colour.repeat(size.pixels() as usize);
+        let path = folder.join(format!("{frame}.jpg"));
+        jpeg_encoder::Encoder::new_file(path, 90)
+            .unwrap()
+            .encode(&pixels, 1280, 720, jpeg_encoder::ColorType::Rgb)
+            .unwrap();
+    }
+}
+
+fn fixture_detector() -> DetectorConfig {
+    DetectorConfig {
+        model: model("demonstration.onnx"),
+        confidence: LOWEST_CONFIDENCE,
+        ..DetectorConfig::default()
+    }
+}
+
+fn fixture_screen() -> ScreenConfig {
+    ScreenConfig {
+        model: Some(model("screen.onnx")),
+        ..ScreenConfig::default()
+    }
+}
+
+fn look(
+    source: &mut dyn FrameSource,
+    detector: &DetectorConfig,
+    screen: &ScreenConfig,
+) -> PicturedClip {
+    let mut observer = Observer::start(detector, screen).unwrap();
+    let keep = PassSettings {
+        keep_grey: true,
+        most_frames: None,
+    };
+    collect(
+        source,
+        &mut observer,
+        &keep,
+        &mut LoadReport::default(),
+        &mut || (),
+    )
+    .unwrap()
+}
+
+fn specs(asked: &[&str], screen: ScreenRule) -> Vec<PolicySpec> {
+    let asked: Vec<String> = asked.iter().map(|&name| name.to_owned()).collect();
+    let common = Common {
+        profile: Profile::Paper,
+        u: 3e-4,
+        screen: Some(screen),
+    };
+    resolve(&asked, &[], &common).unwrap()
+}
+
+fn settings(confidence: f64, screen: ScreenRule) -> Settings {
+    Settings {
+        scoring: Scoring::Paper,
+        confidence,
+        screen,
+        classes: Classes::Pooled,
+        interpolation: Interpolation::AllPoints,
+        traces: None,
+        energy_model: None,
+        threads: 2,
+    }
+}
+
+const NO_PIXELS: [&str; 8] = [
+    "albireo",
+    "albireo:1e-3",
+    "fixed-skip:2",
+    "ctd:0.5",
+    "erd-only",
+    "kill-only",
+    "kill+erd",
+    "kill+erd-10d",
+];
+
+/// Stores the clip and replays the files: every policy decides as it did on the pictures.
+fn assert_replays_alike(pictured: &PicturedClip, confidence: f64) -> Vec<ClipResult> {
+    let folder = tempfile::tempdir().unwrap();
+    recorded::write(folder.path(), std::slice::from_ref(&pictured.clip)).unwrap();
+    let stored = recorded::read(folder.path()).unwrap();
+    assert_eq!(stored.report.left_out.len(), 0, "{:?}", stored.report);
+    assert_eq!(stored.clips[0], pictured.clip);
+    let policies = specs(&NO_PIXELS, ScreenRule::Recorded);
+    let settings = settings(confidence, ScreenRule::Recorded);
+    let live = run_pictured(pictured, &policies, &settings, &|| ()).unwrap();
+    let replayed = run_stored(&stored.clips, &policies, &settings, &|| ()).unwrap();
+    assert_eq!(live.len(), replayed.len());
+    for (live, replayed) in live.iter().zip(&replayed) {
+        assert_eq!(live.policy, replayed.policy);
+        assert_eq!(live.sequence, replayed.sequence, "{}", live.policy);
+        assert_eq!(live.boxes, replayed.boxes, "{}", live.policy);
+    }
+    live
+}
+
+#[test]
+fn stored_detections_give_the_frame_states_of_the_pictures_at_any_confidence() {
+    let folder = tempfile::tempdir().unwrap();
+    write_pictures(folder.path(), 60);
+    let mut source = PictureFolder::open(folder.path(), 10.0).unwrap();
+    let pictured = look(&mut source, &fixture_detector(), &fixture_screen());
+    assert_eq!(pictured.clip.frames, 60);
+    assert_eq!(pictured.grey.len(), 60);
+    let verdicts = pictured.clip.screen.as_ref().unwrap();
+    let empty = verdicts.iter().filter(|&&said| said == Some(true)).count();
+    assert!(empty > 10 && empty < 50, "{empty} of 60 frames are empty");
+    for confidence in [0.1, 0.5, 0.6] {
+        let results = assert_replays_alike(&pictured, confidence);
+        // Where everything is taken for a detection, predictions skip; where little is, the screen does.
+        let states = results[1].states;
+        match confidence {
+            0.1 => assert!(states.p > 0, "{states:?}"),
+            0.6 => assert!(states.e > 0, "{states:?}"),
+            _ => {}
+        }
+    }
+}
+
+#[test]
+fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_against() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    std::fs::create_dir(at("drive")).unwrap();
+    write_pictures(Path::new(&at("drive")), 30);
+    let (detector, screen) = (model("demonstration.onnx"), model("screen.onnx"));
+    let policies = ["--policy", "albireo", "--policy", "erd-only"];
+    let (drive, saved) = (at("drive"), at("saved"));
+    let (first, second) = (at("first"), at("second"));
+    let mut arguments = vec!["eval", "pictures", &drive];
+    arguments.extend(["--detector", detector.to_str().unwrap()]);
+    arguments.extend(["--screen-model", screen.to_str().unwrap()]);
+    arguments.extend(policies);
+    arguments.extend(["--policy", "statues:25", "--traces", &first]);
+    arguments.extend(["--save-detections", &saved]);
+    let output = albireo(&arguments);
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{complaint}");
+    for part in [
+        "Judged against vanilla",
+        "statues-25",
+        "Time of the detector",
+        "composed",
+    ] {
+        assert!(said.contains(part), "no `{part}` in:\n{said}");
+    }
+
+    let mut arguments = vec!["eval", "recorded", &saved, "--screen", "recorded"];
+    arguments.extend(policies);
+    arguments.extend(["--traces", &second]);
+    let output = albireo(&arguments);
+    let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(output.status.success(), "{complaint}");
+    for policy in [
+        "vanilla",
+        "albireo-u3e-4-erd-recorded",
+        "erd-only-erd-recorded",
+    ] {
+        let trace = |run: &str| {
+            let path = Path::new(run).join(policy).join("drive.jsonl.gz");
+            trace::read(&path).unwrap()
+        };
+        let frames = trace(&first);
+        assert_eq!(frames.len(), 30);
+        assert_eq!(frames, trace(&second), "{policy}");
+    }
+}
+
+#[test]
+fn the_dashcam_is_judged_by_its_own_ground_truth() {
+    let detector = model("demonstration.onnx");
+    let output = albireo(&[
+        "eval",
+        "synth",
+        "--seeds",
+        "1-2",
+        "--clip-seconds",
+        "1",
+        "--size",
+        "320x180",
+        "--detector",
+        detector.to_str().unwrap(),
+    ]);
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    assert!(said.contains("Judged by ground truth"), "{said}");
+    assert!(said.contains("over 2 clips"), "{said}");
+    assert!(said.contains("20 frames"), "{said}");
+}
+
+/// A clip made by hand: one sure car on every frame, and round times.
+fn by_hand(frames: usize) -> PicturedClip {
+    let car = StoredDetection {
+        corners: Corners {
+            x1: 100.0,
+            y1: 100.0,
+            x2: 200.0,
+            y2: 200.0,
+        },
+        class: ClassId(2),
+        confidence: 0.9,
+    };
+    PicturedClip {
+        clip: Clip {
+            name: "by-hand".to_owned(),
+            picture: PictureSize::new(1280, 720),
+            frame_rate: Some(10.0),
+            camera: None,
+            frames,
+            detections: Some(vec![vec![car]; frames]),
+            screen: Some(vec![Some(false); frames]),
+            truth: None,
+            pictures: Vec::new(),
+        },
+        grey: Vec::new(),
+        times: vec![
+            StepTimes {
+                decode: 100.0,
+                detector: 1000.0,
+                screen: 10.0,
+                grey: 0.0,
+            };
+            frames
+        ],
+    }
+}
+
+#[test]
+fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
+    let pictured = by_hand(30);
+    let policies = specs(&["fixed-skip:2", "erd-only"], ScreenRule::Recorded);
+    let settings = settings(0.5, ScreenRule::Recorded);
+    let results = run_pictured(&pictured, &policies, &settings, &|| ()).unwrap();
+    let mean = |index: usize| {
+        let time = results[index].frame_time.unwrap();
+        assert_eq!(time.provenance, Provenance::Composed);
+        time.milliseconds.mean
+    };
+    // The decisions themselves are measured; on a busy machine they are still far below the steps.
+    for (index, result) in results.iter().enumerate() {
+        let detector = result.detector_frames as f64;
+        let screen = result.screen_frames as f64;
+        let expected = (detector * 1100.0 + screen * 10.0) / 30.0;
+        let found = mean(index);
+        assert!(
+            found >= expected && found < expected + 5.0,
+            "{}: {found} ms, the steps alone {expected} ms",
+            result.policy
+        );
+    }
+    assert_eq!(results[0].detector_frames, 30);
+    assert_eq!(results[1].detector_frames, 10);
+    assert_eq!(results[2].screen_frames, 30);
+}
+
+#[test]
+fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
+    let mut pictured = by_hand(5);
+    let unsure = StoredDetection {
+        confidence: 0.3,
+        ..pictured.clip.detections.as_ref().unwrap()[0][0]
+    };
+    pictured.clip.detections.as_mut().unwrap()[0].push(unsure);
+    let truth = against_vanilla(&pictured.clip, 0.5);
+    assert!(truth.iter().all(|frame| frame.len() == 1));
+    pictured.clip.truth = Some(truth);
+    let policies = specs(&["vanilla"], ScreenRule::Nonempty);
+    let settings = settings(0.5, ScreenRule::Nonempty);
+    let results = run_pictured(&pictured, &policies, &settings, &|| ()).unwrap();
+    assert_eq!(results[0].accuracy.unwrap().ap50, 1.0);
+}
+
+#[test]
+fn only_a_policy_that_looks_at_pixels_makes_the_pass_keep_them() {
+    let nonempty = ScreenRule::Nonempty;
+    assert!(!looks_at_pixels(&specs(&NO_PIXELS, nonempty)).unwrap());
+    assert!(looks_at_pixels(&specs(&["albireo", "statues:75"], nonempty)).unwrap());
+}
+
+/// YOLOX-Nano and the upstream screen over a real clip.
+fn real_models() -> (DetectorConfig, ScreenConfig) {
+    let detector = DetectorConfig {
+        model: shared("models/yolox_nano_416.onnx"),
+        head: HeadName::Yolox,
+        confidence: LOWEST_CONFIDENCE,
+        timeout_ms: 60_000,
+        ..DetectorConfig::default()
+    };
+    let screen = ScreenConfig {
+        model: Some(shared("models/erd_upstream.onnx")),
+        color_order: ColorOrder::Bgr,
+        timeout_ms: 60_000,
+        ..ScreenConfig::default()
+    };
+    (detector, screen)
+}
+
+fn real_clip() -> Video {
+    let clip = shared("media/highway_empty_then_car.mp4");
+    let clip = clip.to_str().unwrap();
+    Video::open(clip, None, VideoEncoding::Jpeg, Ffmpeg::default()).unwrap()
+}
+
+#[test]
+fn shared_a_real_clip_is_decided_alike_live_replayed_and_from_stored_detections() {
+    let (detector, screen) = real_models();
+    let mut video = real_clip();
+    let pictured = look(&mut video, &detector, &screen);
+    assert_eq!(pictured.clip.frames, 76);
+    let results = assert_replays_alike(&pictured, 0.5);
+    assert!(results[1].states.p > 0, "{:?}", results[1].states);
+    video.rewind().unwrap();
+    live::assert_live_alike(&mut video, &detector, &screen, &pictured, 0.5);
+}

@@ -1,0 +1,194 @@
+//! What cannot be evaluated is refused with what was wrong, where, and what to do.
+
+use super::{albireo, by_hand, fixture_detector, model, write_pictures};
+use albireo::eval::data::LoadReport;
+use albireo::eval::pictures::{GroundTruth, Observer, PassSettings, TruthFormat, collect};
+use albireo::footage::FrameSource;
+use albireo::frame::EncodedPicture;
+use albireo::geometry::PictureSize;
+use albireo::screen::ScreenConfig;
+use std::path::Path;
+use std::process::Command;
+
+/// The complaint of a run that must fail.
+fn refusal(arguments: &[&str]) -> String {
+    let output = albireo(arguments);
+    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(output.stdout.is_empty(), "no table after a failure");
+    said
+}
+
+fn on_pictures(folder: &Path, more: &[&str]) -> String {
+    let detector = model("demonstration.onnx");
+    let mut arguments = vec!["eval", "pictures", folder.to_str().unwrap()];
+    arguments.extend(["--detector", detector.to_str().unwrap()]);
+    arguments.extend(more);
+    refusal(&arguments)
+}
+
+#[test]
+fn a_missing_file_folder_or_model_is_named() {
+    let said = refusal(&["eval", "video", "no/such.mp4"]);
+    assert!(said.contains("no/such.mp4: no such video file"), "{said}");
+    let said = on_pictures(Path::new("no/such"), &[]);
+    assert!(said.contains("no/such: no such folder"), "{said}");
+    let folder = tempfile::tempdir().unwrap();
+    let said = on_pictures(folder.path(), &[]);
+    assert!(said.contains("no .jpg"), "{said}");
+    write_pictures(folder.path(), 2);
+    let drive = folder.path().to_str().unwrap();
+    let said = refusal(&["eval", "pictures", drive, "--detector", "no/such.onnx"]);
+    assert!(said.contains("no/such.onnx"), "{said}");
+}
+
+#[test]
+fn without_ffmpeg_it_says_how_to_get_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let video = folder.path().join("drive.mp4");
+    std::fs::write(&video, b"x").unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(["eval", "video", video.to_str().unwrap(), "--detector"])
+        .arg(model("demonstration.onnx"))
+        .env("PATH", folder.path())
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{said}");
+    assert!(said.contains("apt-get install ffmpeg"), "{said}");
+}
+
+#[test]
+fn a_broken_picture_and_one_of_another_size_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    write_pictures(folder.path(), 3);
+    let second = folder.path().join("1.jpg");
+    let whole = std::fs::read(&second).unwrap();
+    std::fs::write(&second, &whole[..whole.len() / 2]).unwrap();
+    let said = on_pictures(folder.path(), &[]);
+    assert!(said.contains("frame 1"), "{said}");
+
+    jpeg_encoder::Encoder::new_file(&second, 90)
+        .unwrap()
+        .encode(&[90; 64 * 64 * 3], 64, 64, jpeg_encoder::ColorType::Rgb)
+        .unwrap();
+    let said = on_pictures(folder.path(), &[]);
+    assert!(
+        said.contains("64x64, those before it are 1280x720"),
+        "{said}"
+    );
+}
+
+#[test]
+fn a_detector_whose_classes_nobody_judges_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    write_pictures(folder.path(), 1);
+    let names = folder.path().join("names.txt");
+    std::fs::write(&names, "cat\ndog\ncow\nhen\npig\newe\nfox\n").unwrap();
+    let said = on_pictures(folder.path(), &["--class-names", names.to_str().unwrap()]);
+    assert!(said.contains("cat, dog"), "{said}");
+    assert!(said.contains("--class-names"), "{said}");
+}
+
+#[test]
+fn a_screen_s_verdicts_need_a_screen() {
+    let folder = tempfile::tempdir().unwrap();
+    write_pictures(folder.path(), 1);
+    let said = on_pictures(folder.path(), &["--screen", "recorded"]);
+    assert!(said.contains("--screen-model"), "{said}");
+}
+
+/// Footage with nothing in it.
+struct Nothing;
+
+impl FrameSource for Nothing {
+    fn name(&self) -> &str {
+        "nothing"
+    }
+    fn rate(&self) -> f64 {
+        25.0
+    }
+    fn frames(&self) -> Option<u64> {
+        None
+    }
+    fn next(&mut self) -> anyhow::Result<Option<EncodedPicture>> {
+        Ok(None)
+    }
+    fn rewind(&mut self) -> anyhow::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_video_without_a_frame_is_an_error_not_a_zero() {
+    let mut observer = Observer::start(&fixture_detector(), &ScreenConfig::default()).unwrap();
+    let mut report = LoadReport::default();
+    let keep = PassSettings::default();
+    let error = collect(&mut Nothing, &mut observer, &keep, &mut report, &mut || ()).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "nothing: not a single frame came out of it"
+    );
+}
+
+/// Ground truth in the Scalabel form: a car on each of `frames` frames of the clip `video`.
+fn labels(folder: &Path, video: &str, frames: usize) -> GroundTruth {
+    let entries: Vec<String> = (0..frames)
+        .map(|frame| {
+            format!(
+                r#"{{"name":"{frame}","videoName":"{video}","frameIndex":{frame},"labels":[
+                {{"id":"7","category":"car","box2d":{{"x1":100,"y1":100,"x2":200,"y2":200}}}},
+                {{"id":"8","category":"tram","box2d":{{"x1":1,"y1":1,"x2":20,"y2":20}}}}]}}"#
+            )
+        })
+        .collect();
+    let path = folder.join(format!("{video}.json"));
+    std::fs::write(&path, format!("[{}]", entries.join(","))).unwrap();
+    GroundTruth::new(vec![path], TruthFormat::Bdd100k)
+}
+
+#[test]
+fn ground_truth_is_found_by_name_and_refused_for_other_frames_or_clips() {
+    let folder = tempfile::tempdir().unwrap();
+    let clip = by_hand(3).clip;
+    let mut report = LoadReport::default();
+    let found = labels(folder.path(), "by-hand", 3).of(&clip, false, &mut report);
+    let found = found.unwrap().unwrap();
+    assert!(found.iter().all(|frame| frame.len() == 1));
+    assert_eq!(report.unmapped_classes["tram"], 3);
+
+    for frames in [2, 4] {
+        let error = labels(folder.path(), "by-hand", frames)
+            .of(&clip, false, &mut report)
+            .unwrap_err()
+            .to_string();
+        let expected = format!("is for {frames} frames, the clip has 3");
+        assert!(error.contains(&expected), "{error}");
+    }
+
+    let mut other = labels(folder.path(), "other", 3);
+    assert_eq!(other.of(&clip, false, &mut report).unwrap(), None);
+    // The only ground truth is for the only clip, whatever it is called.
+    assert!(other.of(&clip, true, &mut report).unwrap().is_some());
+    let names = ["by-hand".to_owned(), "second".to_owned()];
+    let error = other.check(&names).unwrap_err().to_string();
+    assert!(error.contains("other"), "{error}");
+    assert!(error.contains("by-hand, second"), "{error}");
+}
+
+#[test]
+fn ground_truth_for_pictures_of_another_size_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut clip = by_hand(3).clip;
+    clip.truth = Some(vec![Vec::new(); 3]);
+    albireo::eval::data::recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
+    let mut truth = GroundTruth::new(vec![folder.path().to_owned()], TruthFormat::Recorded);
+    let mut report = LoadReport::default();
+    assert!(truth.of(&clip, false, &mut report).unwrap().is_some());
+    clip.picture = PictureSize::new(640, 360);
+    let error = truth.of(&clip, false, &mut report).unwrap_err().to_string();
+    assert!(
+        error.contains("1280x720") && error.contains("640x360"),
+        "{error}"
+    );
+}
