@@ -8,6 +8,7 @@ mod detector_session;
 mod end_to_end;
 mod eval_agreement;
 mod eval_coco;
+mod eval_command;
 mod eval_paper;
 mod frame_decoding;
 mod frame_formats;

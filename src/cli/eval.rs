@@ -126,7 +126,8 @@ struct RunArguments {
     /// Whose definitions hold where the published code and the paper's text differ.
     #[arg(long, value_enum, default_value_t = Scoring::Paper)]
     profile: Scoring,
-    /// A policy, as NAME or NAME:SETTING; may be given several times. Vanilla always runs too.
+    /// A policy, as NAME or NAME:SETTING, or `all` for every one with the paper's settings; may be given
+    /// several times. Vanilla always runs too.
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
     policy: Vec<String>,
     /// Uncertainty threshold of the policies that have one.
@@ -304,6 +305,7 @@ fn policies(arguments: &RunArguments) -> anyhow::Result<Vec<PolicySpec>> {
         },
         u: arguments.u,
         screen: Some(arguments.screen),
+        pixels: false,
     };
     Ok(resolve(&arguments.policy, &arguments.sweep, &common)?)
 }
