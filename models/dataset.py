@@ -85,27 +85,45 @@ def detector_arrays(folder):
 
 
 def screen_arrays(folder, every=1):
-    """Pictures [n, 360, 640, 3] uint8 and labels: 0 empty, 1 non-empty.
+    """Pictures [n, 360, 640, 3] uint8, labels (0 empty, 1 non-empty), and maps [n, 23, 40] int8.
 
     Empty means that the ground truth has no object at all; a frame whose only objects are ones a
-    detector need not find (tiny, hidden) is left out, for it is neither.
+    detector need not find (tiny, hidden) is left out, for it is neither. A cell of the map (every 16
+    pixels) is 1 on an object, 0 on none, -1 on one that need not be found.
     """
     folder = Path(folder)
-    chosen = [line for line in read_lines(folder)[::every]]
-    labels = np.array([label(line) for line in chosen])
-    kept = [line for line, found in zip(chosen, labels) if found >= 0]
+    kept = [line for line in read_lines(folder)[::every] if label(line) >= 0]
     stored = folder / f"screen-{every}.npy"
     if not stored.exists():
         columns, rows = SCREEN_SIZE
         out = np.lib.format.open_memmap(
-            folder / "partial.npy", "w+", np.uint8, (len(kept), rows, columns, 3)
+            folder / "partial-screen.npy", "w+", np.uint8, (len(kept), rows, columns, 3)
         )
         for index, line in enumerate(kept):
             with Image.open(folder / line["file"]) as file:
-                out[index] = bilinear(np.asarray(file.convert("RGB")), columns, rows)
+                picture = file.convert("RGB")
+            if picture.size == (2 * columns, 2 * rows):
+                out[index] = np.asarray(picture.reduce(2))  # the same as bilinear at this size
+            else:
+                out[index] = bilinear(np.asarray(picture), columns, rows)
         out.flush()
-        (folder / "partial.npy").rename(stored)
-    return np.load(stored, mmap_mode="r"), labels[labels >= 0]
+        (folder / "partial-screen.npy").rename(stored)
+    labels = np.array([label(line) for line in kept])
+    maps = np.stack([screen_map(line) for line in kept])
+    return np.load(stored, mmap_mode="r"), labels, maps
+
+
+def screen_map(line):
+    """Where the objects of a frame are, one cell every 16 pixels of the screen's input."""
+    cells = np.zeros((SCREEN_SIZE[1] // 16 + 1, SCREEN_SIZE[0] // 16), np.int8)
+    across, down = SCREEN_SIZE[0] / line["width"] / 16, SCREEN_SIZE[1] / line["height"] / 16
+    for found in sorted(line["objects"], key=lambda found: not found["ignore"]):
+        x = (found["x1"] + found["x2"]) / 2 * across, (found["x2"] - found["x1"]) * across * 0.4
+        y = (found["y1"] + found["y2"]) / 2 * down, (found["y2"] - found["y1"]) * down * 0.4
+        left, right = (min(int(x[0] + s * x[1] + 0.5), cells.shape[1] - 1) for s in (-1, 1))
+        top, bottom = (min(int(y[0] + s * y[1] + 0.5), cells.shape[0] - 1) for s in (-1, 1))
+        cells[top : bottom + 1, left : right + 1] = -1 if found["ignore"] else 1
+    return cells
 
 
 def label(line):

@@ -129,20 +129,24 @@ class Decoded(nn.Module):
 
 class Screen(nn.Module):
     """Five convolution blocks, then a small classifier on the strongest and the mean response of each
-    channel (after ERD of Liu and Kang, the screen of the paper)."""
+    channel (after ERD of Liu and Kang, the screen of the paper). `places` is a helper of the training:
+    it says for each cell whether an object is there, and is not exported."""
 
     def __init__(self):
         super().__init__()
-        widths = [3, 8, 16, 24, 32, 64]
+        widths, strides = [3, 8, 16, 32, 32, 64], [2, 2, 2, 1, 2]
         self.blocks = nn.Sequential(
-            *[convolution(widths[i], widths[i + 1], stride=2) for i in range(5)]
+            *[convolution(widths[i], widths[i + 1], stride=strides[i]) for i in range(5)]
         )
         self.classifier = nn.Sequential(nn.Linear(128, 32), nn.ReLU(inplace=True), nn.Linear(32, 2))
+        self.places = nn.Conv2d(64, 1, 1)
+        nn.init.constant_(self.places.bias, -3.0)
+
+    def classify(self, features):
+        return self.classifier(torch.cat([features.amax((2, 3)), features.mean((2, 3))], 1))
 
     def forward(self, picture):
-        features = self.blocks(picture)
-        strongest = features.amax((2, 3))
-        return self.classifier(torch.cat([strongest, features.mean((2, 3))], 1))
+        return self.classify(self.blocks(picture))
 
 
 def parameters(module):

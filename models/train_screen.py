@@ -42,8 +42,8 @@ def main():
     parser.add_argument("--train", nargs="+", required=True)
     parser.add_argument("--held-out", required=True)
     parser.add_argument("--out", default="screen.onnx")
-    parser.add_argument("--every", type=int, default=2, help="use every n-th training picture")
-    parser.add_argument("--epochs", type=int, default=8)
+    parser.add_argument("--every", type=int, default=1, help="use every n-th training picture")
+    parser.add_argument("--epochs", type=int, default=6)
     parser.add_argument("--batch", type=int, default=32)
     parser.add_argument("--rate", type=float, default=4e-3)
     parser.add_argument("--threads", type=int, default=1)
@@ -54,8 +54,9 @@ def main():
     random = np.random.default_rng(arguments.seed)
 
     folders = [screen_arrays(folder, arguments.every) for folder in arguments.train]
-    starts = np.cumsum([0] + [len(labels) for _, labels in folders])
-    labels = np.concatenate([labels for _, labels in folders])
+    starts = np.cumsum([0] + [len(labels) for _, labels, _ in folders])
+    labels = np.concatenate([labels for _, labels, _ in folders])
+    maps = np.concatenate([maps for _, _, maps in folders])
     print("frames", len(labels), "empty", int((labels == 0).sum()), flush=True)
 
     def picture(index):
@@ -64,7 +65,7 @@ def main():
 
     screen = Screen().to(memory_format=torch.channels_last)
     smooth = copy.deepcopy(screen).eval()
-    print("parameters", parameters(screen), flush=True)
+    print("parameters", parameters(screen) - parameters(screen.places), flush=True)
     optimiser = torch.optim.AdamW(screen.parameters(), lr=arguments.rate, weight_decay=0.02)
     steps = len(labels) // arguments.batch * arguments.epochs
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, arguments.rate, total_steps=steps, pct_start=0.1)
@@ -76,12 +77,19 @@ def main():
         chosen, order = order[: arguments.batch], order[arguments.batch :]
         batch = torch.from_numpy(np.stack([picture(i) for i in chosen])).permute(0, 3, 1, 2)
         mirrored = torch.from_numpy(random.random(len(chosen)) < 0.5)[:, None, None, None]
-        batch = torch.where(mirrored, batch.flip(3), batch).float() / 255
-        gain = torch.from_numpy(random.uniform(0.75, 1.25, (len(chosen), 1, 1, 1)).astype(np.float32))
-        batch = (batch * gain).clamp(0, 1).contiguous(memory_format=torch.channels_last)
+        batch = torch.where(mirrored, batch.flip(3), batch).to(torch.bfloat16)
+        cells = torch.from_numpy(maps[chosen])
+        cells = torch.where(mirrored[:, 0], cells.flip(2), cells)
+        gain = torch.from_numpy(random.uniform(0.75, 1.25, (len(chosen), 1, 1, 1)) / 255)
+        batch = (batch * gain.to(torch.bfloat16)).clamp(0, 1)
         with torch.autocast("cpu", torch.bfloat16):
-            logits = screen(batch)
+            features = screen.blocks(batch.contiguous(memory_format=torch.channels_last))
+            logits, places = screen.classify(features), screen.places(features)
         loss = functional.cross_entropy(logits.float(), torch.from_numpy(labels[chosen]), weights)
+        # Told where the objects are, the network finds out much faster what they look like.
+        loss = loss + 0.5 * functional.binary_cross_entropy_with_logits(
+            places[:, 0].float(), (cells > 0).float(), (cells >= 0).float(), reduction="sum"
+        ) / (cells > 0).sum().clamp(min=1)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
         optimiser.step()
@@ -100,7 +108,8 @@ def main():
 
     export_screen(copy.deepcopy(smooth).to(memory_format=torch.contiguous_format), arguments.out)
     check_export(smooth, arguments.out, SCREEN_SIZE)
-    print(json.dumps(report(arguments.out, *screen_arrays(arguments.held_out)), indent=1))
+    pictures, labels, _ = screen_arrays(arguments.held_out)
+    print(json.dumps(report(arguments.out, pictures, labels), indent=1))
 
 
 if __name__ == "__main__":

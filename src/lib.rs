@@ -20,15 +20,16 @@ pub mod detector;
 pub mod frame;
 pub mod power;
 pub mod screen;
+pub mod synth;
 pub mod wire;
 
-// Floor 3: a clip's books.
+// Floor 3: a clip's books, and recordings played as a camera would send them.
 pub mod clip;
+pub mod footage;
 
 // Floor 4: whole jobs.
 pub mod eval;
 pub mod node;
-pub mod synth;
 
 // Floor 5: how people and programs reach it.
 pub mod cli;

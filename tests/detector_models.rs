@@ -1,5 +1,7 @@
 //! Real models on real frames: what their README says comes out must come out.
 
+#![allow(clippy::expect_used)]
+
 use albireo::detector::{CameraSlot, Detected, DetectorConfig, DetectorHandle, HeadName};
 use albireo::frame::{ColorOrder, Picture, PixelLayout};
 use albireo::geometry::PictureSize;
@@ -102,7 +104,6 @@ async fn shared_yolox_finds_the_two_cars_of_its_readme() {
     let left = ("car", 0.82, [455.0, 325.0, 528.0, 396.0]);
     assert_found(&detector, &detected, size, right);
     assert_found(&detector, &detected, size, left);
-    println!("{detected:?}");
     assert_eq!(detected.detections.len(), 2, "{:?}", detected.detections);
     detector.stop().await;
 }
@@ -128,7 +129,6 @@ async fn shared_the_upstream_screen_gives_the_logits_of_its_readme() {
     ] {
         let picture = frame("fixed_topdown_cars.mp4", number, size);
         let verdict = screen.ask(CAMERA, picture).await.unwrap();
-        println!("{number}: {verdict:?}, expected {expected:?}");
         assert_eq!(verdict.empty, number == 5);
         for (logit, expected) in verdict.logits.into_iter().zip(expected) {
             let allowed = 0.05 + 0.01 * f32::abs(expected);

@@ -15,6 +15,7 @@ mod frame_formats;
 mod golden_traces;
 mod http_api;
 mod node_frames;
+mod power_published;
 mod power_sysfs;
 mod power_tegrastats;
 mod power_telemetry;

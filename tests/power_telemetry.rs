@@ -71,7 +71,6 @@ fn every_line_kept_here_says_what_it_says() {
 
 #[test]
 fn shared_every_recorded_line_says_what_it_says() {
-    let folder = shared("telemetry");
     let expected = expected();
     for board in [
         "agx_orin_jp5",
@@ -83,9 +82,8 @@ fn shared_every_recorded_line_says_what_it_says() {
         "orin_nx",
         "xavier_and_older",
     ] {
-        let file = folder.join(format!("tegrastats_{board}.txt"));
-        let text = std::fs::read_to_string(&file)
-            .unwrap_or_else(|error| panic!("{} is needed for this test: {error}", file.display()));
+        let file = shared(&format!("telemetry/tegrastats_{board}.txt"));
+        let text = std::fs::read_to_string(file).unwrap();
         for (number, line) in (1..).zip(text.lines()) {
             check(&format!("{board}:{number}"), line, &expected);
         }

@@ -36,7 +36,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Arguments {
-    /// Stop after so many seconds [default: run until Ctrl-C]
+    /// Stop so many seconds after the camera starts [default: run until Ctrl-C]
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u64>,
     /// World the synthetic dashcam drives through
@@ -72,14 +72,6 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         ..LogConfig::default()
     })?;
     let shutdown = signals::shutdown().context(signals::CONTEXT)?;
-    if let Some(seconds) = arguments.seconds {
-        let shutdown = shutdown.clone();
-        tokio::spawn(async move {
-            tokio::time::sleep(Duration::from_secs(seconds)).await;
-            shutdown.cancel();
-        });
-    }
-
     let listener = listen(arguments.port).await?;
     let address = listener.local_addr()?;
     let endpoint = format!("tcp/127.0.0.1:{}", listen(7447).await?.local_addr()?.port());
@@ -88,19 +80,28 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let show = Show::new(prepared.board(), &config, address);
     show.banner();
 
-    // Whichever part ends first ends the others.
-    let node = ending(
-        &shutdown,
-        run_prepared(&config, prepared, listener, shutdown.clone()),
+    // A task each: opening a Zenoh session blocks its thread, and no part may wait for another's.
+    // Whichever ends first ends the others.
+    let node = tokio::spawn(ending(shutdown.clone(), {
+        let (config, shutdown) = (config.clone(), shutdown.clone());
+        async move { run_prepared(&config, prepared, listener, shutdown).await }
+    }));
+    let camera = tokio::spawn(ending(
+        shutdown.clone(),
+        camera(arguments, config, endpoint, shutdown.clone()),
+    ));
+    let show = tokio::spawn(show.run(shutdown));
+    let (node, camera, summary) = (
+        node.await.context("node")?,
+        camera.await.context("camera")?,
+        show.await.context("output")?,
     );
-    let camera = ending(&shutdown, camera(&arguments, &config, &endpoint, &shutdown));
-    let (node, camera, summary) = tokio::join!(node, camera, show.run(shutdown.clone()));
     camera.and(node)?;
     summary.print();
     Ok(())
 }
 
-async fn ending<T>(shutdown: &CancellationToken, work: impl Future<Output = T>) -> T {
+async fn ending<T>(shutdown: CancellationToken, work: impl Future<Output = T>) -> T {
     let ended = work.await;
     shutdown.cancel();
     ended
@@ -142,12 +143,12 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
 
 /// Plays the camera until `shutdown`.
 async fn camera(
-    arguments: &Arguments,
-    config: &NodeConfig,
-    endpoint: &str,
-    shutdown: &CancellationToken,
+    arguments: Arguments,
+    config: NodeConfig,
+    endpoint: String,
+    shutdown: CancellationToken,
 ) -> anyhow::Result<()> {
-    let source = arguments.source.clone().unwrap_or(SourceName::Synthetic {
+    let source = arguments.source.unwrap_or(SourceName::Synthetic {
         seed: arguments.seed,
     });
     let source = source
@@ -163,10 +164,17 @@ async fn camera(
     };
     let key = config.keys()?.camera(CAMERA)?.frame();
     let playing = async {
-        let session = open_session(&[endpoint.to_owned()], &[], PATIENCE).await?;
+        let session = open_session(&[endpoint], &[], PATIENCE).await?;
         let publisher = declare_frame_publisher(&session, &key, false).await?;
         wait_for_subscriber(&publisher, PATIENCE).await?;
-        publish(source, publisher, &options, |_| {}, shutdown).await?;
+        if let Some(seconds) = arguments.seconds {
+            let shutdown = shutdown.clone();
+            tokio::spawn(async move {
+                tokio::time::sleep(Duration::from_secs(seconds)).await;
+                shutdown.cancel();
+            });
+        }
+        publish(source, publisher, &options, |_| {}, &shutdown).await?;
         session
             .close()
             .await

@@ -1,5 +1,7 @@
 //! `albireo eval`: accuracy, skip rate, time and energy of policies on recordings.
 
+mod pictures;
+
 use crate::eval::average_precision::{Classes, Interpolation};
 use crate::eval::data::{Clips, bdd100k, coco, kitti, mot_challenge, recorded};
 use crate::eval::energy_model::EnergyModel;
@@ -83,6 +85,12 @@ enum What {
         #[command(flatten)]
         run: RunArguments,
     },
+    /// Run a real detector once over videos, then every policy on what it found.
+    Video(pictures::VideoArguments),
+    /// Run a real detector once over folders of pictures, then every policy on what it found.
+    Pictures(pictures::FolderArguments),
+    /// The same on the synthetic dashcam, with its exact ground truth.
+    Synth(pictures::SynthArguments),
     /// Recompute the paper's main table from published per-clip results.
     Paper {
         /// Files with a row per clip and system.
@@ -121,7 +129,7 @@ fn picture_size(text: &str) -> Result<PictureSize, String> {
 }
 
 /// What every comparison of policies takes.
-#[derive(Debug, Args)]
+#[derive(Clone, Debug, Args)]
 struct RunArguments {
     /// Whose definitions hold where the published code and the paper's text differ.
     #[arg(long, value_enum, default_value_t = Scoring::Paper)]
@@ -191,6 +199,9 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
             detections,
             run,
         } => compare(coco::read(dataset, Some(detections))?, dataset, run),
+        What::Video(arguments) => pictures::videos(arguments),
+        What::Pictures(arguments) => pictures::folders(arguments),
+        What::Synth(arguments) => pictures::synthetic(arguments),
         What::Paper { files, json } => recompute(files, json.as_deref()),
         What::FitEnergy {
             file,

@@ -5,6 +5,7 @@ mod demo;
 pub mod eval;
 mod logging;
 mod node;
+mod power;
 pub mod replay;
 mod signals;
 pub mod synth;
@@ -19,6 +20,7 @@ const EXAMPLES: &str = "\
 Examples:
   albireo demo                           everything at once, with nothing to configure
   albireo check config/node.toml         say what is wrong with a configuration
+  albireo power                          say which power meters work here
   albireo node --config config/node.toml run a node
   albireo replay drive.mp4               play a video to it as a camera
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
@@ -37,6 +39,8 @@ enum Command {
     Node(node::Arguments),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
+    /// Say which power sources work on this machine, their rails, and watts now.
+    Power(power::Arguments),
     /// Publish a video, a folder of pictures or the synthetic dashcam as a camera.
     Replay(replay::ReplayArguments),
     /// Replay recordings through any policy: accuracy against what it saves.
@@ -53,6 +57,7 @@ impl Arguments {
         let ended = match self.command {
             Command::Node(arguments) => node::run(&arguments),
             Command::Check(arguments) => check::run(&arguments),
+            Command::Power(arguments) => power::run(&arguments),
             Command::Replay(arguments) => block_on(async {
                 let shutdown = signals::shutdown().context(signals::CONTEXT)?;
                 replay::run(arguments, shutdown).await.map(drop)

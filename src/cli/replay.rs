@@ -1,18 +1,13 @@
 //! `albireo replay`: any machine plays a camera.
 
-mod folder;
 mod publish;
 mod session;
-mod source;
-mod synthetic;
-mod video;
 
-pub use folder::PictureFolder;
+pub use crate::footage::{
+    Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Synthetic, Video, VideoEncoding,
+};
 pub use publish::{OutgoingFrame, PublishOptions, Rate, Sent, declare_frame_publisher, publish};
 pub use session::{DEFAULT_ENDPOINT, flush, open_session, wait_for_subscriber};
-pub use source::{FrameSource, SourceName, Stopper};
-pub use synthetic::Synthetic;
-pub use video::{Ffmpeg, Video, VideoEncoding};
 
 use crate::wire::NodeKeys;
 use anyhow::{Context, anyhow};

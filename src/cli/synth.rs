@@ -192,7 +192,7 @@ fn write_frame(
 }
 
 /// Reads `1280x720`.
-fn parse_size(text: &str) -> Result<PictureSize, String> {
+pub(super) fn parse_size(text: &str) -> Result<PictureSize, String> {
     let wrong = || format!("`{text}`: a size is columns x rows, such as 1280x720");
     let (width, height) = text.split_once('x').ok_or_else(wrong)?;
     let side = |text: &str| text.parse().map_err(|_| wrong());
@@ -200,7 +200,7 @@ fn parse_size(text: &str) -> Result<PictureSize, String> {
 }
 
 /// Reads `1-40,90`.
-fn parse_seeds(text: &str) -> Result<Seeds, String> {
+pub(super) fn parse_seeds(text: &str) -> Result<Seeds, String> {
     let wrong =
         |part: &str| format!("`{part}`: seeds are numbers and ranges, such as 7 or 1-40,90");
     let number = |text: &str, part: &str| text.trim().parse::<u64>().map_err(|_| wrong(part));

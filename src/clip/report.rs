@@ -4,8 +4,8 @@ use super::latencies::Latencies;
 use super::share::{CameraShare, Slice};
 use crate::power::{PowerHandle, SpanEnergy};
 use crate::wire::{
-    ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates, ThresholdChange,
-    VERSION,
+    BoardState, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates,
+    ThresholdChange, VERSION,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -63,8 +63,13 @@ impl ClosedClip {
         self.end.saturating_duration_since(self.start)
     }
 
-    /// The report.
-    pub fn into_report(self, meta: ClipMeta, energy: ClipEnergy) -> ClipReport {
+    /// The report, with the clip's energy and the board's state during it.
+    pub fn into_report(
+        self,
+        meta: ClipMeta,
+        energy: ClipEnergy,
+        board: Option<BoardState>,
+    ) -> ClipReport {
         ClipReport {
             v: VERSION,
             node: meta.node,
@@ -87,7 +92,7 @@ impl ClosedClip {
             total_latency_ms: self.total.percentiles(),
             detector_latency_ms: self.detector.percentiles(),
             energy,
-            board: None,
+            board,
         }
     }
 }

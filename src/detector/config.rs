@@ -1,13 +1,15 @@
 //! The `[detector]` section of the configuration.
 
+use super::StartError;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
 /// What runs the model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum ExecutionProvider {
     /// NVIDIA TensorRT.
+    #[value(name = "tensorrt")]
     TensorRt,
     /// NVIDIA CUDA.
     Cuda,
@@ -27,7 +29,7 @@ impl ExecutionProvider {
 }
 
 /// How a model's output tensors are read.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum HeadName {
     /// YOLOX: `[1, cells, 5 + classes]`, not decoded.
@@ -85,5 +87,45 @@ impl Default for DetectorConfig {
             queue: 8,
             onnxruntime: None,
         }
+    }
+}
+
+impl DetectorConfig {
+    /// Checks what can be checked without opening a file.
+    ///
+    /// # Errors
+    /// The first key whose value cannot be.
+    pub fn check(&self) -> Result<(), StartError> {
+        let share = |key, value: f64| {
+            if (0.0..=1.0).contains(&value) {
+                Ok(())
+            } else {
+                Err(StartError::Configuration {
+                    key,
+                    reason: format!("it is {value}, and must be between 0 and 1"),
+                })
+            }
+        };
+        let positive = |key, is_positive: bool| {
+            if is_positive {
+                Ok(())
+            } else {
+                Err(StartError::Configuration {
+                    key,
+                    reason: "it is 0, and must be at least 1".to_owned(),
+                })
+            }
+        };
+        share("detector.confidence", self.confidence)?;
+        share("detector.suppression_overlap", self.suppression_overlap)?;
+        positive("detector.timeout_ms", self.timeout_ms > 0)?;
+        positive("detector.queue", self.queue > 0)?;
+        if self.providers.is_empty() {
+            return Err(StartError::Configuration {
+                key: "detector.providers",
+                reason: "the list is empty; [\"cpu\"] works everywhere".to_owned(),
+            });
+        }
+        Ok(())
     }
 }

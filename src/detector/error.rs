@@ -87,13 +87,22 @@ pub enum StartError {
 }
 
 /// Why one run of a model failed.
-#[derive(Debug, thiserror::Error)]
-#[error("{0}")]
-pub struct ModelError(pub String);
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum ModelError {
+    /// The picture is at fault; the model is as good as before.
+    #[error("{0}")]
+    Picture(String),
+    /// The model or what runs it is at fault.
+    #[error("{0}")]
+    Run(String),
+}
 
 /// Why a picture was not answered. The frame it belongs to can be answered from prediction.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum InferenceError {
+    /// The picture cannot be answered; the session is as good as before.
+    #[error("the picture cannot be used: {0}")]
+    BadPicture(String),
     /// The run took too long; it is abandoned and the session rebuilt.
     #[error("the run took longer than {timeout_ms} ms")]
     TimedOut {

@@ -69,6 +69,7 @@ impl DetectorHandle {
     /// # Errors
     /// When the library, the model, its head or the execution provider is not as configured.
     pub async fn start(config: &DetectorConfig) -> Result<Self, StartError> {
+        config.check()?;
         let class_names = class_names::read(config)?;
         let head = Arc::new(HeadCounters::default());
         let facts = Facts {

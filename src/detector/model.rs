@@ -20,7 +20,7 @@ pub trait Model: 'static {
     /// Answers one picture. Blocks.
     ///
     /// # Errors
-    /// When the run failed. The model is dropped then and built anew.
+    /// When the run failed. The model is dropped then and built anew, unless the picture was at fault.
     fn run(&mut self, camera: CameraSlot, picture: &Picture) -> Result<Self::Output, ModelError>;
 
     /// What runs it.

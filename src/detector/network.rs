@@ -86,14 +86,17 @@ impl Network {
             suppression_overlap: config.suppression_overlap,
             reported,
             candidates: Vec::new(),
-            counters,
+            counters: Arc::default(),
         };
         network.infer().map_err(|error| StartError::WarmUp {
             path: config.model.clone(),
-            reason: error.0,
+            reason: error.to_string(),
         })?;
-        network.candidates.clear();
-        Ok(network)
+        // Counting begins with the first picture.
+        Ok(Self {
+            counters,
+            ..network
+        })
     }
 
     /// Runs the model on what is in the letterbox and reads its output; returns when the model had ended.
@@ -113,7 +116,7 @@ impl Network {
             let model_ended = Instant::now();
             let rejected = head
                 .read(outputs, *confidence, candidates)
-                .map_err(ModelError)?;
+                .map_err(ModelError::Run)?;
             counters.rejected.fetch_add(rejected, Ordering::Relaxed);
             Ok(model_ended)
         })?
@@ -165,7 +168,7 @@ impl Model for Network {
         let mapping = self
             .letterbox
             .fill(picture)
-            .map_err(|error| ModelError(error.to_string()))?;
+            .map_err(|error| ModelError::Picture(error.to_string()))?;
         let letterboxed = Instant::now();
         let model_ended = self.infer()?;
         let detections = self.detections(mapping);

@@ -108,7 +108,7 @@ impl OnnxSession {
         read: impl FnOnce(&[TensorView<'_>]) -> R,
     ) -> Result<R, ModelError> {
         let shape = [1, 3, i64::from(size.height), i64::from(size.width)];
-        let failed = |error: ort::Error| ModelError(error.message().to_owned());
+        let failed = |error: ort::Error| ModelError::Run(error.message().to_owned());
         let input = TensorRef::from_array_view((shape, planes)).map_err(failed)?;
         let outputs = self
             .session

@@ -10,6 +10,7 @@ pub mod energy_model;
 pub mod paper;
 pub mod paper_text;
 pub mod pareto;
+pub mod pictures;
 pub mod published;
 pub mod replay;
 pub mod report;

@@ -153,6 +153,7 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
         frames: 1,
         detections: Some(vec![Vec::new()]),
         truth: None,
+        screen: None,
         pictures: Vec::new(),
     };
     let mut source = StoredEvidence::new(&clip, 0.5, crate::eval::source::ScreenRule::Nonempty)

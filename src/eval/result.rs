@@ -15,6 +15,9 @@ pub enum Provenance {
     Measured,
     /// A meter that does not see everything.
     Estimated,
+    /// Put together from times that were each measured on this machine: of the model on the frames it was
+    /// needed for, of the screen likewise, of the decision.
+    Composed,
     /// A model of a board, from the numbers of frames.
     Projected,
 }
@@ -25,6 +28,7 @@ impl Provenance {
         match self {
             Self::Measured => "measured",
             Self::Estimated => "estimated",
+            Self::Composed => "composed",
             Self::Projected => "projected",
         }
     }

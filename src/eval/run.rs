@@ -5,9 +5,9 @@ use crate::eval::average_precision::{
 };
 use crate::eval::data::{Clip, classes};
 use crate::eval::energy_model::EnergyModel;
-use crate::eval::replay::{Scoring, replay};
+use crate::eval::replay::{Replay, Scoring, replay};
 use crate::eval::result::ClipResult;
-use crate::eval::source::{ScreenRule, SourceError, StoredEvidence};
+use crate::eval::source::{EvidenceSource, ScreenRule, SourceError, StoredEvidence};
 use crate::eval::spec::PolicySpec;
 use crate::eval::trace::{self, TraceError};
 use crate::policy::PolicyConfigError;
@@ -78,14 +78,33 @@ pub fn run_stored(
         .flat_map(|policy| (0..clips.len()).map(move |clip| (policy, clip)))
         .collect();
     steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(clips[clip].frames));
+    in_parallel(&steps, settings.threads, done, &|(policy, clip)| {
+        let (clip, policy) = (&clips[clip], &policies[policy]);
+        let mut source = StoredEvidence::new(clip, settings.confidence, settings.screen)
+            .map_err(|source| no_evidence(clip, policy, source))?;
+        run_policy(clip, policy, settings, &mut source).map(|(result, _)| result)
+    })
+}
+
+/// Does `work` for every step, in any order, on `threads` threads; the results are sorted by step. `done` is
+/// called after each.
+///
+/// # Errors
+/// The first [`RunError`] in order of steps; after one, no thread begins another step.
+pub(super) fn in_parallel<S: Copy + Ord + Send + Sync, T: Send>(
+    steps: &[S],
+    threads: usize,
+    done: &(dyn Fn() + Sync),
+    work: &(dyn Fn(S) -> Result<T, RunError> + Sync),
+) -> Result<Vec<T>, RunError> {
     let next = AtomicUsize::new(0);
     let stop = AtomicBool::new(false);
     let results = Mutex::new(Vec::with_capacity(steps.len()));
-    let work = || {
+    let thread = || {
         while !stop.load(Ordering::Relaxed)
-            && let Some(&(policy, clip)) = steps.get(next.fetch_add(1, Ordering::Relaxed))
+            && let Some(&step) = steps.get(next.fetch_add(1, Ordering::Relaxed))
         {
-            let result = run_clip(&clips[clip], &policies[policy], settings);
+            let result = work(step);
             if result.is_err() {
                 stop.store(true, Ordering::Relaxed);
             }
@@ -93,17 +112,17 @@ pub fn run_stored(
             results
                 .lock()
                 .unwrap_or_else(std::sync::PoisonError::into_inner)
-                .push(((policy, clip), result));
+                .push((step, result));
             done();
         }
     };
-    let threads = match settings.threads {
+    let threads = match threads {
         0 => std::thread::available_parallelism().map_or(1, usize::from),
         threads => threads,
     };
     std::thread::scope(|scope| {
         for _ in 0..threads.min(steps.len()).max(1) {
-            scope.spawn(work);
+            scope.spawn(thread);
         }
     });
     let mut results = results
@@ -113,26 +132,38 @@ pub fn run_stored(
     results.into_iter().map(|(_, result)| result).collect()
 }
 
-fn run_clip(clip: &Clip, policy: &PolicySpec, settings: &Settings) -> Result<ClipResult, RunError> {
-    let failed = |source| RunError::Source {
+/// The error of a clip whose evidence does not suffice for a policy.
+pub(super) fn no_evidence(clip: &Clip, policy: &PolicySpec, source: SourceError) -> RunError {
+    RunError::Source {
         policy: policy.label.clone(),
         clip: clip.name.clone(),
         source,
-    };
-    let mut source =
-        StoredEvidence::new(clip, settings.confidence, settings.screen).map_err(failed)?;
+    }
+}
+
+/// One policy over one clip, with evidence from `source`: its figures, and what it did frame by frame.
+///
+/// # Errors
+/// [`RunError`] when the policy cannot be built, asks for what the source does not have, or the trace
+/// cannot be written.
+pub(super) fn run_policy(
+    clip: &Clip,
+    policy: &PolicySpec,
+    settings: &Settings,
+    source: &mut dyn EvidenceSource,
+) -> Result<(ClipResult, Replay), RunError> {
     let mut decider = policy.config.build().map_err(|source| RunError::Policy {
         policy: policy.label.clone(),
         source,
     })?;
     let replayed = replay(
         decider.as_mut(),
-        &mut source,
+        source,
         settings.scoring,
         policy.decay_u,
         settings.traces.is_some(),
     )
-    .map_err(failed)?;
+    .map_err(|source| no_evidence(clip, policy, source))?;
     if let (Some(folder), Some(frames)) = (&settings.traces, &replayed.trace) {
         let file = format!("{}.jsonl.gz", clip.name);
         trace::write(&folder.join(&policy.label).join(file), frames)?;
@@ -158,7 +189,7 @@ fn run_clip(clip: &Clip, policy: &PolicySpec, settings: &Settings) -> Result<Cli
     if let Some(model) = &settings.energy_model {
         model.apply(&mut result);
     }
-    Ok(result)
+    Ok((result, replayed))
 }
 
 fn judge(clip: &Clip, boxes: &[Vec<ScoredBox>], settings: &Settings) -> Option<Accuracy> {

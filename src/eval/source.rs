@@ -46,6 +46,12 @@ pub enum SourceError {
          of pictures"
     )]
     NoPictures,
+    /// The screen's verdicts are asked for and there are none.
+    #[error(
+        "no verdicts of an empty-scene screen are stored with the clip: use another --screen, or store \
+         them with `albireo eval video … --screen-model FILE --save-detections DIR`"
+    )]
+    NoScreenVerdicts,
     /// Ground truth without anything to compare with it.
     #[error(
         "the clip has no stored detections: give some, or evaluate its pictures with a real detector"
@@ -64,6 +70,8 @@ pub enum ScreenRule {
     Nonempty,
     /// A screen that is always right: "empty" exactly when the frame has no stored detection.
     Detections,
+    /// What a real screen said when the pictures were there: `screen/*.csv` beside the detections.
+    Recorded,
 }
 
 impl ScreenRule {
@@ -72,6 +80,7 @@ impl ScreenRule {
         match self {
             Self::Nonempty => "nonempty",
             Self::Detections => "detections",
+            Self::Recorded => "recorded",
         }
     }
 }
@@ -82,13 +91,16 @@ pub struct StoredEvidence {
     picture: PictureSize,
     detections: Vec<Vec<Detection>>,
     screen: ScreenRule,
+    /// One a frame where the rule is [`ScreenRule::Recorded`].
+    verdicts: Vec<Option<bool>>,
 }
 
 impl StoredEvidence {
     /// The detections of `clip` whose confidence is at least `confidence`.
     ///
     /// # Errors
-    /// [`SourceError::NoDetections`] if the clip has none stored.
+    /// [`SourceError::NoDetections`] if the clip has none stored, [`SourceError::NoScreenVerdicts`] if they are
+    /// asked for and the clip has none.
     pub fn new(clip: &Clip, confidence: f64, screen: ScreenRule) -> Result<Self, SourceError> {
         let stored = clip.detections.as_ref().ok_or(SourceError::NoDetections)?;
         let detections = stored
@@ -101,10 +113,15 @@ impl StoredEvidence {
                     .collect()
             })
             .collect();
+        let verdicts = match screen {
+            ScreenRule::Recorded => clip.screen.clone().ok_or(SourceError::NoScreenVerdicts)?,
+            ScreenRule::Nonempty | ScreenRule::Detections => Vec::new(),
+        };
         Ok(Self {
             picture: clip.picture,
             detections,
             screen,
+            verdicts,
         })
     }
 
@@ -127,10 +144,11 @@ impl EvidenceSource for StoredEvidence {
     }
 
     fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError> {
-        Ok(Some(match self.screen {
-            ScreenRule::Nonempty => false,
-            ScreenRule::Detections => self.frame(frame).is_empty(),
-        }))
+        Ok(match self.screen {
+            ScreenRule::Nonempty => Some(false),
+            ScreenRule::Detections => Some(self.frame(frame).is_empty()),
+            ScreenRule::Recorded => self.verdicts.get(frame).copied().flatten(),
+        })
     }
 
     fn grey_picture(&mut self, _frame: usize) -> Result<Option<GreyPicture<'_>>, SourceError> {

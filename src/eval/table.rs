@@ -149,6 +149,7 @@ fn mark(provenance: Provenance) -> &'static str {
     match provenance {
         Provenance::Measured => "",
         Provenance::Estimated => "e",
+        Provenance::Composed => "c",
         Provenance::Projected => "p",
     }
 }
@@ -198,6 +199,9 @@ fn foot(text: &mut String, summaries: &[PolicySummary], left_out: &[String]) {
     }
     if kinds.contains(&Provenance::Estimated) {
         notes.push("e: estimated by a meter that does not see everything.".to_owned());
+    }
+    if kinds.contains(&Provenance::Composed) {
+        notes.push("c: composed of the times measured for each step on each frame.".to_owned());
     }
     if !left_out.is_empty() {
         notes.push(format!(

@@ -139,6 +139,7 @@ impl Reporter {
 
     async fn report(&mut self, closed: ClosedClip) {
         let energy = clip_energy(&closed, &self.power, &self.share).await;
+        let board = self.power.board(closed.start, closed.end);
         let report = closed.into_report(
             ClipMeta {
                 node: self.board.node().to_owned(),
@@ -149,6 +150,7 @@ impl Reporter {
                 provider: self.detector.provider().as_str().to_owned(),
             },
             energy,
+            board,
         );
         tracing::info!(
             camera = self.camera,

@@ -104,19 +104,28 @@ impl Default for PowerConfig {
 }
 
 impl PowerConfig {
-    /// Refuses impossible values.
-    ///
-    /// # Errors
-    /// [`MeterError::Configuration`] that names the key and what is allowed.
-    pub fn check(&self) -> Result<(), MeterError> {
-        let refuse = |text: String| Err(MeterError::Configuration(text));
+    /// All impossible values: key, and what is wrong with it and what is allowed.
+    pub fn problems(&self) -> Vec<(String, String)> {
+        let mut found: Vec<(String, String)> = Vec::new();
+        let mut add = |key: &str, reason: String| found.push((key.to_owned(), reason));
         if !(10..=10_000).contains(&self.interval_ms) {
-            return refuse(format!(
-                "interval_ms = {}: must be 10 to 10000",
-                self.interval_ms
-            ));
+            add(
+                "interval_ms",
+                format!("must be from 10 to 10000, not {}", self.interval_ms),
+            );
         }
-        let pairs = [
+        let paths = [
+            ("sysfs", &self.sysfs),
+            ("procfs", &self.procfs),
+            ("tegrastats", &self.tegrastats),
+            ("nvpmodel", &self.nvpmodel),
+        ];
+        for (key, path) in paths {
+            if path.as_os_str().is_empty() {
+                add(key, "is empty; leave the key out instead".to_owned());
+            }
+        }
+        let watts = [
             ("idle_watts", self.idle_watts, "busy_watts", self.busy_watts),
             (
                 "gpu_idle_watts",
@@ -125,40 +134,58 @@ impl PowerConfig {
                 self.gpu_busy_watts,
             ),
         ];
-        for (idle_key, idle, busy_key, busy) in pairs {
-            if !(idle.is_finite() && idle >= 0.0) {
-                return refuse(format!("{idle_key} = {idle}: must be a number, 0 or more"));
+        for (idle_key, idle, busy_key, busy) in watts {
+            let mut sound = true;
+            for (key, value) in [(idle_key, idle), (busy_key, busy)] {
+                // Written so that NaN is refused.
+                if !(0.0..=1e5).contains(&value) {
+                    sound = false;
+                    add(
+                        key,
+                        format!("must be a number from 0 to 100000, not {value}"),
+                    );
+                }
             }
-            if !(busy.is_finite() && busy >= idle) {
-                return refuse(format!(
-                    "{busy_key} = {busy}: must be a number, at least {idle_key} ({idle})"
-                ));
+            if sound && busy < idle {
+                add(busy_key, format!("is {busy}, below {idle_key} ({idle})"));
             }
         }
-        self.check_sum()?;
-        self.rails.as_ref().map_or(Ok(()), RailTable::check)
-    }
-
-    fn check_sum(&self) -> Result<(), MeterError> {
-        let refuse = |text: String| Err(MeterError::Configuration(format!("sum: {text}")));
         for (i, source) in self.sum.iter().enumerate() {
             let name = source.as_str();
             if !matches!(
                 source,
                 PowerSource::Rapl | PowerSource::Nvml | PowerSource::Battery
             ) {
-                return refuse(format!(
-                    "`{name}` cannot be added up; it may list rapl, nvml and battery"
-                ));
-            }
-            if self.sum.iter().take(i).any(|s| s == source) {
-                return refuse(format!("`{name}` is there twice"));
+                let reason =
+                    format!("`{name}` cannot be added up; list rapl, nvml and battery only");
+                add("sum", reason);
+            } else if self.sum.iter().take(i).any(|s| s == source) {
+                add("sum", format!("`{name}` is there twice"));
             }
         }
         if self.sum.is_empty() {
-            return refuse("list at least one of rapl, nvml and battery".to_owned());
+            add(
+                "sum",
+                "list at least one of rapl, nvml and battery".to_owned(),
+            );
         }
-        Ok(())
+        if let Some(Err(MeterError::Configuration { key, reason })) =
+            self.rails.as_ref().map(RailTable::check)
+        {
+            add(&key, reason);
+        }
+        found
+    }
+
+    /// Refuses impossible values.
+    ///
+    /// # Errors
+    /// [`MeterError::Configuration`] with the first of the [`problems`](Self::problems).
+    pub fn check(&self) -> Result<(), MeterError> {
+        match self.problems().into_iter().next() {
+            Some((key, reason)) => Err(MeterError::Configuration { key, reason }),
+            None => Ok(()),
+        }
     }
 }
 
@@ -181,7 +208,10 @@ mod tests {
 
     #[test]
     fn impossible_values_are_refused_by_key() {
-        assert!(refused("interval_ms = 1").contains("interval_ms = 1: must be 10 to 10000"));
+        assert!(
+            refused("interval_ms = 1")
+                .contains("power.interval_ms: must be from 10 to 10000, not 1")
+        );
         assert!(refused("gpu_busy_watts = 0.5").contains("gpu_busy_watts"));
         assert!(refused("idle_watts = nan").contains("idle_watts"));
         assert!(
@@ -189,7 +219,8 @@ mod tests {
         );
         assert!(refused("sum = [\"rapl\", \"rapl\"]").contains("twice"));
         assert!(refused("sum = []").contains("at least one"));
-        assert!(refused("[rails]\ngpu = [\"A\"]").contains("rails:"));
+        assert!(refused("tegrastats = \"\"").contains("power.tegrastats: is empty"));
+        assert!(refused("[rails]\ngpu = [\"A\"]").contains("power.rails:"));
         assert!(toml::from_str::<PowerConfig>("watt = 3").is_err());
     }
 

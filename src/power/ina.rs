@@ -3,6 +3,7 @@
 //!
 //! INA3221: channels 1 to 3 with `inN_label`, `inN_input` (bus voltage, mV) and `currN_input` (mA); there
 //! is no power file, so power is their product. Inputs 4 to 7 are shunt voltages and sums, not rails.
+//! JetPack 4 has another driver with other files; there, `tegrastats` is the meter.
 //! INA238: `power1_input` (µW); on AGX Thor it measures the board's input, `VIN`.
 
 use super::config::PowerConfig;

@@ -160,8 +160,16 @@ pub enum MeterError {
         reason: String,
     },
     /// The configuration asks for something impossible.
-    #[error("[power] {0}")]
-    Configuration(String),
+    #[error("power.{key}: {reason}")]
+    Configuration {
+        /// The key in `[power]`.
+        key: String,
+        /// What is wrong with it, and what is allowed.
+        reason: String,
+    },
+    /// The meter itself failed.
+    #[error("{0}")]
+    Failed(String),
 }
 
 /// A power meter. Reading may block for some milliseconds, so the sampler calls it off the async

@@ -90,9 +90,12 @@ impl Nvml {
         };
         let count = driver.count().map_err(failed)?;
         if let Some(index) = wanted.iter().find(|i| **i >= count) {
-            return Err(MeterError::Configuration(format!(
-                "nvml_cards: there is no card {index}; this machine has {count}, numbered from 0"
-            )));
+            return Err(MeterError::Configuration {
+                key: "nvml_cards".to_owned(),
+                reason: format!(
+                    "there is no card {index}; this machine has {count}, numbered from 0"
+                ),
+            });
         }
         let mut cards = Vec::new();
         for index in (0..count).filter(|i| wanted.is_empty() || wanted.contains(i)) {

@@ -58,7 +58,10 @@ impl RailTable {
     /// # Errors
     /// [`MeterError::Configuration`] that names the rail.
     pub fn check(&self) -> Result<(), MeterError> {
-        let refuse = |text: String| Err(MeterError::Configuration(format!("rails: {text}")));
+        let refuse = |reason: String| {
+            let key = "rails".to_owned();
+            Err(MeterError::Configuration { key, reason })
+        };
         if self.input.is_empty() && self.sum.is_empty() {
             return refuse(
                 "name the rail of the whole board in `input`, or the rails to add up in `sum`"
@@ -213,7 +216,7 @@ fn built_in() -> Result<Vec<RailTable>, MeterError> {
         board: Vec<RailTable>,
     }
     let boards: Boards = toml::from_str(include_str!("boards.toml"))
-        .map_err(|error| MeterError::Configuration(format!("boards.toml: {error}")))?;
+        .map_err(|error| MeterError::Failed(format!("boards.toml: {error}")))?;
     Ok(boards.board)
 }
 

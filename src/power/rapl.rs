@@ -16,9 +16,16 @@ use super::sysfs;
 use crate::wire::EnergyQuality;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::time::Instant;
 
 const SOURCE: &str = "rapl";
+
+/// How long `psys` is watched before it is believed.
+const WATCH_PLATFORM: Duration = Duration::from_millis(200);
+
+/// Share of its parts' energy that `psys` must show: counters are not renewed at the same moment.
+const PLATFORM_AT_LEAST: f64 = 0.8;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
@@ -99,8 +106,8 @@ impl Rapl {
     pub fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         config.check()?;
         let root = config.sysfs.join("class/powercap");
-        let zones = find(&root)?;
-        let platform = zones.iter().any(|z| z.kind == Kind::Platform);
+        let mut zones = find(&root)?;
+        let mut platform = zones.iter().any(|z| z.kind == Kind::Platform);
         if !platform && !zones.iter().any(|z| z.kind == Kind::Package) {
             return Err(MeterError::Missing {
                 source_name: SOURCE,
@@ -110,6 +117,17 @@ impl Rapl {
                     root.display()
                 ),
             });
+        }
+        if platform {
+            read(&mut zones, Instant::now())?;
+            std::thread::sleep(WATCH_PLATFORM);
+            read(&mut zones, Instant::now())?;
+            platform = includes_its_parts(&zones);
+            if !platform {
+                tracing::warn!(
+                    "the psys counter counts less than the packages in it; it is left out"
+                );
+            }
         }
         Ok(Self {
             zones,
@@ -126,6 +144,20 @@ impl Rapl {
             Kind::Core | Kind::Uncore | Kind::Other => false,
         }
     }
+}
+
+fn read(zones: &mut [Zone], now: Instant) -> Result<(), MeterError> {
+    zones.iter_mut().try_for_each(|zone| zone.read(now))
+}
+
+/// Whether the platform's counter has counted what the packages and their memory have. On some machines it
+/// has a wrong unit or stands still.
+fn includes_its_parts(zones: &[Zone]) -> bool {
+    let sum = |kinds: &[Kind]| -> f64 {
+        let counted = zones.iter().filter(|z| kinds.contains(&z.kind));
+        counted.map(|z| z.counter.joules()).sum()
+    };
+    sum(&[Kind::Platform]) >= PLATFORM_AT_LEAST * sum(&[Kind::Package, Kind::Dram])
 }
 
 fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
@@ -168,9 +200,7 @@ impl Meter for Rapl {
     }
 
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
-        for zone in &mut self.zones {
-            zone.read(now)?;
-        }
+        read(&mut self.zones, now)?;
         let mut values = Values::default();
         let mut rails = Vec::with_capacity(self.zones.len());
         for zone in &self.zones {

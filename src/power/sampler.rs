@@ -125,7 +125,7 @@ pub async fn start(
         choose::open(&wanted).map(|meter| (meter, Machine::new(&wanted)))
     });
     let (meter, machine) = opened.await.map_err(|error| {
-        MeterError::Configuration(format!("the meter could not be opened: {error}"))
+        MeterError::Failed(format!("the power meter could not be opened: {error}"))
     })??;
     let interval = Duration::from_millis(config.interval_ms);
     Ok(launch(meter, Some(machine), interval, keep, shutdown))

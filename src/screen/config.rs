@@ -1,5 +1,6 @@
 //! The `[screen]` section of the configuration.
 
+use crate::detector::StartError;
 use crate::frame::ColorOrder;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -27,5 +28,24 @@ impl Default for ScreenConfig {
             empty_class: 0,
             timeout_ms: 1000,
         }
+    }
+}
+
+impl ScreenConfig {
+    /// Checks what can be checked without opening a file.
+    ///
+    /// # Errors
+    /// The first key whose value cannot be.
+    pub fn check(&self) -> Result<(), StartError> {
+        let wrong = |key, reason: String| Err(StartError::Configuration { key, reason });
+        if self.empty_class > 1 {
+            let reason = format!("it is {}, and can be 0 or 1", self.empty_class);
+            return wrong("screen.empty_class", reason);
+        }
+        if self.timeout_ms == 0 {
+            let reason = "it is 0, and must be at least 1".to_owned();
+            return wrong("screen.timeout_ms", reason);
+        }
+        Ok(())
     }
 }

@@ -55,17 +55,12 @@ impl ScreenHandle {
     /// A screen that runs `factory`'s model in place of an ONNX file.
     ///
     /// # Errors
-    /// When `empty_class` is neither 0 nor 1, or the first model cannot be made.
+    /// When the configuration cannot be, or the first model cannot be made.
     pub async fn start_with<M: Model<Output = Logits>>(
         config: &ScreenConfig,
         factory: impl Fn() -> Result<M, StartError> + Send + Sync + 'static,
     ) -> Result<Self, StartError> {
-        if config.empty_class > 1 {
-            return Err(StartError::Configuration {
-                key: "screen.empty_class",
-                reason: format!("it is {}, and can be 0 or 1", config.empty_class),
-            });
-        }
+        config.check()?;
         let timeout = Duration::from_millis(config.timeout_ms);
         let settings = TaskSettings::new("screen", timeout, QUEUE);
         Ok(Self {

@@ -56,7 +56,7 @@ impl Network {
         };
         network.infer().map_err(|error| StartError::WarmUp {
             path: model.to_owned(),
-            reason: error.0,
+            reason: error.to_string(),
         })?;
         Ok(network)
     }
@@ -69,7 +69,7 @@ impl Network {
                 Some(&[first, second]) if first.is_finite() && second.is_finite() => {
                     Ok([first, second])
                 }
-                _ => Err(ModelError(format!(
+                _ => Err(ModelError::Run(format!(
                     "the screen gave {} instead of two finite numbers",
                     values.map_or_else(|| "nothing".to_owned(), |values| format!("{values:?}"))
                 ))),
@@ -92,7 +92,7 @@ impl Model for Network {
     fn run(&mut self, _camera: CameraSlot, picture: &Picture) -> Result<Logits, ModelError> {
         self.letterbox
             .fill(picture)
-            .map_err(|error| ModelError(error.to_string()))?;
+            .map_err(|error| ModelError::Picture(error.to_string()))?;
         self.infer()
     }
 

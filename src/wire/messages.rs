@@ -287,7 +287,8 @@ pub struct DomainEnergy {
     pub joules: f64,
     /// Mean power, watts.
     pub mean_watts: f64,
-    /// Highest sample, watts; absent where the source gives energy only.
+    /// Highest sample, watts; where the source counts energy, the highest mean between two samples. Absent
+    /// without a sample inside the clip.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub peak_watts: Option<f64>,
 }

@@ -1,6 +1,6 @@
 //! Plays a source on a frame key: when each frame is due, its number, its time and its clip.
 
-use super::source::{FrameSource, Stopper};
+use crate::footage::{FrameSource, Stopper};
 use crate::frame::{EncodedPicture, PictureFormat};
 use crate::wire::{FrameAttachment, VERSION};
 use anyhow::{Context, anyhow, bail};

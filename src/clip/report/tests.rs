@@ -40,7 +40,7 @@ fn the_report_has_the_papers_energy_delay_product_and_counters_that_add_up() {
         model: "yolo.onnx".to_owned(),
         provider: "cpu".to_owned(),
     };
-    let report = closed.into_report(meta, energy);
+    let report = closed.into_report(meta, energy, None);
     assert_eq!(report.frames, 200);
     assert_eq!(report.states.frames(), report.frames);
     assert!((report.skip_rate - 0.4).abs() < 1e-12);

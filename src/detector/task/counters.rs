@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 #[derive(Debug, Default)]
 pub(super) struct Counters {
     pub(super) completed: AtomicU64,
+    pub(super) bad_pictures: AtomicU64,
     pub(super) timed_out: AtomicU64,
     pub(super) failed: AtomicU64,
     pub(super) panicked: AtomicU64,
@@ -21,6 +22,8 @@ pub(super) struct Counters {
 pub struct TaskCounters {
     /// Runs that ended well.
     pub completed: u64,
+    /// Pictures that could not be used; the session is as good as before.
+    pub bad_pictures: u64,
     /// Runs that took longer than the limit.
     pub timed_out: u64,
     /// Runs that ended with an error.
@@ -48,6 +51,7 @@ impl Counters {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         TaskCounters {
             completed: read(&self.completed),
+            bad_pictures: read(&self.bad_pictures),
             timed_out: read(&self.timed_out),
             failed: read(&self.failed),
             panicked: read(&self.panicked),

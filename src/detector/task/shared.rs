@@ -5,6 +5,7 @@ use crate::detector::{CameraSlot, DetectorStatus, ExecutionProvider, InferenceEr
 use crate::frame::Picture;
 use std::collections::BTreeMap;
 use std::ops::Bound::{Excluded, Unbounded};
+use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::{Notify, OwnedSemaphorePermit, oneshot, watch};
@@ -163,16 +164,26 @@ impl<T> Shared<T> {
 
     /// Answers the run of worker `generation` with success; `false` when the run had been given up.
     pub(super) fn complete(&self, generation: u64, inference: Inference<T>) -> bool {
+        self.answer(generation, Ok(inference), &self.counters.completed)
+    }
+
+    /// Answers the run of worker `generation` with an error that is the picture's own; `false` when the run
+    /// had been given up.
+    pub(super) fn reject(&self, generation: u64, error: InferenceError) -> bool {
+        self.answer(generation, Err(error), &self.counters.bad_pictures)
+    }
+
+    fn answer(&self, generation: u64, answer: Answer<T>, counter: &AtomicU64) -> bool {
         let mut state = self.lock();
         if state.generation != generation {
             return false;
         }
         let running = state.running.take();
         drop(state);
-        Counters::add(&self.counters.completed);
+        Counters::add(counter);
         if let Some(running) = running {
             // The asker may have gone; that is its right.
-            let _ = running.reply.send(Ok(inference));
+            let _ = running.reply.send(answer);
         }
         true
     }

@@ -13,6 +13,7 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 /// What the scripted model does with its next picture.
 enum Step {
     Answer,
+    RejectPicture,
     Fail,
     Panic,
 }
@@ -33,9 +34,10 @@ impl Model for Scripted {
         let step = self.steps.lock().unwrap().recv();
         match step {
             Ok(Step::Answer) => Ok(camera),
-            Ok(Step::Fail) => Err(ModelError("scripted failure".to_owned())),
+            Ok(Step::RejectPicture) => Err(ModelError::Picture("scripted blot".to_owned())),
+            Ok(Step::Fail) => Err(ModelError::Run("scripted failure".to_owned())),
             Ok(Step::Panic) => panic!("scripted panic"),
-            Err(_) => Err(ModelError("the test is over".to_owned())),
+            Err(_) => Err(ModelError::Run("the test is over".to_owned())),
         }
     }
 
@@ -302,6 +304,24 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
             ..TaskCounters::default()
         }
     );
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_bad_picture_is_counted_and_costs_the_session_nothing() {
+    let mut stage = stage(settings()).await;
+    let bad = stage.begin(0).await;
+    stage.end(Step::RejectPicture);
+    let error = bad.await.unwrap().unwrap_err();
+    assert_eq!(
+        error,
+        InferenceError::BadPicture("scripted blot".to_owned())
+    );
+    let good = stage.begin(0).await;
+    stage.end(Step::Answer);
+    good.await.unwrap().unwrap();
+    let counters = stage.task.counters();
+    assert_eq!((counters.bad_pictures, counters.completed), (1, 1));
+    assert_eq!((counters.failed, counters.rebuilds), (0, 0));
 }
 
 #[tokio::test(start_paused = true)]

@@ -3,7 +3,7 @@
 use super::Factory;
 use super::shared::{Inference, Shared};
 use crate::detector::model::{Interrupter, Model};
-use crate::detector::{ExecutionProvider, InferenceError, StartError};
+use crate::detector::{ExecutionProvider, InferenceError, ModelError, StartError};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -106,7 +106,13 @@ fn work<M: Model>(model: &mut M, generation: u64, shared: &Shared<M::Output>) ->
                 }
                 return None;
             }
-            Ok(Err(error)) => InferenceError::Failed(error.0),
+            Ok(Err(ModelError::Picture(reason))) => {
+                if shared.reject(generation, InferenceError::BadPicture(reason)) {
+                    continue;
+                }
+                return None;
+            }
+            Ok(Err(ModelError::Run(reason))) => InferenceError::Failed(reason),
             Err(panic) => InferenceError::Panicked(message(&*panic)),
         };
         let reason = error.to_string();

@@ -130,6 +130,7 @@ pub fn read(source: &Source<'_>) -> Result<Clips, DataError> {
                     object: entry.object,
                 })
             }),
+            screen: None,
             pictures: Vec::new(),
         });
     }

@@ -240,6 +240,7 @@ fn frames(
             frames: images.len(),
             detections: has_detections.then(|| vec![Vec::new(); images.len()]),
             truth: has_truth.then(|| vec![Vec::new(); images.len()]),
+            screen: None,
             pictures: Vec::new(),
         });
     }

@@ -113,6 +113,7 @@ fn read_sequence(
         frames,
         detections,
         truth: Some(truth),
+        screen: None,
         pictures,
     })
 }

@@ -14,6 +14,7 @@ pub mod mot_challenge;
 mod pictures;
 pub mod recorded;
 mod rows;
+mod screen_verdicts;
 
 use crate::detection::{ClassId, Detection};
 use crate::eval::average_precision::TruthBox;
@@ -59,6 +60,9 @@ pub struct Clip {
     pub frames: usize,
     /// Stored detections, one entry a frame in the detector's order; `None` if none are stored.
     pub detections: Option<Vec<Vec<StoredDetection>>>,
+    /// What a real empty-scene screen said of each frame, where one was asked: whether it is empty, or
+    /// nothing if it could not say.
+    pub screen: Option<Vec<Option<bool>>>,
     /// Ground truth, one entry a frame; `None` if there is none.
     pub truth: Option<Vec<Vec<TruthBox>>>,
     /// The clip's pictures in order, if they are files.

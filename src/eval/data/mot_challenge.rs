@@ -66,6 +66,7 @@ fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, DataErr
         frames,
         detections,
         truth,
+        screen: None,
         pictures: pictures_in(&folder.join(info.pictures)),
     })
 }

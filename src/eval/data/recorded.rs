@@ -3,7 +3,9 @@
 //! - `sequences.json`: `{"sequences": [{"name", "width", "height", "fps", "frames", "camera"}, …]}`;
 //!   further keys are passed over,
 //! - `detections/<name>.csv`: `frame,x1,y1,x2,y2,score,class`, required for each sequence,
-//! - `groundtruth/<name>.csv`: `frame,x1,y1,x2,y2,class,object_id`, optional.
+//! - `groundtruth/<name>.csv`: `frame,x1,y1,x2,y2,class,object_id`, optional,
+//! - `screen/<name>.csv`: `frame,empty`, optional: what an empty-scene screen said of the pictures (1: nothing
+//!   is in view, 0: something is). A frame without a row is one of which it could not say.
 //!
 //! Pixels, frames from 0, classes by their COCO numbers. A sequence whose entry counts ground-truth boxes
 //! (`ground_truth_boxes`) must have the file. [`write`] makes the same layout.
@@ -159,6 +161,7 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
     } else {
         None
     };
+    let screen = super::screen_verdicts::read(folder, &entry.name, entry.frames)?;
     Ok(Clip {
         name: entry.name,
         picture,
@@ -167,6 +170,7 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         frames: entry.frames,
         detections: Some(detections),
         truth,
+        screen,
         pictures: Vec::new(),
     })
 }
@@ -249,6 +253,7 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
             }
             std::fs::write(&path, text).map_err(|error| failed(&path, error))?;
         }
+        super::screen_verdicts::write(folder, clip)?;
         index.sequences.push(Entry {
             name: clip.name.clone(),
             width: clip.picture.width,

@@ -353,6 +353,7 @@ fn clips_of_one_name_get_different_names_fit_for_files() {
             frames: 1,
             detections: None,
             truth: None,
+            screen: None,
             pictures: Vec::new(),
         });
     }

@@ -120,6 +120,7 @@ fn badge(provenance: Provenance) -> &'static str {
     match provenance {
         Provenance::Measured => "",
         Provenance::Estimated => " <small>estimated</small>",
+        Provenance::Composed => " <small>composed</small>",
         Provenance::Projected => " <small>projected</small>",
     }
 }

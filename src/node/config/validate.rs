@@ -170,20 +170,8 @@ impl NodeConfig {
             1,
             1 << 34,
         );
-        let power = &self.power;
-        findings.count("power.interval_ms", power.interval_ms, 1, 60_000);
-        findings.path("power.sysfs", Some(&power.sysfs));
-        findings.path("power.procfs", Some(&power.procfs));
-        findings.between("power.idle_watts", power.idle_watts, 0.0, 1e5);
-        findings.between("power.busy_watts", power.busy_watts, 0.0, 1e5);
-        if power.busy_watts < power.idle_watts {
-            findings.add(
-                "power.busy_watts",
-                format!(
-                    "is {}, below idle_watts ({})",
-                    power.busy_watts, power.idle_watts
-                ),
-            );
+        for (key, reason) in self.power.problems() {
+            findings.add(format!("power.{key}"), reason);
         }
     }
 
@@ -192,7 +180,10 @@ impl NodeConfig {
         match self.policy.build() {
             Ok(policy) => Some(policy.knob()),
             Err(error) => {
-                findings.add(error.key(), error.to_string());
+                // The message begins with the key, as other users of the error want it.
+                let message = error.to_string();
+                let (key, reason) = message.split_once(": ").unwrap_or(("policy", &message));
+                findings.add(key, reason);
                 None
             }
         }

@@ -105,7 +105,7 @@ fn a_table_that_counts_a_rail_twice_is_refused_by_name() {
     let table: RailTable = toml::from_str("sum = [\"A\"]\ngpu = [\"A\"]\ncpu = [\"A\"]").unwrap();
     let text = RailMap::new(Some(&table)).unwrap_err().to_string();
     assert!(
-        text.contains("[power] rails: `A` is counted in two"),
+        text.contains("power.rails: `A` is counted in two"),
         "{text}"
     );
     let table: RailTable = toml::from_str("sum = [\"A\", \"A\"]").unwrap();

@@ -1,7 +1,6 @@
 //! Promises of the RAPL counters.
 
 use super::*;
-use std::time::Duration;
 
 /// A powercap tree in the layout of the kernel's documentation.
 struct Tree(tempfile::TempDir);
@@ -162,4 +161,22 @@ fn only_the_mmio_zone_is_used_where_there_is_no_other() {
         .unwrap()
         .remove(0);
     assert_eq!(joules(&reading, Domain::Total), Some(3.0));
+}
+
+#[test]
+fn a_psys_counter_that_counts_less_than_its_packages_is_not_believed() {
+    let tree = Tree::new(&[
+        ("intel-rapl:0", "package-0", 0),
+        ("intel-rapl:1", "psys", 0),
+    ]);
+    let mut zones = find(&tree.0.path().join("class/powercap")).unwrap();
+    let start = Instant::now();
+    read(&mut zones, start).unwrap();
+    tree.set("intel-rapl:0", 10_000_000);
+    tree.set("intel-rapl:1", 150_000);
+    read(&mut zones, start + Duration::from_secs(1)).unwrap();
+    assert!(!includes_its_parts(&zones));
+    tree.set("intel-rapl:1", 12_000_000);
+    read(&mut zones, start + Duration::from_secs(2)).unwrap();
+    assert!(includes_its_parts(&zones));
 }

@@ -17,7 +17,7 @@ impl<F: FnMut(f64) -> Option<f64> + Send> Meter for Curve<F> {
 
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let watts = self.1(now.duration_since(self.0).as_secs_f64());
-        let watts = watts.ok_or_else(|| MeterError::Configuration("stalled".to_owned()))?;
+        let watts = watts.ok_or_else(|| MeterError::Failed("stalled".to_owned()))?;
         let mut values = Values::default();
         values.set(Domain::Total, Value::power(watts));
         Ok(vec![Reading {

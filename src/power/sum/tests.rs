@@ -37,7 +37,7 @@ impl Meter for Told {
     fn poll(&mut self, _now: Instant) -> Result<Vec<Reading>, MeterError> {
         let next = self.next.lock().unwrap();
         let Some((rule, told)) = &*next else {
-            return Err(MeterError::Configuration(format!("{} is gone", self.name)));
+            return Err(MeterError::Failed(format!("{} is gone", self.name)));
         };
         let mut values = Values::default();
         for (domain, value) in told {

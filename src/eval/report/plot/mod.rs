@@ -199,6 +199,7 @@ fn of_kind(provenance: Provenance) -> &'static str {
     match provenance {
         Provenance::Measured => "",
         Provenance::Estimated => " (estimated)",
+        Provenance::Composed => " (composed)",
         Provenance::Projected => " (projected)",
     }
 }

@@ -17,7 +17,7 @@ impl Synthetic {
     pub const RATE: f64 = 10.0;
 
     /// Quality of the JPEG files, 1 to 100: what dashcams use.
-    const QUALITY: u8 = 85;
+    pub const QUALITY: u8 = 85;
 
     /// The world with this seed, filmed at `rate` frames per second.
     ///

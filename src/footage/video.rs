@@ -1,6 +1,6 @@
 //! A video file as a source of frames, decoded by the `ffmpeg` program.
 
-use super::source::{FrameSource, Stopper, plain_name};
+use super::source::{FrameSource, Stopper, clip_name};
 use crate::frame::{EncodedPicture, FrameLimits, PayloadFormat, RawSample, read_frame};
 use anyhow::{Context, anyhow, bail};
 use bytes::Bytes;
@@ -185,10 +185,9 @@ impl Video {
             .with_context(|| {
                 format!("{input}: ffprobe tells no frame rate; give one with --rate")
             })?;
-        let stem = Path::new(input).file_stem().unwrap_or_default();
         let mut video = Self {
             input: input.to_owned(),
-            name: plain_name(&stem.to_string_lossy()),
+            name: clip_name(Path::new(input)),
             encoding,
             programs,
             rate,

@@ -1,6 +1,6 @@
 //! A folder of pictures as a source of frames.
 
-use super::source::{FrameSource, plain_name};
+use super::source::{FrameSource, clip_name};
 use crate::frame::{EncodedPicture, FrameLimits, PayloadFormat, RawSample, read_frame};
 use anyhow::{Context, anyhow, bail};
 use bytes::Bytes;
@@ -55,9 +55,8 @@ impl PictureFolder {
             bail!("{}: no .jpg, .jpeg or .png files in it", path.display());
         }
         files.sort_by_cached_key(|file| natural_key(file));
-        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
         Ok(Self {
-            name: plain_name(&stem),
+            name: clip_name(path),
             files,
             at: 0,
             rate,

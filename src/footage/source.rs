@@ -116,8 +116,17 @@ impl SourceName {
     }
 }
 
+/// The name that the clip of a file or folder gets: its stem, or its parent's for the folder `img1`, in which
+/// MOTChallenge keeps every sequence's pictures.
+pub fn clip_name(path: &Path) -> String {
+    let own = path.file_stem().unwrap_or_default();
+    let parent = path.parent().and_then(Path::file_name);
+    let stem = parent.filter(|_| own == "img1").unwrap_or(own);
+    plain_name(&stem.to_string_lossy())
+}
+
 /// `text` as a name that can stand in a clip id.
-pub(super) fn plain_name(text: &str) -> String {
+fn plain_name(text: &str) -> String {
     let name: String = text
         .chars()
         .take(100)

@@ -1,0 +1,483 @@
+//! `albireo eval video`, `pictures` and `synth`: a real detector's one pass over the pictures, then every
+//! policy on what it found.
+
+use super::{RunArguments, listed, policies, settings};
+use crate::cli::synth::{Seeds, parse_seeds, parse_size};
+use crate::detector::{DetectorConfig, ExecutionProvider, HeadName};
+use crate::eval::data::{Clip, LoadReport, recorded};
+use crate::eval::pictures::{
+    DashcamClip, GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes,
+    TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
+};
+use crate::eval::report::Report;
+use crate::eval::result::{ClipResult, Spread};
+use crate::eval::run::Settings;
+use crate::eval::source::ScreenRule;
+use crate::eval::spec::PolicySpec;
+use crate::eval::{summary, table};
+use crate::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
+use crate::frame::ColorOrder;
+use crate::geometry::PictureSize;
+use crate::screen::ScreenConfig;
+use crate::synth::DashcamSettings;
+use anyhow::{Context, bail, ensure};
+use clap::Args;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::{Path, PathBuf};
+
+/// One run that takes this long has failed; nobody waits for it as a camera would.
+const TIMEOUT_MS: u64 = 60_000;
+
+/// Arguments of `albireo eval video`.
+#[derive(Debug, Args)]
+pub struct VideoArguments {
+    /// Video files; each is a clip, named after its file. Needs ffmpeg.
+    #[arg(required = true)]
+    files: Vec<String>,
+    /// How frames are encoded on the way from ffmpeg to the detector.
+    #[arg(long, value_enum, default_value_t)]
+    encoding: VideoEncoding,
+    #[command(flatten)]
+    truth: TruthArguments,
+    #[command(flatten)]
+    pass: PassArguments,
+    #[command(flatten)]
+    run: RunArguments,
+}
+
+/// Arguments of `albireo eval pictures`.
+#[derive(Debug, Args)]
+pub struct FolderArguments {
+    /// Folders of JPEG and PNG files in order of their names; each is a clip, named after its folder.
+    #[arg(required = true)]
+    folders: Vec<PathBuf>,
+    /// Frames a second.
+    #[arg(long, default_value_t = PictureFolder::RATE)]
+    frame_rate: f64,
+    #[command(flatten)]
+    truth: TruthArguments,
+    #[command(flatten)]
+    pass: PassArguments,
+    #[command(flatten)]
+    run: RunArguments,
+}
+
+/// Arguments of `albireo eval synth`.
+#[derive(Debug, Args)]
+pub struct SynthArguments {
+    /// Worlds to film: numbers and ranges, such as `7` or `1-40,90`.
+    #[arg(long, default_value = "1-5", value_parser = parse_seeds)]
+    seeds: Seeds,
+    /// Clips of each world; each has its own road, weather and light.
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    clips: u64,
+    /// Length of a clip, seconds.
+    #[arg(long, default_value_t = 20.0)]
+    clip_seconds: f64,
+    /// Size of the pictures, columns x rows.
+    #[arg(long, default_value = "1280x720", value_parser = parse_size)]
+    size: PictureSize,
+    /// Frames a second.
+    #[arg(long, default_value_t = 10.0)]
+    frame_rate: f64,
+    #[command(flatten)]
+    pass: PassArguments,
+    #[command(flatten)]
+    run: RunArguments,
+}
+
+/// Where ground truth comes from.
+#[derive(Debug, Args)]
+struct TruthArguments {
+    /// Ground truth, may be given again. Clips it has nothing for are judged against Vanilla's own output, in
+    /// a table of their own.
+    #[arg(long, value_name = "PATH", requires = "truth_format")]
+    ground_truth: Vec<PathBuf>,
+    /// Its layout.
+    #[arg(long, value_enum, requires = "ground_truth")]
+    truth_format: Option<TruthFormat>,
+}
+
+/// The models of the pass and what is kept of it.
+#[derive(Debug, Args)]
+struct PassArguments {
+    /// The detector: an ONNX file.
+    #[arg(long, value_name = "MODEL", default_value = "models/detector.onnx")]
+    detector: PathBuf,
+    /// How its output is read.
+    #[arg(long, value_enum, default_value_t = HeadName::Demonstration)]
+    head: HeadName,
+    /// Names of its classes, one a line [default: the head's own list]
+    #[arg(long, value_name = "FILE")]
+    class_names: Option<PathBuf>,
+    /// What runs it.
+    #[arg(long, value_enum, default_value_t = ExecutionProvider::Cpu)]
+    provider: ExecutionProvider,
+    /// The empty-scene screen, an ONNX file. Its verdicts take the place of --screen.
+    #[arg(long, value_name = "MODEL")]
+    screen_model: Option<PathBuf>,
+    /// Order of the screen's colour planes.
+    #[arg(long, value_enum, default_value_t = ColorOrder::Rgb, requires = "screen_model")]
+    screen_color_order: ColorOrder,
+    /// Which of the screen's outputs means "empty".
+    #[arg(long, default_value_t = 0, requires = "screen_model", value_parser = clap::value_parser!(u8).range(0..=1))]
+    screen_empty_class: u8,
+    /// Keep what detector and screen said, with the ground truth, in the layout of `albireo eval recorded`.
+    #[arg(long, value_name = "DIR")]
+    save_detections: Option<PathBuf>,
+    /// Look at this many frames of each clip at most.
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u64).range(1..))]
+    frames: Option<u64>,
+}
+
+/// Runs `albireo eval video`.
+pub fn videos(arguments: &VideoArguments) -> anyhow::Result<()> {
+    for file in &arguments.files {
+        ensure!(
+            file.contains("://") || Path::new(file).is_file(),
+            "{file}: no such video file; `albireo eval pictures` takes folders"
+        );
+    }
+    let names = arguments
+        .files
+        .iter()
+        .map(|file| crate::footage::clip_name(Path::new(file)))
+        .collect();
+    let mut evaluation =
+        Evaluation::start(&arguments.pass, &arguments.run, &arguments.truth, names)?;
+    for file in &arguments.files {
+        let mut video = Video::open(file, None, arguments.encoding, Ffmpeg::default())?;
+        evaluation.look(&mut video)?;
+    }
+    evaluation.finish(&format!("Video: {}", arguments.files.join(", ")))
+}
+
+/// Runs `albireo eval pictures`.
+pub fn folders(arguments: &FolderArguments) -> anyhow::Result<()> {
+    let rate = arguments.frame_rate;
+    ensure!(
+        rate > 0.0 && rate <= 1000.0,
+        "--frame-rate {rate} is not between 0 and 1000"
+    );
+    let mut sources = Vec::new();
+    for folder in &arguments.folders {
+        ensure!(folder.exists(), "{}: no such folder", folder.display());
+        sources.push(PictureFolder::open(folder, rate)?);
+    }
+    let names = sources
+        .iter()
+        .map(|source| source.name().to_owned())
+        .collect();
+    let mut evaluation =
+        Evaluation::start(&arguments.pass, &arguments.run, &arguments.truth, names)?;
+    for source in &mut sources {
+        evaluation.look(source)?;
+    }
+    let folders: Vec<_> = arguments
+        .folders
+        .iter()
+        .map(|folder| folder.display().to_string())
+        .collect();
+    evaluation.finish(&format!("Pictures: {}", folders.join(", ")))
+}
+
+/// Runs `albireo eval synth`.
+pub fn synthetic(arguments: &SynthArguments) -> anyhow::Result<()> {
+    let no_files = TruthArguments {
+        ground_truth: Vec::new(),
+        truth_format: None,
+    };
+    let mut evaluation = Evaluation::start(&arguments.pass, &arguments.run, &no_files, Vec::new())?;
+    for &seed in &arguments.seeds.0 {
+        for number in 0..arguments.clips {
+            let settings = DashcamSettings {
+                seed,
+                size: arguments.size,
+                frame_rate: arguments.frame_rate,
+                clip_seconds: arguments.clip_seconds,
+            };
+            let mut clip = DashcamClip::new(settings, number)?;
+            let mut pictured = evaluation.pass(&mut clip)?;
+            pictured.clip.truth = Some(clip.into_truth());
+            evaluation.run(pictured)?;
+        }
+    }
+    evaluation.finish("Synthetic dashcam")
+}
+
+/// A run in the making: clips are looked at one after the other and dropped when every policy is done.
+struct Evaluation<'a> {
+    pass: &'a PassArguments,
+    arguments: RunArguments,
+    settings: Settings,
+    policies: Vec<PolicySpec>,
+    truth: Option<GroundTruth>,
+    /// Number of clips of the run that ground truth may be for.
+    clips: usize,
+    observer: Observer,
+    keep_grey: bool,
+    report: LoadReport,
+    judged: Judged,
+    against_vanilla: Judged,
+    times: Vec<StepTimes>,
+    /// The clips without their pictures, for `--save-detections`.
+    kept: Vec<Clip>,
+}
+
+/// Results that are judged alike, a list of policies for each clip.
+#[derive(Default)]
+struct Judged(Vec<Vec<ClipResult>>);
+
+impl Judged {
+    /// In order of policies, then clips.
+    fn into_results(self) -> Vec<ClipResult> {
+        let mut clips: Vec<_> = self.0.into_iter().map(Vec::into_iter).collect();
+        let mut results = Vec::new();
+        loop {
+            let before = results.len();
+            results.extend(clips.iter_mut().filter_map(Iterator::next));
+            if results.len() == before {
+                return results;
+            }
+        }
+    }
+}
+
+impl<'a> Evaluation<'a> {
+    fn start(
+        pass: &'a PassArguments,
+        run: &RunArguments,
+        truth: &TruthArguments,
+        names: Vec<String>,
+    ) -> anyhow::Result<Self> {
+        let mut arguments = run.clone();
+        ensure!(
+            (LOWEST_CONFIDENCE..=1.0).contains(&arguments.confidence),
+            "--confidence {} is not between {LOWEST_CONFIDENCE} and 1",
+            arguments.confidence
+        );
+        if pass.screen_model.is_some() {
+            arguments.screen = ScreenRule::Recorded;
+        } else if arguments.screen == ScreenRule::Recorded {
+            bail!("--screen recorded needs the verdicts of a screen: name one with --screen-model");
+        }
+        let mut sorted = names.clone();
+        sorted.sort();
+        if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+            bail!("two clips are named `{}`: rename one of the files", pair[0]);
+        }
+        let policies = policies(&arguments)?;
+        let settings = settings(&arguments)?;
+        let truth = truth
+            .truth_format
+            .map(|format| GroundTruth::new(truth.ground_truth.clone(), format));
+        if let Some(truth) = &truth {
+            truth.check(&names)?;
+        }
+        let observer = Observer::start(
+            &DetectorConfig {
+                model: pass.detector.clone(),
+                head: pass.head,
+                class_names: pass.class_names.clone(),
+                confidence: LOWEST_CONFIDENCE,
+                providers: vec![pass.provider],
+                timeout_ms: TIMEOUT_MS,
+                ..DetectorConfig::default()
+            },
+            &ScreenConfig {
+                model: pass.screen_model.clone(),
+                color_order: pass.screen_color_order,
+                empty_class: usize::from(pass.screen_empty_class),
+                timeout_ms: TIMEOUT_MS,
+            },
+        )?;
+        Ok(Self {
+            pass,
+            keep_grey: looks_at_pixels(&policies)?,
+            arguments,
+            settings,
+            policies,
+            truth,
+            clips: names.len(),
+            observer,
+            report: LoadReport::default(),
+            judged: Judged::default(),
+            against_vanilla: Judged::default(),
+            times: Vec::new(),
+            kept: Vec::new(),
+        })
+    }
+
+    /// Looks at a clip, finds its ground truth, and runs every policy over it.
+    fn look(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
+        let mut pictured = self.pass(source)?;
+        if let Some(truth) = &mut self.truth {
+            pictured.clip.truth = truth.of(&pictured.clip, self.clips == 1, &mut self.report)?;
+        }
+        self.run(pictured)
+    }
+
+    /// The detector's pass over a clip.
+    fn pass(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<PicturedClip> {
+        let known = source.frames();
+        let total = match (known, self.pass.frames) {
+            (Some(known), Some(most)) => Some(known.min(most)),
+            (known, most) => known.or(most),
+        };
+        let (bar, style) = match total {
+            Some(total) => (
+                ProgressBar::new(total),
+                "{msg}: {bar:30} {pos}/{len} frames, {per_sec}, {eta} left",
+            ),
+            None => (
+                ProgressBar::new_spinner(),
+                "{msg}: {spinner} {pos} frames, {per_sec}, {elapsed}",
+            ),
+        };
+        bar.set_style(ProgressStyle::with_template(style).context("the progress bar's template")?);
+        bar.set_message(source.name().to_owned());
+        let settings = PassSettings {
+            keep_grey: self.keep_grey,
+            most_frames: self
+                .pass
+                .frames
+                .map(|most| usize::try_from(most).unwrap_or(usize::MAX)),
+        };
+        let observer = &mut self.observer;
+        let pictured = collect(source, observer, &settings, &mut self.report, &mut || {
+            bar.inc(1);
+        });
+        bar.finish_and_clear();
+        Ok(pictured?)
+    }
+
+    /// Every policy over a clip, judged against its ground truth if it has some, else against Vanilla.
+    fn run(&mut self, mut pictured: PicturedClip) -> anyhow::Result<()> {
+        self.times.extend_from_slice(&pictured.times);
+        if self.pass.save_detections.is_some() {
+            self.kept.push(pictured.clip.clone());
+        }
+        let judged = if pictured.clip.truth.is_some() {
+            &mut self.judged
+        } else {
+            let truth = against_vanilla(&pictured.clip, self.settings.confidence);
+            pictured.clip.truth = Some(truth);
+            &mut self.against_vanilla
+        };
+        let results = run_pictured(&pictured, &self.policies, &self.settings, &|| ())?;
+        judged.0.push(results);
+        Ok(())
+    }
+
+    /// Saves, prints and reports.
+    fn finish(self, title: &str) -> anyhow::Result<()> {
+        for line in self.report.lines() {
+            eprintln!("{line}");
+        }
+        if let Some(folder) = &self.pass.save_detections {
+            recorded::write(folder, &self.kept)?;
+            eprintln!("Detections written to {}", folder.display());
+        }
+        let mut settings = listed(&self.arguments);
+        settings.extend(self.models());
+        let both = !self.judged.0.is_empty() && !self.against_vanilla.0.is_empty();
+        let vanilla = format!(
+            "against vanilla: its own output at confidence {} stands for ground truth",
+            self.settings.confidence
+        );
+        let parts = [
+            (self.judged, "ground truth".to_owned(), None),
+            (self.against_vanilla, vanilla, Some("against-vanilla")),
+        ];
+        for (judged, basis, folder) in parts {
+            if judged.0.is_empty() {
+                continue;
+            }
+            let results = judged.into_results();
+            let mut settings = settings.clone();
+            settings.insert(0, ("Judged".to_owned(), basis.clone()));
+            let report = Report {
+                title: folder.map_or_else(
+                    || title.to_owned(),
+                    |_| format!("{title} (against vanilla)"),
+                ),
+                settings,
+                data: self.report.clone(),
+                policies: summary::summarise(&results),
+                clips: results,
+                power: Vec::new(),
+            };
+            println!(
+                "Judged {}",
+                if folder.is_some() {
+                    basis
+                } else {
+                    format!("by {basis}")
+                }
+            );
+            println!("{}", table::render(&report.policies));
+            if let Some(out) = &self.arguments.out {
+                let out = match folder.filter(|_| both) {
+                    Some(folder) => out.join(folder),
+                    None => out.clone(),
+                };
+                report.write(&out)?;
+                eprintln!("Written to {}", out.display());
+            }
+        }
+        for (name, value) in settings
+            .iter()
+            .filter(|(name, _)| name.starts_with("Time of"))
+        {
+            println!("{name}: {value}");
+        }
+        Ok(())
+    }
+
+    /// What looked at the pictures, and how long each step took it.
+    fn models(&self) -> Vec<(String, String)> {
+        let provider = self.observer.provider().as_str();
+        let mut rows = vec![(
+            "Detector".to_owned(),
+            format!(
+                "{} ({}), run by {provider}",
+                self.pass.detector.display(),
+                name_of(self.pass.head)
+            ),
+        )];
+        if let Some(screen) = &self.pass.screen_model {
+            rows.push(("Screen model".to_owned(), screen.display().to_string()));
+        }
+        let steps: [(&str, bool, fn(&StepTimes) -> f64); 4] = [
+            ("Time of the detector", true, |times| times.detector),
+            ("Time of the screen", self.observer.has_screen(), |times| {
+                times.screen
+            }),
+            ("Time of decoding", true, |times| times.decode),
+            ("Time of decoding to grey", self.keep_grey, |times| {
+                times.grey
+            }),
+        ];
+        for (name, present, time) in steps {
+            let spread = Spread::of(self.times.iter().map(time).collect());
+            if let Some(spread) = spread.filter(|_| present) {
+                rows.push((
+                    name.to_owned(),
+                    format!(
+                        "mean {:.2} ms, p50 {:.2}, p95 {:.2}, p99 {:.2} (measured on this machine, {} frames)",
+                        spread.mean,
+                        spread.p50,
+                        spread.p95,
+                        spread.p99,
+                        self.times.len()
+                    ),
+                ));
+            }
+        }
+        rows
+    }
+}
+
+fn name_of(head: HeadName) -> String {
+    format!("head {}", head.as_str())
+}

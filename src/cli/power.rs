@@ -1,0 +1,136 @@
+//! `albireo power`: which power sources work on this machine, their rails, and watts now.
+
+use crate::node::config::NodeConfig;
+use crate::power::{SourceSurvey, survey};
+use std::fmt::Write;
+use std::path::PathBuf;
+
+const EXAMPLES: &str = "\
+It opens every source in turn and watches it for a second. The source marked * is the one that
+`source = \"auto\"` takes. Watts of `estimate` are a model, all others are measured.
+
+Examples:
+  albireo power
+  albireo power --config /etc/albireo/node.toml
+  albireo power --json | jq '.[] | select(.automatic)'";
+
+/// Arguments of `albireo power`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// The node's configuration file
+    #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let config = NodeConfig::load(arguments.config.as_deref())?;
+    let found = survey(&config.power);
+    if arguments.json {
+        println!("{}", serde_json::to_string_pretty(&found)?);
+    } else {
+        print!("{}", table(&found));
+    }
+    Ok(())
+}
+
+/// The sources as a table: one line each, and below a source that works its rails.
+fn table(found: &[SourceSurvey]) -> String {
+    let mut text = String::new();
+    let mut line = |cells: [&str; 4]| {
+        let [source, usable, watts, what] = cells;
+        let row = format!("{source:<13} {usable:<7} {watts:>9}  {what}");
+        // Writing to a string cannot fail.
+        let _ = writeln!(text, "{}", row.trim_end());
+    };
+    line(["source", "usable", "watts", "rails, or why not"]);
+    for source in found {
+        let name = format!(
+            "{}{}",
+            source.source,
+            if source.automatic { " *" } else { "" }
+        );
+        if let Some(why_not) = &source.why_not {
+            let prefix = format!("{}: ", source.source);
+            let why_not = why_not.strip_prefix(&prefix).unwrap_or(why_not);
+            line([&name, "no", "", why_not]);
+            continue;
+        }
+        let total = source.watts.iter().find(|(domain, _)| *domain == "total");
+        let cost = source.share_of_core.map_or_else(String::new, |share| {
+            format!("; reading it takes {:.2} % of one core", share * 100.0)
+        });
+        let summary = format!("{}{cost}", source.total_from);
+        line([&name, "yes", &watts(total.map(|(_, w)| *w)), &summary]);
+        for rail in &source.rails {
+            let mut what = rail.name.clone();
+            match (rail.in_total, rail.domain) {
+                (true, Some(domain)) => what.push_str(&format!(" (in total, {domain})")),
+                (true, None) => what.push_str(" (in total)"),
+                (false, Some(domain)) => what.push_str(&format!(" ({domain})")),
+                (false, None) => {}
+            }
+            line(["", "", &watts(rail.watts), &what]);
+        }
+    }
+    text
+}
+
+fn watts(watts: Option<f64>) -> String {
+    watts.map_or_else(|| "-".to_owned(), |watts| format!("{watts:.2} W"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::power::RailNow;
+    use crate::wire::EnergyQuality;
+
+    fn source(name: &'static str) -> SourceSurvey {
+        SourceSurvey {
+            source: name,
+            automatic: false,
+            why_not: None,
+            quality: EnergyQuality::Measured,
+            total_from: "input_rail".to_owned(),
+            watts: vec![("total", 19.78)],
+            rails: Vec::new(),
+            share_of_core: Some(0.0012),
+        }
+    }
+
+    #[test]
+    fn the_table_tells_each_source_its_rails_and_why_not() {
+        let rail = |name: &str, watts, domain, in_total| RailNow {
+            name: name.to_owned(),
+            watts,
+            domain,
+            in_total,
+        };
+        let ina = SourceSurvey {
+            automatic: true,
+            rails: vec![
+                rail("VIN", Some(19.78), None, true),
+                rail("VDD_GPU", Some(1.962), Some("gpu"), false),
+                rail("VDD_CPU_SOC_MSS", None, Some("cpu"), false),
+            ],
+            ..source("ina")
+        };
+        let rapl = SourceSurvey {
+            why_not: Some("rapl: not on this machine: no counter".to_owned()),
+            ..source("rapl")
+        };
+        let expected = "\
+source        usable      watts  rails, or why not
+ina *         yes       19.78 W  input_rail; reading it takes 0.12 % of one core
+                        19.78 W  VIN (in total)
+                         1.96 W  VDD_GPU (gpu)
+                              -  VDD_CPU_SOC_MSS (cpu)
+rapl          no                 not on this machine: no counter
+";
+        assert_eq!(table(&[ina, rapl]), expected);
+    }
+}

@@ -1,0 +1,12 @@
+//! Footage: a video, a folder of pictures or the synthetic dashcam as a sequence of encoded pictures, the
+//! form in which a camera sends them. `replay` publishes it; `eval` looks at it.
+
+mod folder;
+mod source;
+mod synthetic;
+mod video;
+
+pub use folder::PictureFolder;
+pub use source::{FrameSource, SourceName, Stopper, clip_name};
+pub use synthetic::Synthetic;
+pub use video::{Ffmpeg, Video, VideoEncoding};

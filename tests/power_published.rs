@@ -1,0 +1,93 @@
+//! The published per-clip results, recomputed from their inputs by the code that makes clip reports.
+//!
+//! What is expected is told by the README of the shared data; the means are over 200 clips.
+
+#![allow(clippy::unwrap_used)]
+
+use crate::support::shared;
+use albireo::clip::energy_of;
+use albireo::power::SpanEnergy;
+use albireo::wire::{DomainEnergy, EnergyQuality, FrameStates};
+use serde::Deserialize;
+use std::time::Duration;
+
+#[derive(Deserialize)]
+struct Row {
+    system: String,
+    infer_count: u64,
+    skip_count: u64,
+    erd_empty_count: u64,
+    predict_count: u64,
+    erd_infer_count: u64,
+    augmented_infer_count: u64,
+    pure_infer_count: u64,
+    wall_duration_s: f64,
+    energy_j: f64,
+}
+
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let values: Vec<f64> = values.collect();
+    assert_eq!(values.len(), 200);
+    values.iter().sum::<f64>() / values.len() as f64
+}
+
+fn states(row: &Row) -> FrameStates {
+    let states = FrameStates {
+        e: row.erd_empty_count,
+        p: row.predict_count,
+        ei: row.erd_infer_count,
+        i: row.pure_infer_count,
+        ai: row.augmented_infer_count,
+    };
+    assert_eq!(states.frames(), row.infer_count + row.skip_count);
+    states
+}
+
+/// J·ms/frame of a clip, as its report would tell.
+fn energy_delay_product(row: &Row) -> f64 {
+    let node = SpanEnergy {
+        source: "tegrastats".to_owned(),
+        quality: EnergyQuality::Measured,
+        total_from: "input_rail".to_owned(),
+        samples: 1,
+        coverage: 1.0,
+        domains: vec![DomainEnergy {
+            domain: "total".to_owned(),
+            joules: row.energy_j,
+            mean_watts: row.energy_j / row.wall_duration_s,
+            peak_watts: None,
+        }],
+    };
+    let duration = Duration::from_secs_f64(row.wall_duration_s);
+    let energy = energy_of(&node, node.total_joules(), duration, states(row).frames());
+    assert_eq!(energy.node_joules, Some(row.energy_j));
+    energy.edp.unwrap()
+}
+
+#[test]
+fn shared_the_published_energy_delay_products_and_skip_rates_come_out() {
+    let file = shared("data/published-results/thor/albireo/yolo26x/summary-selected-columns.csv");
+    let rows: Vec<Row> = csv::Reader::from_path(file)
+        .unwrap()
+        .deserialize()
+        .collect::<Result<_, _>>()
+        .unwrap();
+    let of = |system: &'static str| rows.iter().filter(move |row| row.system == system);
+    let near = |found: f64, expected: f64, by: f64| {
+        assert!((found - expected).abs() <= by, "{found}, not {expected}");
+    };
+    near(mean(of("Vanilla").map(|r| r.energy_j)), 811.54, 0.005);
+    near(mean(of("Adaptive").map(|r| r.energy_j)), 668.62, 0.005);
+    near(mean(of("Vanilla").map(energy_delay_product)), 49_103.0, 0.5);
+    near(
+        mean(of("Adaptive").map(energy_delay_product)),
+        37_998.0,
+        0.5,
+    );
+    near(mean(of("Vanilla").map(|r| states(r).skip_rate())), 0.0, 0.0);
+    near(
+        mean(of("Adaptive").map(|r| states(r).skip_rate())),
+        0.1931,
+        5e-5,
+    );
+}
