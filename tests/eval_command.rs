@@ -126,7 +126,11 @@ fn one_command_compares_sweeps_traces_and_reports() {
         "power-of-a-clip",
     ] {
         let svg = std::fs::read_to_string(out.join(format!("{name}.svg"))).expect("a figure");
-        assert!(svg.starts_with("<svg"), "{name}: {}", &svg[..80.min(svg.len())]);
+        assert!(
+            svg.starts_with("<svg"),
+            "{name}: {}",
+            &svg[..80.min(svg.len())]
+        );
         let png = std::fs::read(out.join(format!("{name}.png"))).expect("a figure");
         assert!(png.starts_with(b"\x89PNG"), "{name}");
     }
@@ -134,7 +138,10 @@ fn one_command_compares_sweeps_traces_and_reports() {
     assert_eq!(page.matches("<svg").count(), 5);
     assert!(page.contains("<small>projected</small>"));
     for outside in ["src=", "<link", "@import", "url("] {
-        assert!(!page.contains(outside), "the page loads something: {outside}");
+        assert!(
+            !page.contains(outside),
+            "the page loads something: {outside}"
+        );
     }
 }
 

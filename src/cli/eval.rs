@@ -249,7 +249,7 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
         arguments.confidence
     );
     let clips = clips.only_with_detections(path)?;
-    let policies = policies(arguments)?;
+    let policies = policies(arguments, false)?;
     let settings = settings(arguments)?;
     for line in clips.report.lines() {
         eprintln!("{line}");
@@ -262,10 +262,7 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
     );
     let results = run_stored(&clips.clips, &policies, &settings, &|| bar.inc(1))?;
     bar.finish_and_clear();
-    let power = settings
-        .energy_model
-        .as_ref()
-        .map_or_else(Vec::new, |model| projected_power(model, &results));
+    let power = projected_power(&settings, &results);
     let report = Report {
         title: format!("Stored detections of {}", path.display()),
         settings: listed(arguments),
@@ -283,8 +280,9 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
 }
 
 /// Power over the longest clip under the baseline and the first two other policies.
-fn projected_power(model: &EnergyModel, results: &[ClipResult]) -> Vec<PowerTrace> {
-    let Some(longest) = results.iter().max_by_key(|result| result.frames) else {
+fn projected_power(settings: &Settings, results: &[ClipResult]) -> Vec<PowerTrace> {
+    let longest = results.iter().max_by_key(|result| result.frames);
+    let (Some(model), Some(longest)) = (&settings.energy_model, longest) else {
         return Vec::new();
     };
     results
@@ -308,7 +306,7 @@ fn projected_power(model: &EnergyModel, results: &[ClipResult]) -> Vec<PowerTrac
         .collect()
 }
 
-fn policies(arguments: &RunArguments) -> anyhow::Result<Vec<PolicySpec>> {
+fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<PolicySpec>> {
     let common = Common {
         profile: match arguments.profile {
             Scoring::Reference => Profile::Reference,
@@ -316,7 +314,7 @@ fn policies(arguments: &RunArguments) -> anyhow::Result<Vec<PolicySpec>> {
         },
         u: arguments.u,
         screen: Some(arguments.screen),
-        pixels: false,
+        pixels,
     };
     Ok(resolve(&arguments.policy, &arguments.sweep, &common)?)
 }
