@@ -116,9 +116,23 @@ fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
             profile: Profile::Reference,
             u: 3e-4,
             screen: Some(screen),
+            pixels: false,
         };
-        let sweep = "u=3e-4,5e-4,7e-4,1e-3".parse().expect("a sweep");
-        let policies = resolve(&["albireo".to_owned()], &[sweep], &common).expect("known policies");
+        let asked = [
+            "albireo:3e-4",
+            "albireo:5e-4",
+            "albireo:7e-4",
+            "albireo:1e-3",
+            "fixed-skip:2",
+            "fixed-skip:3",
+            "fixed-skip:5",
+            "ctd:0.30",
+            "ctd:0.50",
+            "ctd:0.70",
+            "ctd:0.90",
+        ]
+        .map(str::to_owned);
+        let policies = resolve(&asked, &[], &common).expect("known policies");
         let settings = Settings {
             scoring: Scoring::Reference,
             confidence: 0.5,
@@ -133,7 +147,6 @@ fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
         for result in results {
             let expected = &summary[&(result.clip.clone(), result.policy.clone())];
             let [e, p, ei, i, ai] = result.states.shares();
-            // The published summary counts Vanilla's frames as I, and its baselines' as P and I.
             let mut figures = vec![
                 ("skip_rate", result.states.skip_rate()),
                 ("share_E", e),
@@ -170,6 +183,6 @@ fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
             }
         }
     }
-    // Two screens, vanilla and four thresholds, 17 clips with accuracy and 4 without.
-    assert_eq!(compared, 2 * 5 * (17 * 11 + 4 * 7));
+    // Two screens, vanilla and eleven others, 17 clips with accuracy and 4 without.
+    assert_eq!(compared, 2 * 12 * (17 * 11 + 4 * 7));
 }

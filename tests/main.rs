@@ -8,6 +8,7 @@ mod detector_session;
 mod end_to_end;
 mod eval_agreement;
 mod eval_coco;
+mod eval_command;
 mod eval_paper;
 mod eval_pictures;
 mod frame_decoding;

@@ -134,7 +134,8 @@ struct RunArguments {
     /// Whose definitions hold where the published code and the paper's text differ.
     #[arg(long, value_enum, default_value_t = Scoring::Paper)]
     profile: Scoring,
-    /// A policy, as NAME or NAME:SETTING; may be given several times. Vanilla always runs too.
+    /// A policy, as NAME or NAME:SETTING, or `all` for every one with the paper's settings; may be given
+    /// several times. Vanilla always runs too.
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
     policy: Vec<String>,
     /// Uncertainty threshold of the policies that have one.
@@ -248,7 +249,7 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
         arguments.confidence
     );
     let clips = clips.only_with_detections(path)?;
-    let policies = policies(arguments)?;
+    let policies = policies(arguments, false)?;
     let settings = settings(arguments)?;
     for line in clips.report.lines() {
         eprintln!("{line}");
@@ -261,10 +262,7 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
     );
     let results = run_stored(&clips.clips, &policies, &settings, &|| bar.inc(1))?;
     bar.finish_and_clear();
-    let power = settings
-        .energy_model
-        .as_ref()
-        .map_or_else(Vec::new, |model| projected_power(model, &results));
+    let power = projected_power(&settings, &results);
     let report = Report {
         title: format!("Stored detections of {}", path.display()),
         settings: listed(arguments),
@@ -282,8 +280,9 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
 }
 
 /// Power over the longest clip under the baseline and the first two other policies.
-fn projected_power(model: &EnergyModel, results: &[ClipResult]) -> Vec<PowerTrace> {
-    let Some(longest) = results.iter().max_by_key(|result| result.frames) else {
+fn projected_power(settings: &Settings, results: &[ClipResult]) -> Vec<PowerTrace> {
+    let longest = results.iter().max_by_key(|result| result.frames);
+    let (Some(model), Some(longest)) = (&settings.energy_model, longest) else {
         return Vec::new();
     };
     results
@@ -307,7 +306,7 @@ fn projected_power(model: &EnergyModel, results: &[ClipResult]) -> Vec<PowerTrac
         .collect()
 }
 
-fn policies(arguments: &RunArguments) -> anyhow::Result<Vec<PolicySpec>> {
+fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<PolicySpec>> {
     let common = Common {
         profile: match arguments.profile {
             Scoring::Reference => Profile::Reference,
@@ -315,6 +314,7 @@ fn policies(arguments: &RunArguments) -> anyhow::Result<Vec<PolicySpec>> {
         },
         u: arguments.u,
         screen: Some(arguments.screen),
+        pixels,
     };
     Ok(resolve(&arguments.policy, &arguments.sweep, &common)?)
 }

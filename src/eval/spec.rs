@@ -10,6 +10,30 @@ use crate::policy::{
 /// The label and name of the policy all others are compared with.
 pub const BASELINE: &str = "vanilla";
 
+/// What `--policy all` stands for: every policy with the settings the paper reports. Those that look at
+/// pixels are left out where there are none.
+const ALL: [&str; 19] = [
+    "albireo:3e-4",
+    "albireo:5e-4",
+    "albireo:7e-4",
+    "albireo:1e-3",
+    "fixed-skip:2",
+    "fixed-skip:3",
+    "fixed-skip:5",
+    "ctd:0.30",
+    "ctd:0.50",
+    "ctd:0.70",
+    "ctd:0.90",
+    "statues:25",
+    "statues:75",
+    "statues:200",
+    "statues:500",
+    "erd-only",
+    "kill-only:3e-4",
+    "kill+erd:3e-4",
+    "kill+erd-10d:3e-4",
+];
+
 /// One policy with its settings, as one line of the results.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PolicySpec {
@@ -87,6 +111,8 @@ pub struct Common {
     pub u: f64,
     /// What the empty-scene screen says; `None` when a real screen is asked.
     pub screen: Option<ScreenRule>,
+    /// Whether there are pictures to look at.
+    pub pixels: bool,
 }
 
 /// The policies to run: `asked` in order, swept, without repetitions, and the baseline first.
@@ -101,6 +127,14 @@ pub fn resolve(
 ) -> Result<Vec<PolicySpec>, SpecError> {
     let mut specs = vec![parse(BASELINE, common)?];
     let mut applied = vec![false; sweeps.len()];
+    let asked = asked.iter().flat_map(|asked| match asked.as_str() {
+        "all" => ALL
+            .iter()
+            .filter(|name| common.pixels || !name.starts_with(Statues::NAME))
+            .copied()
+            .collect(),
+        asked => vec![asked],
+    });
     for asked in asked {
         let spec = parse(asked, common)?;
         let knob = build(&spec.config, asked)?.knob();
@@ -208,6 +242,7 @@ mod tests {
         profile: Profile::Reference,
         u: 3e-4,
         screen: Some(ScreenRule::Nonempty),
+        pixels: false,
     };
 
     fn labels(asked: &[&str], sweeps: &[&str]) -> Result<Vec<String>, SpecError> {
@@ -271,6 +306,18 @@ mod tests {
                 "kill+erd-10d-u3e-4-erd-nonempty"
             ]
         );
+    }
+
+    #[test]
+    fn all_is_every_policy_and_setting_of_the_paper_that_the_data_allows() {
+        let stored = labels(&["all"], &[]).expect("known policies");
+        assert_eq!(stored.len(), 16);
+        let pixels = Common {
+            pixels: true,
+            ..COMMON
+        };
+        let all = resolve(&["all".to_owned()], &[], &pixels).expect("known policies");
+        assert_eq!(all.len(), 20);
     }
 
     #[test]

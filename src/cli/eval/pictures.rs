@@ -1,7 +1,7 @@
 //! `albireo eval video`, `pictures` and `synth`: a real detector's one pass over the pictures, then every
 //! policy on what it found.
 
-use super::{RunArguments, listed, policies, settings};
+use super::{RunArguments, listed, policies, projected_power, settings};
 use crate::cli::synth::{Seeds, parse_seeds, parse_size};
 use crate::detector::{DetectorConfig, ExecutionProvider, HeadName};
 use crate::eval::data::{Clip, LoadReport, recorded};
@@ -269,7 +269,7 @@ impl<'a> Evaluation<'a> {
         if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
             bail!("two clips are named `{}`: rename one of the files", pair[0]);
         }
-        let policies = policies(&arguments)?;
+        let policies = policies(&arguments, true)?;
         let settings = settings(&arguments)?;
         let truth = truth
             .truth_format
@@ -407,8 +407,8 @@ impl<'a> Evaluation<'a> {
                 settings,
                 data: self.report.clone(),
                 policies: summary::summarise(&results),
+                power: projected_power(&self.settings, &results),
                 clips: results,
-                power: Vec::new(),
             };
             println!(
                 "Judged {}",
