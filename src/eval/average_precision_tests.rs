@@ -1,0 +1,222 @@
+use super::*;
+use proptest::prelude::*;
+
+fn square(x: f64, y: f64, side: f64) -> Corners {
+    Corners {
+        x1: x,
+        y1: y,
+        x2: x + side,
+        y2: y + side,
+    }
+}
+
+fn scored(corners: Corners, confidence: f64) -> ScoredBox {
+    ScoredBox {
+        corners,
+        class: ClassId(0),
+        confidence,
+    }
+}
+
+fn truth(corners: Corners) -> TruthBox {
+    TruthBox {
+        corners,
+        class: ClassId(0),
+        object: None,
+    }
+}
+
+fn pooled(predictions: &[Vec<ScoredBox>], truth: &[Vec<TruthBox>]) -> Accuracy {
+    accuracy(
+        predictions,
+        truth,
+        Classes::Pooled,
+        Interpolation::AllPoints,
+    )
+    .expect("there is ground truth")
+}
+
+#[test]
+fn a_hand_computed_curve_has_the_area_of_its_steps() {
+    // Ranked: hit, miss, hit; four boxes to find. Precision 1 at recall 1/4, 2/3 at recall 2/4.
+    let truths = vec![vec![
+        truth(square(0.0, 0.0, 10.0)),
+        truth(square(20.0, 0.0, 10.0)),
+        truth(square(40.0, 0.0, 10.0)),
+        truth(square(60.0, 0.0, 10.0)),
+    ]];
+    let predictions = vec![vec![
+        scored(square(0.0, 0.0, 10.0), 0.9),
+        scored(square(0.0, 50.0, 10.0), 0.8),
+        scored(square(20.0, 0.0, 10.0), 0.7),
+    ]];
+    let result = pooled(&predictions, &truths);
+    assert!((result.ap50 - (1.0 + 2.0 / 3.0) / 4.0).abs() < 1e-15);
+    assert!((result.map - result.ap50).abs() < 1e-15);
+    assert!((result.precision - 2.0 / 3.0).abs() < 1e-15);
+    assert!((result.recall - 0.5).abs() < 1e-15);
+    // COCO's levels 0 to 0.25 see precision 1 (26 levels), 0.26 to 0.50 see 2/3 (25 levels).
+    let coco = accuracy(
+        &predictions,
+        &truths,
+        Classes::Pooled,
+        Interpolation::Coco101,
+    )
+    .expect("there is ground truth");
+    assert!((coco.ap50 - (26.0 + 25.0 * 2.0 / 3.0) / 101.0).abs() < 1e-15);
+}
+
+#[test]
+fn a_second_prediction_of_a_found_box_is_wrong() {
+    let truths = vec![vec![truth(square(0.0, 0.0, 10.0))]];
+    let predictions = vec![vec![
+        scored(square(0.0, 0.0, 10.0), 0.6),
+        scored(square(0.0, 0.0, 10.0), 0.9),
+    ]];
+    let result = pooled(&predictions, &truths);
+    assert_eq!(result.ap50, 1.0);
+    assert_eq!(result.precision, 0.5);
+}
+
+#[test]
+fn the_threshold_itself_counts_as_a_match() {
+    // Width 10 against width 5 inside it: IoU exactly one half.
+    let truths = vec![vec![truth(square(0.0, 0.0, 10.0))]];
+    let half = Corners {
+        x1: 0.0,
+        y1: 0.0,
+        x2: 5.0,
+        y2: 10.0,
+    };
+    let result = pooled(&[vec![scored(half, 0.5)]], &truths);
+    assert_eq!(result.ap50, 1.0);
+    assert!((result.map - 0.1).abs() < 1e-15);
+}
+
+#[test]
+fn boxes_of_one_frame_never_match_the_ground_truth_of_another() {
+    let truths = vec![vec![truth(square(0.0, 0.0, 10.0))], vec![]];
+    let predictions = vec![vec![], vec![scored(square(0.0, 0.0, 10.0), 0.9)]];
+    assert_eq!(pooled(&predictions, &truths).ap50, 0.0);
+}
+
+#[test]
+fn without_ground_truth_accuracy_is_undefined_and_without_predictions_it_is_zero() {
+    let predictions = vec![vec![scored(square(0.0, 0.0, 10.0), 0.9)]];
+    let none = accuracy(
+        &predictions,
+        &[vec![]],
+        Classes::Pooled,
+        Interpolation::AllPoints,
+    );
+    assert_eq!(none, None);
+    let truths = vec![vec![truth(square(0.0, 0.0, 10.0))]];
+    let result = pooled(&[], &truths);
+    assert_eq!(
+        (result.ap50, result.precision, result.recall),
+        (0.0, 0.0, 0.0)
+    );
+}
+
+#[test]
+fn separate_classes_do_not_match_each_other_and_are_averaged() {
+    let mut cyclist = truth(square(20.0, 0.0, 10.0));
+    cyclist.class = ClassId(1);
+    let truths = vec![vec![truth(square(0.0, 0.0, 10.0)), cyclist]];
+    let predictions = vec![vec![
+        scored(square(0.0, 0.0, 10.0), 0.9),
+        scored(square(20.0, 0.0, 10.0), 0.8),
+    ]];
+    assert_eq!(pooled(&predictions, &truths).ap50, 1.0);
+    let separate = accuracy(
+        &predictions,
+        &truths,
+        Classes::Separate,
+        Interpolation::AllPoints,
+    )
+    .expect("there is ground truth");
+    assert_eq!(separate.ap50, 0.5);
+}
+
+/// The definition, written without any of the shortcuts.
+fn slow_average_precision(
+    predictions: &[Vec<ScoredBox>],
+    truth: &[Vec<TruthBox>],
+    threshold: f64,
+) -> f64 {
+    let mut ranked = Vec::new();
+    for (frame, boxes) in predictions.iter().enumerate() {
+        let mut boxes = boxes.clone();
+        boxes.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
+        let mut free = vec![true; truth[frame].len()];
+        for prediction in boxes {
+            let mut best = (threshold, None);
+            for (index, candidate) in truth[frame].iter().enumerate() {
+                let overlap = prediction
+                    .corners
+                    .intersection_over_union(candidate.corners);
+                let better = overlap > best.0 || (best.1.is_none() && overlap >= best.0);
+                if free[index] && better {
+                    best = (overlap, Some(index));
+                }
+            }
+            if let Some(index) = best.1 {
+                free[index] = false;
+            }
+            ranked.push((prediction.confidence, best.1.is_some()));
+        }
+    }
+    ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+    let total = truth.iter().map(Vec::len).sum::<usize>() as f64;
+    let mut curve = vec![(0.0, 0.0)];
+    let mut hits = 0.0;
+    for (rank, (_, hit)) in ranked.iter().enumerate() {
+        hits += if *hit { 1.0 } else { 0.0 };
+        curve.push((hits / total, hits / (rank + 1) as f64));
+    }
+    let mut sum = 0.0;
+    for step in 1..curve.len() {
+        let best = curve[step..]
+            .iter()
+            .map(|point| point.1)
+            .fold(0.0, f64::max);
+        sum += (curve[step].0 - curve[step - 1].0) * best;
+    }
+    sum
+}
+
+fn some_box() -> impl Strategy<Value = Corners> {
+    (0..12u8, 0..12u8, 1..9u8, 1..9u8).prop_map(|(x, y, w, h)| Corners {
+        x1: f64::from(x),
+        y1: f64::from(y),
+        x2: f64::from(x + w),
+        y2: f64::from(y + h),
+    })
+}
+
+proptest! {
+    #[test]
+    fn the_fast_way_equals_the_definition(
+        frames in proptest::collection::vec(
+            (
+                proptest::collection::vec((some_box(), 0..6u8), 0..8),
+                proptest::collection::vec(some_box(), 0..8),
+            ),
+            1..5,
+        ),
+    ) {
+        let predictions: Vec<Vec<ScoredBox>> = frames
+            .iter()
+            .map(|frame| frame.0.iter().map(|&(b, c)| scored(b, f64::from(c) / 8.0)).collect())
+            .collect();
+        let truths: Vec<Vec<TruthBox>> = frames
+            .iter()
+            .map(|frame| frame.1.iter().map(|&b| truth(b)).collect())
+            .collect();
+        prop_assume!(truths.iter().any(|frame| !frame.is_empty()));
+        let fast = pooled(&predictions, &truths);
+        let slow = IOU_THRESHOLDS.map(|t| slow_average_precision(&predictions, &truths, t));
+        prop_assert!((fast.ap50 - slow[0]).abs() < 1e-12);
+        prop_assert!((fast.map - slow.iter().sum::<f64>() / 10.0).abs() < 1e-12);
+    }
+}

@@ -1,0 +1,197 @@
+//! The driver: takes one policy through one clip, answers what it asks, and writes down what it did.
+
+use crate::eval::average_precision::ScoredBox;
+use crate::eval::scoring::{
+    DEFAULT_DECAY_U, decayed_confidence, score_object, score_reported, score_truncated,
+};
+use crate::eval::source::{EvidenceSource, SourceError};
+use crate::eval::trace::{TraceFrame, TraceObject};
+use crate::policy::{Evidence, FrameHead, FrameState, Need, Outcome, Policy};
+use serde::{Deserialize, Serialize};
+use std::time::{Duration, Instant};
+
+/// Whose definitions hold where the published code and the paper's text differ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Scoring {
+    /// The published evaluator's.
+    Reference,
+    /// The paper's: boxes and confidences as the policy reports them.
+    Paper,
+}
+
+/// What happened in one frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameRecord {
+    /// The frame's state.
+    pub state: FrameState,
+    /// Largest τ before the decision.
+    pub tau_max: Option<f64>,
+    /// Active objects before the decision.
+    pub active: usize,
+    /// The detector was needed and could not be had.
+    pub degraded: bool,
+    /// The detector ran.
+    pub detector: bool,
+    /// The empty-scene screen ran.
+    pub screen: bool,
+    /// Time inside the policy.
+    pub decision: Duration,
+    /// Time spent waiting for evidence: decoding, screen, detector. Near zero for stored detections.
+    pub evidence: Duration,
+}
+
+/// What a policy did with a clip.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Replay {
+    /// One record a frame.
+    pub frames: Vec<FrameRecord>,
+    /// The boxes to judge, one list a frame, with the profile's confidence.
+    pub boxes: Vec<Vec<ScoredBox>>,
+    /// The same boxes with the confidence of their last detection, where the profile decays it.
+    pub boxes_last_confidence: Option<Vec<Vec<ScoredBox>>>,
+    /// The trace, if asked for.
+    pub trace: Option<Vec<TraceFrame>>,
+}
+
+/// Takes `policy` from its initial state through all frames of `source`.
+///
+/// # Errors
+/// [`SourceError`] when the source cannot give what the policy asks for.
+pub fn replay(
+    policy: &mut dyn Policy,
+    source: &mut dyn EvidenceSource,
+    scoring: Scoring,
+    keep_trace: bool,
+) -> Result<Replay, SourceError> {
+    policy.reset();
+    let picture = source.picture();
+    let frames = source.frames();
+    let decay_u = match policy.knob() {
+        Some(knob) if knob.name == "u" => policy.knob_value().unwrap_or(DEFAULT_DECAY_U),
+        _ => DEFAULT_DECAY_U,
+    };
+    let mut result = Replay {
+        frames: Vec::with_capacity(frames),
+        boxes: Vec::with_capacity(frames),
+        boxes_last_confidence: (scoring == Scoring::Reference).then(Vec::new),
+        trace: keep_trace.then(Vec::new),
+    };
+    let mut outcome = Outcome::default();
+    let mut objects = Vec::new();
+    for frame in 0..frames {
+        let head = FrameHead {
+            index: frame as u64,
+            step: 1,
+            picture,
+        };
+        let record = decide(policy, source, head, frame, &mut outcome)?;
+        result.frames.push(record);
+        objects.clear();
+        collect_objects(policy, &mut objects);
+        match &mut result.boxes_last_confidence {
+            None => result.boxes.push(
+                outcome
+                    .boxes
+                    .iter()
+                    .map(|output| score_reported(output, picture))
+                    .collect(),
+            ),
+            Some(last) if keeps_objects(policy) => {
+                let boxes: Vec<ScoredBox> = objects
+                    .iter()
+                    .map(|object| score_object(object, picture))
+                    .collect();
+                result.boxes.push(
+                    boxes
+                        .iter()
+                        .zip(&objects)
+                        .map(|(scored, object)| ScoredBox {
+                            confidence: decayed_confidence(object.conf, object.tau, decay_u),
+                            ..*scored
+                        })
+                        .collect(),
+                );
+                last.push(boxes);
+            }
+            Some(last) => {
+                let boxes: Vec<ScoredBox> = outcome
+                    .boxes
+                    .iter()
+                    .map(|output| score_truncated(output, picture))
+                    .collect();
+                result.boxes.push(boxes.clone());
+                last.push(boxes);
+            }
+        }
+        if let Some(trace) = &mut result.trace {
+            trace.push(TraceFrame {
+                frame: frame as u64,
+                state: outcome.state,
+                tau_max: outcome.tau_max,
+                active: outcome.active,
+                objects: objects.clone(),
+            });
+        }
+    }
+    Ok(result)
+}
+
+/// One frame: asks, answers, finishes; times the policy and the evidence apart.
+fn decide(
+    policy: &mut dyn Policy,
+    source: &mut dyn EvidenceSource,
+    head: FrameHead,
+    frame: usize,
+    outcome: &mut Outcome,
+) -> Result<FrameRecord, SourceError> {
+    let (mut detector, mut screen) = (false, false);
+    let (mut decision, mut evidence) = (Duration::ZERO, Duration::ZERO);
+    let mut mark = Instant::now();
+    let mut lap = |into: &mut Duration| {
+        let now = Instant::now();
+        *into += now - mark;
+        mark = now;
+    };
+    let mut need = policy.begin(head);
+    loop {
+        lap(&mut decision);
+        let answer = match need {
+            Need::Nothing => break,
+            Need::Screen => {
+                screen = true;
+                source
+                    .screen_says_empty(frame)?
+                    .map(|empty| Evidence::Screen { empty })
+            }
+            Need::GreyPicture => source.grey_picture(frame)?.map(Evidence::GreyPicture),
+            Need::Detections => {
+                let found = source.detections(frame)?;
+                detector |= found.is_some();
+                found.map(Evidence::Detections)
+            }
+        };
+        lap(&mut evidence);
+        need = policy.answer(answer.unwrap_or(Evidence::Unavailable));
+    }
+    policy.finish(outcome);
+    lap(&mut decision);
+    Ok(FrameRecord {
+        state: outcome.state,
+        tau_max: outcome.tau_max,
+        active: outcome.active,
+        degraded: outcome.degraded,
+        detector,
+        screen,
+        decision,
+        evidence,
+    })
+}
+
+/// Whether the policy keeps objects; one that does not is scored by the boxes it reports.
+fn keeps_objects(_policy: &dyn Policy) -> bool {
+    false
+}
+
+/// Appends the policy's objects in its own order.
+fn collect_objects(_policy: &dyn Policy, _objects: &mut Vec<TraceObject>) {}
