@@ -6,10 +6,8 @@ use serde::{Deserialize, Serialize};
 /// A table of settings by name, as it stands in the configuration.
 pub type Table = serde_json::Map<String, serde_json::Value>;
 
-/// Which policy decides, and its settings. Each camera gets a policy of its own from [`build`]
-/// (PolicyConfig::build).
-///
-/// [`build`]: PolicyConfig::build
+/// Which policy decides, and its settings. Each camera gets a policy of its own from
+/// [`build`](PolicyConfig::build).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PolicyConfig {

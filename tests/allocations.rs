@@ -1,0 +1,91 @@
+//! A frame of the decision core allocates nothing once its buffers have grown. One test alone in its
+//! process, as the allocations of the whole process are counted.
+
+#![allow(clippy::unwrap_used)]
+
+use albireo::detection::{ClassId, Detection};
+use albireo::geometry::{BoundingBox, PictureSize};
+use albireo::policy::{
+    Albireo, AlbireoSettings, Evidence, FrameHead, FrameState, Need, Outcome, Policy, Profile,
+};
+use std::collections::BTreeMap;
+
+#[global_allocator]
+static ALLOCATOR: dhat::Alloc = dhat::Alloc;
+
+const OBJECTS: usize = 40;
+const PERIOD: usize = 60;
+
+/// Frame `frame` of a film that repeats: objects in rows that drift to and fro, every seventh unseen
+/// for three frames of a period, so that objects are matched, rescued, removed and created.
+fn detections(frame: usize) -> Vec<Detection> {
+    let phase = (frame % PERIOD) as f64 / PERIOD as f64 * std::f64::consts::TAU;
+    (0..OBJECTS)
+        .filter(|object| !(object % 7 == 0 && (frame + object) % PERIOD < 9))
+        .map(|object| Detection {
+            bounding_box: BoundingBox::new(
+                0.1 + 0.1 * (object % 8) as f64 + 0.02 * phase.sin(),
+                0.15 + 0.15 * (object / 8) as f64 + 0.02 * phase.cos(),
+                0.11,
+                0.16,
+            ),
+            class: ClassId(0),
+            confidence: 0.8,
+        })
+        .collect()
+}
+
+/// Allocations of each frame of one period, by frame state.
+fn period(policy: &mut Albireo, outcome: &mut Outcome, start: usize) -> Vec<(FrameState, u64)> {
+    let film: Vec<_> = (0..PERIOD).map(detections).collect();
+    let mut counted = Vec::with_capacity(PERIOD);
+    for (offset, found) in film.iter().enumerate() {
+        let before = dhat::HeapStats::get().total_blocks;
+        let mut need = policy.begin(FrameHead {
+            index: (start + offset) as u64,
+            step: 1,
+            picture: PictureSize::new(1280, 720),
+        });
+        while need != Need::Nothing {
+            need = policy.answer(match need {
+                Need::Screen => Evidence::Screen { empty: false },
+                _ => Evidence::Detections(found),
+            });
+        }
+        policy.finish(outcome);
+        let after = dhat::HeapStats::get().total_blocks;
+        counted.push((outcome.state, after - before));
+    }
+    counted
+}
+
+#[test]
+fn no_frame_allocates_once_the_buffers_have_grown() {
+    let _profiler = dhat::Profiler::builder().testing().build();
+    for profile in [Profile::Paper, Profile::Reference] {
+        let mut policy = Albireo::new(AlbireoSettings::of(profile), 3e-4).unwrap();
+        let mut outcome = Outcome::default();
+        let first = period(&mut policy, &mut outcome, 0);
+        // The counter counts: the first frames do allocate.
+        assert!(first.iter().any(|&(_, allocations)| allocations > 0));
+        for round in 1..4 {
+            period(&mut policy, &mut outcome, round * PERIOD);
+        }
+        // The least of several rounds, since the test's own main thread may allocate beside it.
+        let mut least: BTreeMap<(usize, FrameState), u64> = BTreeMap::new();
+        for round in 4..9 {
+            let counted = period(&mut policy, &mut outcome, round * PERIOD);
+            for (frame, (state, allocations)) in counted.into_iter().enumerate() {
+                let entry = least.entry((frame, state)).or_insert(allocations);
+                *entry = allocations.min(*entry);
+            }
+        }
+        for wanted in [FrameState::P, FrameState::I, FrameState::AI] {
+            let seen = least.keys().filter(|(_, state)| *state == wanted).count();
+            assert!(seen > 0, "{profile:?}: the film has no {wanted} frame");
+        }
+        for ((frame, state), allocations) in least {
+            assert_eq!(allocations, 0, "{profile:?}: frame {frame}, state {state}");
+        }
+    }
+}
