@@ -1,6 +1,6 @@
 //! The `[policy]` section of the configuration, and the list of policies it can name.
 
-use super::{Albireo, Policy, Profile, Vanilla};
+use super::{Albireo, ExpectedLoss, Policy, Profile, Trigger, Vanilla};
 use serde::{Deserialize, Serialize};
 
 /// A table of settings by name, as it stands in the configuration.
@@ -17,9 +17,19 @@ pub struct PolicyConfig {
     pub profile: Profile,
     /// The uncertainty threshold of the policies that have one.
     pub u: f64,
+    /// The price of a detector call under `expected-loss`.
+    pub lambda: f64,
+    /// The detector runs on one frame of so many under `fixed-skip-in-tracker`.
+    pub every: u32,
+    /// Share of frames to skip under `even-skip-in-tracker`.
+    pub skip_rate: f64,
     /// Single settings of the Albireo policy that differ from the profile's: the fields of
     /// [`AlbireoSettings`](super::AlbireoSettings), as deep as it goes.
     pub albireo: Table,
+    /// Single settings that differ from the default under `expected-loss` and the policies that share
+    /// its objects: the fields of [`ExpectedLossSettings`](super::ExpectedLossSettings), as deep as it
+    /// goes.
+    pub expected_loss: Table,
 }
 
 impl Default for PolicyConfig {
@@ -28,7 +38,11 @@ impl Default for PolicyConfig {
             name: Albireo::NAME.to_owned(),
             profile: Profile::default(),
             u: Albireo::KNOB.default,
+            lambda: Trigger::LAMBDA.default,
+            every: 2,
+            skip_rate: Trigger::SKIP_RATE.default,
             albireo: Table::new(),
+            expected_loss: Table::new(),
         }
     }
 }
@@ -46,7 +60,7 @@ pub enum PolicyConfigError {
         name: String,
     },
     /// The threshold is out of range.
-    #[error("policy.u: {0}")]
+    #[error("policy.{knob}: {error}", knob = knob_name(.0), error = .0)]
     Threshold(#[from] super::KnobError),
     /// A setting that does not exist, or has a value it cannot have.
     #[error("policy.{table}: {reason}")]
@@ -58,12 +72,29 @@ pub enum PolicyConfigError {
     },
 }
 
+/// The knob a refusal is about.
+fn knob_name(error: &super::KnobError) -> &'static str {
+    match error {
+        super::KnobError::OutOfRange { name, .. } => name,
+        super::KnobError::Absent { .. } => "name",
+    }
+}
+
 type Build = fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>;
 
 /// All policies: one line each.
 const POLICIES: &[(&str, Build)] = &[
     (Albireo::NAME, Albireo::from_config),
     (Vanilla::NAME, Vanilla::from_config),
+    (ExpectedLoss::NAME, ExpectedLoss::from_config),
+    (
+        ExpectedLoss::FIXED_SKIP_NAME,
+        ExpectedLoss::fixed_skip_from_config,
+    ),
+    (
+        ExpectedLoss::EVEN_SKIP_NAME,
+        ExpectedLoss::even_skip_from_config,
+    ),
 ];
 
 /// The names that [`PolicyConfig::name`] can have.
@@ -89,6 +120,17 @@ impl PolicyConfig {
                 name: self.name.clone(),
             })?;
         build(self)
+    }
+
+    /// Where the value of the named policy's knob stands; `None` if it has no knob or there is no such
+    /// policy.
+    pub fn knob_mut(&mut self) -> Option<&mut f64> {
+        match self.name.as_str() {
+            Albireo::NAME => Some(&mut self.u),
+            ExpectedLoss::NAME => Some(&mut self.lambda),
+            ExpectedLoss::EVEN_SKIP_NAME => Some(&mut self.skip_rate),
+            _ => None,
+        }
     }
 }
 
@@ -166,6 +208,26 @@ mod tests {
                 ..PolicyConfig::default()
             };
             assert_eq!(config.build().unwrap().name(), name);
+        }
+    }
+
+    #[test]
+    fn the_value_of_every_knob_stands_in_the_configuration() {
+        for name in known_policies() {
+            let mut config = PolicyConfig {
+                name: name.to_owned(),
+                ..PolicyConfig::default()
+            };
+            let declared = config.build().unwrap().knob();
+            let value = config.knob_mut().copied();
+            assert_eq!(value, declared.map(|knob| knob.default), "{name}");
+            let Some(knob) = declared else { continue };
+            *config.knob_mut().unwrap() = knob.maximum;
+            assert_eq!(config.build().unwrap().knob_value(), Some(knob.maximum));
+            *config.knob_mut().unwrap() = knob.maximum * 2.0;
+            let message = config.build().err().unwrap().to_string();
+            let start = format!("policy.{0}: `{0}` must be", knob.name);
+            assert!(message.starts_with(&start), "{message}");
         }
     }
 

@@ -20,6 +20,7 @@ use serde::{Deserialize, Serialize};
 mod albireo;
 mod albireo_settings;
 mod config;
+mod expected_loss;
 mod record;
 mod vanilla;
 
@@ -28,6 +29,10 @@ pub use albireo_settings::{
     AlbireoSettings, DetectorFrameBoxes, PeriodicCap, Profile, ReportedConfidence,
 };
 pub use config::{PolicyConfig, PolicyConfigError, Table, known_policies};
+pub use expected_loss::{
+    Call, CallRule, Confidence, ExpectedLoss, ExpectedLossAssociation, ExpectedLossSettings, Life,
+    Motion, Surprise, Trigger,
+};
 pub use record::ObjectRecord;
 pub use vanilla::Vanilla;
 
