@@ -1,6 +1,7 @@
 //! What is remembered of one object.
 
 use crate::detection::{ClassId, Detection};
+use crate::geometry::BoundingBox;
 use crate::kalman::{Filter, FilterModel};
 use crate::policy::ObjectId;
 
@@ -15,6 +16,8 @@ pub struct ObjectState {
     pub confirmed: bool,
     /// Confidence of its last detection.
     pub confidence: f64,
+    /// Box of its last detection.
+    pub detected: BoundingBox,
     /// Detections matched so far, the one that created it included.
     pub hits: u32,
     /// Frames since its last detection.
@@ -40,6 +43,7 @@ impl ObjectState {
             class: detection.class,
             confirmed: hits_to_confirm <= 1,
             confidence: detection.confidence,
+            detected: detection.bounding_box,
             hits: 1,
             since_update: 0,
             since_infer: 0,
@@ -62,6 +66,7 @@ impl ObjectState {
         self.filter.update(model, detection.bounding_box);
         self.class = detection.class;
         self.confidence = detection.confidence;
+        self.detected = detection.bounding_box;
         self.hits = self.hits.saturating_add(1);
         self.confirmed |= self.hits >= hits_to_confirm;
         self.since_update = 0;

@@ -5,16 +5,15 @@
 //! threshold `u`, any object's age reaches T_max, or the periodic cap is due; otherwise the predicted
 //! boxes are the answer.
 
-use super::albireo_settings::{
-    AlbireoSettings, DetectorFrameBoxes, PeriodicCap, ReportedConfidence,
-};
-use super::config::with_overrides;
+use super::ablation::Ablation;
+use super::albireo_settings::{AlbireoSettings, PeriodicCap};
+use super::reporting::Reporting;
 use super::{
-    BoxSource, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
-    OutputBox, Policy, PolicyConfig, PolicyConfigError,
+    Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome, OutputBox,
+    Policy, PolicyConfig, PolicyConfigError,
 };
 use crate::detection::Detection;
-use crate::objects::{Missed, ObjectState, ObjectStates};
+use crate::objects::{Missed, ObjectStates};
 
 /// How far the frame in hand has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,7 +29,9 @@ enum Progress {
 /// The Albireo policy.
 #[derive(Clone, Debug)]
 pub struct Albireo {
+    name: &'static str,
     settings: AlbireoSettings,
+    reporting: Reporting,
     objects: ObjectStates,
     u: f64,
     /// `u` as it was when the frame began.
@@ -75,7 +76,9 @@ impl Albireo {
             })?;
         let u = Self::KNOB.check(u)?;
         Ok(Self {
+            name: Self::NAME,
             settings,
+            reporting: Reporting::of(&settings),
             objects: ObjectStates::new(settings.objects()),
             u,
             u_in_force: u,
@@ -90,14 +93,19 @@ impl Albireo {
     }
 
     pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let profile = AlbireoSettings::of(config.profile);
-        let settings = with_overrides(&profile, &config.albireo).map_err(|reason| {
-            PolicyConfigError::Setting {
-                table: Self::NAME,
-                reason,
-            }
-        })?;
-        Ok(Box::new(Self::new(settings, config.u)?))
+        Ok(Box::new(Self::new(config.albireo_settings()?, config.u)?))
+    }
+
+    /// A policy without some of its parts, under the name of the ablation.
+    pub(super) fn ablated(
+        ablation: Ablation,
+        config: &PolicyConfig,
+    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let mut settings = config.albireo_settings()?;
+        ablation.apply(&mut settings);
+        let mut policy = Self::new(settings, config.u)?;
+        policy.name = ablation.name();
+        Ok(Box::new(policy))
     }
 
     /// The settings in force.
@@ -150,7 +158,9 @@ impl Albireo {
             rescued |= fate == Missed::Rescued;
             fate
         });
-        self.report_detector_frame(detections);
+        self.boxes.clear();
+        self.reporting
+            .detector_frame(detections, &self.objects, self.u_in_force, &mut self.boxes);
         if screened {
             FrameState::EI
         } else if rescued {
@@ -159,65 +169,11 @@ impl Albireo {
             FrameState::I
         }
     }
-
-    fn report_detector_frame(&mut self, detections: &[Detection]) {
-        self.boxes.clear();
-        let own_boxes = self.settings.detector_frame_boxes == DetectorFrameBoxes::Detector;
-        if own_boxes {
-            for (detection, sighting) in detections.iter().zip(self.objects.sightings()) {
-                if sighting.usable {
-                    self.boxes.push(OutputBox {
-                        bounding_box: detection.bounding_box,
-                        class: detection.class,
-                        confidence: detection.confidence,
-                        source: BoxSource::Detected,
-                        object: sighting.object,
-                        confirmed: sighting.confirmed,
-                    });
-                }
-            }
-        }
-        for state in self.objects.states() {
-            let source = match state.since_update {
-                0 => BoxSource::Detected,
-                _ => BoxSource::Rescued,
-            };
-            // A tentative object that outlives a miss is kept, not rescued: it has no box.
-            let reported = match source {
-                BoxSource::Detected => !own_boxes && self.is_reported(state),
-                _ => state.confirmed,
-            };
-            if reported {
-                self.boxes.push(self.filter_box(state, source));
-            }
-        }
-    }
-
-    fn is_reported(&self, state: &ObjectState) -> bool {
-        state.confirmed || self.settings.report_tentative
-    }
-
-    fn filter_box(&self, state: &ObjectState, source: BoxSource) -> OutputBox {
-        let kept = match self.settings.confidence {
-            ReportedConfidence::Last => 1.0,
-            ReportedConfidence::Decayed => {
-                (1.0 - state.filter.tau() / self.u_in_force).max(self.settings.decay_floor)
-            }
-        };
-        OutputBox {
-            bounding_box: state.filter.bounding_box(),
-            class: state.class,
-            confidence: state.confidence * kept,
-            source,
-            object: Some(state.id),
-            confirmed: state.confirmed,
-        }
-    }
 }
 
 impl Policy for Albireo {
     fn name(&self) -> &'static str {
-        Self::NAME
+        self.name
     }
 
     fn knob(&self) -> Option<Knob> {
@@ -240,9 +196,9 @@ impl Policy for Albireo {
         self.since_detector = self.since_detector.saturating_add(frames);
         self.objects.predict(frame.picture, frames);
         let called = self.survey();
-        let (progress, need) = if self.active == 0 {
+        let (progress, need) = if self.active == 0 && self.settings.asks_screen {
             (Progress::AwaitsScreen, Need::Screen)
-        } else if called || self.periodic_cap_is_due(frame.index) {
+        } else if self.active == 0 || called || self.periodic_cap_is_due(frame.index) {
             (
                 Progress::AwaitsDetections { screened: false },
                 Need::Detections,
@@ -285,18 +241,15 @@ impl Policy for Albireo {
         if let (Some(frame), false) = (self.frame, degraded) {
             self.last_complete = Some(frame.index);
         }
-        outcome.state = state;
+        outcome.clear(state, degraded);
         outcome.tau_max = self.tau_max;
         outcome.active = self.active;
-        outcome.degraded = degraded;
-        outcome.boxes.clear();
         match state {
             FrameState::E => {}
-            FrameState::P => outcome.boxes.extend(
-                (self.objects.states().iter())
-                    .filter(|state| self.is_reported(state))
-                    .map(|state| self.filter_box(state, BoxSource::Predicted)),
-            ),
+            FrameState::P => {
+                self.reporting
+                    .predicted(&self.objects, self.u_in_force, &mut outcome.boxes);
+            }
             FrameState::EI | FrameState::I | FrameState::AI => {
                 outcome.boxes.extend_from_slice(&self.boxes);
             }

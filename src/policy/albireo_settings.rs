@@ -54,6 +54,8 @@ pub enum ReportedConfidence {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AlbireoSettings {
+    /// Whether the empty-scene screen is asked when no object is active. Without it the detector is.
+    pub asks_screen: bool,
     /// Whether τ = u skips the detector. Published code: yes; paper: only τ < u does.
     pub skip_at_equality: bool,
     /// Whether tentative objects are active: whether they keep the screen from being asked and can call
@@ -116,6 +118,7 @@ impl AlbireoSettings {
     /// The published code.
     pub fn reference() -> Self {
         Self {
+            asks_screen: true,
             skip_at_equality: true,
             tentative_counts: true,
             t_max: 15,

@@ -1,6 +1,10 @@
 //! The `[policy]` section of the configuration, and the list of policies it can name.
 
-use super::{Albireo, ExpectedLoss, Policy, Profile, Trigger, Vanilla};
+use super::ablation::Ablation;
+use super::{
+    Albireo, AlbireoSettings, Ctd, CtdSettings, ErdOnly, ExpectedLoss, FixedSkip, FixedSkipSettings,
+    InTracker, Policy, Profile, Statues, StatuesSettings, Vanilla,
+};
 use serde::{Deserialize, Serialize};
 
 /// A table of settings by name, as it stands in the configuration.
@@ -13,23 +17,28 @@ pub type Table = serde_json::Map<String, serde_json::Value>;
 pub struct PolicyConfig {
     /// Name of the policy: one of [`known_policies`].
     pub name: String,
-    /// The settings the Albireo policy starts from.
+    /// What holds where the paper's text and the published code disagree.
     pub profile: Profile,
-    /// The uncertainty threshold of the policies that have one.
+    /// The uncertainty threshold of `albireo` and its ablations.
     pub u: f64,
-    /// The price of a detector call under `expected-loss`.
+    /// The price λ of a detector call under `expected-loss`.
     pub lambda: f64,
-    /// The detector runs on one frame of so many under `fixed-skip-in-tracker`.
-    pub every: u32,
-    /// Share of frames to skip under `even-skip-in-tracker`.
-    pub skip_rate: f64,
     /// Single settings of the Albireo policy that differ from the profile's: the fields of
-    /// [`AlbireoSettings`](super::AlbireoSettings), as deep as it goes.
+    /// [`AlbireoSettings`], as deep as it goes. Every policy that keeps objects has them, as far as it
+    /// has the parts they are about.
     pub albireo: Table,
-    /// Single settings that differ from the default under `expected-loss` and the policies that share
-    /// its objects: the fields of [`ExpectedLossSettings`](super::ExpectedLossSettings), as deep as it
+    /// Settings of `fixed-skip`.
+    pub fixed_skip: FixedSkipSettings,
+    /// Settings of `ctd`.
+    pub ctd: CtdSettings,
+    /// Settings of `statues`.
+    pub statues: StatuesSettings,
+    /// Single settings of `expected-loss`, and of the schedules that share its objects, that differ from
+    /// the default: the fields of [`ExpectedLossSettings`](super::ExpectedLossSettings), as deep as it
     /// goes.
     pub expected_loss: Table,
+    /// The schedules of `fixed-skip-in-tracker` and `even-skip-in-tracker`.
+    pub in_tracker: InTracker,
 }
 
 impl Default for PolicyConfig {
@@ -38,11 +47,13 @@ impl Default for PolicyConfig {
             name: Albireo::NAME.to_owned(),
             profile: Profile::default(),
             u: Albireo::KNOB.default,
-            lambda: Trigger::LAMBDA.default,
-            every: 2,
-            skip_rate: Trigger::SKIP_RATE.default,
+            lambda: ExpectedLoss::KNOB.default,
             albireo: Table::new(),
+            fixed_skip: FixedSkipSettings::default(),
+            ctd: CtdSettings::default(),
+            statues: StatuesSettings::default(),
             expected_loss: Table::new(),
+            in_tracker: InTracker::default(),
         }
     }
 }
@@ -60,8 +71,18 @@ pub enum PolicyConfigError {
         name: String,
     },
     /// The threshold is out of range.
-    #[error("policy.{knob}: {error}", knob = knob_name(.0), error = .0)]
+    #[error("policy.u: {0}")]
     Threshold(#[from] super::KnobError),
+    /// The argument behind the policy's name makes no sense.
+    #[error("`{policy}:{argument}`: {reason}")]
+    Argument {
+        /// The policy's name.
+        policy: &'static str,
+        /// What was given.
+        argument: String,
+        /// What was expected.
+        reason: String,
+    },
     /// A setting that does not exist, or has a value it cannot have.
     #[error("policy.{table}: {reason}")]
     Setting {
@@ -72,34 +93,53 @@ pub enum PolicyConfigError {
     },
 }
 
-/// The knob a refusal is about.
-fn knob_name(error: &super::KnobError) -> &'static str {
-    match error {
-        super::KnobError::OutOfRange { name, .. } => name,
-        super::KnobError::Absent { .. } => "name",
+/// A policy that the configuration can name.
+struct Entry {
+    name: &'static str,
+    build: fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
+    /// Where the value of its knob stands; `None` without a knob.
+    knob_value: Option<fn(&mut PolicyConfig) -> &mut f64>,
+}
+
+const fn entry(
+    name: &'static str,
+    build: fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
+    knob_value: Option<fn(&mut PolicyConfig) -> &mut f64>,
+) -> Entry {
+    Entry {
+        name,
+        build,
+        knob_value,
     }
 }
 
-type Build = fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>;
+const KILL_ONLY: Ablation = Ablation::KillOnly;
+const KILL_ERD: Ablation = Ablation::KillErd;
+const KILL_ERD_10D: Ablation = Ablation::KillErd10d;
+
+const IN_TRACKER_FIXED: &str = ExpectedLoss::FIXED_SKIP_NAME;
+const IN_TRACKER_EVEN: &str = ExpectedLoss::EVEN_SKIP_NAME;
 
 /// All policies: one line each.
-const POLICIES: &[(&str, Build)] = &[
-    (Albireo::NAME, Albireo::from_config),
-    (Vanilla::NAME, Vanilla::from_config),
-    (ExpectedLoss::NAME, ExpectedLoss::from_config),
-    (
-        ExpectedLoss::FIXED_SKIP_NAME,
-        ExpectedLoss::fixed_skip_from_config,
-    ),
-    (
-        ExpectedLoss::EVEN_SKIP_NAME,
-        ExpectedLoss::even_skip_from_config,
-    ),
+#[rustfmt::skip]
+const POLICIES: &[Entry] = &[
+    entry(Albireo::NAME, Albireo::from_config, Some(|c| &mut c.u)),
+    entry(Vanilla::NAME, Vanilla::from_config, None),
+    entry(FixedSkip::NAME, FixedSkip::from_config, Some(|c| &mut c.fixed_skip.n)),
+    entry(Ctd::NAME, Ctd::from_config, Some(|c| &mut c.ctd.threshold)),
+    entry(Statues::NAME, Statues::from_config, Some(|c| &mut c.statues.component_size)),
+    entry(ErdOnly::NAME, ErdOnly::from_config, None),
+    entry(KILL_ONLY.name(), |c| Albireo::ablated(KILL_ONLY, c), Some(|c| &mut c.u)),
+    entry(KILL_ERD.name(), |c| Albireo::ablated(KILL_ERD, c), Some(|c| &mut c.u)),
+    entry(KILL_ERD_10D.name(), |c| Albireo::ablated(KILL_ERD_10D, c), Some(|c| &mut c.u)),
+    entry(ExpectedLoss::NAME, ExpectedLoss::from_config, Some(|c| &mut c.lambda)),
+    entry(IN_TRACKER_FIXED, ExpectedLoss::fixed_skip, Some(|c| &mut c.in_tracker.n)),
+    entry(IN_TRACKER_EVEN, ExpectedLoss::even_skip, Some(|c| &mut c.in_tracker.skip_rate)),
 ];
 
 /// The names that [`PolicyConfig::name`] can have.
 pub fn known_policies() -> impl Iterator<Item = &'static str> {
-    POLICIES.iter().map(|(name, _)| *name)
+    POLICIES.iter().map(|entry| entry.name)
 }
 
 fn names() -> String {
@@ -113,24 +153,73 @@ impl PolicyConfig {
     /// # Errors
     /// [`PolicyConfigError`] when the name is not known or a setting cannot be used.
     pub fn build(&self) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let (_, build) = POLICIES
-            .iter()
-            .find(|(name, _)| *name == self.name)
-            .ok_or_else(|| PolicyConfigError::UnknownPolicy {
-                name: self.name.clone(),
-            })?;
-        build(self)
+        (self.entry()?.build)(self)
     }
 
-    /// Where the value of the named policy's knob stands; `None` if it has no knob or there is no such
-    /// policy.
-    pub fn knob_mut(&mut self) -> Option<&mut f64> {
-        match self.name.as_str() {
-            Albireo::NAME => Some(&mut self.u),
-            ExpectedLoss::NAME => Some(&mut self.lambda),
-            ExpectedLoss::EVEN_SKIP_NAME => Some(&mut self.skip_rate),
-            _ => None,
+    /// Takes `NAME[:ARGUMENT]`, as a command line has it: the policy, and the value of its knob. Without
+    /// an argument that value stays what it is; nothing else is touched. Whether the value is in range
+    /// [`build`](Self::build) tells.
+    ///
+    /// # Errors
+    /// [`PolicyConfigError`] when the name is not known, or the argument is no number or the policy takes
+    /// none; the configuration is as before then.
+    pub fn select(&mut self, asked: &str) -> Result<(), PolicyConfigError> {
+        let (name, argument) = match asked.split_once(':') {
+            Some((name, argument)) => (name, Some(argument)),
+            None => (asked, None),
+        };
+        let before = std::mem::replace(&mut self.name, name.to_owned());
+        let taken = match argument {
+            Some(argument) => self.set_argument(argument),
+            None => self.entry().map(|_| ()),
+        };
+        if taken.is_err() {
+            self.name = before;
         }
+        taken
+    }
+
+    /// Sets the knob of the policy that is configured to `argument`, a number as text.
+    ///
+    /// # Errors
+    /// [`PolicyConfigError`] when the name is not known, the policy has no knob, or this is no number.
+    pub fn set_argument(&mut self, argument: &str) -> Result<(), PolicyConfigError> {
+        let entry = self.entry()?;
+        let wrong = |reason: &str| PolicyConfigError::Argument {
+            policy: entry.name,
+            argument: argument.to_owned(),
+            reason: reason.to_owned(),
+        };
+        let place = entry
+            .knob_value
+            .ok_or_else(|| wrong("this policy takes no argument"))?;
+        *place(self) = argument
+            .trim()
+            .parse()
+            .map_err(|_| wrong("the argument must be a number"))?;
+        Ok(())
+    }
+
+    /// The settings of Albireo: the profile's, with single ones in their place.
+    ///
+    /// # Errors
+    /// [`PolicyConfigError::Setting`] for one that does not exist or cannot have its value.
+    pub fn albireo_settings(&self) -> Result<AlbireoSettings, PolicyConfigError> {
+        with_overrides(&AlbireoSettings::of(self.profile), &self.albireo).map_err(|reason| {
+            PolicyConfigError::Setting {
+                table: Albireo::NAME,
+                reason,
+            }
+        })
+    }
+
+    fn entry(&self) -> Result<&'static Entry, PolicyConfigError> {
+        POLICIES
+            .iter()
+            .find(|entry| entry.name == self.name)
+            .ok_or_else(|| PolicyConfigError::UnknownPolicy {
+                name: self.name.clone(),
+            })
     }
 }
 
@@ -181,112 +270,4 @@ fn same_kind(a: &serde_json::Value, b: &serde_json::Value) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::policy::AlbireoSettings;
-
-    fn config(text: &str) -> PolicyConfig {
-        toml::from_str(text).unwrap()
-    }
-
-    fn error(text: &str) -> String {
-        config(text).build().err().unwrap().to_string()
-    }
-
-    #[test]
-    fn without_configuration_it_is_albireo_with_the_papers_threshold() {
-        let policy = config("").build().unwrap();
-        assert_eq!(policy.name(), "albireo");
-        assert_eq!(policy.knob_value(), Some(3e-4));
-    }
-
-    #[test]
-    fn every_known_name_builds_a_policy_of_that_name() {
-        for name in known_policies() {
-            let config = PolicyConfig {
-                name: name.to_owned(),
-                ..PolicyConfig::default()
-            };
-            assert_eq!(config.build().unwrap().name(), name);
-        }
-    }
-
-    #[test]
-    fn the_value_of_every_knob_stands_in_the_configuration() {
-        for name in known_policies() {
-            let mut config = PolicyConfig {
-                name: name.to_owned(),
-                ..PolicyConfig::default()
-            };
-            let declared = config.build().unwrap().knob();
-            let value = config.knob_mut().copied();
-            assert_eq!(value, declared.map(|knob| knob.default), "{name}");
-            let Some(knob) = declared else { continue };
-            *config.knob_mut().unwrap() = knob.maximum;
-            assert_eq!(config.build().unwrap().knob_value(), Some(knob.maximum));
-            *config.knob_mut().unwrap() = knob.maximum * 2.0;
-            let message = config.build().err().unwrap().to_string();
-            let start = format!("policy.{0}: `{0}` must be", knob.name);
-            assert!(message.starts_with(&start), "{message}");
-        }
-    }
-
-    #[test]
-    fn an_unknown_policy_is_refused_with_the_names_there_are() {
-        let message = error("name = 'albiro'");
-        assert!(message.contains("albiro"), "{message}");
-        assert!(message.contains("`albireo`, `vanilla`"), "{message}");
-    }
-
-    #[test]
-    fn a_bad_threshold_is_refused() {
-        for u in ["0", "-1.0", "nan", "inf", "2"] {
-            let message = error(&format!("u = {u}"));
-            assert!(message.starts_with("policy.u: `u` must be"), "{message}");
-        }
-    }
-
-    #[test]
-    fn a_single_setting_goes_over_the_profile() {
-        let config = config(
-            "profile = 'reference'\n[albireo]\nt_max = 7\nlife_cycle.r_max = 4\n\
-             filter.measurement = { deviation = 0.01, unit = 'normalised' }",
-        );
-        let settings = with_overrides(&AlbireoSettings::of(config.profile), &config.albireo);
-        let settings: AlbireoSettings = settings.unwrap();
-        let mut expected = AlbireoSettings::reference();
-        expected.t_max = 7;
-        expected.life_cycle.r_max = 4;
-        expected.filter.measurement.deviation = 0.01;
-        expected.filter.measurement.unit = crate::kalman::MeasurementUnit::Normalised;
-        assert_eq!(settings, expected);
-        assert!(config.build().is_ok());
-    }
-
-    #[test]
-    fn a_setting_that_does_not_exist_or_cannot_be_is_named() {
-        for (text, part) in [
-            ("[albireo]\ntmax = 7", "`tmax`"),
-            ("[albireo.life_cycle]\nrmax = 7", "`life_cycle.rmax`"),
-            ("[albireo]\nt_max = 'x'", "`t_max`"),
-            ("[albireo]\nt_max = 0", "`t_max`"),
-            ("[albireo]\nperiodic_cap_counts = 'x'", "`x`"),
-            (
-                "[albireo.filter.initial]\nsize = -1",
-                "`filter.initial.size`",
-            ),
-            (
-                "[albireo.filter.process]\nsize = nan",
-                "`filter.process.size`",
-            ),
-            (
-                "[albireo.association]\niou_gate = 2",
-                "`association.iou_gate`",
-            ),
-        ] {
-            let message = error(text);
-            assert!(message.starts_with("policy.albireo: "), "{message}");
-            assert!(message.contains(part), "{message}");
-        }
-    }
-}
+mod tests;

@@ -10,6 +10,18 @@
 //!              ─▶ Detections ─▶ answer(detections) ──────▶ finish ─▶ I, AI, E+I
 //! ```
 //!
+//! | `name[:argument]` | the detector runs | on the other frames | source |
+//! | --- | --- | --- | --- |
+//! | `albireo[:u]` | when an object's uncertainty reaches `u`, or a cap is due; without objects when the screen says "not empty" | predicted boxes; none in an empty scene | the paper |
+//! | `vanilla` | on every frame | | the paper's baseline |
+//! | `fixed-skip[:n]` | on every n-th frame | the last boxes again (profile `paper`) or predicted ones (`reference`) | the paper's baseline |
+//! | `ctd[:threshold]` | when the confidence in a prediction falls below the threshold, without objects, and after 8 frames | predicted boxes | Ding et al. |
+//! | `statues[:component_size]` | when more pixels than this changed in one piece since the last frame | the last boxes again | Kim et al. |
+//! | `erd-only` | when the screen, asked on every frame, says "not empty" | none | the paper's baseline |
+//! | `kill-only[:u]` | as albireo, but without the screen: always without objects | predicted boxes | ablation: 8 dimensions, no rescue |
+//! | `kill+erd[:u]` | as albireo | as albireo | ablation: 8 dimensions, no rescue |
+//! | `kill+erd-10d[:u]` | as albireo | as albireo | ablation: no rescue |
+//!
 //! It knows no clock, no picture format and no network, so the live node, the evaluation and the tests
 //! drive the same code, and a frame that needs nothing costs no decoding.
 
@@ -17,23 +29,41 @@ use crate::detection::{ClassId, Detection};
 use crate::geometry::{BoundingBox, PictureSize};
 use serde::{Deserialize, Serialize};
 
+mod ablation;
 mod albireo;
 mod albireo_settings;
+mod changed_region;
 mod config;
+mod ctd;
+mod detector_boxes;
+mod erd_only;
 mod expected_loss;
+mod fixed_skip;
 mod record;
+mod reporting;
+mod statues;
+#[cfg(test)]
+mod testing;
+#[cfg(test)]
+mod tests;
+mod tracker;
 mod vanilla;
 
+pub use ablation::Ablation;
 pub use albireo::Albireo;
 pub use albireo_settings::{
     AlbireoSettings, DetectorFrameBoxes, PeriodicCap, Profile, ReportedConfidence,
 };
 pub use config::{PolicyConfig, PolicyConfigError, Table, known_policies};
+pub use ctd::{Ctd, CtdSettings};
+pub use erd_only::ErdOnly;
 pub use expected_loss::{
-    Call, CallRule, Confidence, ExpectedLoss, ExpectedLossAssociation, ExpectedLossSettings, Life,
-    Motion, Surprise, Trigger,
+    Call, CallRule, Confidence, ExpectedLoss, ExpectedLossAssociation, ExpectedLossSettings, InTracker,
+    Life, Motion, Surprise, Trigger,
 };
+pub use fixed_skip::{FixedSkip, FixedSkipSettings, SkippedBoxes};
 pub use record::ObjectRecord;
+pub use statues::{Statues, StatuesSettings};
 pub use vanilla::Vanilla;
 
 /// What a policy is told about a frame before anything of it is decoded.
@@ -83,8 +113,9 @@ pub enum Evidence<'a> {
     /// What the detector found, in the detector's order.
     Detections(&'a [Detection]),
     /// What was asked for cannot be had for this frame (the session failed or took too long). A policy
-    /// that asked for the screen goes on as if it had said "not empty"; one that asked for detections
-    /// answers the frame from prediction and marks the outcome `degraded`.
+    /// that asked for the screen goes on as if it had said "not empty", and one that asked for the grey
+    /// picture as if it had changed; one that asked for detections answers the frame from what it
+    /// remembers and marks the outcome `degraded`.
     Unavailable,
 }
 
@@ -105,7 +136,7 @@ pub enum Evidence<'a> {
 pub enum FrameState {
     /// The screen said "empty"; the detector was skipped.
     E,
-    /// Boxes are predicted; the detector was skipped.
+    /// Boxes are predicted, or those of an earlier frame again; the detector was skipped.
     P,
     /// The screen said "not empty"; the detector ran.
     #[serde(rename = "E+I")]
@@ -149,9 +180,10 @@ impl std::fmt::Display for FrameState {
 pub enum BoxSource {
     /// The detector found it in this frame.
     Detected,
-    /// The detector did not look at this frame; the filter says so.
+    /// The detector did not look at this frame; the filter says so, or an earlier frame does.
     Predicted,
-    /// The detector looked and missed it; the filter says it is still there.
+    /// The detector looked and missed it; the filter says it is still there. Only a policy that rescues
+    /// makes the frame [`FrameState::AI`] by it: `ctd` does not.
     Rescued,
 }
 
@@ -213,6 +245,17 @@ impl Default for Outcome {
             degraded: false,
             boxes: Vec::new(),
         }
+    }
+}
+
+impl Outcome {
+    /// A frame that is `state`, without objects or boxes so far. The buffer of boxes stays.
+    fn clear(&mut self, state: FrameState, degraded: bool) {
+        self.state = state;
+        self.tau_max = None;
+        self.active = 0;
+        self.degraded = degraded;
+        self.boxes.clear();
     }
 }
 

@@ -1,17 +1,16 @@
 //! The detector on every frame, and nothing else: what all other policies are compared with.
 
+use super::detector_boxes::DetectorBoxes;
 use super::{
-    BoxSource, Evidence, FrameHead, FrameState, Knob, KnobError, Need, Outcome, OutputBox, Policy,
-    PolicyConfig, PolicyConfigError,
+    Evidence, FrameHead, FrameState, Knob, KnobError, Need, Outcome, Policy, PolicyConfig,
+    PolicyConfigError,
 };
-use crate::objects::is_usable;
 
 /// The vanilla policy. It keeps no objects and has no knob.
 #[derive(Clone, Debug, Default)]
 pub struct Vanilla {
-    boxes: Vec<OutputBox>,
+    boxes: DetectorBoxes,
     answered: bool,
-    rejected: u64,
 }
 
 impl Vanilla {
@@ -49,36 +48,18 @@ impl Policy for Vanilla {
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
         if let Evidence::Detections(detections) = evidence {
             self.answered = true;
-            self.boxes.clear();
-            for detection in detections {
-                if is_usable(detection) {
-                    self.boxes.push(OutputBox {
-                        bounding_box: detection.bounding_box,
-                        class: detection.class,
-                        confidence: detection.confidence,
-                        source: BoxSource::Detected,
-                        object: None,
-                        confirmed: false,
-                    });
-                } else {
-                    self.rejected = self.rejected.saturating_add(1);
-                }
-            }
+            self.boxes.take(detections);
         }
         Need::Nothing
     }
 
     fn finish(&mut self, outcome: &mut Outcome) {
-        outcome.state = if self.answered {
-            FrameState::I
-        } else {
-            FrameState::P
+        let state = match self.answered {
+            true => FrameState::I,
+            false => FrameState::P,
         };
-        outcome.tau_max = None;
-        outcome.active = 0;
-        outcome.degraded = !self.answered;
-        outcome.boxes.clear();
-        outcome.boxes.extend_from_slice(&self.boxes);
+        outcome.clear(state, !self.answered);
+        self.boxes.report(&mut outcome.boxes);
     }
 
     fn reset(&mut self) {
@@ -87,7 +68,7 @@ impl Policy for Vanilla {
     }
 
     fn rejected_detections(&self) -> u64 {
-        self.rejected
+        self.boxes.rejected()
     }
 }
 
@@ -96,6 +77,7 @@ mod tests {
     use super::*;
     use crate::detection::{ClassId, Detection};
     use crate::geometry::{BoundingBox, PictureSize};
+    use crate::policy::BoxSource;
 
     const FRAME: FrameHead = FrameHead {
         index: 0,

@@ -3,6 +3,7 @@
 use super::*;
 use crate::detection::ClassId;
 use crate::geometry::{BoundingBox, PictureSize};
+use crate::policy::BoxSource;
 
 const PICTURE: PictureSize = PictureSize::new(1280, 720);
 

@@ -48,14 +48,14 @@ mod velocity;
 
 use super::{
     Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome, Policy,
-    PolicyConfig, PolicyConfigError, config::with_overrides,
+    PolicyConfig, PolicyConfigError, config::with_overrides, tracker::check_setting,
 };
 use crate::detection::Detection;
 use birth::BirthRate;
 use objects::Objects;
 pub use settings::{
-    Call, CallRule, Confidence, ExpectedLossAssociation, ExpectedLossSettings, Life, Motion,
-    Surprise,
+    Call, CallRule, Confidence, ExpectedLossAssociation, ExpectedLossSettings, InTracker, Life,
+    Motion, Surprise,
 };
 use trigger::Pause;
 pub use trigger::Trigger;
@@ -99,36 +99,28 @@ pub struct ExpectedLoss {
 impl ExpectedLoss {
     /// The name in configuration and reports.
     pub const NAME: &'static str = Trigger::ExpectedLoss { lambda: 0.0 }.policy_name();
-    /// The name of the policy that calls the detector on one frame of N.
-    pub const FIXED_SKIP_NAME: &'static str = Trigger::FixedSkip { every: 0 }.policy_name();
-    /// The name of the policy that spaces its calls evenly.
+    /// The name with a detector call on one frame of N.
+    pub const FIXED_SKIP_NAME: &'static str = Trigger::FixedSkip { n: 1.0 }.policy_name();
+    /// The name with evenly spaced detector calls.
     pub const EVEN_SKIP_NAME: &'static str = Trigger::Even { skip_rate: 0.0 }.policy_name();
+
+    /// λ, the price of a detector call. At 0 every frame runs the detector.
+    pub const KNOB: Knob = Trigger::ExpectedLoss { lambda: 0.0 }.knob();
 
     /// A policy with these settings and trigger.
     ///
     /// # Errors
-    /// [`PolicyConfigError`] when a setting or a value of the trigger cannot be used.
+    /// [`PolicyConfigError`] when a setting or the trigger's number cannot be used.
     pub fn new(
         settings: ExpectedLossSettings,
-        mut trigger: Trigger,
+        trigger: Trigger,
     ) -> Result<Self, PolicyConfigError> {
-        let wrong = |reason| PolicyConfigError::Setting {
-            table: "expected_loss",
-            reason,
+        settings.check().map_err(wrong_setting)?;
+        let table = match trigger {
+            Trigger::ExpectedLoss { .. } => "lambda",
+            Trigger::FixedSkip { .. } | Trigger::Even { .. } => "in_tracker",
         };
-        settings.check().map_err(wrong)?;
-        if let Trigger::FixedSkip { every } = trigger {
-            let most = settings.life.longest_blindness;
-            if !(1..=most).contains(&every) {
-                return Err(wrong(format!(
-                    "the detector cannot run on one frame of {every}; it must be one of 1 to {most}, \
-                     beyond which all objects are forgotten"
-                )));
-            }
-        }
-        if let Some(value) = trigger.knob_value() {
-            trigger.set_knob(value)?;
-        }
+        check_setting(table, trigger.knob(), trigger.value())?;
         Ok(Self {
             settings,
             trigger,
@@ -150,17 +142,13 @@ impl ExpectedLoss {
         Self::boxed(config, Trigger::ExpectedLoss { lambda })
     }
 
-    pub(super) fn fixed_skip_from_config(
-        config: &PolicyConfig,
-    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let every = config.every;
-        Self::boxed(config, Trigger::FixedSkip { every })
+    pub(super) fn fixed_skip(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let n = config.in_tracker.n;
+        Self::boxed(config, Trigger::FixedSkip { n })
     }
 
-    pub(super) fn even_skip_from_config(
-        config: &PolicyConfig,
-    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let skip_rate = config.skip_rate;
+    pub(super) fn even_skip(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let skip_rate = config.in_tracker.skip_rate;
         Self::boxed(config, Trigger::Even { skip_rate })
     }
 
@@ -169,10 +157,7 @@ impl ExpectedLoss {
         trigger: Trigger,
     ) -> Result<Box<dyn Policy>, PolicyConfigError> {
         let settings = with_overrides(&ExpectedLossSettings::default(), &config.expected_loss)
-            .map_err(|reason| PolicyConfigError::Setting {
-                table: "expected_loss",
-                reason,
-            })?;
+            .map_err(wrong_setting)?;
         Ok(Box::new(Self::new(settings, trigger)?))
     }
 
@@ -212,21 +197,30 @@ impl ExpectedLoss {
     }
 }
 
+fn wrong_setting(reason: String) -> PolicyConfigError {
+    PolicyConfigError::Setting {
+        table: "expected_loss",
+        reason,
+    }
+}
+
 impl Policy for ExpectedLoss {
     fn name(&self) -> &'static str {
         self.trigger.policy_name()
     }
 
     fn knob(&self) -> Option<Knob> {
-        self.trigger.knob()
+        Some(self.trigger.knob())
     }
 
     fn knob_value(&self) -> Option<f64> {
-        self.trigger.knob_value()
+        Some(self.trigger.value())
     }
 
     fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        self.trigger.set_knob(value)
+        let value = self.trigger.knob().check(value)?;
+        self.trigger = self.trigger.with_value(value);
+        Ok(())
     }
 
     fn begin(&mut self, frame: FrameHead) -> Need {

@@ -238,6 +238,25 @@ impl Default for Call {
     }
 }
 
+/// The schedules that share the objects of `expected-loss`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct InTracker {
+    /// `fixed-skip-in-tracker`: the detector runs on one frame of so many. Need not be whole.
+    pub n: f64,
+    /// `even-skip-in-tracker`: share of the frames to skip.
+    pub skip_rate: f64,
+}
+
+impl Default for InTracker {
+    fn default() -> Self {
+        Self {
+            n: 2.0,
+            skip_rate: 0.5,
+        }
+    }
+}
+
 impl ExpectedLossSettings {
     /// Whether every number can be used.
     ///

@@ -300,7 +300,7 @@ fn a_picture_of_another_shape_forgets_the_objects_and_one_of_more_pixels_does_no
 
 #[test]
 fn a_fixed_schedule_calls_on_one_frame_of_n() {
-    let mut policy = scheduled(Trigger::FixedSkip { every: 3 });
+    let mut policy = scheduled(Trigger::FixedSkip { n: 3.0 });
     let called: Vec<_> = (0..12)
         .map(|index| !see(&mut policy, &film(index)).state.is_skipped())
         .collect();
@@ -337,6 +337,23 @@ fn an_even_schedule_meets_its_rate_and_spaces_its_calls_evenly() {
         let (least, most) = (gaps.iter().min().unwrap(), gaps.iter().max().unwrap());
         assert!(most - least <= 1, "{skip}: {least} to {most}");
     }
+}
+
+#[test]
+fn a_schedule_is_back_in_step_after_a_gap() {
+    let mut policy = scheduled(Trigger::FixedSkip { n: 4.0 });
+    let gap = |step| World {
+        step,
+        empty: Some(false),
+        detections: Some(&[]),
+    };
+    let called: Vec<_> = [1, 1, 9, 1, 1, 2, 1, 3]
+        .into_iter()
+        .map(|step| !frame(&mut policy, gap(step)).state.is_skipped())
+        .collect();
+    // At frames 0, 1, 10, 11, 12, 14, 15 and 18 of a schedule that has 0, 4, 8, 12 and 16.
+    let expected = [true, false, true, false, true, false, false, true];
+    assert_eq!(called, expected);
 }
 
 #[test]

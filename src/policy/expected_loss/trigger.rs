@@ -2,20 +2,20 @@
 //! the same objects, so that what the trigger brings and what the object keeping brings can be told apart.
 
 use super::settings::{Call, CallRule};
-use crate::policy::{Knob, KnobError};
+use crate::policy::Knob;
 
 /// What calls the detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trigger {
-    /// The expected loss reaches λ.
+    /// The expected loss, weighed as [`CallRule`] says, reaches λ.
     ExpectedLoss {
         /// The price of a call.
         lambda: f64,
     },
-    /// The detector runs on one frame of `every`.
+    /// The detector runs on one frame of N, which need not be whole.
     FixedSkip {
-        /// Frames from call to call.
-        every: u32,
+        /// Frames from call to call, on average.
+        n: f64,
     },
     /// The detector runs as evenly as can be so that this share of the frames is skipped.
     Even {
@@ -25,8 +25,7 @@ pub enum Trigger {
 }
 
 impl Trigger {
-    /// λ of the expected loss.
-    pub const LAMBDA: Knob = Knob {
+    const LAMBDA: Knob = Knob {
         name: "lambda",
         meaning: "The detector is called when the boxes expected to be lost without it are worth this: \
                   higher saves more energy, lower is more accurate",
@@ -35,8 +34,16 @@ impl Trigger {
         default: 0.6,
     };
 
-    /// The share of frames to skip under [`Trigger::Even`].
-    pub const SKIP_RATE: Knob = Knob {
+    const N: Knob = Knob {
+        name: "n",
+        meaning: "The detector runs on one frame of so many: higher saves more energy, lower is more \
+                  accurate",
+        minimum: 1.0,
+        maximum: 20.0,
+        default: 2.0,
+    };
+
+    const SKIP_RATE: Knob = Knob {
         name: "skip_rate",
         meaning: "Share of frames on which the detector is skipped, evenly spaced: higher saves more \
                   energy, lower is more accurate",
@@ -54,36 +61,31 @@ impl Trigger {
         }
     }
 
-    /// The knob, if there is one.
-    pub const fn knob(&self) -> Option<Knob> {
+    /// Its number.
+    pub const fn knob(&self) -> Knob {
         match self {
-            Self::ExpectedLoss { .. } => Some(Self::LAMBDA),
-            Self::FixedSkip { .. } => None,
-            Self::Even { .. } => Some(Self::SKIP_RATE),
+            Self::ExpectedLoss { .. } => Self::LAMBDA,
+            Self::FixedSkip { .. } => Self::N,
+            Self::Even { .. } => Self::SKIP_RATE,
         }
     }
 
-    /// The knob's value.
-    pub const fn knob_value(&self) -> Option<f64> {
+    /// The value of its number.
+    pub const fn value(&self) -> f64 {
         match *self {
-            Self::ExpectedLoss { lambda } => Some(lambda),
-            Self::FixedSkip { .. } => None,
-            Self::Even { skip_rate } => Some(skip_rate),
+            Self::ExpectedLoss { lambda: value }
+            | Self::FixedSkip { n: value }
+            | Self::Even { skip_rate: value } => value,
         }
     }
 
-    /// Turns the knob.
-    ///
-    /// # Errors
-    /// [`KnobError`] if there is none or the value is out of its range.
-    pub fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        let policy = self.policy_name();
+    /// The same trigger with another number, which is not checked.
+    pub(super) const fn with_value(self, value: f64) -> Self {
         match self {
-            Self::ExpectedLoss { lambda } => *lambda = Self::LAMBDA.check(value)?,
-            Self::FixedSkip { .. } => return Err(KnobError::Absent { policy }),
-            Self::Even { skip_rate } => *skip_rate = Self::SKIP_RATE.check(value)?,
+            Self::ExpectedLoss { .. } => Self::ExpectedLoss { lambda: value },
+            Self::FixedSkip { .. } => Self::FixedSkip { n: value },
+            Self::Even { .. } => Self::Even { skip_rate: value },
         }
-        Ok(())
     }
 }
 
@@ -96,7 +98,7 @@ pub(super) struct Pause {
     skipped: u32,
     /// Their summed losses.
     lost: f64,
-    /// Calls that the even schedule owes.
+    /// Calls that a schedule owes.
     owed: f64,
 }
 
@@ -112,9 +114,15 @@ impl Pause {
     /// Another `step` frames began.
     pub fn advance(&mut self, trigger: &Trigger, step: u32) {
         self.frames = self.frames.saturating_add(step);
-        if let Trigger::Even { skip_rate } = trigger {
-            // A call cannot be made up for in frames that are gone.
-            self.owed = (self.owed + (1.0 - skip_rate) * f64::from(step)).min(1.0);
+        let rate = match *trigger {
+            Trigger::ExpectedLoss { .. } => return,
+            Trigger::FixedSkip { n } => 1.0 / n,
+            Trigger::Even { skip_rate } => 1.0 - skip_rate,
+        };
+        self.owed += rate * f64::from(step);
+        // More than one call missed in a gap is not made up for: the frames are gone.
+        if self.owed >= 2.0 {
+            self.owed = 1.0 + self.owed.fract();
         }
     }
 
@@ -133,13 +141,12 @@ impl Pause {
             Trigger::ExpectedLoss { lambda } => {
                 weight >= lambda || self.frames >= settings.longest_pause
             }
-            Trigger::FixedSkip { every } => self.frames >= every,
             // Sums of a rate such as 0.1 fall short of 1 by rounding.
-            Trigger::Even { .. } => self.owed >= 1.0 - 1e-9,
+            Trigger::FixedSkip { .. } | Trigger::Even { .. } => self.owed >= 1.0 - 1e-9,
         }
     }
 
-    /// A frame was answered without the detector; without it `loss` was to be expected.
+    /// A frame was answered without the detector, at an expected loss of `loss`.
     pub fn skip(&mut self, loss: f64) {
         self.skipped = self.skipped.saturating_add(1);
         self.lost += loss;

@@ -1,0 +1,95 @@
+//! The search against a slow one, and the shapes that a search by rows could get wrong.
+
+use super::*;
+use proptest::prelude::*;
+
+/// The largest region by flood fill, pixel by pixel.
+fn slow(width: usize, before: &[u8], after: &[u8], difference: u8) -> u64 {
+    let mut open: Vec<bool> = (before.iter().zip(after))
+        .map(|(&before, &after)| before.abs_diff(after) >= difference)
+        .collect();
+    let mut largest = 0;
+    for start in 0..open.len() {
+        let mut pixels = 0;
+        let mut next = vec![start];
+        while let Some(place) = next.pop() {
+            if !std::mem::replace(&mut open[place], false) {
+                continue;
+            }
+            pixels += 1;
+            let column = place % width;
+            next.extend((column > 0).then(|| place - 1));
+            next.extend((column + 1 < width).then_some(place + 1));
+            next.extend((place >= width).then(|| place - width));
+            next.extend((place + width < open.len()).then_some(place + width));
+        }
+        largest = largest.max(pixels);
+    }
+    largest
+}
+
+/// Two pictures of the same size whose pixels differ with a probability of their own.
+fn pictures() -> impl Strategy<Value = (usize, Vec<u8>, Vec<u8>)> {
+    (1..24usize, 0..24usize, 0.0..1.0f64).prop_flat_map(|(width, height, density)| {
+        let pixel = (any::<u8>(), prop::bool::weighted(density)).prop_map(|(before, changed)| {
+            let away = if before < 128 {
+                before + 30
+            } else {
+                before - 30
+            };
+            let near = if before < 128 {
+                before + 29
+            } else {
+                before - 29
+            };
+            (before, if changed { away } else { near })
+        });
+        prop::collection::vec(pixel, width * height).prop_map(move |pixels| {
+            let (before, after) = pixels.into_iter().unzip();
+            (width, before, after)
+        })
+    })
+}
+
+proptest! {
+    #[test]
+    fn the_largest_region_is_that_of_a_flood_fill((width, before, after) in pictures()) {
+        let mut region = ChangedRegion::default();
+        // A used search must answer as a fresh one.
+        region.search(3, &[0; 9], &[0, 99, 0, 99, 99, 99, 0, 99, 0], 30, u64::MAX);
+        let expected = slow(width, &before, &after, 30);
+        prop_assert_eq!(region.search(width, &before, &after, 30, u64::MAX), expected);
+        for size in expected.saturating_sub(1)..=expected {
+            let exceeds = region.exceeds(width, &before, &after, 30, size);
+            prop_assert_eq!(exceeds, expected > size);
+        }
+    }
+}
+
+/// The largest region of a drawing in which `#` has changed.
+fn largest(drawing: &str) -> u64 {
+    let rows: Vec<_> = drawing.split_whitespace().collect();
+    let width = rows[0].len();
+    let after: Vec<u8> = rows.concat().bytes().map(|b| u8::from(b == b'#')).collect();
+    let before = vec![0; after.len()];
+    ChangedRegion::default().search(width, &before, &after, 1, u64::MAX)
+}
+
+#[test]
+fn arms_that_meet_further_down_are_one_region() {
+    assert_eq!(largest("#.#.# #.#.# #####"), 11);
+    assert_eq!(largest("##### #.... #.### #.#.# ###.#"), 17);
+    // Two regions that are merged, and then merged with a third that is older than either.
+    assert_eq!(largest("#.#.#.# #.###.# #..#..# #######"), 19);
+}
+
+#[test]
+fn corners_and_the_ends_of_rows_do_not_touch() {
+    assert_eq!(largest("#.#.# .#.#. #.#.#"), 1);
+    assert_eq!(largest("..## ##.. ..##"), 2);
+}
+
+#[test]
+fn a_picture_without_pixels_has_not_changed() {
+    assert!(!ChangedRegion::default().exceeds(0, &[], &[], 30, 0));
+}

@@ -1,0 +1,182 @@
+//! Promises of the configuration.
+
+use super::*;
+use crate::policy::{AlbireoSettings, SkippedBoxes};
+
+fn config(text: &str) -> PolicyConfig {
+    toml::from_str(text).unwrap()
+}
+
+fn error(text: &str) -> String {
+    config(text).build().err().unwrap().to_string()
+}
+
+#[test]
+fn without_configuration_it_is_albireo_with_the_papers_threshold() {
+    let policy = config("").build().unwrap();
+    assert_eq!(policy.name(), "albireo");
+    assert_eq!(policy.knob_value(), Some(3e-4));
+}
+
+#[test]
+fn every_known_name_builds_a_policy_of_that_name() {
+    for name in known_policies() {
+        let config = PolicyConfig {
+            name: name.to_owned(),
+            ..PolicyConfig::default()
+        };
+        assert_eq!(config.build().unwrap().name(), name);
+    }
+}
+
+#[test]
+fn an_unknown_policy_is_refused_with_the_names_there_are() {
+    let message = error("name = 'albiro'");
+    assert!(message.contains("albiro"), "{message}");
+    assert!(message.contains("`albireo`, `vanilla`"), "{message}");
+}
+
+#[test]
+fn a_bad_threshold_is_refused() {
+    for u in ["0", "-1.0", "nan", "inf", "2"] {
+        let message = error(&format!("u = {u}"));
+        assert!(message.starts_with("policy.u: `u` must be"), "{message}");
+    }
+}
+
+#[test]
+fn a_single_setting_goes_over_the_profile() {
+    let config = config(
+        "profile = 'reference'\n[albireo]\nt_max = 7\nlife_cycle.r_max = 4\n\
+         filter.measurement = { deviation = 0.01, unit = 'normalised' }",
+    );
+    let settings = with_overrides(&AlbireoSettings::of(config.profile), &config.albireo);
+    let settings: AlbireoSettings = settings.unwrap();
+    let mut expected = AlbireoSettings::reference();
+    expected.t_max = 7;
+    expected.life_cycle.r_max = 4;
+    expected.filter.measurement.deviation = 0.01;
+    expected.filter.measurement.unit = crate::kalman::MeasurementUnit::Normalised;
+    assert_eq!(settings, expected);
+    assert!(config.build().is_ok());
+}
+
+#[test]
+fn a_setting_that_does_not_exist_or_cannot_be_is_named() {
+    for (text, part) in [
+        ("[albireo]\ntmax = 7", "`tmax`"),
+        ("[albireo.life_cycle]\nrmax = 7", "`life_cycle.rmax`"),
+        ("[albireo]\nt_max = 'x'", "`t_max`"),
+        ("[albireo]\nt_max = 0", "`t_max`"),
+        ("[albireo]\nperiodic_cap_counts = 'x'", "`x`"),
+        (
+            "[albireo.filter.initial]\nsize = -1",
+            "`filter.initial.size`",
+        ),
+        (
+            "[albireo.filter.process]\nsize = nan",
+            "`filter.process.size`",
+        ),
+        (
+            "[albireo.association]\niou_gate = 2",
+            "`association.iou_gate`",
+        ),
+    ] {
+        let message = error(text);
+        assert!(message.starts_with("policy.albireo: "), "{message}");
+        assert!(message.contains(part), "{message}");
+    }
+}
+
+#[test]
+fn a_name_and_an_argument_select_a_policy_and_the_value_of_its_knob() {
+    for (asked, name, value) in [
+        ("albireo:5e-4", "albireo", Some(5e-4)),
+        ("albireo", "albireo", Some(3e-4)),
+        ("vanilla", "vanilla", None),
+        ("fixed-skip:3", "fixed-skip", Some(3.0)),
+        ("fixed-skip", "fixed-skip", Some(2.0)),
+        ("ctd:0.5", "ctd", Some(0.5)),
+        ("ctd", "ctd", Some(0.3)),
+        ("statues:200", "statues", Some(200.0)),
+        ("statues", "statues", Some(75.0)),
+        ("erd-only", "erd-only", None),
+        ("kill-only:1e-3", "kill-only", Some(1e-3)),
+        ("kill+erd", "kill+erd", Some(3e-4)),
+        ("kill+erd-10d:7e-4", "kill+erd-10d", Some(7e-4)),
+    ] {
+        let mut config = PolicyConfig::default();
+        config.select(asked).unwrap();
+        let policy = config.build().unwrap();
+        assert_eq!(
+            (policy.name(), policy.knob_value()),
+            (name, value),
+            "{asked}"
+        );
+    }
+}
+
+#[test]
+fn a_selection_that_makes_no_sense_says_why_and_changes_nothing() {
+    for (asked, part) in [
+        ("fixedskip:2", "`fixed-skip`"),
+        ("", "there is no policy ``"),
+        ("vanilla:2", "`vanilla:2`: this policy takes no argument"),
+        ("erd-only:", "takes no argument"),
+        ("ctd:", "`ctd:`: the argument must be a number"),
+        (
+            "fixed-skip:two",
+            "`fixed-skip:two`: the argument must be a number",
+        ),
+    ] {
+        let mut config = PolicyConfig::default();
+        let message = config.select(asked).unwrap_err().to_string();
+        assert!(message.contains(part), "{message}");
+        assert_eq!(config, PolicyConfig::default(), "{asked}");
+    }
+    for (asked, message) in [
+        ("fixed-skip:0", "policy.fixed_skip: `n` must be a number"),
+        ("ctd:1", "policy.ctd: `threshold` must be a number"),
+        ("ctd:nan", "policy.ctd: `threshold` must be a number"),
+        (
+            "statues:-1",
+            "policy.statues: `component_size` must be a number",
+        ),
+        ("kill-only:7", "policy.u: `u` must be a number"),
+    ] {
+        let mut config = PolicyConfig::default();
+        config.select(asked).unwrap();
+        let found = config.build().err().unwrap().to_string();
+        assert!(found.starts_with(message), "{found}");
+    }
+}
+
+#[test]
+fn the_baselines_have_tables_of_their_own() {
+    let read = config(
+        "name = 'ctd'\n[fixed_skip]\nn = 3\nskipped_boxes = 'predict'\n[ctd]\nthreshold = 0.7\n\
+         longest_skip = 4\nlost_frames = 3\n[statues]\npixel_difference = 20",
+    );
+    assert_eq!(read.fixed_skip.n, 3.0);
+    assert_eq!(read.fixed_skip.skipped_boxes, Some(SkippedBoxes::Predict));
+    assert_eq!(read.ctd.longest_skip, 4);
+    assert_eq!(read.statues.component_size, 75.0);
+    assert_eq!(read.build().unwrap().knob_value(), Some(0.7));
+    let written = toml::to_string(&read).unwrap();
+    assert_eq!(config(&written), read);
+    for unknown in [
+        "[ctd]\nconfidence = 1",
+        "[fixed_skip]\nskip = 1",
+        "[statues]\nsize = 1",
+    ] {
+        assert!(
+            toml::from_str::<PolicyConfig>(unknown).is_err(),
+            "{unknown}"
+        );
+    }
+    let message = error("name = 'statues'\n[statues]\npixel_difference = 0");
+    assert!(
+        message.starts_with("policy.statues: `pixel_difference`"),
+        "{message}"
+    );
+}

@@ -1,0 +1,145 @@
+//! Promises of confidence-triggered detection beyond the golden traces.
+
+use super::*;
+use crate::policy::BoxSource;
+use crate::policy::FrameState::{I, P};
+use crate::policy::Profile;
+use crate::policy::testing::{Available, Run, seen};
+use proptest::prelude::*;
+
+/// Frames until the detector runs, which then finds `found`.
+fn frames_until_detector(run: &mut Run, found: f64) -> usize {
+    for frame in 1..100 {
+        if run.see(&[seen(found, 0.9)]) == I {
+            return frame;
+        }
+    }
+    panic!("the detector never ran");
+}
+
+/// A confirmed object that stands still.
+fn standing(threshold: &str, profile: Profile) -> Run {
+    let mut run = Run::new(&format!("ctd:{threshold}"), profile);
+    for _ in 0..30 {
+        frames_until_detector(&mut run, 0.5);
+    }
+    assert!(run.records()[0].confirmed);
+    run
+}
+
+#[test]
+fn the_distance_is_the_tabled_quantile_of_chi_squared() {
+    // Upper tail of chi-squared with four degrees of freedom, from tables.
+    for (confidence, quantile) in [
+        (0.99, 0.297_109_480_506_53),
+        (0.90, 1.063_623_216_779_22),
+        (0.50, 3.356_693_980_033_32),
+        (0.05, 9.487_729_036_781_15),
+        (0.01, 13.276_704_135_987_6),
+    ] {
+        let found = distance_with_confidence(confidence);
+        assert!((found - quantile).abs() < 1e-10, "{confidence}: {found}");
+    }
+}
+
+proptest! {
+    #[test]
+    fn every_allowed_threshold_has_its_distance(exponent in -9.0..0.0f64, high in any::<bool>()) {
+        let small = 10f64.powf(exponent).min(0.5);
+        let confidence = if high { 1.0 - small } else { small };
+        let y = distance_with_confidence(confidence) / 2.0;
+        prop_assert!(y.is_finite() && y > 0.0);
+        let back = (-y).exp() * (1.0 + y);
+        prop_assert!((back / confidence - 1.0).abs() < 1e-12, "{confidence}: {back}");
+    }
+}
+
+#[test]
+fn an_object_that_stands_still_is_left_alone_for_eight_frames() {
+    for profile in [Profile::Paper, Profile::Reference] {
+        let mut run = standing("0.5", profile);
+        assert_eq!(frames_until_detector(&mut run, 0.5), 9);
+        assert_eq!(run.see(&[]), P);
+        assert_eq!(run.reported()[0].0, BoxSource::Predicted);
+    }
+}
+
+#[test]
+fn lost_frames_count_towards_the_longest_skip() {
+    let mut run = standing("0.5", Profile::Paper);
+    let found = [seen(0.5, 0.9)];
+    assert_eq!(run.frame(8, Available::detections(&found)), P);
+    assert_eq!(run.frame(1, Available::detections(&found)), I);
+    assert_eq!(run.frame(9, Available::detections(&found)), I);
+}
+
+#[test]
+fn a_prediction_that_strays_calls_the_detector_the_sooner_the_higher_the_threshold() {
+    let frames: Vec<_> = ["0.5", "0.9"]
+        .iter()
+        .map(|threshold| {
+            let mut run = Run::new(&format!("ctd:{threshold}"), Profile::Paper);
+            let mut x = 0.2;
+            let mut calls = 0;
+            while x < 0.8 {
+                let state = run.see(&[seen(x, 0.9)]);
+                calls += usize::from(state == I);
+                x += 0.01;
+            }
+            assert_eq!(run.records().len(), 1);
+            calls
+        })
+        .collect();
+    assert!(frames[0] < frames[1], "{frames:?}");
+}
+
+#[test]
+fn a_missed_object_lives_on_until_its_count_runs_out() {
+    for profile in [Profile::Paper, Profile::Reference] {
+        let mut run = standing("0.5", profile);
+        let counted = |run: &Run| run.records().first().map(|record| record.since_update);
+        // Eight skipped frames and the ninth, whose miss counts once more.
+        assert!((0..8).all(|_| run.see(&[]) == P));
+        assert_eq!(run.see(&[]), I);
+        assert_eq!(counted(&run), Some(10));
+        let sources: Vec<_> = run.reported().iter().map(|b| b.0).collect();
+        assert_eq!(sources, [BoxSource::Rescued]);
+        while run.see(&[]) == P {
+            assert_eq!(run.records()[0].id.0, 0);
+        }
+        assert!(run.records().is_empty());
+    }
+}
+
+#[test]
+fn a_tentative_object_is_removed_by_its_first_miss() {
+    let mut run = Run::new("ctd:0.5", Profile::Reference);
+    run.see(&[seen(0.5, 0.9)]);
+    while run.see(&[seen(0.2, 0.9)]) == P {}
+    let ids: Vec<_> = run.records().iter().map(|record| record.id.0).collect();
+    assert_eq!(ids, [1]);
+}
+
+#[test]
+fn without_objects_every_frame_asks_the_detector() {
+    let mut run = Run::new("ctd", Profile::Paper);
+    for _ in 0..5 {
+        assert_eq!(run.see(&[]), I);
+    }
+}
+
+#[test]
+fn without_the_detector_predictions_answer_and_the_next_frame_asks_again() {
+    let mut run = standing("0.5", Profile::Paper);
+    for _ in 0..8 {
+        assert_eq!(run.blind(), P);
+        assert!(!run.outcome.degraded);
+    }
+    for _ in 0..2 {
+        assert_eq!(run.blind(), P);
+        assert!(run.outcome.degraded);
+        assert_eq!(run.outcome.boxes.len(), 1);
+    }
+    assert_eq!(run.see(&[seen(0.5, 0.9)]), I);
+    assert_eq!(run.records()[0].id.0, 0);
+}

@@ -1,0 +1,150 @@
+//! Promises of the Statues policy.
+
+use super::*;
+use crate::detection::Detection;
+use crate::policy::BoxSource::{Detected, Predicted};
+use crate::policy::FrameState::{I, P};
+use crate::policy::Profile;
+use crate::policy::testing::{Available, Run, seen};
+
+const SIZE: PictureSize = PictureSize::new(64, 36);
+
+/// A grey picture of value 100 with a block of `width` by `height` pixels of `value`.
+fn picture(width: usize, height: usize, value: u8) -> Vec<u8> {
+    let mut pixels = vec![100; 64 * 36];
+    for row in 0..height {
+        pixels[row * 64..][..width].fill(value);
+    }
+    pixels
+}
+
+fn show(
+    run: &mut Run,
+    size: PictureSize,
+    pixels: &[u8],
+    found: Option<&[Detection]>,
+) -> FrameState {
+    run.frame(
+        1,
+        Available {
+            picture: Some(GreyPicture { size, pixels }),
+            detections: found,
+            ..Available::default()
+        },
+    )
+}
+
+fn see(run: &mut Run, pixels: &[u8], x: f64) -> FrameState {
+    show(run, SIZE, pixels, Some(&[seen(x, 0.9)]))
+}
+
+/// A run that has seen the empty picture.
+fn watching(asked: &str) -> Run {
+    let mut run = Run::new(asked, Profile::Paper);
+    assert_eq!(see(&mut run, &picture(0, 0, 0), 0.5), I);
+    assert_eq!(run.needs, [Need::GreyPicture, Need::Detections]);
+    run
+}
+
+#[test]
+fn an_unchanged_picture_has_the_last_boxes_again() {
+    let mut run = watching("statues");
+    assert_eq!(run.reported(), [(Detected, 0.5, 0.9)]);
+    for _ in 0..3 {
+        assert_eq!(see(&mut run, &picture(0, 0, 0), 0.7), P);
+        assert_eq!(run.needs, [Need::GreyPicture]);
+        assert!(!run.outcome.degraded);
+        assert_eq!(run.reported(), [(Predicted, 0.5, 0.9)]);
+    }
+}
+
+#[test]
+fn a_change_of_more_pixels_than_the_component_size_runs_the_detector() {
+    for (asked, width, height, expected) in [
+        ("statues:25", 5, 5, P),
+        ("statues:25", 13, 2, I),
+        ("statues", 25, 3, P),
+        ("statues:75", 19, 4, I),
+        ("statues:500", 50, 10, P),
+        ("statues:500", 51, 10, I),
+    ] {
+        let mut run = watching(asked);
+        let state = see(&mut run, &picture(width, height, 200), 0.7);
+        assert_eq!(state, expected, "{asked}: {width}x{height}");
+    }
+}
+
+#[test]
+fn a_pixel_has_changed_from_a_difference_of_30_on_up_or_down() {
+    for (value, expected) in [(129, P), (130, I), (71, P), (70, I)] {
+        let mut run = watching("statues");
+        assert_eq!(see(&mut run, &picture(20, 20, value), 0.7), expected);
+    }
+}
+
+#[test]
+fn pictures_are_compared_with_the_frame_before() {
+    let mut run = watching("statues");
+    // A slow change is never seen, however far it goes.
+    for value in [120, 140, 160, 180] {
+        assert_eq!(see(&mut run, &picture(20, 20, value), 0.7), P);
+    }
+    // Neither is one to and fro missed: both times it is a change.
+    assert_eq!(see(&mut run, &picture(20, 20, 100), 0.7), I);
+    assert_eq!(see(&mut run, &picture(20, 20, 180), 0.7), I);
+}
+
+#[test]
+fn after_lost_frames_the_last_picture_there_was_is_compared_with() {
+    let mut run = watching("statues");
+    let pixels = picture(20, 20, 200);
+    let available = Available {
+        picture: Some(GreyPicture {
+            size: SIZE,
+            pixels: &pixels,
+        }),
+        ..Available::detections(&[])
+    };
+    assert_eq!(run.begin(1), Need::GreyPicture);
+    // That frame is given up, and two are lost.
+    assert_eq!(run.frame(3, available), I);
+    assert_eq!(run.frame(9, available), P);
+}
+
+#[test]
+fn a_picture_of_another_size_runs_the_detector() {
+    let mut run = watching("statues");
+    let turned = PictureSize::new(36, 64);
+    assert_eq!(show(&mut run, turned, &picture(0, 0, 0), Some(&[])), I);
+    assert_eq!(show(&mut run, turned, &picture(0, 0, 0), Some(&[])), P);
+}
+
+#[test]
+fn without_the_picture_or_with_a_broken_one_the_detector_runs() {
+    let mut run = watching("statues");
+    assert_eq!(run.see(&[seen(0.7, 0.9)]), I);
+    assert_eq!(run.needs, [Need::GreyPicture, Need::Detections]);
+    let short = vec![100; 10];
+    assert_eq!(see(&mut run, &short, 0.7), I);
+    // The last whole picture is still the one before.
+    assert_eq!(see(&mut run, &picture(0, 0, 0), 0.7), P);
+}
+
+#[test]
+fn a_detector_that_failed_is_called_again_though_nothing_changes() {
+    let mut run = watching("statues");
+    let changed = picture(20, 20, 200);
+    assert_eq!(show(&mut run, SIZE, &changed, None), P);
+    assert!(run.outcome.degraded);
+    assert_eq!(run.reported(), [(Predicted, 0.5, 0.9)]);
+    assert_eq!(see(&mut run, &changed, 0.7), I);
+    assert_eq!(see(&mut run, &changed, 0.7), P);
+}
+
+#[test]
+fn a_reset_forgets_picture_and_boxes() {
+    let mut run = watching("statues");
+    run.policy.reset();
+    assert_eq!(show(&mut run, SIZE, &picture(0, 0, 0), None), P);
+    assert!(run.outcome.degraded && run.outcome.boxes.is_empty());
+}
