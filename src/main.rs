@@ -2,4 +2,8 @@
 
 #![forbid(unsafe_code)]
 
-fn main() {}
+use clap::Parser;
+
+fn main() -> std::process::ExitCode {
+    albireo::cli::Arguments::parse().run()
+}

@@ -1,31 +1,23 @@
 //! The evaluation agrees with what others compute on the same boxes: the published evaluator's figures and
 //! COCO's own tool.
+#![allow(clippy::expect_used)]
 
+use crate::support::shared;
 use albireo::eval::average_precision::{Accuracy, Classes, Interpolation, ScoredBox, accuracy};
 use albireo::eval::data::{Clip, recorded};
+use albireo::eval::replay::Scoring;
+use albireo::eval::run::{Settings, run_stored};
 use albireo::eval::scoring::{decayed_confidence, score_object};
+use albireo::eval::source::ScreenRule;
+use albireo::eval::spec::{Common, resolve};
 use albireo::eval::trace;
+use albireo::policy::Profile;
 use std::collections::HashMap;
-use std::path::PathBuf;
-
-/// The folder of shared data; a missing one fails the test with what to do.
-pub fn shared() -> PathBuf {
-    let folder = std::env::var_os("ALBIREO_SHARED").map_or_else(
-        || PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-        PathBuf::from,
-    );
-    assert!(
-        folder.join("golden").is_dir(),
-        "{} has no golden/: set ALBIREO_SHARED to the folder of shared data",
-        folder.display()
-    );
-    folder
-}
 
 /// `summary.csv` of the published code: figures by sequence, policy and column.
 pub fn golden_summary() -> HashMap<(String, String), HashMap<String, f64>> {
     let mut reader =
-        csv::Reader::from_path(shared().join("golden/summary.csv")).expect("the summary is there");
+        csv::Reader::from_path(shared("golden/summary.csv")).expect("the summary is there");
     let headers = reader.headers().expect("it has a header").clone();
     reader
         .records()
@@ -56,7 +48,7 @@ fn pooled(boxes: &[Vec<ScoredBox>], clip: &Clip) -> Accuracy {
 #[test]
 fn shared_average_precision_of_the_golden_traces_is_the_published_evaluators() {
     let summary = golden_summary();
-    let clips = recorded::read(&shared().join("data/recorded")).expect("the recordings");
+    let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
     let mut compared = 0;
     for (policy, u) in [
         ("albireo-u3e-4-erd-nonempty", 3e-4),
@@ -66,7 +58,7 @@ fn shared_average_precision_of_the_golden_traces_is_the_published_evaluators() {
         ("ctd-0.50", 3e-4),
     ] {
         for clip in clips.clips.iter().filter(|clip| clip.truth.is_some()) {
-            let path = shared().join(format!("golden/{policy}/{}.jsonl.gz", clip.name));
+            let path = shared(&format!("golden/{policy}/{}.jsonl.gz", clip.name));
             let frames = trace::read(&path).expect("the golden trace");
             let last: Vec<Vec<ScoredBox>> = frames
                 .iter()
@@ -111,4 +103,73 @@ fn shared_average_precision_of_the_golden_traces_is_the_published_evaluators() {
         }
     }
     assert_eq!(compared, 5 * 17 * 6);
+}
+
+/// Every policy of the published summary, run by this program, gives the published figures.
+#[test]
+fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
+    let summary = golden_summary();
+    let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
+    let mut compared = 0;
+    for screen in [ScreenRule::Nonempty, ScreenRule::Detections] {
+        let common = Common {
+            profile: Profile::Reference,
+            u: 3e-4,
+            screen: Some(screen),
+        };
+        let sweep = "u=3e-4,5e-4,7e-4,1e-3".parse().expect("a sweep");
+        let policies = resolve(&["albireo".to_owned()], &[sweep], &common).expect("known policies");
+        let settings = Settings {
+            scoring: Scoring::Reference,
+            confidence: 0.5,
+            screen,
+            classes: Classes::Pooled,
+            interpolation: Interpolation::AllPoints,
+            traces: None,
+            energy_model: None,
+            threads: 0,
+        };
+        let results = run_stored(&clips.clips, &policies, &settings, &|| ()).expect("it runs");
+        for result in results {
+            let expected = &summary[&(result.clip.clone(), result.policy.clone())];
+            let [e, p, ei, i, ai] = result.states.shares();
+            // The published summary counts Vanilla's frames as I, and its baselines' as P and I.
+            let mut figures = vec![
+                ("skip_rate", result.states.skip_rate()),
+                ("share_E", e),
+                ("share_P", p),
+                ("share_EI", ei),
+                ("share_I", i),
+                ("share_AI", ai),
+                ("boxes", result.boxes as f64),
+            ];
+            assert_eq!(
+                result.accuracy.is_some(),
+                expected.contains_key("ap50_decayed"),
+                "{} has ground truth or not",
+                result.clip
+            );
+            if let (Some(decayed), Some(last)) = (result.accuracy, result.accuracy_last_confidence)
+            {
+                figures.extend([
+                    ("ap50_decayed", decayed.ap50),
+                    ("map_decayed", decayed.map),
+                    ("ap50_lastconf", last.ap50),
+                    ("map_lastconf", last.map),
+                ]);
+            }
+            for (name, value) in figures {
+                assert!(
+                    (value - expected[name]).abs() < 1e-6,
+                    "{} {} {name}: {value}, published code {}",
+                    result.policy,
+                    result.clip,
+                    expected[name]
+                );
+                compared += 1;
+            }
+        }
+    }
+    // Two screens, vanilla and four thresholds, 17 clips with accuracy and 4 without.
+    assert_eq!(compared, 2 * 5 * (17 * 11 + 4 * 7));
 }

@@ -1,3 +1,20 @@
 //! Promises of the whole program, one file each.
+
+mod support;
+
+mod command_line;
+mod detector_models;
+mod detector_session;
+mod end_to_end;
 mod eval_agreement;
+mod eval_coco;
+mod eval_paper;
+mod frame_decoding;
+mod frame_formats;
 mod golden_traces;
+mod http_api;
+mod node_frames;
+mod power_sysfs;
+mod power_tegrastats;
+mod power_telemetry;
+mod replay;

@@ -1,1 +1,81 @@
-//! To be built.
+//! The command line: one file a subcommand. Each has its arguments and a `run` that says how it ended.
+
+mod check;
+mod demo;
+pub mod eval;
+mod logging;
+mod node;
+pub mod replay;
+mod signals;
+pub mod synth;
+
+use anyhow::Context;
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+pub use node::run_node;
+
+const EXAMPLES: &str = "\
+Examples:
+  albireo demo                           everything at once, with nothing to configure
+  albireo check config/node.toml         say what is wrong with a configuration
+  albireo node --config config/node.toml run a node
+  albireo replay drive.mp4               play a video to it as a camera
+  ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
+
+/// An adaptive efficiency layer around an unchanged video object detector, for nodes on the edge.
+#[derive(Debug, Parser)]
+#[command(version, about, after_help = EXAMPLES, subcommand_required = true, arg_required_else_help = true)]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run a node: frames in, detections and clip reports out.
+    Node(node::Arguments),
+    /// Check a configuration file and say everything that is wrong with it.
+    Check(check::Arguments),
+    /// Publish a video, a folder of pictures or the synthetic dashcam as a camera.
+    Replay(replay::ReplayArguments),
+    /// Replay recordings through any policy: accuracy against what it saves.
+    Eval(eval::EvalArguments),
+    /// Write the synthetic dashcam's pictures with their ground truth into a folder.
+    Synth(synth::SynthArguments),
+    /// Run a camera and a node in one process, with nothing to configure.
+    Demo(demo::Arguments),
+}
+
+impl Arguments {
+    /// Does what was asked. Says on standard error what went wrong.
+    pub fn run(self) -> ExitCode {
+        let ended = match self.command {
+            Command::Node(arguments) => node::run(&arguments),
+            Command::Check(arguments) => check::run(&arguments),
+            Command::Replay(arguments) => block_on(async {
+                let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+                replay::run(arguments, shutdown).await.map(drop)
+            }),
+            Command::Eval(arguments) => eval::run(&arguments),
+            Command::Synth(arguments) => synth::run(&arguments),
+            Command::Demo(arguments) => block_on(demo::run(arguments)),
+        };
+        match ended {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                eprintln!("albireo: {error:#}");
+                ExitCode::FAILURE
+            }
+        }
+    }
+}
+
+/// Runs a subcommand that waits for things.
+fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
+    tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .context("the asynchronous runtime cannot be started")?
+        .block_on(work)
+}

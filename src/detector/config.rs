@@ -47,6 +47,8 @@ pub struct DetectorConfig {
     /// Text file with one class name a line; empty for the head's own list (COCO for YOLOX, BDD100K for
     /// the demonstration detector).
     pub class_names: Option<PathBuf>,
+    /// Names of the classes to report; empty for all.
+    pub report_classes: Vec<String>,
     /// Detections below this confidence are dropped (paper: 0.5).
     pub confidence: f64,
     /// Non-maximum suppression drops a box that overlaps a better one of its class more than this.
@@ -73,6 +75,7 @@ impl Default for DetectorConfig {
             model: PathBuf::from("models/detector.onnx"),
             head: HeadName::Demonstration,
             class_names: None,
+            report_classes: Vec::new(),
             confidence: 0.5,
             suppression_overlap: 0.45,
             providers: vec![ExecutionProvider::Cpu],

@@ -5,9 +5,20 @@
 
 pub mod average_precision;
 pub mod data;
+pub mod energy_fit;
+pub mod energy_model;
+pub mod paper;
+pub mod paper_text;
 pub mod pareto;
+pub mod published;
 pub mod replay;
+pub mod report;
+pub mod result;
+pub mod run;
 pub mod scoring;
 pub mod source;
+pub mod spec;
 pub mod statistics;
+pub mod summary;
+pub mod table;
 pub mod trace;

@@ -1,12 +1,11 @@
 //! The driver: takes one policy through one clip, answers what it asks, and writes down what it did.
 
 use crate::eval::average_precision::ScoredBox;
-use crate::eval::scoring::{
-    DEFAULT_DECAY_U, decayed_confidence, score_object, score_reported, score_truncated,
-};
+use crate::eval::scoring::{decayed_confidence, score_object, score_reported, score_truncated};
 use crate::eval::source::{EvidenceSource, SourceError};
 use crate::eval::trace::{TraceFrame, TraceObject};
-use crate::policy::{Evidence, FrameHead, FrameState, Need, Outcome, Policy};
+use crate::geometry::PictureSize;
+use crate::policy::{Evidence, FrameHead, FrameState, Need, ObjectRecord, Outcome, Policy};
 use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
 
@@ -50,11 +49,14 @@ pub struct Replay {
     pub boxes: Vec<Vec<ScoredBox>>,
     /// The same boxes with the confidence of their last detection, where the profile decays it.
     pub boxes_last_confidence: Option<Vec<Vec<ScoredBox>>>,
+    /// Detections the policy refused because their numbers make no box.
+    pub rejected_detections: u64,
     /// The trace, if asked for.
     pub trace: Option<Vec<TraceFrame>>,
 }
 
-/// Takes `policy` from its initial state through all frames of `source`.
+/// Takes `policy` from its initial state through all frames of `source`. `decay_u` is the threshold that
+/// the published scoring decays confidences with.
 ///
 /// # Errors
 /// [`SourceError`] when the source cannot give what the policy asks for.
@@ -62,19 +64,18 @@ pub fn replay(
     policy: &mut dyn Policy,
     source: &mut dyn EvidenceSource,
     scoring: Scoring,
+    decay_u: f64,
     keep_trace: bool,
 ) -> Result<Replay, SourceError> {
     policy.reset();
+    let rejected_before = policy.rejected_detections();
     let picture = source.picture();
     let frames = source.frames();
-    let decay_u = match policy.knob() {
-        Some(knob) if knob.name == "u" => policy.knob_value().unwrap_or(DEFAULT_DECAY_U),
-        _ => DEFAULT_DECAY_U,
-    };
     let mut result = Replay {
         frames: Vec::with_capacity(frames),
         boxes: Vec::with_capacity(frames),
         boxes_last_confidence: (scoring == Scoring::Reference).then(Vec::new),
+        rejected_detections: 0,
         trace: keep_trace.then(Vec::new),
     };
     let mut outcome = Outcome::default();
@@ -97,31 +98,10 @@ pub fn replay(
                     .map(|output| score_reported(output, picture))
                     .collect(),
             ),
-            Some(last) if keeps_objects(policy) => {
-                let boxes: Vec<ScoredBox> = objects
-                    .iter()
-                    .map(|object| score_object(object, picture))
-                    .collect();
-                result.boxes.push(
-                    boxes
-                        .iter()
-                        .zip(&objects)
-                        .map(|(scored, object)| ScoredBox {
-                            confidence: decayed_confidence(object.conf, object.tau, decay_u),
-                            ..*scored
-                        })
-                        .collect(),
-                );
-                last.push(boxes);
-            }
             Some(last) => {
-                let boxes: Vec<ScoredBox> = outcome
-                    .boxes
-                    .iter()
-                    .map(|output| score_truncated(output, picture))
-                    .collect();
-                result.boxes.push(boxes.clone());
-                last.push(boxes);
+                let (decayed, undecayed) = score_as_published(&objects, &outcome, picture, decay_u);
+                result.boxes.push(decayed);
+                last.push(undecayed);
             }
         }
         if let Some(trace) = &mut result.trace {
@@ -134,6 +114,7 @@ pub fn replay(
             });
         }
     }
+    result.rejected_detections = policy.rejected_detections() - rejected_before;
     Ok(result)
 }
 
@@ -188,10 +169,36 @@ fn decide(
     })
 }
 
-/// Whether the policy keeps objects; one that does not is scored by the boxes it reports.
-fn keeps_objects(_policy: &dyn Policy) -> bool {
-    false
+/// The boxes the published evaluator scores, with decayed and with last confidences: all objects, and the
+/// boxes that belong to none.
+fn score_as_published(
+    objects: &[TraceObject],
+    outcome: &Outcome,
+    picture: PictureSize,
+    decay_u: f64,
+) -> (Vec<ScoredBox>, Vec<ScoredBox>) {
+    let free = outcome
+        .boxes
+        .iter()
+        .filter(|output| output.object.is_none())
+        .map(|output| score_truncated(output, picture));
+    let undecayed: Vec<ScoredBox> = objects
+        .iter()
+        .map(|object| score_object(object, picture))
+        .chain(free)
+        .collect();
+    let mut decayed = undecayed.clone();
+    for (scored, object) in decayed.iter_mut().zip(objects) {
+        scored.confidence = decayed_confidence(object.conf, object.tau, decay_u);
+    }
+    (decayed, undecayed)
 }
 
 /// Appends the policy's objects in its own order.
-fn collect_objects(_policy: &dyn Policy, _objects: &mut Vec<TraceObject>) {}
+fn collect_objects(policy: &dyn Policy, objects: &mut Vec<TraceObject>) {
+    policy.objects(&mut |record: &ObjectRecord| objects.push(TraceObject::from(record)));
+}
+
+#[cfg(test)]
+#[path = "replay_tests.rs"]
+mod tests;

@@ -4,7 +4,7 @@
 //! `<policy>/<clip>.jsonl.gz`. The traces of the published Python code are in the same form, so the two
 //! can be compared line by line.
 
-use crate::policy::FrameState;
+use crate::policy::{FrameState, ObjectRecord};
 use serde::{Deserialize, Serialize};
 use std::io::{BufRead, BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
@@ -48,6 +48,29 @@ pub struct TraceObject {
     pub since_infer: u32,
     /// Rescues in a row.
     pub rescues: u32,
+}
+
+impl From<&ObjectRecord> for TraceObject {
+    fn from(record: &ObjectRecord) -> Self {
+        let bounding_box = record.bounding_box;
+        Self {
+            id: record.id.0,
+            class: record.class.0,
+            confirmed: record.confirmed,
+            conf: record.confidence,
+            bounding_box: [
+                bounding_box.center_x,
+                bounding_box.center_y,
+                bounding_box.width,
+                bounding_box.height,
+            ],
+            tau: record.tau,
+            hits: record.hits,
+            since_update: record.since_update,
+            since_infer: record.since_infer,
+            rescues: record.rescues,
+        }
+    }
 }
 
 /// A trace file that cannot be read or written.

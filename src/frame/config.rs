@@ -48,6 +48,6 @@ pub enum Delivery {
     /// The newest; older ones are dropped and counted as overrun.
     #[default]
     Newest,
-    /// Every one; the sender is held back. For replays.
+    /// Every one; the sender is held back, and the answers wait for slow subscribers. For replays.
     Every,
 }

@@ -1,5 +1,28 @@
 //! What a camera sends: payload formats, sequence numbers, the ring of newest frames, decoding, letterbox.
 
+mod attachment;
 mod config;
+mod decode;
+mod decode_jpeg;
+mod decode_png;
+mod decode_raw;
+mod fault;
+mod header;
+mod letterbox;
+mod limits;
+mod picture;
+mod read;
+mod ring;
+mod ros2;
+mod sequence;
 
 pub use config::{Delivery, FrameLimits, PayloadFormat};
+pub use decode::{decode, decode_grey_half, to_jpeg};
+pub use fault::FrameFault;
+pub use letterbox::{
+    ColorOrder, Fit, InputFormat, InputMapping, Letterbox, LetterboxError, ValueRange,
+};
+pub use picture::{EncodedPicture, Picture, PictureFormat, PixelLayout};
+pub use read::{Frame, RawSample, RejectedFrame, read_frame, read_sample};
+pub use ring::{Pushed, RingReceiver, RingSender, frame_ring};
+pub use sequence::{Arrival, MAX_GAP, RESTART_RUN, SequenceTracker, WINDOW};

@@ -117,7 +117,9 @@ proptest! {
                 filter.update(&model, measured);
             }
             let covariance = filter.covariance();
-            prop_assert_eq!(covariance, covariance.transpose());
+            // Rounding treats the triangles of (I − K H) P differently: bits, which never build up.
+            let asymmetry = (covariance - covariance.transpose()).amax();
+            prop_assert!(asymmetry <= 1e-12 * covariance.amax(), "{asymmetry:e}");
             prop_assert!(covariance.cholesky().is_some(), "{covariance}");
         }
     }

@@ -62,16 +62,13 @@ impl Default for PolicyConfig {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicyConfigError {
     /// No policy has this name.
-    #[error(
-        "policy.name: there is no policy `{name}`; the policies are {}",
-        names()
-    )]
+    #[error("there is no policy `{name}`; the policies are {}", names())]
     UnknownPolicy {
         /// The name found.
         name: String,
     },
     /// The threshold is out of range.
-    #[error("policy.u: {0}")]
+    #[error("{0}")]
     Threshold(#[from] super::KnobError),
     /// The argument behind the policy's name makes no sense.
     #[error("`{policy}:{argument}`: {reason}")]
@@ -84,13 +81,25 @@ pub enum PolicyConfigError {
         reason: String,
     },
     /// A setting that does not exist, or has a value it cannot have.
-    #[error("policy.{table}: {reason}")]
+    #[error("{reason}")]
     Setting {
         /// The table it stands in.
         table: &'static str,
         /// What is wrong and what is allowed.
         reason: String,
     },
+}
+
+impl PolicyConfigError {
+    /// The key of the configuration it is about.
+    pub fn key(&self) -> String {
+        match self {
+            Self::UnknownPolicy { .. } => "policy.name".to_owned(),
+            Self::Threshold(_) => "policy".to_owned(),
+            Self::Argument { policy, .. } => format!("policy {policy}"),
+            Self::Setting { table, .. } => format!("policy.{table}"),
+        }
+    }
 }
 
 /// A policy that the configuration can name.

@@ -1,17 +1,8 @@
 //! The `[screen]` section of the configuration.
 
+use crate::frame::ColorOrder;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
-
-/// Order of the colour planes a network expects.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum ColorOrder {
-    /// Red, green, blue.
-    Rgb,
-    /// Blue, green, red.
-    Bgr,
-}
 
 /// The empty-scene screen. It always runs on the CPU.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

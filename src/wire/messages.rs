@@ -187,6 +187,16 @@ impl FrameStates {
     }
 }
 
+impl std::ops::AddAssign for FrameStates {
+    fn add_assign(&mut self, more: Self) {
+        self.e += more.e;
+        self.p += more.p;
+        self.ei += more.ei;
+        self.i += more.i;
+        self.ai += more.ai;
+    }
+}
+
 /// Frames that were not processed, each kind under its own name.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
@@ -195,7 +205,7 @@ pub struct DroppedFrames {
     pub lost: u64,
     /// Pushed out of the ring by a newer one before its turn.
     pub overrun: u64,
-    /// Arrived after a later frame.
+    /// Arrived after a later frame; it had been counted as lost when the later one came.
     pub late: u64,
     /// Arrived again with the same sequence number.
     pub duplicate: u64,
@@ -227,6 +237,18 @@ impl DroppedFrames {
     }
 }
 
+impl std::ops::AddAssign<&Self> for DroppedFrames {
+    fn add_assign(&mut self, more: &Self) {
+        self.lost += more.lost;
+        self.overrun += more.overrun;
+        self.late += more.late;
+        self.duplicate += more.duplicate;
+        self.undecodable += more.undecodable;
+        self.oversized += more.oversized;
+        self.unknown_format += more.unknown_format;
+    }
+}
+
 /// Middle and tail of a set of durations, milliseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Percentiles {
@@ -242,8 +264,8 @@ pub struct Percentiles {
     pub p99: f64,
 }
 
-/// How far an energy figure can be trusted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+/// How far an energy figure can be trusted; the order is from most to least.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EnergyQuality {
     /// Read from a meter over the whole clip.
@@ -368,6 +390,35 @@ pub struct ClipReport {
     pub detector_latency_ms: Percentiles,
     /// Energy.
     pub energy: ClipEnergy,
+    /// The state of the board during the clip; absent where the board tells nothing of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board: Option<BoardState>,
+}
+
+/// The state of the board during a clip, as far as the board tells: the same clip costs differently in
+/// each.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(default)]
+pub struct BoardState {
+    /// Power mode: `nvpmodel`'s name for it, else the platform profile of ACPI. Several, in order, when it
+    /// changed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub power_mode: Option<String>,
+    /// Highest temperature of any sensor, °C.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hottest_celsius: Option<f64>,
+    /// The sensor that read it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hottest_sensor: Option<String>,
+    /// Whether clocks were held back by heat, current or power at any time; absent when nothing tells.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub throttled: Option<bool>,
+    /// Mean clock of the CPU cores, MHz.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cpu_mhz: Option<f64>,
+    /// Mean clock of the GPU, MHz.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gpu_mhz: Option<f64>,
 }
 
 /// Where a camera stands, once a second.

@@ -1,10 +1,11 @@
 //! The recorded sequences of the shared data, their golden traces and the table of their figures.
 
 use super::replay::{Recorded, read_detections};
+use crate::support::shared;
 use albireo::geometry::PictureSize;
 use serde::Deserialize;
 use std::io::Read;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// A recorded sequence.
 #[derive(Deserialize)]
@@ -27,12 +28,12 @@ impl Sequence {
 
     pub fn detections(&self) -> Recorded {
         let path = format!("data/recorded/detections/{}.csv", self.name);
-        read_detections(&read_to_string(&shared().join(path)), self.picture())
+        read_detections(&read_to_string(&shared(&path)), self.picture())
     }
 
     /// The golden trace of the policy that goes by the name `folder`.
     pub fn golden(&self, folder: &str) -> String {
-        let path = shared().join(format!("golden/{folder}/{}.jsonl.gz", self.name));
+        let path = shared(&format!("golden/{folder}/{}.jsonl.gz", self.name));
         let file = std::fs::File::open(&path)
             .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
         let mut golden = String::new();
@@ -45,7 +46,7 @@ impl Sequence {
 
 /// All 21 of them.
 pub fn sequences() -> Vec<Sequence> {
-    let list = read_to_string(&shared().join("data/recorded/sequences.json"));
+    let list = read_to_string(&shared("data/recorded/sequences.json"));
     let sequences = serde_json::from_str::<Sequences>(&list).unwrap().sequences;
     assert_eq!(sequences.len(), 21);
     sequences
@@ -65,7 +66,7 @@ pub struct SummaryRow {
 
 /// `golden/summary.csv`.
 pub fn summary() -> Vec<SummaryRow> {
-    let text = read_to_string(&shared().join("golden/summary.csv"));
+    let text = read_to_string(&shared("golden/summary.csv"));
     let mut lines = text.lines();
     let header: Vec<_> = lines.next().unwrap().split(',').collect();
     let column = |name: &str| header.iter().position(|found| *found == name).unwrap();
@@ -84,20 +85,6 @@ pub fn summary() -> Vec<SummaryRow> {
             }
         })
         .collect()
-}
-
-/// The shared data: `ALBIREO_SHARED`, else `../shared` beside the project.
-fn shared() -> PathBuf {
-    let shared = std::env::var_os("ALBIREO_SHARED").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-        PathBuf::from,
-    );
-    assert!(
-        shared.join("golden").is_dir(),
-        "{} has no golden traces; set ALBIREO_SHARED to the folder of the shared data",
-        shared.display()
-    );
-    shared
 }
 
 fn read_to_string(path: &Path) -> String {

@@ -11,6 +11,7 @@ pub mod classes;
 pub mod coco;
 pub mod kitti;
 pub mod mot_challenge;
+mod pictures;
 pub mod recorded;
 mod rows;
 
@@ -254,8 +255,19 @@ impl DataError {
 }
 
 impl Clips {
-    /// Adds a clip, or counts it as empty; notes what it lacks.
-    pub(crate) fn push(&mut self, clip: Clip) {
+    /// Adds a clip, or counts it as empty; notes what it lacks. Its name is made fit for a file's name and
+    /// unlike the others'.
+    pub(crate) fn push(&mut self, mut clip: Clip) {
+        let plain = clip.name.replace(['/', '\\', ':'], "-");
+        clip.name = plain.trim_start_matches('.').to_owned();
+        let taken = |name: &str| self.clips.iter().any(|other| other.name == name);
+        if clip.name.is_empty() || taken(&clip.name) {
+            let base = std::mem::take(&mut clip.name);
+            let mut number = 2..;
+            while clip.name.is_empty() || taken(&clip.name) {
+                clip.name = format!("{base}-{}", number.next().unwrap_or_default());
+            }
+        }
         if clip.frames == 0 {
             let name = clip.name.clone();
             self.report.leave_out(LeftOut::EmptyClip, || name);
@@ -283,6 +295,32 @@ impl Clips {
         self.clips.push(clip);
     }
 
+    /// Leaves out the clips without stored detections, with a note for each.
+    ///
+    /// # Errors
+    /// [`DataError::File`] about `path` when none is left.
+    pub fn only_with_detections(mut self, path: &Path) -> Result<Self, DataError> {
+        let (with, without): (Vec<Clip>, Vec<Clip>) = self
+            .clips
+            .into_iter()
+            .partition(|clip| clip.detections.is_some());
+        self.clips = with;
+        if self.clips.is_empty() {
+            return Err(DataError::file(
+                path,
+                "there is ground truth but no stored detections: give some with --detections, or \
+                 evaluate the pictures with a real detector",
+            ));
+        }
+        self.report.notes.extend(without.iter().map(|clip| {
+            format!(
+                "{}: ground truth without stored detections, left out",
+                clip.name
+            )
+        }));
+        Ok(self)
+    }
+
     /// Fails unless there is a clip to evaluate.
     pub(crate) fn nonempty(self, path: &Path) -> Result<Self, DataError> {
         if self.clips.is_empty() {
@@ -295,3 +333,6 @@ impl Clips {
         Ok(self)
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,49 @@
+# albireo: the two commands are `make demo` and `make test`; `make help` lists the rest.
+
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+
+CACHE := .cache
+ONNXRUNTIME := $(CACHE)/onnxruntime/.ready
+PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
+DEMO_SECONDS ?=
+
+.PHONY: help demo test lint onnxruntime python debian release bench clean
+
+help: ## list the commands
+	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+demo: onnxruntime ## camera, node and live output in one process, with nothing to configure (DEMO_SECONDS=N stops it)
+	cargo build --locked
+	@exec target/debug/albireo demo $(if $(DEMO_SECONDS),--seconds $(DEMO_SECONDS))
+
+test: onnxruntime python debian ## fetch what the tests need and run them all
+	@bash tests/run.sh
+
+lint: ## formatting and clippy, as the continuous integration does
+	cargo fmt --check
+	cargo clippy --locked --all-targets -- -D warnings
+
+bench: onnxruntime ## the benches, optimised (takes a while the first time)
+	cargo bench --locked
+
+release: ## the optimised program in target/release/albireo
+	cargo build --locked --release
+
+onnxruntime: $(ONNXRUNTIME) ## the ONNX Runtime library, from its Python wheel
+$(ONNXRUNTIME): deploy/fetch-onnxruntime.sh
+	bash deploy/fetch-onnxruntime.sh $(CACHE)/onnxruntime
+	@touch $@
+
+python: $(PYTHON_ENVIRONMENT) ## the Python environment of the tests' independent clients
+$(PYTHON_ENVIRONMENT): tests/requirements.txt
+	python3 -m venv $(CACHE)/python
+	$(CACHE)/python/bin/python -m pip install --quiet --disable-pip-version-check -r tests/requirements.txt
+	@touch $@
+
+debian: ## Debian packages the tests use, installed when missing and when allowed
+	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl
+
+clean: ## remove what was built and fetched
+	cargo clean
+	rm -rf $(CACHE)

@@ -1,0 +1,32 @@
+//! `albireo check`: says what is wrong with a configuration file.
+
+use crate::node::config::NodeConfig;
+use std::path::PathBuf;
+
+const EXAMPLES: &str = "\
+Environment variables (ALBIREO_SECTION__KEY) are looked at too, as `albireo node` would.
+Exit code 0 when the file can be used, 1 when not.
+
+Examples:
+  albireo check config/node.toml
+  ALBIREO_HTTP__LISTEN=0.0.0.0:8080 albireo check config/node.toml";
+
+/// Arguments of `albireo check`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// The node's configuration file.
+    file: PathBuf,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let config = NodeConfig::load(Some(&arguments.file))?;
+    println!(
+        "{} can be used: node `{}`, {} camera{}",
+        arguments.file.display(),
+        config.node.name,
+        config.cameras.len(),
+        if config.cameras.len() == 1 { "" } else { "s" },
+    );
+    Ok(())
+}

@@ -1,0 +1,179 @@
+//! `albireo demo`: a camera and a node in one process, talking over a real Zenoh session, with live output.
+
+mod show;
+
+use super::node::run_prepared;
+use super::replay::{
+    PublishOptions, Rate, SourceName, VideoEncoding, declare_frame_publisher, open_session,
+    publish, wait_for_subscriber,
+};
+use super::{logging, signals};
+use crate::node::PreparedNode;
+use crate::node::config::{CameraConfig, LogConfig, NodeConfig};
+use anyhow::{Context, bail};
+use show::Show;
+use std::path::PathBuf;
+use std::time::Duration;
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+
+const EXAMPLES: &str = "\
+Examples:
+  albireo demo                      until Ctrl-C
+  albireo demo --seconds 60         one minute, then a summary
+  albireo demo --seed 42 --u 1e-3   another world, a higher threshold
+While it runs, in another terminal:
+  curl localhost:8080/api/v1/frame-states
+  curl -X PUT localhost:8080/api/v1/threshold -H 'content-type: application/json' -d '{\"u\":7e-4}'";
+
+/// The camera of the demonstration.
+const CAMERA: &str = "dashcam";
+
+/// How long the camera waits for the node: its model is loaded and warmed up first.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Arguments of `albireo demo`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// Stop after so many seconds [default: run until Ctrl-C]
+    #[arg(long, value_name = "SECONDS")]
+    seconds: Option<u64>,
+    /// World the synthetic dashcam drives through
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Frames per second
+    #[arg(long, value_name = "FPS", default_value_t = 10.0)]
+    rate: f64,
+    /// Play a video or a folder of pictures in place of the synthetic dashcam
+    #[arg(long, value_name = "FILE", conflicts_with = "seed")]
+    source: Option<SourceName>,
+    /// Policy that decides
+    #[arg(long, default_value = "albireo")]
+    policy: String,
+    /// Uncertainty threshold at the start
+    #[arg(long)]
+    u: Option<f64>,
+    /// Folder with the demonstration models
+    #[arg(long, value_name = "FOLDER", default_value = "models")]
+    models: PathBuf,
+    /// Port of the HTTP interface; another free one when it is taken
+    #[arg(long, default_value_t = 8080)]
+    port: u16,
+}
+
+/// Runs the demonstration.
+///
+/// # Errors
+/// When a part cannot start.
+pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    logging::start(&LogConfig {
+        level: "warn".to_owned(),
+        ..LogConfig::default()
+    })?;
+    let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+    if let Some(seconds) = arguments.seconds {
+        let shutdown = shutdown.clone();
+        tokio::spawn(async move {
+            tokio::time::sleep(Duration::from_secs(seconds)).await;
+            shutdown.cancel();
+        });
+    }
+
+    let listener = listen(arguments.port).await?;
+    let address = listener.local_addr()?;
+    let endpoint = format!("tcp/127.0.0.1:{}", listen(7447).await?.local_addr()?.port());
+    let config = configuration(&arguments, &endpoint)?;
+    let prepared = PreparedNode::new(&config)?;
+    let show = Show::new(prepared.board(), &config, address);
+    show.banner();
+
+    // Whichever part ends first ends the others.
+    let node = ending(
+        &shutdown,
+        run_prepared(&config, prepared, listener, shutdown.clone()),
+    );
+    let camera = ending(&shutdown, camera(&arguments, &config, &endpoint, &shutdown));
+    let (node, camera, summary) = tokio::join!(node, camera, show.run(shutdown.clone()));
+    camera.and(node)?;
+    summary.print();
+    Ok(())
+}
+
+async fn ending<T>(shutdown: &CancellationToken, work: impl Future<Output = T>) -> T {
+    let ended = work.await;
+    shutdown.cancel();
+    ended
+}
+
+/// A listener on that port of the loopback interface, or on any free one when it is taken.
+async fn listen(port: u16) -> anyhow::Result<TcpListener> {
+    if let Ok(listener) = TcpListener::bind(("127.0.0.1", port)).await {
+        return Ok(listener);
+    }
+    TcpListener::bind(("127.0.0.1", 0))
+        .await
+        .context("no port of the loopback interface can be listened on")
+}
+
+fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeConfig> {
+    let mut config = NodeConfig::default();
+    config.node.name = "demo".to_owned();
+    config.zenoh.listen = vec![endpoint.to_owned()];
+    config.detector.model = arguments.models.join("detector.onnx");
+    config.screen.model = Some(arguments.models.join("screen.onnx"));
+    config.policy.name.clone_from(&arguments.policy);
+    if let Some(u) = arguments.u {
+        config.policy.u = u;
+    }
+    config.cameras = vec![CameraConfig::named(CAMERA)];
+    if !config.detector.model.exists() {
+        bail!(
+            "{} is not there: run the demonstration in the project's folder, or name the folder of the \
+             models with --models",
+            config.detector.model.display()
+        );
+    }
+    if let Some(problem) = config.problems().into_iter().next() {
+        bail!("{problem}");
+    }
+    Ok(config)
+}
+
+/// Plays the camera until `shutdown`.
+async fn camera(
+    arguments: &Arguments,
+    config: &NodeConfig,
+    endpoint: &str,
+    shutdown: &CancellationToken,
+) -> anyhow::Result<()> {
+    let source = arguments.source.clone().unwrap_or(SourceName::Synthetic {
+        seed: arguments.seed,
+    });
+    let source = source
+        .open(Some(arguments.rate), VideoEncoding::default())
+        .await?;
+    let options = PublishOptions {
+        rate: Rate::PerSecond(arguments.rate),
+        repeat: true,
+        frames: None,
+        clip: Some(source.name().to_owned()),
+        clip_seconds: source.clip_seconds(),
+        first_sequence: 0,
+    };
+    let key = config.keys()?.camera(CAMERA)?.frame();
+    let playing = async {
+        let session = open_session(&[endpoint.to_owned()], &[], PATIENCE).await?;
+        let publisher = declare_frame_publisher(&session, &key, false).await?;
+        wait_for_subscriber(&publisher, PATIENCE).await?;
+        publish(source, publisher, &options, |_| {}, shutdown).await?;
+        session
+            .close()
+            .await
+            .map_err(|error| anyhow::anyhow!("{error}"))
+    };
+    tokio::select! {
+        played = playing => played.context("camera"),
+        () = shutdown.cancelled() => Ok(()),
+    }
+}

@@ -1,0 +1,218 @@
+//! What the demonstration prints: an address, a live line, a line for every clip, a summary.
+
+use crate::node::board::{Board, Event};
+use crate::node::config::NodeConfig;
+use crate::wire::{ClipReport, DetectionsMessage, EnergyQuality, FrameStates};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::sync::broadcast::Receiver;
+use tokio::sync::broadcast::error::RecvError;
+use tokio_util::sync::CancellationToken;
+
+/// How long after the end the last clip's report is waited for.
+const LAST_REPORT: Duration = Duration::from_secs(3);
+
+/// Follows a node's board and prints.
+pub(super) struct Show {
+    board: Arc<Board>,
+    events: Receiver<Event>,
+    address: SocketAddr,
+    model: String,
+    started: Instant,
+    bar: ProgressBar,
+}
+
+/// What there was in all.
+#[derive(Debug, Default)]
+pub(super) struct Summary {
+    seconds: f64,
+    first_detection: Option<f64>,
+    clips: u64,
+    states: FrameStates,
+    dropped: u64,
+    joules: f64,
+    quality: Option<EnergyQuality>,
+    source: String,
+}
+
+impl Show {
+    pub(super) fn new(board: &Arc<Board>, config: &NodeConfig, address: SocketAddr) -> Self {
+        let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::stdout());
+        if let Ok(style) = ProgressStyle::with_template("{spinner} {msg}") {
+            bar.set_style(style);
+        }
+        Self {
+            board: Arc::clone(board),
+            events: board.subscribe(),
+            address,
+            model: config.detector.model.display().to_string(),
+            started: Instant::now(),
+            bar,
+        }
+    }
+
+    pub(super) fn banner(&self) {
+        println!("albireo demo: synthetic dashcam -> Zenoh -> {}", self.model);
+        println!("  page     http://{}/", self.address);
+        println!(
+            "  counters curl http://{}/api/v1/frame-states",
+            self.address
+        );
+        println!(
+            "  tune u   curl -X PUT http://{}/api/v1/threshold \\\n             -H 'content-type: application/json' -d '{{\"u\":7e-4}}'",
+            self.address
+        );
+        println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue\n");
+        println!("{HEADING}");
+    }
+
+    /// Prints until `shutdown` and the last clip's report.
+    pub(super) async fn run(mut self, shutdown: CancellationToken) -> Summary {
+        let mut summary = Summary::default();
+        let end = async {
+            shutdown.cancelled().await;
+            tokio::time::sleep(LAST_REPORT).await;
+        };
+        tokio::pin!(end);
+        loop {
+            let event = tokio::select! {
+                biased;
+                event = self.events.recv() => event,
+                () = &mut end => break,
+            };
+            match event {
+                Ok(Event::Frame(frame)) => {
+                    if summary.first_detection.is_none() && !frame.detections.boxes.is_empty() {
+                        let seconds = self.started.elapsed().as_secs_f64();
+                        summary.first_detection = Some(seconds);
+                        self.say(&format!("first detection after {seconds:.1} s"));
+                    }
+                    summary.seconds = self.started.elapsed().as_secs_f64();
+                    self.bar
+                        .set_message(live_line(&self.board, &frame.detections));
+                    self.bar.tick();
+                }
+                Ok(Event::Clip(report)) => {
+                    self.say(&clip_line(&report));
+                    summary.add(&report);
+                    if shutdown.is_cancelled() {
+                        break;
+                    }
+                }
+                Ok(_) | Err(RecvError::Lagged(_)) => {}
+                Err(RecvError::Closed) => break,
+            }
+        }
+        self.bar.finish_and_clear();
+        summary
+    }
+
+    fn say(&self, line: &str) {
+        self.bar.suspend(|| println!("{line}"));
+    }
+}
+
+const HEADING: &str =
+    "clip               frames    E    P  E+I    I   AI   skip   energy        EDP";
+
+/// What happens now, in one line.
+fn live_line(board: &Board, message: &DetectionsMessage) -> String {
+    let mut classes = BTreeMap::<&str, u32>::new();
+    for found in &message.boxes {
+        *classes.entry(&found.class).or_default() += 1;
+    }
+    let objects: Vec<_> = classes
+        .iter()
+        .map(|(class, count)| format!("{count} {class}"))
+        .collect();
+    let skip_rate = board
+        .cameras()
+        .first()
+        .map_or(0.0, |camera| camera.snapshot().states.skip_rate());
+    let u = message.u.map_or_else(String::new, |u| format!("  u {u:e}"));
+    let line = format!(
+        "frame {:>5}  {:<3} {:>5.1} ms{u}  skip {:>4.1} %  {}",
+        message.seq,
+        message.state,
+        message.latency_ms.total,
+        skip_rate * 100.0,
+        objects.join(", ")
+    );
+    // One line of an 80-column terminal, beside the spinner.
+    line.chars().take(77).collect()
+}
+
+/// A clip's row under [`HEADING`].
+fn clip_line(report: &ClipReport) -> String {
+    let states = &report.states;
+    let mark = mark(report.energy.quality);
+    let number = |value: Option<f64>, decimals: usize, unit: &str| {
+        value.map_or_else(
+            || "-".to_owned(),
+            |value| format!("{value:.decimals$}{mark} {unit}"),
+        )
+    };
+    format!(
+        "{:<18} {:>6} {:>4} {:>4} {:>4} {:>4} {:>4} {:>5.1}% {:>9} {:>12}",
+        report.clip,
+        report.frames,
+        states.e,
+        states.p,
+        states.ei,
+        states.i,
+        states.ai,
+        report.skip_rate * 100.0,
+        number(report.energy.joules, 1, "J"),
+        number(report.energy.edp, 0, "J·ms"),
+    )
+}
+
+/// Marks what no meter has read.
+const fn mark(quality: EnergyQuality) -> &'static str {
+    match quality {
+        EnergyQuality::Estimated => "*",
+        EnergyQuality::Partial => "+",
+        EnergyQuality::Measured | EnergyQuality::Unavailable => "",
+    }
+}
+
+impl Summary {
+    fn add(&mut self, report: &ClipReport) {
+        self.clips += 1;
+        self.states += report.states;
+        self.dropped += report.dropped.total();
+        self.joules += report.energy.joules.unwrap_or_default();
+        self.source.clone_from(&report.energy.source);
+        // The least trustworthy part says how far to trust the sum.
+        self.quality = self.quality.max(Some(report.energy.quality));
+    }
+
+    pub(super) fn print(&self) {
+        let frames = self.states.frames();
+        println!(
+            "\n{frames} frames in {} clips, {:.0} s; detector skipped on {:.1} % ({} of {frames}), dropped {}",
+            self.clips,
+            self.seconds,
+            self.states.skip_rate() * 100.0,
+            self.states.e + self.states.p,
+            self.dropped,
+        );
+        match self.quality {
+            Some(EnergyQuality::Measured) => {
+                println!("energy {:.1} J, measured by {}", self.joules, self.source);
+            }
+            Some(EnergyQuality::Partial) => println!(
+                "energy {:.1} J, measured by {} with gaps (+)",
+                self.joules, self.source
+            ),
+            Some(EnergyQuality::Estimated) => println!(
+                "energy {:.1} J: estimated from utilisation (*), no power meter here",
+                self.joules
+            ),
+            Some(EnergyQuality::Unavailable) | None => println!("energy not known: no source"),
+        }
+    }
+}

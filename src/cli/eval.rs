@@ -1,0 +1,370 @@
+//! `albireo eval`: accuracy, skip rate, time and energy of policies on recordings.
+
+use crate::eval::average_precision::{Classes, Interpolation};
+use crate::eval::data::{Clips, bdd100k, coco, kitti, mot_challenge, recorded};
+use crate::eval::energy_model::EnergyModel;
+use crate::eval::replay::Scoring;
+use crate::eval::report::Report;
+use crate::eval::report::plot::{PowerTrace, RibbonFrame};
+use crate::eval::result::{ClipResult, Provenance};
+use crate::eval::run::{Settings, run_stored};
+use crate::eval::source::ScreenRule;
+use crate::eval::spec::{Common, PolicySpec, Sweep, resolve};
+use crate::eval::{energy_fit, paper, paper_text, published, summary, table};
+use crate::geometry::PictureSize;
+use crate::policy::Profile;
+use anyhow::Context;
+use clap::{Args, Subcommand};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::path::{Path, PathBuf};
+
+const EXAMPLES: &str = "\
+Examples:
+  albireo eval recorded DIR --policy albireo --sweep u=3e-4,5e-4,7e-4,1e-3
+      what each threshold costs in accuracy and saves in detector calls
+  albireo eval recorded DIR --profile reference --screen detections --traces traces
+      the published code's decisions, frame by frame";
+
+/// Compare policies side by side: accuracy, skip rate, frame time, energy.
+#[derive(Debug, Args)]
+#[command(after_help = EXAMPLES)]
+pub struct EvalArguments {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    /// Replay recorded detections: a folder with sequences.json, detections/ and groundtruth/.
+    Recorded {
+        /// The folder.
+        folder: PathBuf,
+        #[command(flatten)]
+        run: RunArguments,
+    },
+    /// Replay the public detections of a MOTChallenge sequence, or of a folder of sequences.
+    #[command(name = "motchallenge")]
+    MotChallenge {
+        /// The folder, with seqinfo.ini, gt/ and det/, or with such folders.
+        folder: PathBuf,
+        #[command(flatten)]
+        run: RunArguments,
+    },
+    /// Replay stored detections on KITTI tracking: a folder with label_02/ and det_02/.
+    Kitti {
+        /// The folder.
+        folder: PathBuf,
+        #[command(flatten)]
+        run: RunArguments,
+    },
+    /// Replay stored detections on BDD100K MOT (box_track_20), or any labels in the Scalabel form.
+    Bdd100k {
+        /// Labels: a JSON file or a folder of them.
+        ground_truth: PathBuf,
+        /// Predictions with scores, in the same form.
+        #[arg(long)]
+        detections: PathBuf,
+        /// Size of the pictures, which the files do not say.
+        #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = picture_size)]
+        size: PictureSize,
+        /// Frames a second.
+        #[arg(long, default_value_t = bdd100k::BDD100K_FRAME_RATE)]
+        frame_rate: f64,
+        #[command(flatten)]
+        run: RunArguments,
+    },
+    /// Replay stored detections on a COCO data set.
+    Coco {
+        /// The data set: images, annotations and categories.
+        dataset: PathBuf,
+        /// Detections as a list of results.
+        #[arg(long)]
+        detections: PathBuf,
+        #[command(flatten)]
+        run: RunArguments,
+    },
+    /// Recompute the paper's main table from published per-clip results.
+    Paper {
+        /// Files with a row per clip and system.
+        #[arg(required = true)]
+        files: Vec<PathBuf>,
+        /// Write the figures as JSON here.
+        #[arg(long, value_name = "FILE")]
+        json: Option<PathBuf>,
+    },
+    /// Fit an energy model to published per-clip results of a board.
+    FitEnergy {
+        /// File with a row per clip and system.
+        file: PathBuf,
+        /// Name of the board.
+        #[arg(long)]
+        board: String,
+        /// Name of the detector that ran.
+        #[arg(long)]
+        detector: String,
+        /// Where the file comes from; goes into the model.
+        #[arg(long)]
+        source: String,
+        /// Where to write the model; standard output without it.
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+}
+
+/// Reads WIDTHxHEIGHT.
+fn picture_size(text: &str) -> Result<PictureSize, String> {
+    text.split_once('x')
+        .and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)))
+        .map(|(width, height)| PictureSize::new(width, height))
+        .filter(|size| size.pixels() > 0)
+        .ok_or_else(|| "write the size in pixels as WIDTHxHEIGHT, for instance 1280x720".to_owned())
+}
+
+/// What every comparison of policies takes.
+#[derive(Debug, Args)]
+struct RunArguments {
+    /// Whose definitions hold where the published code and the paper's text differ.
+    #[arg(long, value_enum, default_value_t = Scoring::Paper)]
+    profile: Scoring,
+    /// A policy, as NAME or NAME:SETTING; may be given several times. Vanilla always runs too.
+    #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
+    policy: Vec<String>,
+    /// Uncertainty threshold of the policies that have one.
+    #[arg(long, default_value_t = 3e-4)]
+    u: f64,
+    /// Values of a setting to try one after the other, for instance u=3e-4,5e-4,7e-4,1e-3.
+    #[arg(long, value_name = "NAME=VALUE,…")]
+    sweep: Vec<Sweep>,
+    /// What the empty-scene screen says: never "empty", or "empty" exactly when nothing is detected.
+    #[arg(long, value_enum, default_value_t = ScreenRule::Nonempty)]
+    screen: ScreenRule,
+    /// Detections below this confidence are not used.
+    #[arg(long, default_value_t = 0.5)]
+    confidence: f64,
+    /// Judge every class by itself instead of all as one.
+    #[arg(long)]
+    per_class: bool,
+    /// Area under the precision-recall curve at COCO's 101 recall levels instead of all points.
+    #[arg(long)]
+    coco_interpolation: bool,
+    /// Project energy and frame time with this model where none is measured.
+    #[arg(long, value_name = "FILE")]
+    energy_model: Option<PathBuf>,
+    /// Write what each policy did, frame by frame, to DIR/POLICY/SEQUENCE.jsonl.gz.
+    #[arg(long, value_name = "DIR")]
+    traces: Option<PathBuf>,
+    /// Write summary.csv, report.json, plots and report.html here.
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Threads; 0 for as many as the machine has.
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+}
+
+/// Runs the command; tables go to standard output, everything else to standard error.
+///
+/// # Errors
+/// A sentence with what was wrong, where, and what to do.
+pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
+    match &arguments.what {
+        What::Recorded { folder, run } => compare(recorded::read(folder)?, folder, run),
+        What::MotChallenge { folder, run } => compare(mot_challenge::read(folder)?, folder, run),
+        What::Kitti { folder, run } => compare(kitti::read(folder)?, folder, run),
+        What::Bdd100k {
+            ground_truth,
+            detections,
+            size,
+            frame_rate,
+            run,
+        } => {
+            let source = bdd100k::Source {
+                truth: Some(ground_truth),
+                detections: Some(detections),
+                picture: *size,
+                frame_rate: Some(*frame_rate).filter(|rate| rate.is_finite() && *rate > 0.0),
+            };
+            compare(bdd100k::read(&source)?, ground_truth, run)
+        }
+        What::Coco {
+            dataset,
+            detections,
+            run,
+        } => compare(coco::read(dataset, Some(detections))?, dataset, run),
+        What::Paper { files, json } => recompute(files, json.as_deref()),
+        What::FitEnergy {
+            file,
+            board,
+            detector,
+            source,
+            out,
+        } => {
+            let rows = published::read(file)?;
+            let model = energy_fit::fit(&rows, board, detector, source)?;
+            let text = toml::to_string(&model).context("writing the model as TOML")?;
+            match out {
+                Some(path) => std::fs::write(path, text)
+                    .with_context(|| format!("cannot write {}", path.display())),
+                None => {
+                    print!("{text}");
+                    Ok(())
+                }
+            }
+        }
+    }
+}
+
+/// Prints the main table of every file.
+fn recompute(files: &[PathBuf], json: Option<&Path>) -> anyhow::Result<()> {
+    let mut tables = serde_json::Map::new();
+    for file in files {
+        let rows = paper::table(&published::read(file)?);
+        let name = file.display().to_string();
+        println!("{}", paper_text::render(&name, &rows));
+        tables.insert(name, serde_json::to_value(rows)?);
+    }
+    if let Some(path) = json {
+        std::fs::write(path, serde_json::to_vec_pretty(&tables)?)
+            .with_context(|| format!("cannot write {}", path.display()))?;
+    }
+    Ok(())
+}
+
+/// Runs all policies asked for over `clips` and reports.
+fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Result<()> {
+    anyhow::ensure!(
+        (0.0..=1.0).contains(&arguments.confidence),
+        "--confidence {} is not between 0 and 1",
+        arguments.confidence
+    );
+    let clips = clips.only_with_detections(path)?;
+    let policies = policies(arguments)?;
+    let settings = settings(arguments)?;
+    for line in clips.report.lines() {
+        eprintln!("{line}");
+    }
+    let bar = ProgressBar::new((clips.clips.len() * policies.len()) as u64).with_style(
+        ProgressStyle::with_template(
+            "{bar:40} {pos}/{len} clips x policies, {elapsed}, {eta} left",
+        )
+        .context("the progress bar's template")?,
+    );
+    let results = run_stored(&clips.clips, &policies, &settings, &|| bar.inc(1))?;
+    bar.finish_and_clear();
+    let power = settings
+        .energy_model
+        .as_ref()
+        .map_or_else(Vec::new, |model| projected_power(model, &results));
+    let report = Report {
+        title: format!("Stored detections of {}", path.display()),
+        settings: listed(arguments),
+        data: clips.report,
+        policies: summary::summarise(&results),
+        clips: results,
+        power,
+    };
+    print!("{}", table::render(&report.policies));
+    if let Some(folder) = &arguments.out {
+        report.write(folder)?;
+        eprintln!("Written to {}", folder.display());
+    }
+    Ok(())
+}
+
+/// Power over the longest clip under the baseline and the first two other policies.
+fn projected_power(model: &EnergyModel, results: &[ClipResult]) -> Vec<PowerTrace> {
+    let Some(longest) = results.iter().max_by_key(|result| result.frames) else {
+        return Vec::new();
+    };
+    results
+        .iter()
+        .filter(|result| result.clip == longest.clip)
+        .take(3)
+        .map(|result| {
+            let watts = model.power_trace(result);
+            PowerTrace {
+                clip: result.clip.clone(),
+                policy: result.policy.clone(),
+                provenance: Provenance::Projected,
+                frames: watts
+                    .iter()
+                    .zip(&result.sequence)
+                    .map(|(&(end_s, _), &state)| RibbonFrame { end_s, state })
+                    .collect(),
+                watts,
+            }
+        })
+        .collect()
+}
+
+fn policies(arguments: &RunArguments) -> anyhow::Result<Vec<PolicySpec>> {
+    let common = Common {
+        profile: match arguments.profile {
+            Scoring::Reference => Profile::Reference,
+            Scoring::Paper => Profile::Paper,
+        },
+        u: arguments.u,
+        screen: Some(arguments.screen),
+    };
+    Ok(resolve(&arguments.policy, &arguments.sweep, &common)?)
+}
+
+fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
+    let energy_model = arguments
+        .energy_model
+        .as_deref()
+        .map(EnergyModel::load)
+        .transpose()?;
+    Ok(Settings {
+        scoring: arguments.profile,
+        confidence: arguments.confidence,
+        screen: arguments.screen,
+        classes: if arguments.per_class {
+            Classes::Separate
+        } else {
+            Classes::Pooled
+        },
+        interpolation: if arguments.coco_interpolation {
+            Interpolation::Coco101
+        } else {
+            Interpolation::AllPoints
+        },
+        traces: arguments.traces.clone(),
+        energy_model,
+        threads: arguments.threads,
+    })
+}
+
+/// The settings that decide what the figures mean.
+fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
+    let profile = match arguments.profile {
+        Scoring::Reference => "reference (the published code)",
+        Scoring::Paper => "paper (the paper's text)",
+    };
+    let classes = if arguments.per_class {
+        "each by itself, then their mean"
+    } else {
+        "pooled, as the published evaluator"
+    };
+    let area = if arguments.coco_interpolation {
+        "at COCO's 101 recall levels"
+    } else {
+        "at all points"
+    };
+    let mut listed = vec![
+        ("Profile", profile.to_owned()),
+        (
+            "Detector confidence",
+            format!("at least {}", arguments.confidence),
+        ),
+        ("Empty-scene screen", arguments.screen.as_str().to_owned()),
+        ("Classes", classes.to_owned()),
+        ("Average precision", area.to_owned()),
+    ];
+    if let Some(model) = &arguments.energy_model {
+        listed.push(("Energy", format!("projected with {}", model.display())));
+    }
+    listed
+        .into_iter()
+        .map(|(name, value)| (name.to_owned(), value))
+        .collect()
+}

@@ -1,0 +1,291 @@
+//! `albireo replay`: any machine plays a camera.
+
+mod folder;
+mod publish;
+mod session;
+mod source;
+mod synthetic;
+mod video;
+
+pub use folder::PictureFolder;
+pub use publish::{OutgoingFrame, PublishOptions, Rate, Sent, declare_frame_publisher, publish};
+pub use session::{DEFAULT_ENDPOINT, flush, open_session, wait_for_subscriber};
+pub use source::{FrameSource, SourceName, Stopper};
+pub use synthetic::Synthetic;
+pub use video::{Ffmpeg, Video, VideoEncoding};
+
+use crate::wire::NodeKeys;
+use anyhow::{Context, anyhow};
+use clap::Args;
+use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+
+/// How long the receiver may take for the frames still on their way at the end.
+const FLUSH_PATIENCE: Duration = Duration::from_secs(300);
+
+/// Arguments of `albireo replay`.
+#[derive(Args, Clone, Debug)]
+#[command(
+    about = "Publish a video, a folder of pictures or the synthetic dashcam as a camera",
+    after_help = "Examples:
+  albireo replay drive.mp4 --node car-7 --camera front
+      a video at its own speed, to the node on this machine; needs ffmpeg
+  albireo replay drive.mp4 --every --wait-for-subscriber
+      every frame arrives: wait for the node, and wait when it is slow
+  albireo replay pictures/ --rate 5 --loop --clip-seconds 40
+      a folder, five pictures a second, for ever, in clips of 40 s
+  albireo replay synth:7 --connect tcp/192.168.0.20:7447
+      the synthetic dashcam with seed 7, to another machine
+  albireo replay rtsp://camera.local/stream --key site/gate/frames
+      a network camera, on a key of one's own"
+)]
+pub struct ReplayArguments {
+    /// A video file or address, a folder of JPEG and PNG files, or synth:SEED
+    pub source: SourceName,
+
+    /// First part of the key PREFIX/NODE/CAMERA/frame
+    #[arg(long, default_value = "albireo")]
+    pub prefix: String,
+    /// Node the frames are for
+    #[arg(long, default_value = "node")]
+    pub node: String,
+    /// Camera to play
+    #[arg(long, default_value = "front")]
+    pub camera: String,
+    /// Publish on this key instead
+    #[arg(long, conflicts_with_all = ["prefix", "node", "camera"])]
+    pub key: Option<String>,
+
+    /// Zenoh endpoint to connect to, may be given again [default: tcp/127.0.0.1:7447]
+    #[arg(long, value_name = "ENDPOINT")]
+    pub connect: Vec<String>,
+    /// Zenoh endpoint to listen on, may be given again
+    #[arg(long, value_name = "ENDPOINT")]
+    pub listen: Vec<String>,
+    /// Wait for a subscriber before the first frame, at most SECONDS (60 when not said)
+    #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "60")]
+    pub wait_for_subscriber: Option<u64>,
+    /// Lose nothing: wait when the network or the node is slow, instead of dropping frames as a camera
+    /// does. The node's camera needs delivery = "every" for it.
+    #[arg(long)]
+    pub every: bool,
+
+    /// Frames per second, or `max` for as fast as possible [default: the source's own]
+    #[arg(long, value_name = "FPS", value_parser = parse_rate)]
+    pub rate: Option<Rate>,
+    /// Begin again at the end, until stopped
+    #[arg(long = "loop")]
+    pub repeat: bool,
+    /// Stop after this many frames
+    #[arg(long, value_name = "COUNT")]
+    pub frames: Option<u64>,
+    /// Clip id; numbered when there is more than one clip [default: the source's name]
+    #[arg(long, value_name = "ID")]
+    pub clip: Option<String>,
+    /// Begin a new clip after this many seconds [default: one clip a pass; 20 s for the synthetic dashcam]
+    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
+    pub clip_seconds: Option<f64>,
+    /// Name no clips: the node cuts by its own time window
+    #[arg(long, conflicts_with_all = ["clip", "clip_seconds"])]
+    pub no_clip: bool,
+    /// How a video's frames are encoded
+    #[arg(long, value_enum, default_value_t)]
+    pub encoding: VideoEncoding,
+}
+
+fn parse_rate(text: &str) -> Result<Rate, String> {
+    if text == "max" {
+        return Ok(Rate::Unpaced);
+    }
+    match text.parse::<f64>() {
+        Ok(rate) if rate > 0.0 && rate <= 1000.0 => Ok(Rate::PerSecond(rate)),
+        _ => Err("must be `max` or a number above 0, at most 1000".to_owned()),
+    }
+}
+
+fn parse_seconds(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(seconds) if seconds > 0.0 && seconds.is_finite() => Ok(seconds),
+        _ => Err("must be a number above 0".to_owned()),
+    }
+}
+
+impl ReplayArguments {
+    /// The key to publish on.
+    ///
+    /// # Errors
+    /// When a name cannot stand in a key.
+    pub fn frame_key(&self) -> anyhow::Result<String> {
+        match &self.key {
+            Some(key) => Ok(key.clone()),
+            None => Ok(NodeKeys::new(&self.prefix, &self.node)?
+                .camera(&self.camera)?
+                .frame()),
+        }
+    }
+
+    /// What is sent of `source`.
+    pub fn publish_options(&self, source: &dyn FrameSource) -> PublishOptions {
+        let clip = self
+            .clip
+            .clone()
+            .unwrap_or_else(|| source.name().to_owned());
+        PublishOptions {
+            rate: self.rate.unwrap_or_default(),
+            repeat: self.repeat,
+            frames: self.frames,
+            clip: (!self.no_clip).then_some(clip),
+            clip_seconds: self.clip_seconds.or(source.clip_seconds()),
+            first_sequence: 0,
+        }
+    }
+}
+
+/// Replays until the source ends or `shutdown`, then says what was sent.
+///
+/// # Errors
+/// When the source cannot be read, the node cannot be reached, or nobody listens in time.
+pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> anyhow::Result<Sent> {
+    let key = arguments.frame_key()?;
+    let rate = match arguments.rate {
+        Some(Rate::PerSecond(rate)) => Some(rate),
+        _ => None,
+    };
+    let source = arguments.source.open(rate, arguments.encoding).await?;
+    let options = arguments.publish_options(source.as_ref());
+    let patience = Duration::from_secs(arguments.wait_for_subscriber.unwrap_or(0));
+    let session = tokio::select! {
+        session = open_session(&arguments.connect, &arguments.listen, patience) => session?,
+        () = shutdown.cancelled() => return Ok(Sent::default()),
+    };
+    let publisher = declare_frame_publisher(&session, &key, arguments.every).await?;
+    if arguments.wait_for_subscriber.is_some() {
+        tokio::select! {
+            waited = wait_for_subscriber(&publisher, patience) => waited?,
+            () = shutdown.cancelled() => return Ok(Sent::default()),
+        }
+    }
+    let total = match (options.frames, source.frames()) {
+        (Some(frames), Some(own)) if !options.repeat => Some(frames.min(own)),
+        (Some(frames), _) => Some(frames),
+        (None, own) => own.filter(|_| !options.repeat),
+    };
+    let bar = progress_bar(total)?;
+    let sent = publish(
+        source,
+        publisher,
+        &options,
+        |sent| {
+            bar.set_position(sent.frames);
+            bar.set_message(HumanBytes(sent.bytes).to_string());
+        },
+        &shutdown,
+    )
+    .await;
+    bar.finish_and_clear();
+    if arguments.every {
+        tokio::select! {
+            flushed = flush(&session, &key, FLUSH_PATIENCE) => flushed?,
+            () = shutdown.cancelled() => {}
+        }
+    }
+    session
+        .close()
+        .await
+        .map_err(|error| anyhow!("closing the Zenoh session: {error}"))?;
+    let sent = sent?;
+    println!("{}", summary(&sent, &key));
+    Ok(sent)
+}
+
+fn progress_bar(total: Option<u64>) -> anyhow::Result<ProgressBar> {
+    let (bar, style) = match total {
+        Some(total) => (
+            ProgressBar::new(total),
+            "{bar:40} {pos}/{len} frames  {msg}  {per_sec}  {eta} left",
+        ),
+        None => (
+            ProgressBar::new_spinner(),
+            "{spinner} {pos} frames  {msg}  {per_sec}  {elapsed}",
+        ),
+    };
+    bar.set_style(ProgressStyle::with_template(style).context("progress bar")?);
+    Ok(bar)
+}
+
+/// One line on what was sent.
+fn summary(sent: &Sent, key: &str) -> String {
+    let seconds = sent.elapsed.as_secs_f64();
+    let mut line = format!(
+        "sent {} frames ({}) on {key} in {seconds:.1} s",
+        sent.frames,
+        HumanBytes(sent.bytes)
+    );
+    if sent.frames > 1 && seconds > 0.0 {
+        // The first frame begins the time, so it does not count for the rate.
+        line += &format!(", {:.1} frames/s", (sent.frames - 1) as f64 / seconds);
+    }
+    if sent.clips > 0 {
+        line += &format!(", clips: {}", sent.clips);
+    }
+    if sent.behind > 0 {
+        line += &format!("; frames that went out late: {}", sent.behind);
+    }
+    line
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Parser)]
+    struct Command {
+        #[command(flatten)]
+        replay: ReplayArguments,
+    }
+
+    fn parse(arguments: &[&str]) -> Result<ReplayArguments, String> {
+        Command::try_parse_from([&["replay"], arguments].concat())
+            .map(|command| command.replay)
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn the_key_is_the_camera_s_or_the_one_given() {
+        let key = |arguments| parse(arguments).unwrap().frame_key();
+        assert_eq!(key(&["synth"]).unwrap(), "albireo/node/front/frame");
+        let named = ["synth", "--prefix", "f", "--node", "n", "--camera", "c"];
+        assert_eq!(key(&named).unwrap(), "f/n/c/frame");
+        assert_eq!(key(&["synth", "--key", "a/b"]).unwrap(), "a/b");
+        assert!(key(&["synth", "--camera", "a/b"]).is_err());
+        assert!(parse(&["synth", "--key", "a", "--node", "n"]).is_err());
+    }
+
+    #[test]
+    fn rates_that_make_no_sense_are_refused() {
+        let rate = |text| parse(&["synth", "--rate", text]).map(|parsed| parsed.rate);
+        assert_eq!(rate("12.5").unwrap(), Some(Rate::PerSecond(12.5)));
+        assert_eq!(rate("max").unwrap(), Some(Rate::Unpaced));
+        for text in ["0", "-1", "nan", "inf", "fast"] {
+            assert!(rate(text).is_err(), "{text}");
+        }
+        assert!(parse(&["synth", "--clip-seconds", "0"]).is_err());
+    }
+
+    #[test]
+    fn the_summary_has_one_line_and_the_true_rate() {
+        let sent = Sent {
+            frames: 251,
+            bytes: 3 << 20,
+            clips: 2,
+            behind: 1,
+            elapsed: Duration::from_secs(10),
+        };
+        assert_eq!(
+            summary(&sent, "a/b"),
+            "sent 251 frames (3.00 MiB) on a/b in 10.0 s, 25.0 frames/s, clips: 2; frames that went out late: 1"
+        );
+    }
+}

@@ -1,0 +1,332 @@
+//! Plays a source on a frame key: when each frame is due, its number, its time and its clip.
+
+use super::source::{FrameSource, Stopper};
+use crate::frame::{EncodedPicture, PictureFormat};
+use crate::wire::{FrameAttachment, VERSION};
+use anyhow::{Context, anyhow, bail};
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::sync::mpsc;
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+use zenoh::Wait;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
+use zenoh::session::Session;
+
+/// How fast frames are sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Rate {
+    /// At the source's own rate.
+    #[default]
+    Source,
+    /// This many a second.
+    PerSecond(f64),
+    /// As fast as they are made and taken. Their capture times stay those of the source's own rate.
+    Unpaced,
+}
+
+/// What is sent of a source, and how.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct PublishOptions {
+    /// How fast.
+    pub rate: Rate,
+    /// Begin again at the end, for ever.
+    pub repeat: bool,
+    /// Stop after this many frames.
+    pub frames: Option<u64>,
+    /// Clip id, numbered (`name-0001`) when there can be more than one clip; `None` names no clips.
+    pub clip: Option<String>,
+    /// Begin a new clip after this many seconds of the source's time.
+    pub clip_seconds: Option<f64>,
+    /// Sequence number of the first frame.
+    pub first_sequence: u64,
+}
+
+/// What was sent so far.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sent {
+    /// Frames.
+    pub frames: u64,
+    /// Bytes of their payloads.
+    pub bytes: u64,
+    /// Clips begun.
+    pub clips: u64,
+    /// Frames sent more than one period after they were due: the source or the network was too slow.
+    pub behind: u64,
+    /// From the first frame until now.
+    pub elapsed: Duration,
+}
+
+/// A frame to be sent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OutgoingFrame {
+    /// The picture.
+    pub picture: EncodedPicture,
+    /// What is said beside it.
+    pub attachment: FrameAttachment,
+}
+
+/// Declares a publisher for frames. With `every` the sender waits when the network or the receiver is
+/// slow; without, frames are dropped then, as a camera's should be.
+///
+/// # Errors
+/// When the key is not a key expression, or the session is closed.
+pub async fn declare_frame_publisher(
+    session: &Session,
+    key: &str,
+    every: bool,
+) -> anyhow::Result<Publisher<'static>> {
+    session
+        .declare_publisher(key.to_owned())
+        .congestion_control(if every {
+            CongestionControl::Block
+        } else {
+            CongestionControl::Drop
+        })
+        .await
+        .map_err(|error| anyhow!("cannot publish on `{key}`: {error}"))
+}
+
+/// The Zenoh encoding of a picture.
+fn encoding(format: PictureFormat) -> String {
+    match format {
+        PictureFormat::Jpeg => "image/jpeg".to_owned(),
+        PictureFormat::Png => "image/png".to_owned(),
+        raw => format!("image/raw;{}", raw.as_str()),
+    }
+}
+
+/// Publishes `source` until it ends, the frames asked for are sent, or `shutdown`. `progress` is called
+/// after each frame.
+///
+/// # Errors
+/// When the source fails or Zenoh refuses a frame.
+pub async fn publish(
+    source: Box<dyn FrameSource>,
+    publisher: Publisher<'static>,
+    options: &PublishOptions,
+    progress: impl FnMut(&Sent),
+    shutdown: &CancellationToken,
+) -> anyhow::Result<Sent> {
+    let publisher = Arc::new(publisher);
+    play(
+        source,
+        options,
+        |frame: OutgoingFrame| {
+            let publisher = Arc::clone(&publisher);
+            async move {
+                // A put that has to wait for room blocks its thread.
+                tokio::task::spawn_blocking(move || put(&publisher, &frame))
+                    .await
+                    .context("publishing a frame")?
+            }
+        },
+        progress,
+        shutdown,
+    )
+    .await
+}
+
+fn put(publisher: &Publisher<'_>, frame: &OutgoingFrame) -> anyhow::Result<()> {
+    publisher
+        .put(frame.picture.bytes.as_ref())
+        .encoding(encoding(frame.picture.format))
+        .attachment(serde_json::to_vec(&frame.attachment)?)
+        .wait()
+        .map_err(|error| anyhow!("a frame cannot be published: {error}"))
+}
+
+/// Ends the source when the player goes, however it goes.
+struct StopOnDrop(Option<Stopper>);
+
+impl Drop for StopOnDrop {
+    fn drop(&mut self) {
+        if let Some(stop) = self.0.take() {
+            stop();
+        }
+    }
+}
+
+/// A picture and the pass through the source it belongs to.
+type Prepared = anyhow::Result<(u64, EncodedPicture)>;
+
+/// Frames made ahead of their time, so that a slow frame does not delay the next.
+const AHEAD: usize = 4;
+
+/// Runs the source on a thread of its own.
+fn prepare(mut source: Box<dyn FrameSource>, repeat: bool) -> mpsc::Receiver<Prepared> {
+    let (sender, receiver) = mpsc::channel(AHEAD);
+    std::thread::spawn(move || {
+        for pass in 0_u64.. {
+            let mut frames = 0_u64;
+            loop {
+                match source.next() {
+                    Ok(Some(picture)) => {
+                        frames += 1;
+                        if sender.blocking_send(Ok((pass, picture))).is_err() {
+                            return;
+                        }
+                    }
+                    Ok(None) => break,
+                    Err(error) => {
+                        let _ = sender.blocking_send(Err(error));
+                        return;
+                    }
+                }
+            }
+            if !repeat {
+                return;
+            }
+            let again = if frames == 0 {
+                Err(anyhow!("{}: there are no frames in it", source.name()))
+            } else {
+                source.rewind()
+            };
+            if let Err(error) = again {
+                let _ = sender.blocking_send(Err(error));
+                return;
+            }
+        }
+    });
+    receiver
+}
+
+/// Names clips.
+struct Clips {
+    name: Option<String>,
+    numbered: bool,
+    seconds: Option<f64>,
+    begun: u64,
+    /// Pass and time of the present clip's first frame.
+    present: Option<(u64, f64)>,
+}
+
+impl Clips {
+    fn new(options: &PublishOptions) -> Self {
+        Self {
+            name: options.clip.clone(),
+            numbered: options.repeat || options.clip_seconds.is_some(),
+            seconds: options.clip_seconds,
+            begun: 0,
+            present: None,
+        }
+    }
+
+    /// The clip of the next frame, of pass `pass` and source time `seconds`.
+    fn next(&mut self, pass: u64, seconds: f64) -> Option<String> {
+        let name = self.name.as_ref()?;
+        let same = self.present.is_some_and(|(first_pass, first)| {
+            // Frame times are computed: half a millisecond is no frame.
+            first_pass == pass
+                && self
+                    .seconds
+                    .is_none_or(|most| seconds - first < most - 0.0005)
+        });
+        if !same {
+            self.present = Some((pass, seconds));
+            self.begun += 1;
+        }
+        Some(if self.numbered {
+            format!("{name}-{:04}", self.begun)
+        } else {
+            name.clone()
+        })
+    }
+}
+
+/// Plays `source` into `send`, as [`publish`] does.
+async fn play<F: Future<Output = anyhow::Result<()>>>(
+    source: Box<dyn FrameSource>,
+    options: &PublishOptions,
+    mut send: impl FnMut(OutgoingFrame) -> F,
+    mut progress: impl FnMut(&Sent),
+    shutdown: &CancellationToken,
+) -> anyhow::Result<Sent> {
+    let rate = match options.rate {
+        Rate::PerSecond(rate) => rate,
+        Rate::Source | Rate::Unpaced => source.rate(),
+    };
+    if !(rate.is_finite() && rate > 0.0) {
+        bail!("{rate} frames per second is not a rate");
+    }
+    let _stop = StopOnDrop(source.stopper());
+    let mut prepared = prepare(source, options.repeat);
+    let mut clips = Clips::new(options);
+    let mut sent = Sent::default();
+    let mut begun = None;
+    let period = Duration::from_secs_f64(1.0 / rate);
+    let mut due = Instant::now();
+    while options.frames.is_none_or(|most| sent.frames < most) {
+        let next = tokio::select! {
+            biased;
+            () = shutdown.cancelled() => break,
+            next = prepared.recv() => next,
+        };
+        let Some(next) = next else { break };
+        let (pass, picture) = next?;
+        let (began, clock) = *begun.get_or_insert_with(|| {
+            due = Instant::now();
+            (due, SystemTime::now())
+        });
+        if options.rate != Rate::Unpaced {
+            tokio::select! {
+                biased;
+                () = shutdown.cancelled() => break,
+                () = tokio::time::sleep_until(due) => {}
+            }
+            if due.elapsed() > period {
+                // What was missed is not made up for in a burst.
+                sent.behind += 1;
+                due = Instant::now();
+            }
+            due += period;
+        }
+        let seconds = sent.frames as f64 / rate;
+        let bytes = picture.bytes.len() as u64;
+        let frame = OutgoingFrame {
+            attachment: FrameAttachment {
+                v: VERSION,
+                seq: Some(options.first_sequence + sent.frames),
+                t_ns: Some(nanoseconds(clock, seconds)),
+                clip: clips.next(pass, seconds),
+                ..raw_size(&picture)
+            },
+            picture,
+        };
+        tokio::select! {
+            biased;
+            result = send(frame) => result?,
+            () = shutdown.cancelled() => break,
+        }
+        sent.frames += 1;
+        sent.bytes += bytes;
+        sent.clips = clips.begun;
+        sent.elapsed = began.elapsed();
+        progress(&sent);
+    }
+    Ok(sent)
+}
+
+/// Nanoseconds since the Unix epoch at `seconds` after `clock`.
+fn nanoseconds(clock: SystemTime, seconds: f64) -> u64 {
+    clock
+        .duration_since(UNIX_EPOCH)
+        .ok()
+        .and_then(|since| since.checked_add(Duration::try_from_secs_f64(seconds).ok()?))
+        .and_then(|since| u64::try_from(since.as_nanos()).ok())
+        .unwrap_or(0)
+}
+
+/// The size, which only raw pictures need to be told.
+fn raw_size(picture: &EncodedPicture) -> FrameAttachment {
+    let raw = !matches!(picture.format, PictureFormat::Jpeg | PictureFormat::Png);
+    FrameAttachment {
+        width: raw.then_some(picture.size.width),
+        height: raw.then_some(picture.size.height),
+        ..FrameAttachment::default()
+    }
+}
+
+#[cfg(test)]
+mod tests;

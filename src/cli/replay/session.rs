@@ -1,0 +1,128 @@
+//! The Zenoh session of a command that talks to a node.
+
+use anyhow::{Context, anyhow, bail};
+use std::time::Duration;
+use zenoh::Config;
+use zenoh::pubsub::Publisher;
+use zenoh::session::Session;
+
+/// Where a node listens unless it is told otherwise.
+pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
+
+/// How long, in microseconds, a waiting put may find no room at all before Zenoh gives
+/// the connection up. Its own 5 s are short for a receiver that holds its sender back.
+const BLOCKED_MICROSECONDS: u64 = 120_000_000;
+
+/// Opens a session that knows no one but the given endpoints: a client of `connect` (of
+/// [`DEFAULT_ENDPOINT`] when both are empty), or a peer when there is something to listen on. Keeps
+/// trying to connect for `patience`.
+///
+/// # Errors
+/// When an endpoint is malformed, or cannot be reached or listened on.
+pub async fn open_session(
+    connect: &[String],
+    listen: &[String],
+    patience: Duration,
+) -> anyhow::Result<Session> {
+    let connect = if connect.is_empty() && listen.is_empty() {
+        vec![DEFAULT_ENDPOINT.to_owned()]
+    } else {
+        connect.to_vec()
+    };
+    let mode = if listen.is_empty() { "client" } else { "peer" };
+    let mut config = Config::default();
+    let settings = [
+        ("mode", serde_json::json!(mode)),
+        ("connect/endpoints", serde_json::json!(connect)),
+        ("listen/endpoints", serde_json::json!(listen)),
+        (
+            "connect/timeout_ms",
+            serde_json::json!(u64::try_from(patience.as_millis()).unwrap_or(u64::MAX)),
+        ),
+        ("connect/exit_on_failure", serde_json::json!(true)),
+        ("scouting/multicast/enabled", serde_json::json!(false)),
+        ("scouting/gossip/enabled", serde_json::json!(false)),
+        (
+            "transport/link/tx/queue/congestion_control/block/wait_before_close",
+            serde_json::json!(BLOCKED_MICROSECONDS),
+        ),
+    ];
+    for (key, value) in settings {
+        config
+            .insert_json5(key, &value.to_string())
+            .map_err(|error| anyhow!("Zenoh does not take {value} for `{key}`: {error}"))?;
+    }
+    zenoh::open(config).await.map_err(|error| {
+        anyhow!(
+            "no Zenoh session with {}: {error}; is the node running, and does it listen there?",
+            connect
+                .iter()
+                .chain(listen)
+                .cloned()
+                .collect::<Vec<_>>()
+                .join(", ")
+        )
+    })
+}
+
+/// Waits until somebody subscribes to what `publisher` publishes.
+///
+/// # Errors
+/// When nobody does within `patience`.
+pub async fn wait_for_subscriber(
+    publisher: &Publisher<'_>,
+    patience: Duration,
+) -> anyhow::Result<()> {
+    let zenoh = |error: zenoh::Error| anyhow!("waiting for a subscriber: {error}");
+    // Listening comes before looking, so that none is missed in between.
+    let listener = publisher.matching_listener().await.map_err(zenoh)?;
+    if publisher.matching_status().await.map_err(zenoh)?.matching() {
+        return Ok(());
+    }
+    let matched = tokio::time::timeout(patience, async {
+        loop {
+            match listener.recv_async().await {
+                Ok(status) if status.matching() => return Ok(()),
+                Ok(_) => {}
+                Err(error) => bail!("waiting for a subscriber: {error}"),
+            }
+        }
+    });
+    matched.await.with_context(|| {
+        format!(
+            "nobody subscribed to `{}` within {} s: is the node running, and is it configured for this \
+             camera?",
+            publisher.key_expr(),
+            patience.as_secs()
+        )
+    })?
+}
+
+/// Waits until everything put before has left this session and, where it is a client, has been taken by
+/// its node or router: a query travels behind the frames and its end comes back only then. Closing a
+/// session gives up what a slow receiver has not taken after ten seconds.
+///
+/// # Errors
+/// When that takes longer than `patience`.
+pub async fn flush(session: &Session, key: &str, patience: Duration) -> anyhow::Result<()> {
+    // No one answers on this key; the query's end is what is waited for.
+    let replies = session
+        .get(format!("{key}/@flush"))
+        .timeout(patience)
+        .await
+        .map_err(|error| anyhow!("waiting for the last frames to be taken: {error}"))?;
+    let waited = tokio::time::timeout(patience, async {
+        while let Ok(reply) = replies.recv_async().await {
+            if let Err(error) = reply.result() {
+                bail!("the last frames may be lost: {error}");
+            }
+        }
+        Ok(())
+    });
+    waited.await.with_context(|| {
+        format!(
+            "the last frames were not taken within {} s",
+            patience.as_secs()
+        )
+    })?
+}

@@ -1,0 +1,115 @@
+//! What can go wrong: when a session is started, and when it is asked.
+
+use std::path::PathBuf;
+
+/// Why a model could not be started. Every message says what to do.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// No ONNX Runtime library anywhere.
+    #[error(
+        "no ONNX Runtime library was found; looked at {}. Run `make onnxruntime`, or name the library in \
+         detector.onnxruntime or ORT_DYLIB_PATH",
+        looked_at.join(", ")
+    )]
+    LibraryNotFound {
+        /// The places, in the order they were looked at.
+        looked_at: Vec<String>,
+    },
+    /// The library is there and cannot be used.
+    #[error("the ONNX Runtime library {} cannot be used: {reason}; version 1.22 or newer is needed", path.display())]
+    LibraryUnusable {
+        /// The library.
+        path: PathBuf,
+        /// What its loader said.
+        reason: String,
+    },
+    /// The ONNX file is missing, damaged or not supported by this ONNX Runtime.
+    #[error("the model {} cannot be loaded: {reason}", path.display())]
+    ModelUnreadable {
+        /// The ONNX file.
+        path: PathBuf,
+        /// What ONNX Runtime or the file system said.
+        reason: String,
+    },
+    /// The model is sound and its inputs or outputs are not what the head reads.
+    #[error(
+        "the model {} does not fit the head `{head}`: {reason}. The model has {model}; the head expects \
+         {expected}. Choose the head that belongs to the model, or export the model as the head expects it",
+        path.display()
+    )]
+    ModelDoesNotFit {
+        /// The ONNX file.
+        path: PathBuf,
+        /// The configured head.
+        head: &'static str,
+        /// Inputs and outputs of the model with their shapes.
+        model: String,
+        /// Inputs and outputs the head expects.
+        expected: String,
+        /// The first thing that differs.
+        reason: String,
+    },
+    /// An execution provider that was asked for does not work here.
+    #[error(
+        "the execution provider `{provider}` does not work here: {reason}. Install what it needs, remove it \
+         from detector.providers, or set detector.may_fall_back = true with another provider after it"
+    )]
+    ProviderUnavailable {
+        /// The provider as named in the configuration.
+        provider: &'static str,
+        /// What ONNX Runtime said.
+        reason: String,
+    },
+    /// The configuration contradicts itself or the model.
+    #[error("{key}: {reason}")]
+    Configuration {
+        /// The key of the configuration.
+        key: &'static str,
+        /// What is wrong with its value and what would be right.
+        reason: String,
+    },
+    /// The model was loaded and its first run failed.
+    #[error("the first run of the model {} failed: {reason}", path.display())]
+    WarmUp {
+        /// The ONNX file.
+        path: PathBuf,
+        /// What the run said.
+        reason: String,
+    },
+    /// The thread that was to build the session could not be started, or panicked.
+    #[error("the thread of the {task} failed while it was starting: {reason}")]
+    Thread {
+        /// Which task.
+        task: &'static str,
+        /// What the system said, or the panic's message.
+        reason: String,
+    },
+}
+
+/// Why one run of a model failed.
+#[derive(Debug, thiserror::Error)]
+#[error("{0}")]
+pub struct ModelError(pub String);
+
+/// Why a picture was not answered. The frame it belongs to can be answered from prediction.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum InferenceError {
+    /// The run took too long; it is abandoned and the session rebuilt.
+    #[error("the run took longer than {timeout_ms} ms")]
+    TimedOut {
+        /// The limit.
+        timeout_ms: u64,
+    },
+    /// The run ended with an error; the session is rebuilt.
+    #[error("the run failed: {0}")]
+    Failed(String),
+    /// The run panicked; the session is rebuilt.
+    #[error("the run panicked: {0}")]
+    Panicked(String),
+    /// There is no session right now: it is being rebuilt after an earlier failure.
+    #[error("the session is being rebuilt: {0}")]
+    Unavailable(String),
+    /// The task has been stopped.
+    #[error("the task has been stopped")]
+    Stopped,
+}

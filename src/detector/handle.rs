@@ -1,0 +1,187 @@
+//! What a camera's loop holds of the detector.
+
+use super::network::{HeadCounters, Network};
+use super::task::{InferenceTask, TaskCounters, TaskSettings};
+use super::{
+    CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, HeadCounts, InferenceError,
+    Model, StartError, class_names,
+};
+use crate::detection::Detection;
+use crate::frame::Picture;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// What the model found in one picture, and how long its own steps took.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Found {
+    /// Best first, normalised to the source picture, above the configured confidence, overlaps suppressed.
+    pub detections: Vec<Detection>,
+    /// Resizing and conversion to the model's input tensor.
+    pub letterbox: Duration,
+    /// The model alone.
+    pub model: Duration,
+    /// From output tensors to detections.
+    pub head: Duration,
+}
+
+/// The detector's answer for one picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Detected {
+    /// Best first, normalised to the source picture, above the configured confidence, overlaps suppressed.
+    pub detections: Vec<Detection>,
+    /// From being asked to the start of the run, milliseconds.
+    pub queue_ms: f64,
+    /// Resizing and conversion to the model's input tensor, milliseconds.
+    pub letterbox_ms: f64,
+    /// The model alone, milliseconds.
+    pub model_ms: f64,
+    /// From output tensors to detections, milliseconds.
+    pub head_ms: f64,
+}
+
+/// The detector as a camera's loop sees it: cheap to clone, shared by all cameras. The detector stops when
+/// the last handle is dropped.
+#[derive(Clone)]
+pub struct DetectorHandle {
+    task: InferenceTask<Found>,
+    facts: Arc<Facts>,
+}
+
+struct Facts {
+    model_name: String,
+    class_names: Vec<String>,
+    head: Arc<HeadCounters>,
+}
+
+/// What the detector has counted since it started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DetectorCounters {
+    /// Runs and rebuilds.
+    pub task: TaskCounters,
+    /// What was found in the model's output and not reported.
+    pub head: HeadCounts,
+}
+
+impl DetectorHandle {
+    /// Loads the model on a thread of its own, checks that it fits its head, and warms it up.
+    ///
+    /// # Errors
+    /// When the library, the model, its head or the execution provider is not as configured.
+    pub async fn start(config: &DetectorConfig) -> Result<Self, StartError> {
+        let class_names = class_names::read(config)?;
+        let head = Arc::new(HeadCounters::default());
+        let facts = Facts {
+            model_name: model_name(config),
+            class_names: class_names.clone(),
+            head: head.clone(),
+        };
+        let settings = TaskSettings::new(
+            "detector",
+            Duration::from_millis(config.timeout_ms),
+            config.queue,
+        );
+        let config = config.clone();
+        let factory = move || Network::open(&config, &class_names, head.clone());
+        Ok(Self {
+            task: InferenceTask::start(settings, factory).await?,
+            facts: Arc::new(facts),
+        })
+    }
+
+    /// A detector that runs `factory`'s model in place of an ONNX file: a recorded detector, or one made to
+    /// fail. Everything else is as in the real one.
+    ///
+    /// # Errors
+    /// When the first model cannot be made.
+    pub async fn start_with<M: Model<Output = Found>>(
+        settings: TaskSettings,
+        model_name: &str,
+        class_names: Vec<String>,
+        factory: impl Fn() -> Result<M, StartError> + Send + Sync + 'static,
+    ) -> Result<Self, StartError> {
+        Ok(Self {
+            task: InferenceTask::start(settings, factory).await?,
+            facts: Arc::new(Facts {
+                model_name: model_name.to_owned(),
+                class_names,
+                head: Arc::default(),
+            }),
+        })
+    }
+
+    /// Finds the objects in `picture`. Waits for the camera's turn and for the run.
+    ///
+    /// The picture is shared, not copied. After `Ok` the detector no longer holds it, and the caller can
+    /// take its buffer back with [`Arc::try_unwrap`]; after a time-out a hanging run may still hold it.
+    ///
+    /// # Errors
+    /// See [`InferenceError`]. Whatever the error, the frame can be answered from prediction. A run that
+    /// takes too long is answered at the limit, not later; while the session is being rebuilt the answer
+    /// comes at once.
+    pub async fn detect(
+        &self,
+        camera: CameraSlot,
+        picture: Arc<Picture>,
+    ) -> Result<Detected, InferenceError> {
+        let inference = self.task.run(camera, picture).await?;
+        let found = inference.output;
+        Ok(Detected {
+            detections: found.detections,
+            queue_ms: milliseconds(inference.queued),
+            letterbox_ms: milliseconds(found.letterbox),
+            model_ms: milliseconds(found.model),
+            head_ms: milliseconds(found.head),
+        })
+    }
+
+    /// How the detector is doing, now and from now on.
+    pub fn status(&self) -> watch::Receiver<DetectorStatus> {
+        self.task.status()
+    }
+
+    /// What it has counted since it started.
+    pub fn counters(&self) -> DetectorCounters {
+        DetectorCounters {
+            task: self.task.counters(),
+            head: self.facts.head.counts(),
+        }
+    }
+
+    /// The names of the classes, by class number.
+    pub fn class_names(&self) -> &[String] {
+        &self.facts.class_names
+    }
+
+    /// The model's file name.
+    pub fn model_name(&self) -> &str {
+        &self.facts.model_name
+    }
+
+    /// What really runs the model, or ran it last.
+    pub fn provider(&self) -> ExecutionProvider {
+        match *self.task.status().borrow() {
+            DetectorStatus::Ready { provider } | DetectorStatus::Degraded { provider, .. } => {
+                provider
+            }
+            // Not seen from outside: a handle exists only once the first model stands.
+            DetectorStatus::Starting => ExecutionProvider::Cpu,
+        }
+    }
+
+    /// Takes no more pictures and returns when the run in hand has ended or has taken too long.
+    pub async fn stop(&self) {
+        self.task.stop().await;
+    }
+}
+
+fn model_name(config: &DetectorConfig) -> String {
+    config
+        .model
+        .file_name()
+        .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+}
+
+fn milliseconds(duration: Duration) -> f64 {
+    duration.as_secs_f64() * 1e3
+}

@@ -1,0 +1,107 @@
+//! Execution providers: the configured list, in order, and no silent fall-back.
+
+use super::{ExecutionProvider, StartError};
+use ort::ep::{CUDA, ExecutionProviderDispatch, TensorRT};
+use tracing::warn;
+
+/// The provider as ONNX Runtime registers it; `None` for the CPU, which is always there. Left to itself, ONNX
+/// Runtime would go on without a provider that it cannot register.
+pub(super) fn registration(provider: ExecutionProvider) -> Option<ExecutionProviderDispatch> {
+    match provider {
+        ExecutionProvider::TensorRt => Some(TensorRT::default().build().error_on_failure()),
+        ExecutionProvider::Cuda => Some(CUDA::default().build().error_on_failure()),
+        ExecutionProvider::Cpu => None,
+    }
+}
+
+/// Tries `attempt` with each of `providers` in order and returns the first that works. Without
+/// `may_fall_back` only the first is tried.
+///
+/// # Errors
+/// What `attempt` said of the last provider tried.
+pub(super) fn first_that_works<T>(
+    providers: &[ExecutionProvider],
+    may_fall_back: bool,
+    mut attempt: impl FnMut(ExecutionProvider) -> Result<T, StartError>,
+) -> Result<T, StartError> {
+    let tried = if may_fall_back {
+        providers
+    } else {
+        &providers[..providers.len().min(1)]
+    };
+    let mut outcome = Err(StartError::Configuration {
+        key: "detector.providers",
+        reason: "the list is empty; [\"cpu\"] works everywhere".to_owned(),
+    });
+    for (index, &provider) in tried.iter().enumerate() {
+        outcome = attempt(provider);
+        match &outcome {
+            Ok(_) => {
+                if index > 0 {
+                    warn!(
+                        asked = providers[0].as_str(),
+                        used = provider.as_str(),
+                        "fell back to another execution provider, as detector.may_fall_back allows"
+                    );
+                }
+                return outcome;
+            }
+            Err(error) => warn!(provider = provider.as_str(), %error, "not usable"),
+        }
+    }
+    outcome
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ExecutionProvider::{Cpu, Cuda, TensorRt};
+
+    fn try_with(
+        providers: &[ExecutionProvider],
+        may_fall_back: bool,
+        working: &[ExecutionProvider],
+    ) -> (
+        Result<ExecutionProvider, StartError>,
+        Vec<ExecutionProvider>,
+    ) {
+        let mut tried = Vec::new();
+        let outcome = first_that_works(providers, may_fall_back, |provider| {
+            tried.push(provider);
+            if working.contains(&provider) {
+                Ok(provider)
+            } else {
+                Err(StartError::ProviderUnavailable {
+                    provider: provider.as_str(),
+                    reason: "not here".to_owned(),
+                })
+            }
+        });
+        (outcome, tried)
+    }
+
+    #[test]
+    fn the_first_provider_that_works_is_used() {
+        let (outcome, tried) = try_with(&[TensorRt, Cuda, Cpu], true, &[Cuda, Cpu]);
+        assert_eq!(outcome.unwrap(), Cuda);
+        assert_eq!(tried, [TensorRt, Cuda]);
+    }
+
+    #[test]
+    fn without_leave_to_fall_back_only_the_first_is_tried() {
+        let (outcome, tried) = try_with(&[Cuda, Cpu], false, &[Cpu]);
+        assert!(outcome.unwrap_err().to_string().contains("`cuda`"));
+        assert_eq!(tried, [Cuda]);
+    }
+
+    #[test]
+    fn an_empty_list_is_an_error_that_names_its_key() {
+        let (outcome, _) = try_with(&[], true, &[Cpu]);
+        assert!(
+            outcome
+                .unwrap_err()
+                .to_string()
+                .contains("detector.providers")
+        );
+    }
+}

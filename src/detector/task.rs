@@ -1,0 +1,200 @@
+//! The task: one model on a thread of its own, shared by all cameras through a bounded queue that is fair
+//! between them, and rebuilt when a run fails, panics or takes too long.
+
+mod counters;
+mod shared;
+mod supervisor;
+#[cfg(test)]
+mod tests;
+mod worker;
+
+pub use counters::TaskCounters;
+pub use shared::Inference;
+
+use super::{CameraSlot, DetectorStatus, InferenceError, Model, StartError};
+use crate::frame::Picture;
+use shared::{Job, Shared};
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use supervisor::Supervisor;
+use tokio::sync::{Semaphore, oneshot, watch};
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+
+/// Makes a model, on the thread it will live on; called again after each failure.
+pub type Factory<M> = dyn Fn() -> Result<M, StartError> + Send + Sync;
+
+/// How a task behaves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TaskSettings {
+    /// What it is called in logs; also the name of its thread.
+    pub name: &'static str,
+    /// A run that takes this long is given up.
+    pub timeout: Duration,
+    /// Pictures that may wait, all cameras together; at least 1 is used. Each camera has at most one.
+    pub queue: usize,
+    /// From the first failure to the first attempt to build a new model. Doubles with each failure until a
+    /// run ends well.
+    pub first_pause: Duration,
+    /// The longest of these pauses.
+    pub longest_pause: Duration,
+    /// Threads that may hang in runs that were given up. While there are so many, no new model is built.
+    pub most_abandoned: usize,
+}
+
+impl TaskSettings {
+    /// A task of that name, limit and queue, with pauses from 0.1 s to 30 s and at most 4 abandoned threads.
+    pub const fn new(name: &'static str, timeout: Duration, queue: usize) -> Self {
+        Self {
+            name,
+            timeout,
+            queue,
+            first_pause: Duration::from_millis(100),
+            longest_pause: Duration::from_secs(30),
+            most_abandoned: 4,
+        }
+    }
+}
+
+/// A handle to a running task. It stops when its last handle is dropped.
+pub struct InferenceTask<T> {
+    inner: Arc<Inner<T>>,
+}
+
+impl<T> Clone for InferenceTask<T> {
+    fn clone(&self) -> Self {
+        Self {
+            inner: self.inner.clone(),
+        }
+    }
+}
+
+struct Inner<T> {
+    shared: Arc<Shared<T>>,
+    /// One place a camera: a second picture of the same camera waits for it.
+    cameras: Mutex<HashMap<CameraSlot, Arc<Semaphore>>>,
+    /// The places of all.
+    queue: Arc<Semaphore>,
+    stop: CancellationToken,
+    stopped: watch::Receiver<bool>,
+}
+
+impl<T> Inner<T> {
+    fn stop(&self) {
+        self.shared.stop();
+        self.stop.cancel();
+    }
+}
+
+impl<T> Drop for Inner<T> {
+    fn drop(&mut self) {
+        self.stop();
+    }
+}
+
+impl<T: Send + 'static> InferenceTask<T> {
+    /// Builds the first model on its thread and waits for it. Needs a tokio runtime with timers.
+    ///
+    /// # Errors
+    /// When the first model cannot be built. Later failures are retried, counted and told by
+    /// [`status`](Self::status).
+    pub async fn start<M: Model<Output = T>>(
+        settings: TaskSettings,
+        factory: impl Fn() -> Result<M, StartError> + Send + Sync + 'static,
+    ) -> Result<Self, StartError> {
+        let shared = Arc::new(Shared::new());
+        let stop = CancellationToken::new();
+        let (started, has_started) = oneshot::channel();
+        let (tell_stopped, stopped) = watch::channel(false);
+        let inner = Arc::new(Inner {
+            shared: shared.clone(),
+            cameras: Mutex::new(HashMap::new()),
+            queue: Arc::new(Semaphore::new(
+                settings.queue.clamp(1, Semaphore::MAX_PERMITS),
+            )),
+            stop: stop.clone(),
+            stopped,
+        });
+        let factory: Arc<Factory<M>> = Arc::new(factory);
+        let supervisor = Supervisor::new(settings, factory, shared, stop);
+        tokio::spawn(supervisor.run(started, tell_stopped));
+        has_started.await.unwrap_or_else(|_| {
+            Err(StartError::Thread {
+                task: settings.name,
+                reason: "its supervisor ended".to_owned(),
+            })
+        })?;
+        Ok(Self { inner })
+    }
+
+    /// Has `picture` answered. Waits for its turn and for the run.
+    ///
+    /// The picture is shared, not copied. When this returns `Ok` or [`InferenceError::Failed`] the task no
+    /// longer holds it and its buffer can be reused; after a time-out a hanging run may still hold it.
+    ///
+    /// # Errors
+    /// See [`InferenceError`]; a run that takes too long is answered at the limit, not later.
+    pub async fn run(
+        &self,
+        camera: CameraSlot,
+        picture: Arc<Picture>,
+    ) -> Result<Inference<T>, InferenceError> {
+        let asked = Instant::now();
+        let shared = &self.inner.shared;
+        shared.accepts()?;
+        let place = self.place_of(camera);
+        let places = [
+            place
+                .acquire_owned()
+                .await
+                .map_err(|_| InferenceError::Stopped)?,
+            self.inner
+                .queue
+                .clone()
+                .acquire_owned()
+                .await
+                .map_err(|_| InferenceError::Stopped)?,
+        ];
+        let (reply, answer) = oneshot::channel();
+        shared.push(
+            camera,
+            Job {
+                picture,
+                asked,
+                reply,
+                places,
+            },
+        )?;
+        answer.await.unwrap_or(Err(InferenceError::Stopped))
+    }
+
+    fn place_of(&self, camera: CameraSlot) -> Arc<Semaphore> {
+        self.inner
+            .cameras
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .entry(camera)
+            .or_insert_with(|| Arc::new(Semaphore::new(1)))
+            .clone()
+    }
+
+    /// How the task is doing, now and from now on.
+    pub fn status(&self) -> watch::Receiver<DetectorStatus> {
+        self.inner.shared.status.subscribe()
+    }
+
+    /// What it has counted since it started.
+    pub fn counters(&self) -> TaskCounters {
+        self.inner.shared.counters.snapshot()
+    }
+
+    /// Takes no more pictures, turns away those that wait, and returns when the run in hand has ended or
+    /// has taken too long. Safe to call more than once.
+    pub async fn stop(&self) {
+        self.inner.stop();
+        let mut stopped = self.inner.stopped.clone();
+        // An error means that the supervisor is gone, which is what is waited for.
+        let _ = stopped.wait_for(|stopped| *stopped).await;
+    }
+}

@@ -1,0 +1,61 @@
+//! What the task counts.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// The numbers as they are kept.
+#[derive(Debug, Default)]
+pub(super) struct Counters {
+    pub(super) completed: AtomicU64,
+    pub(super) timed_out: AtomicU64,
+    pub(super) failed: AtomicU64,
+    pub(super) panicked: AtomicU64,
+    pub(super) refused: AtomicU64,
+    pub(super) cancelled: AtomicU64,
+    pub(super) rebuilds: AtomicU64,
+    pub(super) rebuilds_failed: AtomicU64,
+    pub(super) abandoned: AtomicU64,
+}
+
+/// What a task has counted since it started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TaskCounters {
+    /// Runs that ended well.
+    pub completed: u64,
+    /// Runs that took longer than the limit.
+    pub timed_out: u64,
+    /// Runs that ended with an error.
+    pub failed: u64,
+    /// Runs that panicked.
+    pub panicked: u64,
+    /// Pictures turned away because the session was being rebuilt or the task stopped.
+    pub refused: u64,
+    /// Pictures whose asker had gone before their turn came.
+    pub cancelled: u64,
+    /// Attempts to build a new session after a failure.
+    pub rebuilds: u64,
+    /// Those of them that failed.
+    pub rebuilds_failed: u64,
+    /// Threads that still hang in a run that was given up: a number that goes down again.
+    pub abandoned: u64,
+}
+
+impl Counters {
+    pub(super) fn add(counter: &AtomicU64) {
+        counter.fetch_add(1, Ordering::Relaxed);
+    }
+
+    pub(super) fn snapshot(&self) -> TaskCounters {
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        TaskCounters {
+            completed: read(&self.completed),
+            timed_out: read(&self.timed_out),
+            failed: read(&self.failed),
+            panicked: read(&self.panicked),
+            refused: read(&self.refused),
+            cancelled: read(&self.cancelled),
+            rebuilds: read(&self.rebuilds),
+            rebuilds_failed: read(&self.rebuilds_failed),
+            abandoned: read(&self.abandoned),
+        }
+    }
+}

@@ -1,0 +1,489 @@
+//! The task with models that wait, fail, panic and hang. Time stands still in these tests and is moved by
+//! hand, so none depends on how fast the machine is.
+
+use super::*;
+use crate::detector::{ExecutionProvider, Interrupter, ModelError};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc as blocking;
+use tokio::sync::mpsc;
+use tokio::time::advance;
+
+const TIMEOUT: Duration = Duration::from_secs(2);
+
+/// What the scripted model does with its next picture.
+enum Step {
+    Answer,
+    Fail,
+    Panic,
+}
+
+/// A model that tells when a run starts and then waits to be told how it ends.
+struct Scripted {
+    started: mpsc::UnboundedSender<CameraSlot>,
+    steps: Arc<Mutex<blocking::Receiver<Step>>>,
+    ended: mpsc::UnboundedSender<()>,
+    interrupted: Arc<AtomicUsize>,
+}
+
+impl Model for Scripted {
+    type Output = CameraSlot;
+
+    fn run(&mut self, camera: CameraSlot, _picture: &Picture) -> Result<CameraSlot, ModelError> {
+        self.started.send(camera).ok();
+        let step = self.steps.lock().unwrap().recv();
+        match step {
+            Ok(Step::Answer) => Ok(camera),
+            Ok(Step::Fail) => Err(ModelError("scripted failure".to_owned())),
+            Ok(Step::Panic) => panic!("scripted panic"),
+            Err(_) => Err(ModelError("the test is over".to_owned())),
+        }
+    }
+
+    fn provider(&self) -> ExecutionProvider {
+        ExecutionProvider::Cpu
+    }
+
+    fn interrupter(&self) -> Option<Interrupter> {
+        let interrupted = self.interrupted.clone();
+        Some(Arc::new(move || {
+            interrupted.fetch_add(1, Ordering::SeqCst);
+        }))
+    }
+}
+
+impl Drop for Scripted {
+    fn drop(&mut self) {
+        self.ended.send(()).ok();
+    }
+}
+
+/// A task with scripted models, and the test's ends of their lines.
+struct Stage {
+    task: InferenceTask<CameraSlot>,
+    started: mpsc::UnboundedReceiver<CameraSlot>,
+    ended: mpsc::UnboundedReceiver<()>,
+    /// How the next runs end, whichever model they are on; a model takes the next step as it waits.
+    steps: blocking::Sender<Step>,
+    interrupted: Arc<AtomicUsize>,
+    /// Attempts to build that are to fail.
+    failing_builds: Arc<AtomicUsize>,
+    _held: blocking::Sender<()>,
+}
+
+/// Without this, tokio's held clock jumps to the next timer whenever the runtime has nothing to do, although
+/// the model's thread is busy. A blocking task in flight keeps it from that.
+fn hold_time() -> blocking::Sender<()> {
+    let (hold, held) = blocking::channel::<()>();
+    tokio::task::spawn_blocking(move || held.recv().is_ok());
+    hold
+}
+
+async fn stage(settings: TaskSettings) -> Stage {
+    let held = hold_time();
+    let (tell_started, started) = mpsc::unbounded_channel();
+    let (tell_ended, ended) = mpsc::unbounded_channel();
+    let (steps, script) = blocking::channel();
+    let script = Arc::new(Mutex::new(script));
+    let interrupted = Arc::new(AtomicUsize::new(0));
+    let failing_builds = Arc::new(AtomicUsize::new(0));
+    let (interrupts, failing) = (interrupted.clone(), failing_builds.clone());
+    let factory = move || {
+        let fails = failing
+            .fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| {
+                left.checked_sub(1)
+            })
+            .is_ok();
+        if fails {
+            return Err(StartError::WarmUp {
+                path: "scripted.onnx".into(),
+                reason: "scripted build failure".to_owned(),
+            });
+        }
+        Ok(Scripted {
+            started: tell_started.clone(),
+            steps: script.clone(),
+            ended: tell_ended.clone(),
+            interrupted: interrupts.clone(),
+        })
+    };
+    Stage {
+        task: InferenceTask::start(settings, factory).await.unwrap(),
+        started,
+        ended,
+        steps,
+        interrupted,
+        failing_builds,
+        _held: held,
+    }
+}
+
+fn settings() -> TaskSettings {
+    TaskSettings::new("scripted", TIMEOUT, 8)
+}
+
+type Asked = tokio::task::JoinHandle<Result<Inference<CameraSlot>, InferenceError>>;
+
+impl Stage {
+    fn ask(&self, camera: usize) -> Asked {
+        let task = self.task.clone();
+        tokio::spawn(async move { task.run(CameraSlot(camera), Arc::default()).await })
+    }
+
+    /// Asks and waits until the model has the picture.
+    async fn begin(&mut self, camera: usize) -> Asked {
+        let asked = self.ask(camera);
+        assert_eq!(self.started.recv().await, Some(CameraSlot(camera)));
+        asked
+    }
+
+    fn end(&self, step: Step) {
+        self.steps.send(step).unwrap();
+    }
+
+    async fn until_waiting(&self, pictures: usize) {
+        while self.task.inner.shared.waiting() != pictures {
+            tokio::task::yield_now().await;
+        }
+    }
+
+    async fn until_ready(&self) {
+        let ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
+        self.task.status().wait_for(ready).await.unwrap();
+    }
+
+    /// The reason, once the status is degraded.
+    async fn until_degraded(&self) -> String {
+        let degraded = |status: &DetectorStatus| matches!(status, DetectorStatus::Degraded { .. });
+        match &*self.task.status().wait_for(degraded).await.unwrap() {
+            DetectorStatus::Degraded { reason, .. } => reason.clone(),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    async fn until_counted(&self, fits: impl Fn(TaskCounters) -> bool) {
+        while !fits(self.task.counters()) {
+            tokio::task::yield_now().await;
+        }
+    }
+}
+
+/// Moves time and lets everything on the runtime see it.
+async fn pass(time: Duration) {
+    settle().await;
+    advance(time).await;
+    settle().await;
+}
+
+async fn settle() {
+    for _ in 0..20 {
+        tokio::task::yield_now().await;
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn cameras_take_turns_however_much_one_of_them_asks() {
+    let mut stage = stage(settings()).await;
+    let mut asked = vec![stage.begin(0).await];
+    // Camera 0 asks for much before the others ask at all.
+    asked.extend((0..6).map(|_| stage.ask(0)));
+    stage.until_waiting(1).await;
+    asked.extend([1, 2, 1, 2].map(|camera| stage.ask(camera)));
+    let mut order = Vec::new();
+    for waiting in [3, 3, 3, 3, 2, 1, 1, 1, 1, 1] {
+        stage.until_waiting(waiting).await;
+        stage.end(Step::Answer);
+        order.push(stage.started.recv().await.unwrap().0);
+    }
+    stage.end(Step::Answer);
+    assert_eq!(order, [1, 2, 0, 1, 2, 0, 0, 0, 0, 0]);
+    for answer in asked {
+        answer.await.unwrap().unwrap();
+    }
+    assert_eq!(stage.task.counters().completed, 11);
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_more_pictures_wait_than_the_queue_holds() {
+    let mut stage = stage(TaskSettings {
+        queue: 2,
+        ..settings()
+    })
+    .await;
+    let mut asked = vec![stage.begin(0).await];
+    asked.extend((1..6).map(|camera| stage.ask(camera)));
+    settle().await;
+    assert_eq!(stage.task.inner.shared.waiting(), 2);
+    for _ in 0..6 {
+        stage.end(Step::Answer);
+    }
+    for answer in asked {
+        answer.await.unwrap().unwrap();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_the_session_rebuilt() {
+    let mut stage = stage(settings()).await;
+    let begun = Instant::now();
+    let hanging = stage.begin(0).await;
+    let waiting = stage.ask(1);
+    stage.until_waiting(1).await;
+
+    pass(TIMEOUT - Duration::from_millis(1)).await;
+    assert!(!hanging.is_finished());
+    pass(Duration::from_millis(1)).await;
+    let error = hanging.await.unwrap().unwrap_err();
+    assert_eq!(error, InferenceError::TimedOut { timeout_ms: 2000 });
+    assert_eq!(begun.elapsed(), TIMEOUT);
+    assert!(matches!(
+        waiting.await.unwrap().unwrap_err(),
+        InferenceError::Unavailable(_)
+    ));
+    let reason = stage.until_degraded().await;
+    assert!(reason.contains("2000 ms"), "{reason}");
+    assert_eq!(stage.interrupted.load(Ordering::SeqCst), 1);
+    let counters = stage.task.counters();
+    assert_eq!((counters.timed_out, counters.abandoned), (1, 1));
+
+    // Until the new session stands, the answer comes at once.
+    let refused = stage.ask(2).await.unwrap().unwrap_err();
+    assert!(matches!(refused, InferenceError::Unavailable(_)));
+    assert_eq!(stage.task.counters().refused, 2);
+
+    pass(Duration::from_millis(100)).await;
+    stage.until_ready().await;
+    let after = stage.begin(3).await;
+    // Two threads wait for a step now, the abandoned one and the new one: whichever gets which, both end.
+    stage.end(Step::Answer);
+    stage.end(Step::Answer);
+    assert_eq!(after.await.unwrap().unwrap().output, CameraSlot(3));
+    stage
+        .until_counted(|counters| counters.abandoned == 0)
+        .await;
+    let counters = stage.task.counters();
+    assert_eq!((counters.completed, counters.rebuilds), (1, 1));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
+    let mut stage = stage(settings()).await;
+    let failing = stage.begin(0).await;
+    stage.end(Step::Fail);
+    let error = failing.await.unwrap().unwrap_err();
+    assert_eq!(error, InferenceError::Failed("scripted failure".to_owned()));
+    // The status is set before the answer goes out.
+    assert!(matches!(
+        *stage.task.status().borrow(),
+        DetectorStatus::Degraded { .. }
+    ));
+    stage.ended.recv().await.unwrap();
+    pass(Duration::from_millis(100)).await;
+    stage.until_ready().await;
+
+    let panicking = stage.begin(0).await;
+    stage.end(Step::Panic);
+    let error = panicking.await.unwrap().unwrap_err();
+    assert_eq!(error, InferenceError::Panicked("scripted panic".to_owned()));
+    stage.ended.recv().await.unwrap();
+    pass(Duration::from_millis(200)).await;
+    stage.until_ready().await;
+
+    let good = stage.begin(0).await;
+    stage.end(Step::Answer);
+    good.await.unwrap().unwrap();
+    let counters = stage.task.counters();
+    assert_eq!(
+        counters,
+        TaskCounters {
+            completed: 1,
+            failed: 1,
+            panicked: 1,
+            rebuilds: 2,
+            ..TaskCounters::default()
+        }
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn pauses_double_up_to_the_longest_and_start_again_after_a_good_run() {
+    let mut stage = stage(TaskSettings {
+        longest_pause: Duration::from_millis(500),
+        ..settings()
+    })
+    .await;
+    let mut rebuilds = 0;
+    for (pause, good_run_before) in [
+        (100, false),
+        (200, false),
+        (400, false),
+        (500, false),
+        (500, false),
+        (100, true),
+        (200, false),
+    ] {
+        if good_run_before {
+            let good = stage.begin(0).await;
+            stage.end(Step::Answer);
+            good.await.unwrap().unwrap();
+        }
+        let failing = stage.begin(0).await;
+        stage.end(Step::Fail);
+        failing.await.unwrap().unwrap_err();
+        // The supervisor hears of the failure from the model's thread.
+        stage.ended.recv().await.unwrap();
+        settle().await;
+        pass(Duration::from_millis(pause - 1)).await;
+        assert_eq!(stage.task.counters().rebuilds, rebuilds, "pause {pause}");
+        pass(Duration::from_millis(1)).await;
+        rebuilds += 1;
+        assert_eq!(stage.task.counters().rebuilds, rebuilds, "pause {pause}");
+        stage.until_ready().await;
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_session_that_cannot_be_rebuilt_is_tried_again_and_the_status_says_why() {
+    let mut stage = stage(settings()).await;
+    stage.failing_builds.store(2, Ordering::SeqCst);
+    let failing = stage.begin(0).await;
+    stage.end(Step::Fail);
+    failing.await.unwrap().unwrap_err();
+    stage.ended.recv().await.unwrap();
+    for (pause, failed) in [(100, 1), (200, 2)] {
+        pass(Duration::from_millis(pause)).await;
+        stage
+            .until_counted(|counters| counters.rebuilds_failed == failed)
+            .await;
+        settle().await;
+        let reason = stage.until_degraded().await;
+        assert!(reason.contains("scripted build failure"), "{reason}");
+    }
+    pass(Duration::from_millis(400)).await;
+    stage.until_ready().await;
+    assert_eq!(stage.task.counters().rebuilds, 3);
+}
+
+#[tokio::test(start_paused = true)]
+async fn with_too_many_hanging_threads_no_more_are_made_until_one_ends() {
+    let mut stage = stage(TaskSettings {
+        most_abandoned: 2,
+        ..settings()
+    })
+    .await;
+    for pause in [100, 200] {
+        let hanging = stage.begin(0).await;
+        pass(TIMEOUT).await;
+        hanging.await.unwrap().unwrap_err();
+        pass(Duration::from_millis(pause)).await;
+        if stage.task.counters().abandoned < 2 {
+            stage.until_ready().await;
+        }
+    }
+    pass(Duration::from_secs(3600)).await;
+    let counters = stage.task.counters();
+    assert_eq!((counters.abandoned, counters.rebuilds), (2, 1));
+    let reason = stage.until_degraded().await;
+    assert!(reason.contains("2 runs hang"), "{reason}");
+    // One of them comes back.
+    stage.end(Step::Answer);
+    stage.until_ready().await;
+    let counters = stage.task.counters();
+    assert_eq!((counters.abandoned, counters.rebuilds), (1, 2));
+    assert_eq!(counters.completed, 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn stopping_finishes_the_run_in_hand_and_turns_the_rest_away() {
+    let mut stage = stage(settings()).await;
+    let in_hand = stage.begin(0).await;
+    let waiting = stage.ask(1);
+    stage.until_waiting(1).await;
+    let stopping = {
+        let task = stage.task.clone();
+        tokio::spawn(async move { task.stop().await })
+    };
+    assert_eq!(waiting.await.unwrap().unwrap_err(), InferenceError::Stopped);
+    assert_eq!(
+        stage.ask(2).await.unwrap().unwrap_err(),
+        InferenceError::Stopped
+    );
+    assert!(!stopping.is_finished());
+    stage.end(Step::Answer);
+    in_hand.await.unwrap().unwrap();
+    stopping.await.unwrap();
+    assert!(stage.ended.try_recv().is_ok(), "the model is gone");
+    stage.task.stop().await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn stopping_does_not_wait_for_a_hanging_run_beyond_its_limit() {
+    let mut stage = stage(settings()).await;
+    let hanging = stage.begin(0).await;
+    let stopping = {
+        let task = stage.task.clone();
+        tokio::spawn(async move { task.stop().await })
+    };
+    pass(TIMEOUT).await;
+    stopping.await.unwrap();
+    assert!(matches!(
+        hanging.await.unwrap().unwrap_err(),
+        InferenceError::TimedOut { .. }
+    ));
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_task_ends_with_its_last_handle() {
+    let mut stage = stage(settings()).await;
+    drop(stage.task);
+    assert_eq!(stage.ended.recv().await, Some(()));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_picture_whose_asker_has_gone_is_not_run() {
+    let mut stage = stage(settings()).await;
+    let first = stage.begin(0).await;
+    let gone = stage.ask(1);
+    stage.until_waiting(1).await;
+    gone.abort();
+    assert!(gone.await.unwrap_err().is_cancelled());
+    let last = stage.ask(2);
+    stage.until_waiting(2).await;
+    stage.end(Step::Answer);
+    stage.end(Step::Answer);
+    first.await.unwrap().unwrap();
+    assert_eq!(last.await.unwrap().unwrap().output, CameraSlot(2));
+    let counters = stage.task.counters();
+    assert_eq!((counters.completed, counters.cancelled), (2, 1));
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_picture_belongs_to_the_asker_again_after_the_answer() {
+    let mut stage = stage(settings()).await;
+    stage.end(Step::Answer);
+    let picture: Arc<Picture> = Arc::default();
+    stage
+        .task
+        .run(CameraSlot(0), picture.clone())
+        .await
+        .unwrap();
+    assert!(Arc::try_unwrap(picture).is_ok());
+    stage.started.recv().await.unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_first_model_that_cannot_be_built_or_panics_is_an_error() {
+    let _held = hold_time();
+    let refusing = InferenceTask::start(settings(), || -> Result<Scripted, _> {
+        Err(StartError::Configuration {
+            key: "detector.model",
+            reason: "scripted refusal".to_owned(),
+        })
+    });
+    let error = refusing.await.err().unwrap().to_string();
+    assert!(error.contains("scripted refusal"), "{error}");
+    let panicking = InferenceTask::start(settings(), || -> Result<Scripted, _> {
+        panic!("scripted panic")
+    });
+    let error = panicking.await.err().unwrap().to_string();
+    assert!(error.contains("scripted panic"), "{error}");
+}

@@ -1,0 +1,87 @@
+//! What a run leaves behind with `--out`: `summary.csv`, `report.json`, figures as SVG and PNG, and
+//! `report.html`, which shows it all in one file that needs no other.
+
+mod html;
+pub mod plot;
+mod summary_csv;
+
+use crate::eval::data::LoadReport;
+use crate::eval::result::ClipResult;
+use crate::eval::summary::PolicySummary;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// A finished run.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    /// What was evaluated, for the heading.
+    pub title: String,
+    /// The settings, name and value, in the order to show them.
+    pub settings: Vec<(String, String)>,
+    /// What the data's reader left out.
+    pub data: LoadReport,
+    /// One entry a policy.
+    pub policies: Vec<PolicySummary>,
+    /// One entry a clip and policy.
+    pub clips: Vec<ClipResult>,
+    /// Power over one clip under some of the policies, where there is energy.
+    pub power: Vec<plot::PowerTrace>,
+}
+
+/// A report that cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// The file system said no.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// Which file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Something could not be put into its format.
+    #[error("cannot make {}: {reason}", path.display())]
+    Format {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+}
+
+impl Report {
+    /// Writes all files into `folder`, making it if need be.
+    ///
+    /// # Errors
+    /// [`ReportError`] naming the file.
+    pub fn write(&self, folder: &Path) -> Result<(), ReportError> {
+        std::fs::create_dir_all(folder).map_err(|source| ReportError::Write {
+            path: folder.to_owned(),
+            source,
+        })?;
+        let write = |name: &str, content: Result<Vec<u8>, String>| {
+            let path = folder.join(name);
+            let content = content.map_err(|reason| ReportError::Format {
+                path: path.clone(),
+                reason,
+            })?;
+            std::fs::write(&path, content).map_err(|source| ReportError::Write { path, source })
+        };
+        write("summary.csv", summary_csv::render(&self.clips))?;
+        write(
+            "report.json",
+            serde_json::to_vec_pretty(self).map_err(|error| error.to_string()),
+        )?;
+        let mut shown = Vec::new();
+        for figure in plot::figures(self) {
+            let svg = figure.svg();
+            write(&format!("{}.png", figure.name), figure.png())?;
+            write(
+                &format!("{}.svg", figure.name),
+                svg.clone().map(String::into_bytes),
+            )?;
+            shown.extend(svg.ok().map(|svg| (figure, svg)));
+        }
+        write("report.html", Ok(html::render(self, &shown).into_bytes()))
+    }
+}

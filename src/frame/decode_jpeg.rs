@@ -1,0 +1,70 @@
+//! JPEG files, by `zune-jpeg`.
+
+use super::header::check_jpeg_is_whole;
+use super::{EncodedPicture, FrameFault, PixelLayout, decode_raw};
+use zune_core::bytestream::ZCursor;
+use zune_core::colorspace::ColorSpace;
+use zune_core::options::DecoderOptions;
+use zune_jpeg::JpegDecoder;
+
+/// Most scans of a progressive file; encoders use about ten. Each costs a pass over the picture, and a
+/// small file can hold many.
+const MAX_SCANS: usize = 32;
+
+/// Decodes into `pixels`, which have the length for `picture.size` and `layout`.
+pub(super) fn decode(
+    picture: &EncodedPicture,
+    layout: PixelLayout,
+    pixels: &mut [u8],
+) -> Result<(), FrameFault> {
+    check_jpeg_is_whole(&picture.bytes)?;
+    let mut decoder = decoder(picture, ColorSpace::RGB);
+    decoder.decode_headers().map_err(undecodable)?;
+    match (layout, decoder.input_colorspace()) {
+        (PixelLayout::Rgb8, _) => {}
+        (PixelLayout::Gray8, Some(ColorSpace::YCbCr | ColorSpace::Luma)) => {
+            // The chroma planes are then passed over, not reconstructed.
+            let options = decoder.options().jpeg_set_out_colorspace(ColorSpace::Luma);
+            decoder.set_options(options);
+        }
+        (PixelLayout::Gray8, _) => {
+            let mut colours = vec![0; pixels.len().saturating_mul(3)];
+            decode_headed(decoder, picture, &mut colours)?;
+            decode_raw::rgb_to_grey(&colours, pixels);
+            return Ok(());
+        }
+    }
+    decode_headed(decoder, picture, pixels)
+}
+
+fn decoder(picture: &EncodedPicture, colors: ColorSpace) -> JpegDecoder<ZCursor<&[u8]>> {
+    let options = DecoderOptions::default()
+        // Otherwise what cannot be decoded is filled with grey and called a success.
+        .set_strict_mode(true)
+        .set_max_width(picture.size.width as usize)
+        .set_max_height(picture.size.height as usize)
+        .jpeg_set_max_scans(MAX_SCANS)
+        .jpeg_set_out_colorspace(colors);
+    JpegDecoder::new_with_options(ZCursor::new(picture.bytes.as_ref()), options)
+}
+
+fn decode_headed(
+    mut decoder: JpegDecoder<ZCursor<&[u8]>>,
+    picture: &EncodedPicture,
+    pixels: &mut [u8],
+) -> Result<(), FrameFault> {
+    // A file may have more than one frame header; the one that was checked against the limits counts.
+    let expected = (picture.size.width as usize, picture.size.height as usize);
+    if decoder.dimensions() != Some(expected) || decoder.output_buffer_size() != Some(pixels.len())
+    {
+        return Err(FrameFault::undecodable(format!(
+            "the JPEG file contradicts its header, which says {}",
+            picture.size
+        )));
+    }
+    decoder.decode_into(pixels).map_err(undecodable)
+}
+
+fn undecodable(error: zune_jpeg::errors::DecodeErrors) -> FrameFault {
+    FrameFault::undecodable(format!("the JPEG file is broken: {error}"))
+}

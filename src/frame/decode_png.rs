@@ -1,0 +1,82 @@
+//! PNG files, by `png`: every colour type and depth, interlaced or not.
+
+use super::limits::decoded_bytes;
+use super::{EncodedPicture, FrameFault, FrameLimits, PixelLayout, decode_raw};
+use png::{BitDepth, ColorType, Decoder, DecodingError, Limits, Transformations};
+use std::io::Cursor;
+
+/// Decodes into `pixels`, which have the length for `picture.size` and `layout`.
+pub(super) fn decode(
+    picture: &EncodedPicture,
+    limits: &FrameLimits,
+    layout: PixelLayout,
+    pixels: &mut [u8],
+) -> Result<(), FrameFault> {
+    let memory = Limits {
+        bytes: limits.max_decoded_bytes,
+    };
+    let mut decoder = Decoder::new_with_limits(Cursor::new(picture.bytes.as_ref()), memory);
+    // Palettes become colours, 16 bits become 8. Text and colour profiles are not looked at.
+    decoder.set_transformations(Transformations::EXPAND | Transformations::STRIP_16);
+    decoder.set_ignore_text_chunk(true);
+    decoder.set_ignore_iccp_chunk(true);
+    let mut reader = decoder.read_info().map_err(fault)?;
+    let (color, depth) = reader.output_color_type();
+    let info = reader.info();
+    if (info.width, info.height) != (picture.size.width, picture.size.height)
+        || depth != BitDepth::Eight
+    {
+        return Err(FrameFault::undecodable(format!(
+            "the PNG file contradicts its header, which says {}",
+            picture.size
+        )));
+    }
+    let channels = match color {
+        ColorType::Grayscale => 1,
+        ColorType::GrayscaleAlpha => 2,
+        ColorType::Rgb => 3,
+        ColorType::Rgba => 4,
+        ColorType::Indexed => {
+            return Err(FrameFault::undecodable("the PNG file has no palette"));
+        }
+    };
+    let length = decoded_bytes(picture.size, channels, limits)?;
+    if reader.output_buffer_size() != Some(length) {
+        return Err(FrameFault::undecodable(format!(
+            "the rows of the PNG file do not make a picture of {}",
+            picture.size
+        )));
+    }
+    if matches!(
+        (color, layout),
+        (ColorType::Rgb, PixelLayout::Rgb8) | (ColorType::Grayscale, PixelLayout::Gray8)
+    ) {
+        reader.next_frame(pixels).map_err(fault)?;
+        return Ok(());
+    }
+    let mut samples = vec![0; length];
+    reader.next_frame(&mut samples).map_err(fault)?;
+    match (color, layout) {
+        (ColorType::Grayscale, _) => decode_raw::grey_to_rgb::<1>(&samples, pixels),
+        (ColorType::GrayscaleAlpha, PixelLayout::Rgb8) => {
+            decode_raw::grey_to_rgb::<2>(&samples, pixels);
+        }
+        (ColorType::GrayscaleAlpha, PixelLayout::Gray8) => {
+            for (to, from) in pixels.iter_mut().zip(samples.chunks_exact(2)) {
+                *to = from[0];
+            }
+        }
+        (ColorType::Rgba, _) => decode_raw::colours::<4>(&samples, [0, 1, 2], layout, pixels),
+        (ColorType::Rgb | ColorType::Indexed, _) => decode_raw::rgb_to_grey(&samples, pixels),
+    }
+    Ok(())
+}
+
+fn fault(error: DecodingError) -> FrameFault {
+    match error {
+        DecodingError::LimitsExceeded => FrameFault::oversized(
+            "decoding the PNG file would take more memory than frame.max_decoded_bytes",
+        ),
+        other => FrameFault::undecodable(format!("the PNG file is broken: {other}")),
+    }
+}

@@ -1,0 +1,104 @@
+//! Raw pixels from one layout to another. Lengths have been checked.
+
+use super::{EncodedPicture, PictureFormat, PixelLayout};
+
+/// Converts into `pixels`, which have the length for `picture.size` and `layout`; `picture.bytes` have
+/// the length for its size and format.
+pub(super) fn decode(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut [u8]) {
+    let bytes = picture.bytes.as_ref();
+    match (picture.format, layout) {
+        (PictureFormat::Rgb8, PixelLayout::Rgb8) | (PictureFormat::Gray8, PixelLayout::Gray8) => {
+            pixels.copy_from_slice(bytes);
+        }
+        (PictureFormat::Gray8, PixelLayout::Rgb8) => grey_to_rgb::<1>(bytes, pixels),
+        (PictureFormat::Rgb8, _) => colours::<3>(bytes, [0, 1, 2], layout, pixels),
+        (PictureFormat::Bgr8, _) => colours::<3>(bytes, [2, 1, 0], layout, pixels),
+        (PictureFormat::Rgba8, _) => colours::<4>(bytes, [0, 1, 2], layout, pixels),
+        (PictureFormat::Bgra8, _) => colours::<4>(bytes, [2, 1, 0], layout, pixels),
+        (PictureFormat::Nv12, _) => nv12(picture, layout, pixels),
+        // Not raw.
+        (PictureFormat::Jpeg | PictureFormat::Png, _) => {}
+    }
+}
+
+/// Luma of full-range red, green and blue with the weights of BT.601, in 16-bit fixed point.
+fn luma(red: u8, green: u8, blue: u8) -> u8 {
+    let sum = 19595 * u32::from(red) + 38470 * u32::from(green) + 7471 * u32::from(blue);
+    ((sum + (1 << 15)) >> 16) as u8
+}
+
+/// Pixels of `N` bytes with red, green and blue at `order`.
+pub(super) fn colours<const N: usize>(
+    from: &[u8],
+    order: [usize; 3],
+    layout: PixelLayout,
+    to: &mut [u8],
+) {
+    let (from, _) = from.as_chunks::<N>();
+    let [red, green, blue] = order;
+    match layout {
+        PixelLayout::Rgb8 => {
+            let (to, _) = to.as_chunks_mut::<3>();
+            for (to, from) in to.iter_mut().zip(from) {
+                *to = [from[red], from[green], from[blue]];
+            }
+        }
+        PixelLayout::Gray8 => {
+            for (to, from) in to.iter_mut().zip(from) {
+                *to = luma(from[red], from[green], from[blue]);
+            }
+        }
+    }
+}
+
+/// Red, green, blue to luma.
+pub(super) fn rgb_to_grey(from: &[u8], to: &mut [u8]) {
+    colours::<3>(from, [0, 1, 2], PixelLayout::Gray8, to);
+}
+
+/// Pixels of `N` bytes with luma first to red, green, blue.
+pub(super) fn grey_to_rgb<const N: usize>(from: &[u8], to: &mut [u8]) {
+    let (from, _) = from.as_chunks::<N>();
+    let (to, _) = to.as_chunks_mut::<3>();
+    for (to, from) in to.iter_mut().zip(from) {
+        *to = [from[0]; 3];
+    }
+}
+
+/// NV12 in the limited range of BT.601 (ITU-R BT.601-7, section 2.5: black 16, white 235), each chroma
+/// pair used for its square of four pixels. Fixed-point factors: 298/256 = 255/219, and so on.
+fn nv12(picture: &EncodedPicture, layout: PixelLayout, pixels: &mut [u8]) {
+    let width = picture.size.width as usize;
+    let height = picture.size.height as usize;
+    let (luma_plane, chroma_plane) = picture.bytes.split_at(width * height);
+    let scaled = |luma: u8| 298 * (i32::from(luma) - 16) + 128;
+    let byte = |value: i32| (value >> 8).clamp(0, 255) as u8;
+    match layout {
+        PixelLayout::Gray8 => {
+            for (to, from) in pixels.iter_mut().zip(luma_plane) {
+                *to = byte(scaled(*from));
+            }
+        }
+        PixelLayout::Rgb8 => {
+            let chroma_row = 2 * width.div_ceil(2);
+            for (y, (to, from)) in pixels
+                .chunks_exact_mut(3 * width)
+                .zip(luma_plane.chunks_exact(width))
+                .enumerate()
+            {
+                let chroma = &chroma_plane[y / 2 * chroma_row..][..chroma_row];
+                let (to, _) = to.as_chunks_mut::<3>();
+                for (x, (to, from)) in to.iter_mut().zip(from).enumerate() {
+                    let blue_difference = i32::from(chroma[x & !1]) - 128;
+                    let red_difference = i32::from(chroma[x | 1]) - 128;
+                    let luma = scaled(*from);
+                    *to = [
+                        byte(luma + 409 * red_difference),
+                        byte(luma - 100 * blue_difference - 208 * red_difference),
+                        byte(luma + 516 * blue_difference),
+                    ];
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! The letterbox against a slow reference, and the way back against the way there.
+
+use super::*;
+use proptest::prelude::*;
+
+/// A picture whose pixels differ from their neighbours by little, with edges.
+fn picture(width: u32, height: u32, layout: PixelLayout) -> Picture {
+    let size = PictureSize::new(width, height);
+    let mut pixels = Vec::new();
+    for y in 0..height {
+        for x in 0..width {
+            for channel in 0..layout.channels() as u32 {
+                let ramp = x * 3 + y * 5 + channel * 40;
+                let edge = if (x / 7 + y / 5) % 2 == 0 { 90 } else { 0 };
+                pixels.push(((ramp + edge) % 256) as u8);
+            }
+        }
+    }
+    Picture {
+        size,
+        source_size: size,
+        layout,
+        pixels,
+    }
+}
+
+/// Bilinear interpolation with the pixel centres at half numbers, as OpenCV's `INTER_LINEAR` defines it.
+fn reference(picture: &Picture, channel: usize, column: u32, row: u32, to: PictureSize) -> f64 {
+    let channels = picture.layout.channels();
+    let at = |x: f64, y: f64| {
+        let x = x.clamp(0.0, f64::from(picture.size.width - 1)) as usize;
+        let y = y.clamp(0.0, f64::from(picture.size.height - 1)) as usize;
+        let index = (y * picture.size.width as usize + x) * channels + channel.min(channels - 1);
+        f64::from(picture.pixels[index])
+    };
+    let source = |position: u32, from: u32, to: u32| {
+        (f64::from(position) + 0.5) * f64::from(from) / f64::from(to) - 0.5
+    };
+    let x = source(column, picture.size.width, to.width);
+    let y = source(row, picture.size.height, to.height);
+    let (left, top) = (x.floor(), y.floor());
+    let (right_share, bottom_share) = (x - left, y - top);
+    let upper = at(left, top) * (1.0 - right_share) + at(left + 1.0, top) * right_share;
+    let lower = at(left, top + 1.0) * (1.0 - right_share) + at(left + 1.0, top + 1.0) * right_share;
+    upper * (1.0 - bottom_share) + lower * bottom_share
+}
+
+fn format(width: u32, height: u32, fit: Fit) -> InputFormat {
+    InputFormat {
+        size: PictureSize::new(width, height),
+        fit,
+        color_order: ColorOrder::Rgb,
+        value_range: ValueRange::To255,
+    }
+}
+
+/// Compares the tensor with the reference where the picture is, and with `fill` elsewhere; `left`, `top`
+/// and `used` say where that is.
+fn compare(picture: &Picture, format: InputFormat, left: u32, top: u32, used: PictureSize) {
+    let mut letterbox = Letterbox::new(format);
+    letterbox.fill(picture).unwrap();
+    let size = format.size;
+    for plane in 0..3_usize {
+        let channel = match format.color_order {
+            ColorOrder::Rgb => plane,
+            ColorOrder::Bgr => 2 - plane,
+        };
+        for row in 0..size.height {
+            for column in 0..size.width {
+                let index = (plane as u32 * size.height + row) * size.width + column;
+                let found = f64::from(letterbox.tensor()[index as usize]);
+                let inside = (left..left + used.width).contains(&column)
+                    && (top..top + used.height).contains(&row);
+                let expected = if inside {
+                    reference(picture, channel, column - left, row - top, used)
+                } else {
+                    114.0
+                };
+                let found = match format.value_range {
+                    ValueRange::To255 => found,
+                    ValueRange::ToOne => found * 255.0,
+                };
+                // Two passes with a rounding each.
+                let allowed = if inside { 1.01 } else { 1e-4 };
+                assert!(
+                    (found - expected).abs() <= allowed,
+                    "plane {plane} row {row} column {column}: {found} instead of {expected}"
+                );
+            }
+        }
+    }
+}
+
+#[test]
+fn shrinking_and_growing_agree_with_bilinear_interpolation() {
+    for (source, input, used) in [
+        ((72, 58), (42, 42), (42, 33)),
+        ((30, 90), (64, 64), (21, 64)),
+        ((19, 11), (96, 64), (96, 55)),
+        ((64, 64), (64, 64), (64, 64)),
+    ] {
+        let picture = picture(source.0, source.1, PixelLayout::Rgb8);
+        let used = PictureSize::new(used.0, used.1);
+        let format = format(input.0, input.1, Fit::TopLeft(114));
+        compare(&picture, format, 0, 0, used);
+    }
+}
+
+#[test]
+fn the_colour_order_and_the_range_are_as_asked() {
+    let picture = picture(40, 20, PixelLayout::Rgb8);
+    for color_order in [ColorOrder::Rgb, ColorOrder::Bgr] {
+        for value_range in [ValueRange::To255, ValueRange::ToOne] {
+            let format = InputFormat {
+                color_order,
+                value_range,
+                ..format(32, 32, Fit::TopLeft(114))
+            };
+            compare(&picture, format, 0, 0, PictureSize::new(32, 16));
+        }
+    }
+}
+
+#[test]
+fn a_grey_picture_fills_all_three_planes() {
+    let picture = picture(40, 20, PixelLayout::Gray8);
+    let format = format(32, 32, Fit::TopLeft(114));
+    compare(&picture, format, 0, 0, PictureSize::new(32, 16));
+}
+
+#[test]
+fn the_middle_and_the_stretched_fit_lie_where_they_should() {
+    let picture = picture(40, 21, PixelLayout::Rgb8);
+    let used = PictureSize::new(32, 17);
+    compare(&picture, format(32, 32, Fit::Centre(114)), 0, 7, used);
+    let all = PictureSize::new(32, 24);
+    compare(&picture, format(32, 24, Fit::Stretch), 0, 0, all);
+}
+
+#[test]
+fn the_margin_is_filled_anew_when_the_picture_changes_its_shape() {
+    let format = format(32, 32, Fit::TopLeft(114));
+    let mut letterbox = Letterbox::new(format);
+    letterbox.fill(&picture(64, 32, PixelLayout::Rgb8)).unwrap();
+    let tall = picture(16, 64, PixelLayout::Rgb8);
+    letterbox.fill(&tall).unwrap();
+    let mut fresh = Letterbox::new(format);
+    fresh.fill(&tall).unwrap();
+    assert_eq!(letterbox.tensor(), fresh.tensor());
+}
+
+#[test]
+fn the_fraction_is_cut_off_as_yolox_does_it() {
+    // In double precision 720 * (416 / 720) is just below 416.
+    let format = format(416, 416, Fit::TopLeft(114));
+    let (placement, mapping) = place(PictureSize::new(720, 576), format);
+    assert_eq!((placement.width, placement.height), (415, 332));
+    assert!((mapping.width - 416.0).abs() < 1e-9 && (mapping.height - 332.8).abs() < 1e-9);
+}
+
+#[test]
+fn a_picture_that_is_empty_or_too_short_is_an_error() {
+    let mut letterbox = Letterbox::new(format(32, 32, Fit::Stretch));
+    assert_eq!(
+        letterbox.fill(&Picture::default()),
+        Err(LetterboxError::Empty(PictureSize::new(0, 0)))
+    );
+    let mut short = picture(8, 8, PixelLayout::Rgb8);
+    short.pixels.pop();
+    let error = letterbox.fill(&short).unwrap_err().to_string();
+    assert!(error.contains("192") && error.contains("191"), "{error}");
+}
+
+#[test]
+fn a_picture_of_one_row_or_of_extreme_shape_is_no_trouble() {
+    for fit in [Fit::TopLeft(114), Fit::Centre(114), Fit::Stretch] {
+        let mut letterbox = Letterbox::new(format(32, 32, fit));
+        for (width, height) in [(1, 1), (4000, 1), (1, 4000), (33, 32)] {
+            letterbox
+                .fill(&picture(width, height, PixelLayout::Rgb8))
+                .unwrap();
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn the_way_back_undoes_the_way_there(
+        width in 1_u32..3000, height in 1_u32..3000,
+        columns in 1_u32..700, rows in 1_u32..700,
+        which in 0_u8..3,
+        x1 in 0.0..1.0_f64, y1 in 0.0..1.0_f64, w in 0.0..1.0_f64, h in 0.0..1.0_f64,
+    ) {
+        let fit = [Fit::TopLeft(114), Fit::Centre(114), Fit::Stretch][usize::from(which)];
+        let (placement, mapping) = place(PictureSize::new(width, height), format(columns, rows, fit));
+        prop_assert!(placement.left + placement.width <= columns);
+        prop_assert!(placement.top + placement.height <= rows);
+        // Where the picture's edges are in the input: within a pixel of where its pixels were put.
+        let scale = (f64::from(columns) / f64::from(width)).min(f64::from(rows) / f64::from(height));
+        let (scale_x, scale_y) = match fit {
+            Fit::Stretch => (f64::from(columns) / f64::from(width), f64::from(rows) / f64::from(height)),
+            Fit::TopLeft(_) | Fit::Centre(_) => (scale, scale),
+        };
+        let to_input = |x: f64, y: f64| (
+            x * f64::from(width) * scale_x + f64::from(placement.left),
+            y * f64::from(height) * scale_y + f64::from(placement.top),
+        );
+        let (a, b) = to_input(x1, y1);
+        let (c, d) = to_input(x1 + w, y1 + h);
+        let back = mapping.to_source(Corners { x1: a, y1: b, x2: c, y2: d });
+        let expected = BoundingBox::new(x1 + w / 2.0, y1 + h / 2.0, w, h);
+        for (found, expected) in [
+            (back.center_x, expected.center_x), (back.center_y, expected.center_y),
+            (back.width, expected.width), (back.height, expected.height),
+        ] {
+            prop_assert!((found - expected).abs() < 1e-9, "{found} instead of {expected}");
+        }
+        prop_assert!((f64::from(placement.width) - mapping.width).abs() <= 1.0 + 1e-9);
+        prop_assert!((f64::from(placement.height) - mapping.height).abs() <= 1.0 + 1e-9);
+    }
+}

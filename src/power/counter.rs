@@ -1,0 +1,80 @@
+//! A hardware energy counter made to rise for ever: wraps are followed, resets are not taken for wraps.
+
+use tokio::time::Instant;
+
+/// No device draws more: a counter that rises faster was reset (after suspend, say) and did not wrap.
+const IMPLAUSIBLE_WATTS: f64 = 10_000.0;
+
+/// Follows one counter.
+#[derive(Clone, Debug)]
+pub(super) struct Counter {
+    /// Joules of one count.
+    unit: f64,
+    /// The highest count, after which it begins at 0 again; `None` for one that never does.
+    range: Option<u64>,
+    last: Option<(Instant, u64)>,
+    counted: u64,
+}
+
+impl Counter {
+    pub(super) const fn new(unit: f64, range: Option<u64>) -> Self {
+        Self {
+            unit,
+            range,
+            last: None,
+            counted: 0,
+        }
+    }
+
+    /// Takes note of what the counter reads now. False when it was reset: what it counted since the last
+    /// call is lost, less than an interval's worth.
+    pub(super) fn update(&mut self, now: Instant, raw: u64) -> bool {
+        let mut sound = true;
+        if let Some((then, before)) = self.last {
+            let rise = match (raw.checked_sub(before), self.range) {
+                (Some(rise), _) => Some(rise),
+                (None, Some(range)) => Some(range.saturating_sub(before).saturating_add(raw)),
+                (None, None) => None,
+            };
+            let seconds = now.saturating_duration_since(then).as_secs_f64().max(0.1);
+            let plausible = rise.filter(|r| *r as f64 * self.unit <= IMPLAUSIBLE_WATTS * seconds);
+            sound = plausible.is_some();
+            self.counted += plausible.unwrap_or(0);
+        }
+        self.last = Some((now, raw));
+        sound
+    }
+
+    /// Joules counted since the first update.
+    pub(super) fn joules(&self) -> f64 {
+        self.counted as f64 * self.unit
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn a_wrap_goes_on_counting_and_a_reset_does_not_jump() {
+        let start = Instant::now();
+        let at = |s: u64| start + Duration::from_secs(s);
+        let mut counter = Counter::new(1e-6, Some(262_143_328_850));
+        assert!(counter.update(at(0), 262_143_328_850 - 1_000_000));
+        assert!(counter.update(at(1), 2_000_000));
+        assert!((counter.joules() - 3.0).abs() < 1e-9);
+        assert!(!counter.update(at(2), 1_000_000));
+        assert!(counter.update(at(3), 5_000_000));
+        assert!((counter.joules() - 7.0).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_counter_without_a_range_that_falls_was_reset() {
+        let start = Instant::now();
+        let mut counter = Counter::new(1e-3, None);
+        assert!(counter.update(start, 5_000_000));
+        assert!(!counter.update(start + Duration::from_secs(1), 10));
+        assert_eq!(counter.joules(), 0.0);
+    }
+}

@@ -1,0 +1,221 @@
+//! From a board's rails to domains, by tables: the built-in ones in `boards.toml`, or the user's own.
+
+use super::meter::{Domain, INPUT_RAIL, MeterError, Rail, Reading, SUM_OF_RAILS, Value, Values};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// Readings without the input rail after which it is taken for gone, and rails are added up instead.
+const GONE_AFTER: u32 = 20;
+
+/// Which rails of a board count for what.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RailTable {
+    /// The board's name.
+    pub name: String,
+    /// Rails that carry all the board draws; the first one that is read is the total.
+    pub input: Vec<String>,
+    /// Rails added up to the total where no input rail is read; all of them must be read.
+    pub sum: Vec<String>,
+    /// Rails added up to the GPU domain; all of them must be read.
+    pub gpu: Vec<String>,
+    /// As `gpu`, for the CPU domain.
+    pub cpu: Vec<String>,
+    /// As `gpu`, for the domain of IO and memory.
+    pub io_mem: Vec<String>,
+    /// Rails that are known and counted in no domain.
+    pub other: Vec<String>,
+}
+
+impl RailTable {
+    fn lists(&self) -> [&Vec<String>; 6] {
+        [
+            &self.input,
+            &self.sum,
+            &self.gpu,
+            &self.cpu,
+            &self.io_mem,
+            &self.other,
+        ]
+    }
+
+    fn knows(&self, rail: &str) -> bool {
+        self.lists().into_iter().flatten().any(|r| r == rail)
+    }
+
+    fn domain_of(&self, rail: &str) -> Option<Domain> {
+        let lists = [
+            (Domain::Gpu, &self.gpu),
+            (Domain::Cpu, &self.cpu),
+            (Domain::IoMem, &self.io_mem),
+        ];
+        let found = lists.iter().find(|(_, l)| l.iter().any(|r| r == rail));
+        found.map(|(domain, _)| *domain)
+    }
+
+    /// Refuses a table that would count a rail twice or tells no total.
+    ///
+    /// # Errors
+    /// [`MeterError::Configuration`] that names the rail.
+    pub fn check(&self) -> Result<(), MeterError> {
+        let refuse = |text: String| Err(MeterError::Configuration(format!("rails: {text}")));
+        if self.input.is_empty() && self.sum.is_empty() {
+            return refuse(
+                "name the rail of the whole board in `input`, or the rails to add up in `sum`"
+                    .to_owned(),
+            );
+        }
+        let domains = [&self.gpu, &self.cpu, &self.io_mem];
+        if let Some(rail) = twice(self.sum.iter()) {
+            return refuse(format!("`{rail}` is in `sum` twice"));
+        }
+        if let Some(rail) = twice(domains.into_iter().flatten()) {
+            return refuse(format!(
+                "`{rail}` is counted in two of gpu, cpu and io_mem, or twice in one"
+            ));
+        }
+        Ok(())
+    }
+}
+
+fn twice<'a>(rails: impl Iterator<Item = &'a String>) -> Option<&'a String> {
+    let mut seen: Vec<&String> = Vec::new();
+    for rail in rails {
+        if seen.contains(&rail) {
+            return Some(rail);
+        }
+        seen.push(rail);
+    }
+    None
+}
+
+/// Power of one rail as it was read.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RailWatts {
+    /// The name.
+    pub name: Arc<str>,
+    /// Watts; slightly below zero where the sensor has an offset.
+    pub watts: f64,
+}
+
+/// Turns the rails of one board into readings.
+#[derive(Debug)]
+pub struct RailMap {
+    tables: Vec<RailTable>,
+    /// Readings since the input rail was there; none if it never was.
+    since_input: Option<u32>,
+    input_rail: Arc<str>,
+    sum_of_rails: Arc<str>,
+    unknown_board: Arc<str>,
+}
+
+impl RailMap {
+    /// With the user's table, or the built-in ones.
+    ///
+    /// # Errors
+    /// [`MeterError::Configuration`] when the user's table makes no sense.
+    pub fn new(user: Option<&RailTable>) -> Result<Self, MeterError> {
+        let tables = match user {
+            Some(table) => {
+                table.check()?;
+                vec![table.clone()]
+            }
+            None => built_in()?,
+        };
+        Ok(Self {
+            tables,
+            since_input: None,
+            input_rail: INPUT_RAIL.into(),
+            sum_of_rails: SUM_OF_RAILS.into(),
+            unknown_board: "sum_of_rails of an unknown board".into(),
+        })
+    }
+
+    /// The table that names most of `rails`, if one names any.
+    pub fn board(&self, rails: &[RailWatts]) -> Option<&RailTable> {
+        let score = |t: &RailTable| rails.iter().filter(|r| t.knows(&r.name)).count();
+        let best = self.tables.iter().map(score).max().filter(|s| *s > 0)?;
+        self.tables.iter().find(|t| score(t) == best)
+    }
+
+    /// The domains of one reading. A domain of which a rail is missing is left out, never made smaller. A
+    /// rail below zero counts as zero: no rail gives power back, it is the sensor's offset.
+    pub fn reading(&mut self, rails: &[RailWatts]) -> Reading {
+        let table = self.board(rails).cloned();
+        let watts = |name: &str| {
+            rails
+                .iter()
+                .find(|r| &*r.name == name)
+                .map(|r| r.watts.max(0.0))
+        };
+        let added = |names: &[String]| -> Option<f64> {
+            (!names.is_empty()).then(|| names.iter().map(|n| watts(n)).sum())?
+        };
+        let mut values = Values::default();
+        let mut put = |domain, watts: Option<f64>| {
+            if let Some(watts) = watts {
+                values.set(domain, Value::power(watts));
+            }
+        };
+        let input = table
+            .as_ref()
+            .and_then(|t| t.input.iter().find(|name| watts(name).is_some()))
+            .cloned();
+        let total_from = if let Some(name) = &input {
+            self.since_input = Some(0);
+            put(Domain::Total, watts(name));
+            &self.input_rail
+        } else if self.since_input.is_some_and(|n| n < GONE_AFTER) {
+            // It was there a moment ago: this is a gap, not another rule.
+            self.since_input = self.since_input.map(|n| n + 1);
+            &self.input_rail
+        } else if let Some(table) = &table {
+            put(Domain::Total, added(&table.sum));
+            &self.sum_of_rails
+        } else {
+            let all: f64 = rails.iter().map(|r| r.watts.max(0.0)).sum();
+            put(Domain::Total, (!rails.is_empty()).then_some(all));
+            &self.unknown_board
+        };
+        let total_from = Arc::clone(total_from);
+        if let Some(table) = &table {
+            put(Domain::Gpu, added(&table.gpu));
+            put(Domain::Cpu, added(&table.cpu));
+            put(Domain::IoMem, added(&table.io_mem));
+        }
+        let rails = rails
+            .iter()
+            .map(|rail| Rail {
+                name: Arc::clone(&rail.name),
+                domain: table.as_ref().and_then(|t| t.domain_of(&rail.name)),
+                in_total: match (&input, &table) {
+                    (Some(input), _) => **input == *rail.name,
+                    (None, Some(table)) => table.sum.iter().any(|r| **r == *rail.name),
+                    (None, None) => true,
+                },
+                value: Value::power(rail.watts),
+            })
+            .collect();
+        Reading {
+            at: None,
+            values,
+            total_from,
+            rails,
+        }
+    }
+}
+
+/// The tables of `boards.toml`.
+fn built_in() -> Result<Vec<RailTable>, MeterError> {
+    #[derive(Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Boards {
+        board: Vec<RailTable>,
+    }
+    let boards: Boards = toml::from_str(include_str!("boards.toml"))
+        .map_err(|error| MeterError::Configuration(format!("boards.toml: {error}")))?;
+    Ok(boards.board)
+}
+
+#[cfg(test)]
+mod tests;

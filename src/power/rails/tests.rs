@@ -1,0 +1,124 @@
+//! Promises of the rail tables.
+
+use super::*;
+
+fn rails(list: &[(&str, f64)]) -> Vec<RailWatts> {
+    list.iter()
+        .map(|(name, watts)| RailWatts {
+            name: (*name).into(),
+            watts: *watts,
+        })
+        .collect()
+}
+
+fn watts(reading: &Reading, domain: Domain) -> Option<f64> {
+    reading.values.get(domain).watts
+}
+
+#[test]
+fn every_built_in_table_is_sound() {
+    let tables = built_in().unwrap();
+    assert!(tables.len() >= 6);
+    for table in tables {
+        table.check().unwrap();
+        assert!(!table.name.is_empty());
+    }
+}
+
+#[test]
+fn the_total_is_the_input_rail_where_there_is_one() {
+    let mut map = RailMap::new(None).unwrap();
+    let found = map.reading(&rails(&[
+        ("VDD_GPU", 2.0),
+        ("VDD_CPU_SOC_MSS", 5.9),
+        ("VIN_SYS_5V0", 5.6),
+        ("VIN", 19.8),
+    ]));
+    assert_eq!(watts(&found, Domain::Total), Some(19.8));
+    assert_eq!(&*found.total_from, "input_rail");
+    assert_eq!(watts(&found, Domain::Gpu), Some(2.0));
+    let in_total: Vec<_> = found.rails.iter().filter(|r| r.in_total).collect();
+    assert_eq!(in_total.len(), 1, "the parts are not added to the whole");
+}
+
+#[test]
+fn an_input_rail_that_is_missing_once_is_a_gap_and_missing_for_good_another_rule() {
+    let mut map = RailMap::new(None).unwrap();
+    let parts = [
+        ("VDD_GPU", 2.0),
+        ("VDD_CPU_SOC_MSS", 6.0),
+        ("VIN_SYS_5V0", 5.0),
+    ];
+    let mut with_input = parts.to_vec();
+    with_input.push(("VIN", 20.0));
+    map.reading(&rails(&with_input));
+    for _ in 0..GONE_AFTER {
+        let found = map.reading(&rails(&parts));
+        assert_eq!(watts(&found, Domain::Total), None);
+        assert_eq!(watts(&found, Domain::Cpu), Some(6.0));
+    }
+    let found = map.reading(&rails(&parts));
+    assert_eq!(watts(&found, Domain::Total), Some(13.0));
+    assert_eq!(&*found.total_from, "sum_of_rails");
+}
+
+#[test]
+fn a_sum_with_a_rail_missing_is_no_total() {
+    let mut map = RailMap::new(None).unwrap();
+    let found = map.reading(&rails(&[("VDD_GPU_SOC", 2.0), ("VDD_CPU_CV", 1.0)]));
+    assert_eq!(watts(&found, Domain::Total), None);
+    assert_eq!(watts(&found, Domain::Gpu), Some(2.0));
+}
+
+#[test]
+fn a_negative_rail_counts_as_zero_and_is_shown_as_read() {
+    let mut map = RailMap::new(None).unwrap();
+    let found = map.reading(&rails(&[
+        ("VDD_GPU_SOC", 1.592),
+        ("VDD_CPU_CV", -0.398),
+        ("VIN_SYS_5V0", 2.624),
+    ]));
+    assert_eq!(watts(&found, Domain::Total), Some(1.592 + 2.624));
+    assert_eq!(watts(&found, Domain::Cpu), Some(0.0));
+    assert_eq!(found.rails[1].value.watts, Some(-0.398));
+}
+
+#[test]
+fn a_users_table_goes_before_the_built_in_ones() {
+    let user: RailTable = toml::from_str(
+        "sum = [\"VDD_GPU_SOC\", \"VDDQ_VDD2_1V8AO\"]\nio_mem = [\"VDDQ_VDD2_1V8AO\"]",
+    )
+    .unwrap();
+    let mut map = RailMap::new(Some(&user)).unwrap();
+    let found = map.reading(&rails(&[
+        ("VDD_GPU_SOC", 2.0),
+        ("VDD_CPU_CV", 1.0),
+        ("VDDQ_VDD2_1V8AO", 0.4),
+    ]));
+    assert_eq!(watts(&found, Domain::Total), Some(2.4));
+    assert_eq!(watts(&found, Domain::IoMem), Some(0.4));
+    assert_eq!(watts(&found, Domain::Gpu), None);
+}
+
+#[test]
+fn a_table_that_counts_a_rail_twice_is_refused_by_name() {
+    let table: RailTable = toml::from_str("sum = [\"A\"]\ngpu = [\"A\"]\ncpu = [\"A\"]").unwrap();
+    let text = RailMap::new(Some(&table)).unwrap_err().to_string();
+    assert!(
+        text.contains("[power] rails: `A` is counted in two"),
+        "{text}"
+    );
+    let table: RailTable = toml::from_str("sum = [\"A\", \"A\"]").unwrap();
+    assert!(RailMap::new(Some(&table)).is_err());
+    assert!(RailMap::new(Some(&RailTable::default())).is_err());
+    assert!(toml::from_str::<RailTable>("summ = []").is_err());
+}
+
+#[test]
+fn an_unknown_board_is_added_up_and_says_so() {
+    let mut map = RailMap::new(None).unwrap();
+    let found = map.reading(&rails(&[("5V", 2.0), ("3V3", 1.0)]));
+    assert_eq!(watts(&found, Domain::Total), Some(3.0));
+    assert!(found.total_from.contains("unknown board"));
+    assert_eq!(watts(&map.reading(&[]), Domain::Total), None);
+}

@@ -1,0 +1,95 @@
+//! Reading the small text files of sysfs and procfs, with errors that name the file and the remedy.
+
+use super::meter::MeterError;
+use std::io;
+use std::path::{Path, PathBuf};
+
+/// The file's text without surrounding white space.
+pub(super) fn text(source_name: &'static str, path: &Path) -> Result<String, MeterError> {
+    match std::fs::read_to_string(path) {
+        Ok(text) => Ok(text.trim().to_owned()),
+        Err(error) => Err(failure(source_name, path, &error)),
+    }
+}
+
+/// The file's text as a number.
+pub(super) fn number<T: std::str::FromStr>(
+    source_name: &'static str,
+    path: &Path,
+) -> Result<T, MeterError> {
+    let text = text(source_name, path)?;
+    text.parse().map_err(|_| MeterError::Unreadable {
+        source_name,
+        path: path.to_owned(),
+        reason: format!(
+            "`{}` is not a number",
+            text.chars().take(40).collect::<String>()
+        ),
+    })
+}
+
+/// The entries of a directory in order of their names; none if it cannot be listed.
+pub(super) fn entries(directory: &Path) -> Vec<PathBuf> {
+    let mut found: Vec<PathBuf> = std::fs::read_dir(directory)
+        .into_iter()
+        .flatten()
+        .filter_map(|entry| Some(entry.ok()?.path()))
+        .collect();
+    found.sort();
+    found
+}
+
+/// The last part of a path as text.
+pub(super) fn name(path: &Path) -> &str {
+    path.file_name()
+        .and_then(|n| n.to_str())
+        .unwrap_or_default()
+}
+
+/// What an input error on `path` means.
+pub(super) fn failure(source_name: &'static str, path: &Path, error: &io::Error) -> MeterError {
+    match error.kind() {
+        io::ErrorKind::PermissionDenied => MeterError::Permission {
+            source_name,
+            path: path.to_owned(),
+            remedy: format!(
+                "let this user read it with `sudo chmod a+r {0}` (until the next boot; for every boot put \
+                 `z {0} 0444` into /etc/tmpfiles.d/albireo.conf), or run as a user who may",
+                path.display()
+            ),
+        },
+        io::ErrorKind::NotFound => MeterError::Missing {
+            source_name,
+            reason: format!("there is no {}", path.display()),
+        },
+        _ => MeterError::Unreadable {
+            source_name,
+            path: path.to_owned(),
+            reason: error.to_string(),
+        },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn permission_denied_names_the_file_and_the_remedy() {
+        let path = Path::new("/sys/class/powercap/intel-rapl:0/energy_uj");
+        let error = failure("rapl", path, &io::ErrorKind::PermissionDenied.into());
+        let text = error.to_string();
+        assert!(matches!(error, MeterError::Permission { .. }));
+        assert!(text.contains("rapl: may not read /sys/class/powercap/intel-rapl:0/energy_uj"));
+        assert!(text.contains("sudo chmod a+r /sys/class/powercap/intel-rapl:0/energy_uj"));
+    }
+
+    #[test]
+    fn a_file_that_holds_no_number_is_told_with_its_text() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("energy_uj");
+        std::fs::write(&path, "many\n").unwrap();
+        let text = number::<u64>("rapl", &path).unwrap_err().to_string();
+        assert!(text.contains("energy_uj: `many` is not a number"), "{text}");
+    }
+}

@@ -1,0 +1,110 @@
+//! What a camera's loop holds of the screen.
+
+use super::network::Network;
+use super::{Logits, ScreenConfig};
+use crate::detector::task::{InferenceTask, TaskCounters, TaskSettings};
+use crate::detector::{CameraSlot, DetectorStatus, InferenceError, Model, StartError};
+use crate::frame::Picture;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// Pictures that may wait for the screen, all cameras together.
+const QUEUE: usize = 8;
+
+/// What the screen says of one picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScreenVerdict {
+    /// Nothing is in view.
+    pub empty: bool,
+    /// The two outputs it was decided by.
+    pub logits: Logits,
+    /// From being asked to the start of the run, milliseconds.
+    pub queue_ms: f64,
+    /// Resizing and the network, milliseconds.
+    pub run_ms: f64,
+}
+
+/// The screen as a camera's loop sees it: cheap to clone, shared by all cameras.
+#[derive(Clone)]
+pub struct ScreenHandle {
+    task: InferenceTask<Logits>,
+    empty_class: usize,
+}
+
+impl ScreenHandle {
+    /// Loads the screen's model on a thread of its own, checks it and warms it up; `None` when the
+    /// configuration names no model. `onnxruntime` is the library, if it is named.
+    ///
+    /// # Errors
+    /// When the library or the model is not as configured.
+    pub async fn start(
+        config: &ScreenConfig,
+        onnxruntime: Option<&Path>,
+    ) -> Result<Option<Self>, StartError> {
+        let Some(model) = config.model.clone() else {
+            return Ok(None);
+        };
+        let library = onnxruntime.map(Path::to_owned);
+        let settings = config.clone();
+        let factory = move || Network::open(&model, &settings, library.clone());
+        Self::start_with(config, factory).await.map(Some)
+    }
+
+    /// A screen that runs `factory`'s model in place of an ONNX file.
+    ///
+    /// # Errors
+    /// When `empty_class` is neither 0 nor 1, or the first model cannot be made.
+    pub async fn start_with<M: Model<Output = Logits>>(
+        config: &ScreenConfig,
+        factory: impl Fn() -> Result<M, StartError> + Send + Sync + 'static,
+    ) -> Result<Self, StartError> {
+        if config.empty_class > 1 {
+            return Err(StartError::Configuration {
+                key: "screen.empty_class",
+                reason: format!("it is {}, and can be 0 or 1", config.empty_class),
+            });
+        }
+        let timeout = Duration::from_millis(config.timeout_ms);
+        let settings = TaskSettings::new("screen", timeout, QUEUE);
+        Ok(Self {
+            task: InferenceTask::start(settings, factory).await?,
+            empty_class: config.empty_class,
+        })
+    }
+
+    /// Whether nothing is in view in `picture`. Equal outputs count as not empty.
+    ///
+    /// # Errors
+    /// See [`InferenceError`]. Whatever the error, the frame counts as not empty.
+    pub async fn ask(
+        &self,
+        camera: CameraSlot,
+        picture: Arc<Picture>,
+    ) -> Result<ScreenVerdict, InferenceError> {
+        let inference = self.task.run(camera, picture).await?;
+        let logits = inference.output;
+        Ok(ScreenVerdict {
+            empty: logits[self.empty_class] > logits[1 - self.empty_class],
+            logits,
+            queue_ms: inference.queued.as_secs_f64() * 1e3,
+            run_ms: inference.took.as_secs_f64() * 1e3,
+        })
+    }
+
+    /// How the screen is doing, now and from now on.
+    pub fn status(&self) -> watch::Receiver<DetectorStatus> {
+        self.task.status()
+    }
+
+    /// What it has counted since it started.
+    pub fn counters(&self) -> TaskCounters {
+        self.task.counters()
+    }
+
+    /// Takes no more pictures and returns when the run in hand has ended or has taken too long.
+    pub async fn stop(&self) {
+        self.task.stop().await;
+    }
+}

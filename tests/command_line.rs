@@ -1,0 +1,111 @@
+//! The command line as a user meets it: help, `check`, and the environment.
+
+#![allow(clippy::unwrap_used)]
+
+use std::process::{Command, Output};
+
+fn albireo(arguments: &[&str], environment: &[(&str, &str)]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(arguments)
+        .envs(environment.iter().copied())
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+#[test]
+fn check_accepts_the_shipped_configuration() {
+    let output = albireo(&["check", "config/node.toml"], &[]);
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    assert!(text(&output.stdout).contains("1 camera\n"));
+}
+
+#[test]
+fn check_names_file_key_and_reason_and_exits_1() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("bad.toml");
+    std::fs::write(
+        &file,
+        "[clip]\nwindow_s = -1\n[[camera]]\nname = \"a\"\nring = 0\n",
+    )
+    .unwrap();
+    let output = albireo(&["check", file.to_str().unwrap()], &[]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = text(&output.stderr);
+    for part in [
+        file.to_str().unwrap(),
+        "clip.window_s: must be above 0",
+        "camera[0].ring: must be from 1",
+    ] {
+        assert!(said.contains(part), "{said}");
+    }
+}
+
+#[test]
+fn the_node_does_not_start_on_a_configuration_that_check_refuses() {
+    let output = albireo(&["node", "--config", "/nowhere/node.toml"], &[]);
+    assert_eq!(output.status.code(), Some(1));
+    assert!(text(&output.stderr).contains("/nowhere/node.toml cannot be used"));
+}
+
+#[test]
+fn environment_variables_override_the_file_and_are_named_when_wrong() {
+    let check = ["check", "config/node.toml"];
+    let output = albireo(&check, &[("ALBIREO_NODE__NAME", "car-7")]);
+    assert!(
+        text(&output.stdout).contains("node `car-7`"),
+        "{}",
+        text(&output.stderr)
+    );
+    let output = albireo(&check, &[("ALBIREO_CAMERA", "[{name=\"a\"},{name=\"b\"}]")]);
+    assert!(
+        text(&output.stdout).contains("2 cameras"),
+        "{}",
+        text(&output.stderr)
+    );
+    for (name, value, expected) in [
+        ("ALBIREO_CLIP__WINDOW_S", "soon", "clip.window_s: must be"),
+        ("ALBIREO_CLIP__WINDOW", "1", "clip.window: unknown key"),
+        ("ALBIREO_CLIP_WINDOW_S", "1", "ALBIREO_CLIP__WINDOW_S"),
+        (
+            "ALBIREO_HTTP__LISTEN",
+            "0.0.0.0:80",
+            "http.listen: 0.0.0.0:80 can be reached",
+        ),
+    ] {
+        let output = albireo(&check, &[(name, value)]);
+        assert_eq!(output.status.code(), Some(1), "{name}");
+        assert!(
+            text(&output.stderr).contains(expected),
+            "{}",
+            text(&output.stderr)
+        );
+    }
+    let output = albireo(&check, &[("ALBIREO_SHARED", "/somewhere")]);
+    assert!(output.status.success());
+}
+
+#[test]
+fn every_subcommand_has_help_with_examples() {
+    let help = text(&albireo(&["--help"], &[]).stdout);
+    let commands: Vec<_> = help
+        .lines()
+        .skip_while(|line| *line != "Commands:")
+        .skip(1)
+        .take_while(|line| !line.is_empty())
+        .filter_map(|line| line.split_whitespace().next())
+        .filter(|command| *command != "help")
+        .collect();
+    assert!(
+        commands.contains(&"node") && commands.contains(&"check"),
+        "{help}"
+    );
+    for command in commands {
+        let help = text(&albireo(&[command, "--help"], &[]).stdout);
+        assert!(help.contains("Examples:"), "{command}: {help}");
+    }
+}

@@ -1,0 +1,414 @@
+//! Pictures are decoded right, or refused: never wrong, never a panic, never more memory than allowed.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use albireo::frame::{
+    EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode,
+    decode_grey_half, to_jpeg,
+};
+use albireo::geometry::PictureSize;
+use bytes::Bytes;
+use png::{BitDepth, ColorType};
+use proptest::prelude::*;
+
+fn encoded(format: PictureFormat, width: u32, height: u32, bytes: Vec<u8>) -> EncodedPicture {
+    EncodedPicture {
+        format,
+        bytes: Bytes::from(bytes),
+        size: PictureSize::new(width, height),
+    }
+}
+
+fn decoded(picture: &EncodedPicture, layout: PixelLayout) -> Result<Picture, FrameFault> {
+    let mut into = Picture::default();
+    decode(picture, &FrameLimits::default(), layout, None, &mut into)?;
+    assert_eq!(into.size, picture.size);
+    assert_eq!(into.source_size, picture.size);
+    assert_eq!(into.layout, layout);
+    assert_eq!(
+        into.pixels.len() as u64,
+        picture.size.pixels() * layout.channels() as u64
+    );
+    Ok(into)
+}
+
+fn fault_of(picture: &EncodedPicture) -> &'static str {
+    decoded(picture, PixelLayout::Rgb8).map_or_else(|fault| fault.kind(), |_| "none")
+}
+
+fn rgb(picture: &EncodedPicture) -> Vec<u8> {
+    decoded(picture, PixelLayout::Rgb8).unwrap().pixels
+}
+
+fn grey(picture: &EncodedPicture) -> Vec<u8> {
+    decoded(picture, PixelLayout::Gray8).unwrap().pixels
+}
+
+/// A smooth colourful picture: smooth, so that JPEG stays close to it.
+fn gradient(width: u32, height: u32) -> Vec<u8> {
+    (0..height)
+        .flat_map(|y| {
+            (0..width).flat_map(move |x| {
+                [
+                    (40 + x * 120 / width) as u8,
+                    (60 + y * 120 / height) as u8,
+                    (200 - (x + y) * 100 / (width + height)) as u8,
+                ]
+            })
+        })
+        .collect()
+}
+
+fn jpeg_file(
+    pixels: &[u8],
+    width: u32,
+    height: u32,
+    color: jpeg_encoder::ColorType,
+    progressive: bool,
+) -> EncodedPicture {
+    let mut file = Vec::new();
+    let mut encoder = jpeg_encoder::Encoder::new(&mut file, 95);
+    encoder.set_progressive(progressive);
+    encoder
+        .encode(pixels, width as u16, height as u16, color)
+        .unwrap();
+    encoded(PictureFormat::Jpeg, width, height, file)
+}
+
+fn rgb_jpeg(width: u32, height: u32, progressive: bool) -> EncodedPicture {
+    let pixels = gradient(width, height);
+    jpeg_file(
+        &pixels,
+        width,
+        height,
+        jpeg_encoder::ColorType::Rgb,
+        progressive,
+    )
+}
+
+fn png_file(
+    width: u32,
+    height: u32,
+    color: ColorType,
+    depth: BitDepth,
+    samples: &[u8],
+) -> EncodedPicture {
+    let mut file = Vec::new();
+    let mut encoder = png::Encoder::new(&mut file, width, height);
+    encoder.set_color(color);
+    encoder.set_depth(depth);
+    if color == ColorType::Indexed {
+        encoder.set_palette(vec![10, 20, 30, 40, 50, 60]);
+    }
+    let mut writer = encoder.write_header().unwrap();
+    writer.write_image_data(samples).unwrap();
+    writer.finish().unwrap();
+    encoded(PictureFormat::Png, width, height, file)
+}
+
+fn largest_difference(left: &[u8], right: &[u8]) -> u8 {
+    assert_eq!(left.len(), right.len());
+    left.iter()
+        .zip(right)
+        .map(|(a, b)| a.abs_diff(*b))
+        .max()
+        .unwrap()
+}
+
+/// BT.601 luma in floating point, the reference for the fixed-point one.
+fn luma_of(pixels: &[u8]) -> Vec<u8> {
+    pixels
+        .chunks(3)
+        .map(|p| {
+            let [r, g, b] = [p[0], p[1], p[2]].map(f64::from);
+            (0.299 * r + 0.587 * g + 0.114 * b).round() as u8
+        })
+        .collect()
+}
+
+#[test]
+fn a_jpeg_comes_out_as_it_went_in_in_colour_and_in_grey() {
+    // Sizes that are no multiple of a block, and one smaller than a block.
+    for (width, height) in [(64, 48), (61, 35), (5, 3)] {
+        let pixels = gradient(width, height);
+        for progressive in [false, true] {
+            let picture = rgb_jpeg(width, height, progressive);
+            assert!(largest_difference(&rgb(&picture), &pixels) <= 12);
+            assert!(largest_difference(&grey(&picture), &luma_of(&pixels)) <= 6);
+        }
+        let luma = luma_of(&pixels);
+        let picture = jpeg_file(&luma, width, height, jpeg_encoder::ColorType::Luma, false);
+        assert!(largest_difference(&grey(&picture), &luma) <= 6);
+        assert!(
+            rgb(&picture)
+                .chunks(3)
+                .all(|p| p[0] == p[1] && p[1] == p[2])
+        );
+    }
+}
+
+#[test]
+fn a_jpeg_with_any_part_of_its_end_missing_is_undecodable() {
+    for progressive in [false, true] {
+        let picture = rgb_jpeg(64, 48, progressive);
+        let whole = picture.bytes.len();
+        for length in 0..whole - 1 {
+            let cut = EncodedPicture {
+                bytes: picture.bytes.slice(..length),
+                ..picture.clone()
+            };
+            assert_eq!(fault_of(&cut), "undecodable", "{length} of {whole}");
+        }
+    }
+}
+
+#[test]
+fn bytes_after_the_end_of_a_jpeg_do_no_harm() {
+    let picture = rgb_jpeg(32, 16, false);
+    let padded = [&picture.bytes[..], &[0; 64]].concat();
+    let padded = encoded(PictureFormat::Jpeg, 32, 16, padded);
+    assert_eq!(rgb(&padded), rgb(&picture));
+}
+
+#[test]
+fn a_picture_that_contradicts_the_size_it_was_announced_with_is_undecodable() {
+    let jpeg = rgb_jpeg(32, 16, false);
+    let png = png_file(32, 16, ColorType::Rgb, BitDepth::Eight, &gradient(32, 16));
+    for picture in [jpeg, png] {
+        for (width, height) in [(16, 16), (32, 32), (64, 64)] {
+            let other = EncodedPicture {
+                size: PictureSize::new(width, height),
+                ..picture.clone()
+            };
+            assert_eq!(fault_of(&other), "undecodable");
+        }
+    }
+    let raw = encoded(PictureFormat::Rgb8, 4, 4, vec![0; 47]);
+    assert_eq!(fault_of(&raw), "undecodable");
+}
+
+#[test]
+fn every_kind_of_png_gives_its_colours() {
+    let eight = BitDepth::Eight;
+    let colour = [10, 20, 30, 40, 50, 60];
+    let grey_of = |v: u8| [v, v, v];
+    for (picture, expected) in [
+        (png_file(2, 1, ColorType::Rgb, eight, &colour), colour),
+        (
+            png_file(
+                2,
+                1,
+                ColorType::Rgba,
+                eight,
+                &[10, 20, 30, 0, 40, 50, 60, 9],
+            ),
+            colour,
+        ),
+        (png_file(2, 1, ColorType::Indexed, eight, &[0, 1]), colour),
+        (
+            png_file(2, 1, ColorType::Indexed, BitDepth::One, &[0b0100_0000]),
+            colour,
+        ),
+        (
+            png_file(
+                2,
+                1,
+                ColorType::Rgb,
+                BitDepth::Sixteen,
+                &[10, 99, 20, 1, 30, 2, 40, 3, 50, 4, 60, 5],
+            ),
+            colour,
+        ),
+        (
+            png_file(2, 1, ColorType::Grayscale, eight, &[7, 200]),
+            [7, 7, 7, 200, 200, 200],
+        ),
+        (
+            png_file(2, 1, ColorType::GrayscaleAlpha, eight, &[7, 0, 200, 255]),
+            [grey_of(7), grey_of(200)].concat().try_into().unwrap(),
+        ),
+    ] {
+        assert_eq!(rgb(&picture), expected);
+        assert_eq!(grey(&picture), luma_of(&expected));
+    }
+}
+
+#[test]
+fn an_interlaced_png_is_put_together() {
+    // 3x2 grey, Adam7 (W3C PNG, 8.2): pass 1 has (0,0), pass 4 (2,0), pass 6 (1,0), pass 7 row 1; each
+    // row with its filter byte. Stored without compression, so that the file can be written here.
+    let rows = [0, 10, 0, 30, 0, 20, 0, 40, 50, 60];
+    let mut file = b"\x89PNG\r\n\x1a\n".to_vec();
+    let mut chunk = |kind: &[u8; 4], data: &[u8]| {
+        file.extend_from_slice(&(data.len() as u32).to_be_bytes());
+        let content = [&kind[..], data].concat();
+        let mut crc = flate2::Crc::new();
+        crc.update(&content);
+        file.extend_from_slice(&content);
+        file.extend_from_slice(&crc.sum().to_be_bytes());
+    };
+    chunk(b"IHDR", &[0, 0, 0, 3, 0, 0, 0, 2, 8, 0, 0, 0, 1]);
+    let mut deflate = flate2::write::ZlibEncoder::new(Vec::new(), flate2::Compression::none());
+    std::io::Write::write_all(&mut deflate, &rows).unwrap();
+    chunk(b"IDAT", &deflate.finish().unwrap());
+    chunk(b"IEND", &[]);
+    let picture = encoded(PictureFormat::Png, 3, 2, file);
+    assert_eq!(grey(&picture), [10, 20, 30, 40, 50, 60]);
+}
+
+#[test]
+fn raw_layouts_are_converted() {
+    let colour = vec![10, 20, 30, 200, 100, 50];
+    let bgr = vec![30, 20, 10, 50, 100, 200];
+    let bgra = vec![30, 20, 10, 0, 50, 100, 200, 7];
+    let rgba = vec![10, 20, 30, 0, 200, 100, 50, 7];
+    for (format, bytes) in [
+        (PictureFormat::Rgb8, colour.clone()),
+        (PictureFormat::Bgr8, bgr),
+        (PictureFormat::Rgba8, rgba),
+        (PictureFormat::Bgra8, bgra),
+    ] {
+        let picture = encoded(format, 2, 1, bytes);
+        assert_eq!(rgb(&picture), colour, "{format:?}");
+        assert_eq!(grey(&picture), luma_of(&colour), "{format:?}");
+    }
+    let picture = encoded(PictureFormat::Gray8, 2, 1, vec![9, 8]);
+    assert_eq!(rgb(&picture), [9, 9, 9, 8, 8, 8]);
+    assert_eq!(grey(&picture), [9, 8]);
+}
+
+#[test]
+fn nv12_is_limited_range_bt601() {
+    // Studio black, white and grey, and the red, green and blue of the 75 % bars (ITU-R BT.801-1).
+    for (luma, cb, cr, expected) in [
+        (16, 128, 128, [0, 0, 0]),
+        (235, 128, 128, [255, 255, 255]),
+        (126, 128, 128, [128, 128, 128]),
+        (65, 100, 212, [191, 0, 0]),
+        (112, 72, 58, [0, 191, 0]),
+        (35, 212, 114, [0, 0, 191]),
+    ] {
+        let mut bytes = vec![luma; 9];
+        bytes.extend([cb, cr].repeat(4));
+        let picture = encoded(PictureFormat::Nv12, 3, 3, bytes);
+        let pixels = rgb(&picture);
+        assert!(
+            largest_difference(&pixels, &expected.repeat(9)) <= 2,
+            "{:?}, not {expected:?}",
+            &pixels[..3]
+        );
+    }
+    // The last column and row use their own chroma pair.
+    let mut bytes = vec![126; 9];
+    bytes.extend([128, 128, 128, 128, 128, 128, 128, 200]);
+    let pixels = rgb(&encoded(PictureFormat::Nv12, 3, 3, bytes));
+    assert!(pixels[..24].iter().all(|value| *value == 128));
+    assert!(pixels[24] > 200);
+    let black = encoded(PictureFormat::Nv12, 2, 2, vec![16, 235, 126, 255, 9, 200]);
+    assert_eq!(grey(&black), [0, 255, 128, 255]);
+}
+
+#[test]
+fn grey_is_halved_by_area() {
+    let bytes = vec![
+        10, 20, 0, 255, 99, //
+        30, 40, 0, 255, 99, //
+        1, 1, 200, 201, 99, //
+        1, 2, 201, 201, 99, //
+        88, 88, 88, 88, 88,
+    ];
+    let picture = encoded(PictureFormat::Gray8, 5, 5, bytes);
+    let mut into = Picture::default();
+    decode_grey_half(&picture, &FrameLimits::default(), &mut into).unwrap();
+    assert_eq!(into.size, PictureSize::new(2, 2));
+    assert_eq!(into.source_size, PictureSize::new(5, 5));
+    // (10+20+30+40)/4 = 25; 127.5 up; 1.25 down; 200.75 up.
+    assert_eq!(into.pixels, [25, 128, 1, 201]);
+    let thin = encoded(PictureFormat::Gray8, 5, 1, vec![0; 5]);
+    assert!(decode_grey_half(&thin, &FrameLimits::default(), &mut into).is_err());
+}
+
+#[test]
+fn a_buffer_is_used_again() {
+    let mut into = Picture::default();
+    let limits = FrameLimits::default();
+    let large = rgb_jpeg(64, 48, false);
+    decode(&large, &limits, PixelLayout::Rgb8, None, &mut into).unwrap();
+    let (first, address) = (into.clone(), into.pixels.as_ptr());
+    let small = encoded(PictureFormat::Gray8, 2, 1, vec![1, 2]);
+    decode(&small, &limits, PixelLayout::Gray8, None, &mut into).unwrap();
+    assert_eq!(into.pixels, [1, 2]);
+    decode(&large, &limits, PixelLayout::Rgb8, None, &mut into).unwrap();
+    assert_eq!(into, first);
+    assert_eq!(into.pixels.as_ptr(), address);
+}
+
+#[test]
+fn anything_becomes_a_jpeg_to_look_at() {
+    let limits = FrameLimits::default();
+    let jpeg = rgb_jpeg(32, 16, false);
+    assert_eq!(to_jpeg(&jpeg, &limits).unwrap(), jpeg.bytes);
+    let pixels = gradient(32, 16);
+    for picture in [
+        png_file(32, 16, ColorType::Rgb, BitDepth::Eight, &pixels),
+        encoded(PictureFormat::Rgb8, 32, 16, pixels.clone()),
+    ] {
+        let file = to_jpeg(&picture, &limits).unwrap();
+        let again = encoded(PictureFormat::Jpeg, 32, 16, file.to_vec());
+        assert!(largest_difference(&rgb(&again), &pixels) <= 16);
+    }
+    let luma = luma_of(&pixels);
+    let picture = encoded(PictureFormat::Gray8, 32, 16, luma.clone());
+    let file = to_jpeg(&picture, &limits).unwrap();
+    let again = encoded(PictureFormat::Jpeg, 32, 16, file.to_vec());
+    assert!(largest_difference(&grey(&again), &luma) <= 12);
+}
+
+/// Files to damage: both JPEG codings, and PNG with and without alpha.
+fn specimens() -> Vec<EncodedPicture> {
+    let pixels = gradient(40, 24);
+    let rgba: Vec<u8> = pixels
+        .chunks(3)
+        .flat_map(|p| [p[0], p[1], p[2], 5])
+        .collect();
+    vec![
+        rgb_jpeg(40, 24, false),
+        rgb_jpeg(40, 24, true),
+        png_file(40, 24, ColorType::Rgb, BitDepth::Eight, &pixels),
+        png_file(40, 24, ColorType::Rgba, BitDepth::Eight, &rgba),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(512))]
+
+    /// A damaged file decodes to a picture of its size or is refused; it is never a panic (a contained
+    /// one included) and never leaves a buffer above the limit.
+    #[test]
+    fn damage_is_refused_or_decoded_and_never_more(
+        specimen in 0_usize..4,
+        flips in prop::collection::vec((any::<prop::sample::Index>(), any::<u8>()), 0..12),
+        cut in prop::option::weighted(0.3, any::<prop::sample::Index>()),
+        grey in any::<bool>(),
+    ) {
+        let mut picture = specimens().swap_remove(specimen);
+        let mut bytes = picture.bytes.to_vec();
+        for (at, value) in flips {
+            let at = at.index(bytes.len());
+            bytes[at] = value;
+        }
+        if let Some(cut) = cut {
+            bytes.truncate(cut.index(bytes.len()));
+        }
+        picture.bytes = Bytes::from(bytes);
+        let limits = FrameLimits { max_decoded_bytes: 40 * 24 * 4, ..FrameLimits::default() };
+        let layout = if grey { PixelLayout::Gray8 } else { PixelLayout::Rgb8 };
+        let mut into = Picture::default();
+        let result = decode(&picture, &limits, layout, None, &mut into);
+        prop_assert!(into.pixels.capacity() <= limits.max_decoded_bytes);
+        match result {
+            Ok(()) => prop_assert_eq!(into.pixels.len(), 40 * 24 * layout.channels()),
+            Err(fault) => prop_assert!(!fault.to_string().contains("unforeseen"), "{}", fault),
+        }
+    }
+}

@@ -1,0 +1,152 @@
+use super::served::{KNOB, Served, clip, frame};
+use albireo::frame::{EncodedPicture, PictureFormat};
+use albireo::geometry::PictureSize;
+use albireo::node::board::LatestFrame;
+use albireo::node::config::HttpConfig;
+use albireo::policy::FrameState;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use tokio::process::Command;
+
+/// Every route a client may call, as the design lists them.
+const ROUTES: [&str; 14] = [
+    "get /healthz",
+    "get /readyz",
+    "get /metrics",
+    "get /api/v1/threshold",
+    "put /api/v1/threshold",
+    "get /api/v1/cameras/{camera}/threshold",
+    "put /api/v1/cameras/{camera}/threshold",
+    "get /api/v1/frame-states",
+    "get /api/v1/cameras/{camera}/frame-states",
+    "get /api/v1/cameras",
+    "get /api/v1/cameras/{camera}/frame.jpg",
+    "get /api/v1/clips",
+    "get /api/v1/events",
+    "get /openapi.json",
+];
+
+async fn filled() -> Served {
+    let node = Served::with(HttpConfig::default(), Some(KNOB)).await;
+    node.ready();
+    let front = node.board.camera("front").unwrap();
+    front.record_frame(frame(0, FrameState::I));
+    front.set_latest_frame(LatestFrame {
+        seq: 0,
+        picture: EncodedPicture {
+            format: PictureFormat::Gray8,
+            bytes: vec![7; 16].into(),
+            size: PictureSize::new(4, 4),
+        },
+    });
+    node.board.record_clip(clip("front", 0));
+    node
+}
+
+fn operations(document: &Value) -> Vec<(String, &Value)> {
+    let mut found = Vec::new();
+    for (path, item) in document["paths"].as_object().unwrap() {
+        for (method, operation) in item.as_object().unwrap() {
+            found.push((format!("{method} {path}"), operation));
+        }
+    }
+    found
+}
+
+#[tokio::test]
+async fn the_document_has_every_route_and_each_is_there() {
+    let node = filled().await;
+    let document = node.json("/openapi.json").await;
+    let documented: BTreeSet<String> = operations(&document)
+        .into_iter()
+        .map(|(name, _)| name)
+        .collect();
+    // The document does not list itself.
+    let wanted: BTreeSet<String> = ROUTES
+        .iter()
+        .filter(|route| !route.contains("openapi"))
+        .map(|route| (*route).to_owned())
+        .collect();
+    assert_eq!(documented, wanted);
+    for route in ROUTES.iter().filter_map(|route| route.strip_prefix("get ")) {
+        let path = route.replace("{camera}", "front");
+        assert_eq!(node.get(&path).await.status(), 200, "{path}");
+    }
+    assert_eq!(
+        document,
+        serde_json::to_value(albireo::http::node_openapi()).unwrap()
+    );
+}
+
+#[tokio::test]
+async fn every_reference_in_the_document_leads_somewhere() {
+    fn references<'a>(value: &'a Value, found: &mut Vec<&'a str>) {
+        match value {
+            Value::Object(map) => {
+                found.extend(map.get("$ref").and_then(Value::as_str));
+                map.values().for_each(|value| references(value, found));
+            }
+            Value::Array(list) => list.iter().for_each(|value| references(value, found)),
+            _ => {}
+        }
+    }
+    let document = serde_json::to_value(albireo::http::node_openapi()).unwrap();
+    let mut found = Vec::new();
+    references(&document, &mut found);
+    assert!(found.len() > 20, "{found:?}");
+    for reference in found {
+        let pointer = reference.strip_prefix('#').unwrap();
+        assert!(document.pointer(pointer).is_some(), "{reference}");
+    }
+}
+
+#[tokio::test]
+async fn every_documented_command_works() {
+    let node = filled().await;
+    let document = node.json("/openapi.json").await;
+    let directory = tempfile::tempdir().unwrap();
+    for (name, operation) in operations(&document) {
+        let text = operation["description"].as_str().unwrap();
+        let command = text
+            .split('`')
+            .find(|part| part.starts_with("curl "))
+            .unwrap_or_else(|| panic!("{name} shows no command"));
+        let here = command.replace("127.0.0.1:8080", &node.address.to_string());
+        assert_ne!(here, command, "{name}");
+        let mut curl = Command::new("sh")
+            .args(["-c", &here.replace("curl ", "exec curl -sSf ")])
+            .current_dir(directory.path())
+            .kill_on_drop(true)
+            .stdout(std::process::Stdio::piped())
+            .stderr(std::process::Stdio::piped())
+            .spawn()
+            .unwrap();
+        if name.ends_with("/events") {
+            // It never ends by itself: its first line will do.
+            let mut lines = tokio::io::BufReader::new(curl.stdout.take().unwrap());
+            let mut line = String::new();
+            tokio::io::AsyncBufReadExt::read_line(&mut lines, &mut line)
+                .await
+                .unwrap();
+            assert!(line.starts_with("event: "), "{command}: {line}");
+            curl.kill().await.unwrap();
+            continue;
+        }
+        let output = curl.wait_with_output().await.unwrap();
+        let said = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{command}: {said}");
+    }
+    assert!(directory.path().join("frame.jpg").is_file());
+    assert_eq!(node.board.camera("front").unwrap().threshold(), Some(5e-4));
+}
+
+#[cfg(feature = "swagger")]
+#[tokio::test]
+async fn the_document_can_be_read_as_a_page() {
+    let node = Served::start().await;
+    let page = node.get("/docs/").await;
+    assert_eq!(page.status(), 200);
+    assert!(page.text().await.unwrap().contains("swagger-ui"));
+    let settings = node.get("/docs/swagger-initializer.js").await;
+    assert!(settings.text().await.unwrap().contains("/openapi.json"));
+}

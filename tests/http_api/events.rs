@@ -1,0 +1,158 @@
+use super::served::{Served, clip, frame, problem};
+use albireo::detector::{DetectorStatus, ExecutionProvider};
+use albireo::policy::FrameState;
+use futures_util::StreamExt;
+use reqwest::Response;
+use serde_json::{Value, json};
+use std::time::Duration;
+
+/// Reads server-sent events one by one.
+struct Events {
+    body: futures_util::stream::BoxStream<'static, reqwest::Result<bytes::Bytes>>,
+    text: String,
+}
+
+impl Events {
+    fn new(response: Response) -> Self {
+        assert_eq!(response.headers()["content-type"], "text/event-stream");
+        Self {
+            body: response.bytes_stream().boxed(),
+            text: String::new(),
+        }
+    }
+
+    /// The next event's name and data; `None` at the end of the stream.
+    async fn next(&mut self) -> Option<(String, Value)> {
+        loop {
+            if let Some((event, rest)) = self.text.split_once("\n\n") {
+                let field = |name: &str| {
+                    event
+                        .lines()
+                        .find_map(|line| line.strip_prefix(name)?.strip_prefix(": "))
+                };
+                let found = field("event")
+                    .zip(field("data"))
+                    .map(|(name, data)| (name.to_owned(), serde_json::from_str(data).unwrap()));
+                self.text = rest.to_owned();
+                if found.is_some() {
+                    return found;
+                }
+                continue;
+            }
+            // Generous: it is only reached when an event never comes.
+            let chunk = tokio::time::timeout(Duration::from_secs(20), self.body.next())
+                .await
+                .expect("no event came")?;
+            self.text
+                .push_str(std::str::from_utf8(&chunk.unwrap()).unwrap());
+        }
+    }
+
+    async fn expect(&mut self, name: &str) -> Value {
+        let (found, data) = self.next().await.expect("the stream ended");
+        assert_eq!(found, name, "{data}");
+        data
+    }
+}
+
+#[tokio::test]
+async fn a_change_of_the_threshold_is_told_to_who_listens() {
+    let node = Served::start().await;
+    let mut events = Events::new(node.get("/api/v1/events?types=threshold&camera=rear").await);
+    assert_eq!(
+        events.expect("threshold").await["u"],
+        3e-4,
+        "how things stand"
+    );
+    for path in ["/api/v1/cameras/front/threshold", "/api/v1/threshold"] {
+        let response = node.put(path, r#"{"u": 5e-4}"#).await;
+        assert!(response.status().is_success());
+    }
+    // The change of the other camera alone is not told.
+    let told = events.expect("threshold").await;
+    assert_eq!(told, json!({"camera": "rear", "knob": "u", "u": 5e-4}));
+}
+
+#[tokio::test]
+async fn how_things_stand_comes_first_and_then_each_event_in_order() {
+    let node = Served::start().await;
+    node.board
+        .camera("front")
+        .unwrap()
+        .record_frame(frame(0, FrameState::I));
+    let mut events = Events::new(node.get("/api/v1/events").await);
+    assert_eq!(events.expect("detector").await["status"], "starting");
+    for camera in ["front", "rear"] {
+        assert_eq!(events.expect("threshold").await["camera"], camera);
+        assert_eq!(events.expect("counters").await["camera"], camera);
+    }
+    node.board
+        .camera("front")
+        .unwrap()
+        .record_frame(frame(1, FrameState::P));
+    let told = events.expect("frame").await;
+    assert_eq!((&told["seq"], &told["state"]), (&json!(1), &json!("P")));
+    assert_eq!(told["boxes"][0]["class"], "car");
+    node.board.record_clip(clip("front", 3));
+    assert_eq!(events.expect("clip").await["report"], 3);
+    node.board.publish_counters(5);
+    assert_eq!(events.expect("counters").await["frames"], 2);
+    assert_eq!(events.expect("counters").await["frames"], 0);
+    node.detector.send_replace(DetectorStatus::Degraded {
+        reason: "it took too long".to_owned(),
+        provider: ExecutionProvider::Cpu,
+    });
+    let told = events.expect("detector").await;
+    assert_eq!(
+        told,
+        json!({"status": "degraded", "provider": "cpu", "reason": "it took too long"})
+    );
+}
+
+#[tokio::test]
+async fn a_reader_that_is_too_slow_is_told_how_much_it_lost() {
+    let node = Served::start().await;
+    let mut events = Events::new(node.get("/api/v1/events?types=frame").await);
+    let camera = node.board.camera("front").unwrap();
+    // One thread runs the test, so the stream cannot read in between.
+    for seq in 0..3000 {
+        camera.record_frame(frame(seq, FrameState::P));
+    }
+    let lost = events.expect("lagged").await["lost"].as_u64().unwrap();
+    assert_eq!(events.expect("frame").await["seq"], lost);
+}
+
+#[tokio::test]
+async fn a_stream_ends_when_the_node_stops() {
+    let mut node = Served::start().await;
+    let mut events = Events::new(node.get("/api/v1/events?types=detector").await);
+    events.expect("detector").await;
+    node.shutdown.cancel();
+    assert!(events.next().await.is_none());
+    (&mut node.task).await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn wrong_wishes_and_too_many_streams_are_refused() {
+    let node = Served::start().await;
+    let refused = problem(node.get("/api/v1/events?types=frame,frames").await, 400).await;
+    assert!(
+        refused["allowed"]
+            .as_array()
+            .unwrap()
+            .contains(&json!("counters"))
+    );
+    problem(node.get("/api/v1/events?camera=roof").await, 404).await;
+    problem(node.get("/api/v1/events?type=frame").await, 400).await;
+    let mut open = Vec::new();
+    for _ in 0..64 {
+        open.push(node.get("/api/v1/events?types=detector").await);
+    }
+    problem(node.get("/api/v1/events").await, 503).await;
+    // Once one is closed and its end noticed, there is a place again.
+    drop(open.pop());
+    while node.get("/api/v1/events").await.status() != 200 {
+        node.detector.send_replace(DetectorStatus::Starting);
+        tokio::task::yield_now().await;
+    }
+}

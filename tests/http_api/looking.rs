@@ -1,0 +1,216 @@
+use super::served::{Served, clip, frame, problem};
+use albireo::detector::{DetectorStatus, ExecutionProvider};
+use albireo::frame::{EncodedPicture, PictureFormat};
+use albireo::geometry::PictureSize;
+use albireo::node::board::LatestFrame;
+use albireo::node::config::HttpConfig;
+use albireo::policy::FrameState;
+use albireo::wire::DroppedFrames;
+use reqwest::{Method, StatusCode};
+use serde_json::json;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+#[tokio::test]
+async fn the_frame_states_add_up_for_each_camera_and_for_all() {
+    let node = Served::start().await;
+    let front = node.board.camera("front").unwrap();
+    for (seq, state) in FrameState::ALL.into_iter().enumerate() {
+        front.record_frame(frame(seq as u64, state));
+    }
+    front.record_dropped(&DroppedFrames {
+        lost: 3,
+        ..DroppedFrames::default()
+    });
+    let rear = node.board.camera("rear").unwrap();
+    rear.record_frame(frame(0, FrameState::P));
+    let all = node.json("/api/v1/frame-states").await;
+    assert_eq!(all["frames"], 6);
+    assert_eq!(
+        all["states"],
+        json!({"E": 1, "P": 2, "E+I": 1, "I": 1, "AI": 1})
+    );
+    assert_eq!(all["skip_rate"], 0.5);
+    assert_eq!(all["cameras"][0]["dropped"]["lost"], 3);
+    let one = node.json("/api/v1/cameras/rear/frame-states").await;
+    assert_eq!(one["states"]["P"], 1);
+    assert_eq!(one["skip_rate"], 1.0);
+    assert_eq!(one["tau_max"], 1.5e-4);
+    problem(node.get("/api/v1/cameras/roof/frame-states").await, 404).await;
+}
+
+#[tokio::test]
+async fn cameras_are_listed_in_the_order_of_the_configuration() {
+    let node = Served::start().await;
+    node.board
+        .camera("rear")
+        .unwrap()
+        .record_frame(frame(0, FrameState::I));
+    let list = node.json("/api/v1/cameras").await;
+    assert_eq!(list["cameras"][0]["camera"], "front");
+    assert_eq!(list["cameras"][0]["width"], json!(null));
+    assert_eq!(list["cameras"][1]["key"], "albireo/car-7/rear/frame");
+    assert_eq!(list["cameras"][1]["width"], 320);
+}
+
+#[tokio::test]
+async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready() {
+    let node = Served::start().await;
+    node.board.hold("zenoh", "the session is not open yet");
+    let starting = problem(node.get("/readyz").await, 503).await;
+    assert_eq!(starting["ready"], false);
+    assert_eq!(starting["provider"], json!(null));
+    assert_eq!(starting["requested_providers"], json!(["cuda", "cpu"]));
+    assert_eq!(starting["reasons"].as_array().unwrap().len(), 2);
+    node.board.release("zenoh");
+    node.ready();
+    let ready = node.json("/readyz").await;
+    assert_eq!(ready["provider"], "cpu");
+    assert_eq!(ready["reasons"], json!([]));
+    node.detector.send_replace(DetectorStatus::Degraded {
+        reason: "the run took longer than 2000 ms".to_owned(),
+        provider: ExecutionProvider::Cpu,
+    });
+    let degraded = problem(node.get("/readyz").await, 503).await;
+    assert!(degraded["detail"].as_str().unwrap().contains("2000 ms"));
+    // The process still lives.
+    assert_eq!(node.json("/healthz").await["status"], "ok");
+}
+
+#[tokio::test]
+async fn the_latest_picture_is_jpeg_whatever_the_camera_sends() {
+    let node = Served::start().await;
+    let path = "/api/v1/cameras/front/frame.jpg";
+    let none = problem(node.get(path).await, 404).await;
+    assert!(none["detail"].as_str().unwrap().contains("no picture"));
+    let camera = node.board.camera("front").unwrap();
+    let show = |seq, format, bytes: Vec<u8>| {
+        camera.set_latest_frame(LatestFrame {
+            seq,
+            picture: EncodedPicture {
+                format,
+                bytes: bytes.into(),
+                size: PictureSize::new(4, 2),
+            },
+        });
+    };
+    show(7, PictureFormat::Jpeg, b"\xff\xd8 as it came".to_vec());
+    let response = node.get(path).await;
+    assert_eq!(response.headers()["content-type"], "image/jpeg");
+    assert_eq!(response.headers()["albireo-frame"], "7");
+    assert_eq!(
+        response.bytes().await.unwrap(),
+        b"\xff\xd8 as it came".as_slice()
+    );
+    show(8, PictureFormat::Rgb8, vec![128; 24]);
+    let response = node.get(path).await;
+    assert_eq!(response.status(), StatusCode::OK);
+    assert!(response.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
+    show(9, PictureFormat::Png, b"broken".to_vec());
+    problem(node.get(path).await, 500).await;
+}
+
+#[tokio::test]
+async fn clips_come_newest_first_by_camera_and_number() {
+    let node = Served::start().await;
+    for report in 0..300 {
+        node.board.record_clip(clip("front", report));
+    }
+    node.board.record_clip(clip("rear", 0));
+    let names = |list: serde_json::Value| -> Vec<(String, u64)> {
+        let clips = list["clips"].as_array().unwrap();
+        let name = |clip: &serde_json::Value| clip["camera"].as_str().unwrap().to_owned();
+        clips
+            .iter()
+            .map(|clip| (name(clip), clip["report"].as_u64().unwrap()))
+            .collect()
+    };
+    let two = names(node.json("/api/v1/clips?limit=2").await);
+    assert_eq!(two, [("rear".to_owned(), 0), ("front".to_owned(), 299)]);
+    let front = names(node.json("/api/v1/clips?camera=front&limit=256").await);
+    assert_eq!(
+        front.len(),
+        255,
+        "256 are kept, one of them the other camera's"
+    );
+    assert_eq!(names(node.json("/api/v1/clips").await).len(), 50);
+    for query in [
+        "limit=0",
+        "limit=257",
+        "limit=-1",
+        "limit=many",
+        "camera=front&colour=red",
+    ] {
+        problem(node.get(&format!("/api/v1/clips?{query}")).await, 400).await;
+    }
+    problem(node.get("/api/v1/clips?camera=roof").await, 404).await;
+}
+
+#[tokio::test]
+async fn errors_of_the_framework_are_problem_documents_too() {
+    let node = Served::start().await;
+    for path in [
+        "/nothing",
+        "/api/v1",
+        "/api/v2/threshold",
+        "/api/v1/cameras/front",
+    ] {
+        problem(node.get(path).await, 404).await;
+    }
+    for (method, path, allowed) in [
+        (Method::POST, "/api/v1/threshold", ["GET", "PUT"].as_slice()),
+        (
+            Method::DELETE,
+            "/api/v1/cameras/front/threshold",
+            &["GET", "PUT"],
+        ),
+        (Method::PUT, "/healthz", &["GET"]),
+        (Method::OPTIONS, "/api/v1/clips", &["GET"]),
+        (Method::POST, "/", &["GET"]),
+    ] {
+        let response = node.request(method, path).send().await.unwrap();
+        let header = response.headers()["allow"].to_str().unwrap().to_owned();
+        let told = problem(response, 405).await;
+        for method in allowed {
+            assert!(header.contains(method), "{header}");
+            assert!(
+                told["allowed"].as_array().unwrap().contains(&json!(method)),
+                "{told}"
+            );
+        }
+    }
+    // A path that is not UTF-8.
+    problem(node.get("/api/v1/cameras/%ff/threshold").await, 400).await;
+}
+
+#[tokio::test]
+async fn a_request_that_does_not_end_is_answered_and_dropped() {
+    let config = HttpConfig {
+        timeout_ms: 50,
+        ..HttpConfig::default()
+    };
+    let node = Served::with(config, Some(super::served::KNOB)).await;
+    let mut connection = tokio::net::TcpStream::connect(node.address).await.unwrap();
+    let head = "PUT /api/v1/threshold HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n\
+                Content-Length: 12\r\nConnection: close\r\n\r\n{\"u\":";
+    connection.write_all(head.as_bytes()).await.unwrap();
+    let mut answer = String::new();
+    connection.read_to_string(&mut answer).await.unwrap();
+    assert!(answer.starts_with("HTTP/1.1 408 "), "{answer}");
+    assert!(answer.contains("application/problem+json"), "{answer}");
+    assert!(answer.contains("within 50ms"), "{answer}");
+}
+
+#[tokio::test]
+async fn the_page_needs_nothing_from_elsewhere() {
+    let node = Served::start().await;
+    let response = node.get("/").await;
+    let policy = response.headers()["content-security-policy"]
+        .to_str()
+        .unwrap();
+    assert!(policy.contains("default-src 'none'"), "{policy}");
+    let page = response.text().await.unwrap();
+    assert!(page.contains("<html lang=\"en\">"));
+    for outside in ["http://", "https://", "src=\"//", "href=\"//"] {
+        assert!(!page.contains(outside), "{outside}");
+    }
+}

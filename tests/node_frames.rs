@@ -1,0 +1,418 @@
+//! A node in this process, with a real Zenoh session, ONNX Runtime and the demonstration detector: what it
+//! does with frames good and bad, with thresholds, and at the end.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use albireo::geometry::PictureSize;
+use albireo::node::board::Board;
+use albireo::node::config::{CameraConfig, NodeConfig};
+use albireo::node::{Node, PreparedNode};
+use albireo::synth::{Dashcam, DashcamSettings};
+use albireo::wire::{ClipReport, DetectionsMessage, FrameAttachment, VERSION};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+use zenoh::Session;
+use zenoh::bytes::Encoding;
+
+/// Far longer than anything here takes: reached only when something hangs.
+const LONG: Duration = Duration::from_secs(120);
+
+const CAMERA: &str = "front";
+
+fn project(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
+}
+
+/// A node on a free port, with one camera that loses nothing.
+fn configuration() -> NodeConfig {
+    let mut config = NodeConfig::default();
+    config.zenoh.listen = vec!["tcp/127.0.0.1:0".to_owned()];
+    config.detector.model = project("models/detector.onnx");
+    config.detector.timeout_ms = 60_000;
+    config.policy.name = "vanilla".to_owned();
+    config.cameras = vec![CameraConfig {
+        delivery: albireo::frame::Delivery::Every,
+        ..CameraConfig::named(CAMERA)
+    }];
+    config
+}
+
+/// A running node and a camera of its own session.
+struct Bench {
+    board: Arc<Board>,
+    shutdown: CancellationToken,
+    stopped: JoinHandle<()>,
+    session: Session,
+    detections: UnboundedReceiver<DetectionsMessage>,
+}
+
+impl Bench {
+    async fn start(config: &NodeConfig) -> Self {
+        let shutdown = CancellationToken::new();
+        let prepared = PreparedNode::new(config).unwrap();
+        let board = Arc::clone(prepared.board());
+        let node: Node = prepared.start(config, shutdown.clone()).await.unwrap();
+        let session = connect(&node.endpoints().await).await;
+        let (sender, detections) = unbounded_channel();
+        session
+            .declare_subscriber("albireo/node/*/detections")
+            .callback(move |sample| {
+                let message = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+                let _ = sender.send(message);
+            })
+            .background()
+            .await
+            .unwrap();
+        let bench = Self {
+            board,
+            shutdown,
+            stopped: tokio::spawn(node.stopped()),
+            session,
+            detections,
+        };
+        bench.both_ways().await;
+        bench
+    }
+
+    /// Waits until both subscriptions, the node's and this one, are known to the other side.
+    async fn both_ways(&self) {
+        let publisher = self.session.declare_publisher(frame_key()).await.unwrap();
+        let listener = publisher.matching_listener().await.unwrap();
+        timeout(LONG, async {
+            while !publisher.matching_status().await.unwrap().matching() {
+                let _ = listener.recv_async().await;
+            }
+        })
+        .await
+        .unwrap();
+        // The node's subscription came over the link on which this one went out before it, and links keep
+        // their order; a query that is answered says that the node has read what came before.
+        let replies = self
+            .session
+            .get("albireo/node/front/threshold")
+            .await
+            .unwrap();
+        while replies.recv_async().await.is_ok() {}
+    }
+
+    async fn send(&self, payload: impl Into<zenoh::bytes::ZBytes>, encoding: &str, seq: u64) {
+        self.send_of_clip(payload, encoding, seq, None).await;
+    }
+
+    async fn send_of_clip(
+        &self,
+        payload: impl Into<zenoh::bytes::ZBytes>,
+        encoding: &str,
+        seq: u64,
+        clip: Option<&str>,
+    ) {
+        let attachment = FrameAttachment {
+            v: VERSION,
+            seq: Some(seq),
+            t_ns: Some(seq * 100_000_000),
+            clip: clip.map(str::to_owned),
+            ..FrameAttachment::default()
+        };
+        self.session
+            .put(frame_key(), payload)
+            .encoding(Encoding::from(encoding))
+            .attachment(serde_json::to_vec(&attachment).unwrap())
+            .congestion_control(zenoh::qos::CongestionControl::Block)
+            .await
+            .unwrap();
+    }
+
+    /// The clip reports of the camera from now on.
+    async fn reports(&self) -> UnboundedReceiver<ClipReport> {
+        let (sender, reports) = unbounded_channel();
+        self.session
+            .declare_subscriber("albireo/node/front/clip")
+            .callback(move |sample| {
+                let report = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+                let _ = sender.send(report);
+            })
+            .background()
+            .await
+            .unwrap();
+        reports
+    }
+
+    async fn answer(&mut self) -> DetectionsMessage {
+        timeout(LONG, self.detections.recv())
+            .await
+            .unwrap()
+            .unwrap()
+    }
+
+    async fn stop(self) {
+        self.shutdown.cancel();
+        timeout(LONG, self.stopped).await.unwrap().unwrap();
+        self.session.close().await.unwrap();
+    }
+}
+
+async fn connect(endpoints: &[String]) -> Session {
+    albireo::cli::replay::open_session(endpoints, &[], Duration::from_secs(10))
+        .await
+        .unwrap()
+}
+
+fn frame_key() -> String {
+    format!("albireo/node/{CAMERA}/frame")
+}
+
+/// Pictures of the synthetic dashcam, small to be quick.
+fn pictures(count: u64) -> Vec<Vec<u8>> {
+    let mut dashcam = Dashcam::new(DashcamSettings {
+        seed: 5,
+        size: PictureSize::new(640, 360),
+        ..DashcamSettings::default()
+    })
+    .unwrap();
+    (0..count)
+        .map(|index| dashcam.frame(index).encode_jpeg(85).unwrap())
+        .collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_corrupt_frame_is_counted_and_the_next_one_is_answered() {
+    let mut bench = Bench::start(&configuration()).await;
+    let picture = pictures(1).remove(0);
+    bench.send(picture.clone(), "image/jpeg", 0).await;
+    // Half a picture has a sound header: only decoding shows that it is broken.
+    bench
+        .send(&picture[..picture.len() / 2], "image/jpeg", 1)
+        .await;
+    bench.send(picture, "image/jpeg", 2).await;
+    assert_eq!(bench.answer().await.seq, 0);
+    assert_eq!(bench.answer().await.seq, 2);
+    let snapshot = bench.board.camera(CAMERA).unwrap().snapshot();
+    assert_eq!(snapshot.dropped.undecodable, 1);
+    assert_eq!(snapshot.dropped.total(), 1);
+    bench.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_kind_of_dropped_frame_is_counted_under_its_own_name() {
+    let mut config = configuration();
+    config.frame.max_payload_bytes = 400_000;
+    let mut bench = Bench::start(&config).await;
+    let picture = pictures(1).remove(0);
+    bench.send(picture.clone(), "image/jpeg", 10).await;
+    bench.send(picture.clone(), "image/jpeg", 10).await;
+    bench.send(picture.clone(), "image/jpeg", 9).await;
+    bench.send(vec![0; 400_001], "image/jpeg", 11).await;
+    bench.send(b"hello".to_vec(), "text/plain", 12).await;
+    bench
+        .send(b"not a picture".to_vec(), "image/jpeg", 13)
+        .await;
+    bench.send(picture.clone(), "image/jpeg", 17).await;
+    assert_eq!(bench.answer().await.seq, 10);
+    assert_eq!(bench.answer().await.seq, 17);
+    let dropped = bench.board.camera(CAMERA).unwrap().snapshot().dropped;
+    let named: Vec<_> = dropped
+        .by_kind()
+        .into_iter()
+        .filter(|(_, n)| *n > 0)
+        .collect();
+    assert_eq!(
+        named,
+        [
+            ("lost", 3),
+            ("late", 1),
+            ("duplicate", 1),
+            ("undecodable", 1),
+            ("oversized", 1),
+            ("unknown_format", 1),
+        ]
+    );
+    bench.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_predicted_frame_is_never_decoded() {
+    let mut config = configuration();
+    config.policy.name = "albireo".to_owned();
+    config.policy.u = 1.0;
+    let mut bench = Bench::start(&config).await;
+    let mut predicted = 0;
+    for (seq, picture) in pictures(40).into_iter().enumerate() {
+        // Once a frame was predicted, only headers are sound: what follows is noise no decoder takes.
+        let mut payload = picture;
+        if predicted > 0 {
+            let from = payload.len() / 3;
+            payload[from..].fill(0xFF);
+        }
+        bench.send(payload, "image/jpeg", seq as u64).await;
+        let message = tokio::select! {
+            message = bench.detections.recv() => message.unwrap(),
+            () = dropped_one(&bench.board) => break,
+        };
+        if message.state == albireo::policy::FrameState::P {
+            predicted += 1;
+            assert_eq!(message.latency_ms.decode, None);
+        }
+    }
+    assert!(
+        predicted >= 3,
+        "{predicted} broken pictures were answered from prediction"
+    );
+    bench.stop().await;
+}
+
+/// Ends when a frame was dropped: a detector frame's turn came, and its picture was broken.
+async fn dropped_one(board: &Board) {
+    loop {
+        if board.camera(CAMERA).unwrap().snapshot().dropped.undecodable > 0 {
+            return;
+        }
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_a_bad_one_is_refused() {
+    let mut config = configuration();
+    config.policy.name = "albireo".to_owned();
+    let mut bench = Bench::start(&config).await;
+    let picture = pictures(1).remove(0);
+    bench.send(picture.clone(), "image/jpeg", 0).await;
+    assert_eq!(bench.answer().await.u, Some(3e-4));
+
+    assert_eq!(ask(&bench.session, None).await, Ok(3e-4));
+    assert_eq!(ask(&bench.session, Some(r#"{"u":5e-4}"#)).await, Ok(5e-4));
+    bench.send(picture.clone(), "image/jpeg", 1).await;
+    assert_eq!(bench.answer().await.u, Some(5e-4));
+
+    for bad in [
+        r#"{"u":-1}"#,
+        r#"{"u":0}"#,
+        r#"{"u":"x"}"#,
+        "{}",
+        r#"{"u":1,"w":2}"#,
+        r#"{"v":9,"u":1}"#,
+    ] {
+        let reason = ask(&bench.session, Some(bad)).await.expect_err(bad);
+        assert!(!reason.is_empty());
+    }
+    assert_eq!(ask(&bench.session, None).await, Ok(5e-4));
+
+    bench
+        .session
+        .put("albireo/node/front/threshold", r#"{"u":7e-4}"#)
+        .await
+        .unwrap();
+    // On one link a query comes after the put before it.
+    assert_eq!(ask(&bench.session, None).await, Ok(7e-4));
+    bench.send(picture, "image/jpeg", 2).await;
+    assert_eq!(bench.answer().await.u, Some(7e-4));
+    bench.stop().await;
+}
+
+/// Asks for the threshold, or changes it by a query with a payload.
+async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
+    let mut query = session.get("albireo/node/front/threshold");
+    if let Some(payload) = payload {
+        query = query.payload(payload);
+    }
+    let replies = query.await.unwrap();
+    let reply = timeout(LONG, replies.recv_async()).await.unwrap().unwrap();
+    match reply.result() {
+        Ok(sample) => {
+            let message: serde_json::Value =
+                serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+            Ok(message["u"].as_f64().unwrap())
+        }
+        Err(error) => Err(error.payload().try_to_string().unwrap().into_owned()),
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_open_clip_is_published_when_the_node_stops() {
+    let mut bench = Bench::start(&configuration()).await;
+    let mut reports = bench.reports().await;
+    for (seq, picture) in pictures(3).into_iter().enumerate() {
+        let clip = if seq == 0 { "a" } else { "b" };
+        bench
+            .send_of_clip(picture, "image/jpeg", seq as u64, Some(clip))
+            .await;
+        assert_eq!(bench.answer().await.clip, clip);
+    }
+    let first = timeout(LONG, reports.recv()).await.unwrap().unwrap();
+    assert_eq!((first.clip.as_str(), first.frames), ("a", 1));
+    bench.stop().await;
+    let last = timeout(LONG, reports.recv()).await.unwrap().unwrap();
+    assert_eq!((last.clip.as_str(), last.frames), ("b", 2));
+    assert_eq!(last.ended_by, albireo::wire::ClipEnd::Shutdown);
+    assert_eq!(last.states.frames(), last.frames);
+    assert_eq!(last.provider, "cpu");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_report_nobody_took_is_delivered_when_somebody_comes_after_a_restart() {
+    let state = tempfile::tempdir().unwrap();
+    let mut config = configuration();
+    config.node.state_dir = Some(state.path().to_owned());
+    let mut bench = Bench::start(&config).await;
+    bench
+        .send_of_clip(pictures(1).remove(0), "image/jpeg", 0, Some("alone"))
+        .await;
+    bench.answer().await;
+    bench.stop().await;
+    let waiting = || {
+        std::fs::read_dir(state.path().join("clip-reports/front"))
+            .unwrap()
+            .count()
+    };
+    assert_eq!(waiting(), 1);
+
+    let bench = Bench::start(&config).await;
+    let mut reports = bench.reports().await;
+    let report = timeout(LONG, reports.recv()).await.unwrap().unwrap();
+    assert_eq!(report.clip, "alone");
+    bench.stop().await;
+    assert_eq!(waiting(), 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_threshold_survives_a_restart() {
+    let state = tempfile::tempdir().unwrap();
+    let mut config = configuration();
+    config.policy.name = "albireo".to_owned();
+    config.node.state_dir = Some(state.path().to_owned());
+    let bench = Bench::start(&config).await;
+    assert_eq!(ask(&bench.session, Some(r#"{"u":6e-4}"#)).await, Ok(6e-4));
+    bench.stop().await;
+    let mut bench = Bench::start(&config).await;
+    bench.send(pictures(1).remove(0), "image/jpeg", 0).await;
+    assert_eq!(bench.answer().await.u, Some(6e-4));
+    bench.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
+    let mut config = configuration();
+    config.cameras.push(CameraConfig {
+        key: Some("camera/image_raw/compressed".to_owned()),
+        format: albireo::frame::PayloadFormat::Ros2CompressedImage,
+        ..CameraConfig::named("ros")
+    });
+    let mut bench = Bench::start(&config).await;
+    let message = std::fs::read(project("tests/fixtures/ros2/compressed_image_0_be.cdr")).unwrap();
+    bench
+        .session
+        .put("camera/image_raw/compressed", message)
+        .await
+        .unwrap();
+    let answer = bench.answer().await;
+    assert_eq!((answer.width, answer.height), (320, 180));
+    assert_eq!(answer.t_ns, 1_700_000_000_123_456_789);
+    bench.send(pictures(1).remove(0), "image/jpeg", 0).await;
+    assert_eq!(bench.answer().await.width, 640);
+    bench.stop().await;
+}

@@ -1,0 +1,206 @@
+//! Known curves of power, on fixture trees of sysfs that change as time goes, come out of the sampler to
+//! 0.1 %, through the same code as on a machine. Time is tokio's paused clock, so nothing here waits.
+
+#![allow(clippy::unwrap_used)]
+
+use albireo::power::{self, Domain, PowerConfig, PowerHandle, PowerSource, SpanEnergy};
+use albireo::wire::EnergyQuality;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+
+const RANGE_UJ: u64 = 262_143_328_850;
+
+/// A tree that shows `watts(seconds)` in an INA3221 and, integrated, in a RAPL counter near its end.
+struct Tree {
+    folder: tempfile::TempDir,
+    start: Instant,
+    joules: f64,
+}
+
+impl Tree {
+    fn new() -> Self {
+        let tree = Self {
+            folder: tempfile::tempdir().unwrap(),
+            start: Instant::now(),
+            joules: 0.0,
+        };
+        tree.write("class/hwmon/hwmon1/name", "ina3221");
+        tree.write("class/hwmon/hwmon1/in1_label", "VDD_IN");
+        tree.write("class/hwmon/hwmon1/in1_input", "5000");
+        let zone = "class/powercap/intel-rapl:0";
+        tree.write(&format!("{zone}/name"), "package-0");
+        tree.write(
+            &format!("{zone}/max_energy_range_uj"),
+            &RANGE_UJ.to_string(),
+        );
+        tree.show(0.0);
+        tree
+    }
+
+    fn path(&self) -> &Path {
+        self.folder.path()
+    }
+
+    fn write(&self, file: &str, text: &str) {
+        let path: PathBuf = self.path().join(file);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, text).unwrap();
+    }
+
+    fn show(&self, watts: f64) {
+        let milliamperes = (watts / 5.0 * 1e3).round();
+        self.write("class/hwmon/hwmon1/curr1_input", &milliamperes.to_string());
+        // The counter starts 40 J before it wraps.
+        let microjoules = RANGE_UJ - 40_000_000 + (self.joules * 1e6).round() as u64;
+        let counter = "class/powercap/intel-rapl:0/energy_uj";
+        self.write(counter, &(microjoules % RANGE_UJ).to_string());
+    }
+
+    /// Lets time go on by `seconds`, half-way between the sampler's ticks.
+    async fn play(&mut self, seconds: f64, watts: impl Fn(f64) -> f64) {
+        let step = Duration::from_millis(10);
+        let until = Instant::now() + Duration::from_secs_f64(seconds);
+        while Instant::now() < until {
+            let now = Instant::now();
+            let at = now.duration_since(self.start).as_secs_f64();
+            self.show(watts(at));
+            tokio::time::sleep_until(now + step).await;
+            self.joules += watts(at + 0.005) * 0.01;
+        }
+    }
+}
+
+async fn open(tree: &Tree, source: PowerSource) -> (PowerHandle, CancellationToken) {
+    let stop = CancellationToken::new();
+    let config = PowerConfig {
+        source,
+        sysfs: tree.path().to_owned(),
+        ..PowerConfig::default()
+    };
+    let (power, _task) = power::start(&config, Duration::ZERO, stop.clone())
+        .await
+        .unwrap();
+    (power, stop)
+}
+
+/// Plays `watts` for ten seconds before both meters and gives back what each says of eight of them.
+async fn both(watts: impl Fn(f64) -> f64 + Copy) -> [SpanEnergy; 2] {
+    let mut found = Vec::new();
+    for source in [PowerSource::Ina, PowerSource::Rapl] {
+        let mut tree = Tree::new();
+        tree.show(watts(0.0));
+        // The sampler's ticks fall between two writes.
+        tokio::time::sleep(Duration::from_millis(5)).await;
+        let (power, stop) = open(&tree, source).await;
+        tokio::time::sleep(Duration::from_millis(5)).await;
+        tree.start = Instant::now();
+        let start = tree.start + Duration::from_secs(1);
+        tree.play(10.0, watts).await;
+        found.push(power.energy(start, start + Duration::from_secs(8)));
+        stop.cancel();
+    }
+    found.try_into().unwrap()
+}
+
+fn check(found: &SpanEnergy, joules: f64) {
+    let total = found.total_joules().unwrap();
+    assert!(
+        (total / joules - 1.0).abs() < 1e-3,
+        "{total} J, not {joules}: {found:?}"
+    );
+    assert_eq!(found.quality, EnergyQuality::Measured);
+    assert!((found.coverage - 1.0).abs() < 1e-9);
+    assert_eq!(found.samples, 80);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_constant_power_is_its_watts_times_the_time_across_a_counter_wrap() {
+    for found in &both(|_| 15.0).await {
+        check(found, 120.0);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_ramp_is_integrated_exactly() {
+    for found in &both(|t| 10.0 + 2.0 * t).await {
+        check(found, 10.0 * 8.0 + 81.0 - 1.0);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_square_wave_keeps_its_energy_and_peak() {
+    for found in &both(|t| if t.rem_euclid(1.0) < 0.5 { 10.0 } else { 30.0 }).await {
+        check(found, 160.0);
+        let peak = found.domains[0].peak_watts.unwrap();
+        assert!((peak - 30.0).abs() < 0.01, "{peak}");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_monitor_that_stalls_is_partial_and_a_counter_that_stalls_is_whole() {
+    for (source, whole) in [(PowerSource::Ina, false), (PowerSource::Rapl, true)] {
+        let mut tree = Tree::new();
+        tree.show(20.0);
+        tokio::time::sleep(Duration::from_millis(5)).await;
+        let (power, stop) = open(&tree, source).await;
+        tokio::time::sleep(Duration::from_millis(5)).await;
+        tree.start = Instant::now();
+        let start = tree.start + Duration::from_secs(1);
+        tree.play(3.0, |_| 20.0).await;
+        // The files cannot be read for three seconds; energy goes on.
+        let files = [
+            "class/hwmon/hwmon1/curr1_input",
+            "class/powercap/intel-rapl:0/energy_uj",
+        ];
+        for file in files {
+            std::fs::remove_file(tree.path().join(file)).unwrap();
+        }
+        tokio::time::sleep(Duration::from_secs(3)).await;
+        tree.joules += 60.0;
+        tree.play(3.0, |_| 20.0).await;
+        let found = power.energy(start, start + Duration::from_secs(8));
+        let joules = found.total_joules().unwrap();
+        assert!(power.failed_reads() >= 29, "{}", power.failed_reads());
+        if whole {
+            assert!((joules / 160.0 - 1.0).abs() < 1e-3, "{found:?}");
+            assert_eq!(found.quality, EnergyQuality::Measured);
+        } else {
+            assert!(
+                (joules / (found.coverage * 160.0) - 1.0).abs() < 1e-3,
+                "{found:?}"
+            );
+            assert!((found.coverage - 5.0 / 8.0).abs() < 0.02, "{found:?}");
+            assert_eq!(found.quality, EnergyQuality::Partial);
+        }
+        stop.cancel();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_domains_of_a_monitor_are_told_beside_the_total() {
+    let tree = Tree::new();
+    let rails = [
+        ("VDD_GPU_SOC", 100),
+        ("VDD_CPU_CV", 200),
+        ("VIN_SYS_5V0", 300),
+    ];
+    for (i, (label, milliamperes)) in (1..).zip(rails) {
+        let file = |name: &str| format!("class/hwmon/hwmon1/{name}");
+        tree.write(&file(&format!("in{i}_label")), label);
+        tree.write(&file(&format!("in{i}_input")), "10000");
+        tree.write(&file(&format!("curr{i}_input")), &milliamperes.to_string());
+    }
+    let (power, stop) = open(&tree, PowerSource::Ina).await;
+    let start = Instant::now();
+    tokio::time::sleep(Duration::from_secs(5)).await;
+    let found = power.energy(start, start + Duration::from_secs(4));
+    let joules = |domain| found.joules(domain).unwrap();
+    assert!((joules(Domain::Total) - 24.0).abs() < 1e-6);
+    assert!((joules(Domain::Gpu) - 4.0).abs() < 1e-6);
+    assert!((joules(Domain::Cpu) - 8.0).abs() < 1e-6);
+    assert!((joules(Domain::IoMem) - 12.0).abs() < 1e-6);
+    assert_eq!(found.total_from, "sum_of_rails");
+    stop.cancel();
+}

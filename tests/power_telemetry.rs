@@ -1,0 +1,93 @@
+//! Every recorded line of `tegrastats` says what an independent reading of it says.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use crate::support::shared;
+use albireo::power::{Condition, Domain, RailMap, TegrastatsLine};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+#[derive(Deserialize)]
+struct Expected {
+    rails_mw: BTreeMap<String, i64>,
+    total_mw: Option<f64>,
+    total_from: Option<String>,
+    hottest_celsius: Option<f64>,
+}
+
+fn fixture(name: &str) -> String {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/telemetry");
+    std::fs::read_to_string(path.join(name)).unwrap()
+}
+
+fn check(name: &str, text: &str, expected: &BTreeMap<String, Expected>) {
+    let expected = expected
+        .get(name)
+        .unwrap_or_else(|| panic!("nothing is expected of {name}"));
+    let line = TegrastatsLine::parse(text).unwrap_or_else(|| panic!("{name}: {text}"));
+    let rails: BTreeMap<String, i64> = line
+        .rails
+        .iter()
+        .map(|r| (r.name.to_string(), (r.watts * 1e3).round() as i64))
+        .collect();
+    assert_eq!(rails, expected.rails_mw, "{name}");
+    assert_eq!(
+        rails.len(),
+        line.rails.len(),
+        "{name}: a rail is there twice"
+    );
+    let reading = RailMap::new(None).unwrap().reading(&line.rails);
+    let total = reading
+        .values
+        .get(Domain::Total)
+        .watts
+        .map(|w| (w * 1e3).round());
+    assert_eq!(total, expected.total_mw, "{name}");
+    if let Some(rule) = &expected.total_from {
+        assert_eq!(&*reading.total_from, rule, "{name}");
+    }
+    let hottest = Condition::of_tegrastats(&line)
+        .hottest
+        .map(|(_, celsius)| celsius);
+    assert_eq!(hottest, expected.hottest_celsius, "{name}");
+}
+
+fn expected() -> BTreeMap<String, Expected> {
+    serde_json::from_str(&fixture("tegrastats_expected.json")).unwrap()
+}
+
+#[test]
+fn every_line_kept_here_says_what_it_says() {
+    let (expected, lines) = (expected(), fixture("tegrastats_lines.tsv"));
+    let mut read = 0;
+    for line in lines.lines() {
+        let (name, text) = line.split_once('\t').unwrap();
+        check(name, text, &expected);
+        read += 1;
+    }
+    assert_eq!(read, 26);
+}
+
+#[test]
+fn shared_every_recorded_line_says_what_it_says() {
+    let folder = shared("telemetry");
+    let expected = expected();
+    for board in [
+        "agx_orin_jp5",
+        "agx_orin_jp6",
+        "agx_orin_jp7",
+        "agx_thor",
+        "edited_by_test_authors",
+        "orin_nano",
+        "orin_nx",
+        "xavier_and_older",
+    ] {
+        let file = folder.join(format!("tegrastats_{board}.txt"));
+        let text = std::fs::read_to_string(&file)
+            .unwrap_or_else(|error| panic!("{} is needed for this test: {error}", file.display()));
+        for (number, line) in (1..).zip(text.lines()) {
+            check(&format!("{board}:{number}"), line, &expected);
+        }
+    }
+}

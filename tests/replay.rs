@@ -1,0 +1,333 @@
+//! `albireo replay` plays a camera: every frame arrives, in order, with its number, time and clip.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use albireo::cli::replay::{
+    self, Ffmpeg, FrameSource, ReplayArguments, Sent, Video, VideoEncoding,
+};
+use albireo::frame::{
+    Delivery, Frame, FrameLimits, PayloadFormat, RingReceiver, frame_ring, read_sample,
+};
+use albireo::geometry::PictureSize;
+use clap::Parser;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tokio::time::timeout;
+use tokio_util::sync::CancellationToken;
+
+/// Far longer than anything here takes: reached only when something hangs.
+const LONG: Duration = Duration::from_secs(120);
+
+#[derive(Parser)]
+struct Command {
+    #[command(flatten)]
+    replay: ReplayArguments,
+}
+
+fn arguments(source: &Path, more: &[&str]) -> ReplayArguments {
+    let source = source.to_str().unwrap();
+    Command::parse_from([&["replay", source], more].concat()).replay
+}
+
+/// A peer that listens on a free port, and its endpoint.
+async fn listening_peer() -> (zenoh::Session, String) {
+    let listen = ["tcp/127.0.0.1:0".to_owned()];
+    let session = replay::open_session(&[], &listen, Duration::ZERO)
+        .await
+        .unwrap();
+    let locator = session.info().locators().await.into_iter().next().unwrap();
+    (session, locator.to_string())
+}
+
+/// Subscribes as a node does, with a small ring that holds the sender back.
+async fn subscribe(session: &zenoh::Session) -> RingReceiver<Frame> {
+    let (sender, receiver) = frame_ring(Delivery::Every, 2);
+    let arrivals = AtomicU64::new(0);
+    session
+        .declare_subscriber("albireo/node/front/frame")
+        .callback(move |sample| {
+            let arrival = arrivals.fetch_add(1, Ordering::Relaxed);
+            let limits = FrameLimits::default();
+            let frame = read_sample(&sample, arrival, PayloadFormat::Encoding, &limits);
+            sender.push_blocking(frame.unwrap());
+        })
+        .background()
+        .await
+        .unwrap();
+    receiver
+}
+
+/// Replays to a subscriber that lets each frame wait for `work`; all frames that arrived.
+async fn replayed(source: &Path, more: &[&str], mut work: impl AsyncFnMut()) -> (Vec<Frame>, Sent) {
+    let (session, endpoint) = listening_peer().await;
+    let mut receiver = subscribe(&session).await;
+    let connect = ["--connect", &endpoint, "--wait-for-subscriber", "--every"];
+    let arguments = arguments(source, &[&connect, more].concat());
+    let mut sending = tokio::spawn(replay::run(arguments, CancellationToken::new()));
+    let mut frames = Vec::new();
+    let mut sent: Option<Sent> = None;
+    timeout(LONG, async {
+        while sent
+            .as_ref()
+            .is_none_or(|sent| (frames.len() as u64) < sent.frames)
+        {
+            tokio::select! {
+                frame = receiver.next() => {
+                    frames.push(frame.unwrap());
+                    work().await;
+                }
+                result = &mut sending, if sent.is_none() => sent = Some(result.unwrap().unwrap()),
+            }
+        }
+    })
+    .await
+    .expect("not every frame that was sent arrived");
+    (frames, sent.unwrap())
+}
+
+/// A folder of `count` JPEG files of 64x48.
+fn pictures(count: u32) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for number in 0..count {
+        let file = folder.path().join(format!("{number}.jpg"));
+        jpeg_encoder::Encoder::new_file(file, 90)
+            .unwrap()
+            .encode(
+                &vec![number as u8; 64 * 48],
+                64,
+                48,
+                jpeg_encoder::ColorType::Luma,
+            )
+            .unwrap();
+    }
+    folder
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_folder_arrives_whole_in_order_and_with_its_clips() {
+    let folder = pictures(12);
+    let more = [
+        "--rate",
+        "200",
+        "--clip",
+        "drive",
+        "--clip-seconds",
+        "0.025",
+    ];
+    let (frames, sent) = replayed(folder.path(), &more, async || {}).await;
+    assert_eq!((sent.frames, sent.clips), (12, 3));
+    let files: u64 = (0..12)
+        .map(|number| {
+            let file = folder.path().join(format!("{number}.jpg"));
+            std::fs::metadata(file).unwrap().len()
+        })
+        .sum();
+    assert_eq!(sent.bytes, files);
+    for (number, frame) in frames.iter().enumerate() {
+        assert_eq!(frame.sequence, number as u64);
+        assert_eq!(frame.picture.size, PictureSize::new(64, 48));
+        let file = folder.path().join(format!("{number}.jpg"));
+        assert_eq!(frame.picture.bytes, std::fs::read(file).unwrap());
+        let clip = format!("drive-{:04}", number / 5 + 1);
+        assert_eq!(frame.clip.as_deref(), Some(clip.as_str()));
+        let after = frame.time_ns - frames[0].time_ns;
+        assert!(after.abs_diff(number as u64 * 5_000_000) < 1000, "{after}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slow_receiver_holds_the_sender_back_and_loses_nothing() {
+    // Far more than the rings, the queues and the sockets hold: 300 frames of 300 KB.
+    let folder = tempfile::tempdir().unwrap();
+    let mut noise = 1_u32;
+    let pixels: Vec<u8> = (0..640 * 480)
+        .map(|_| {
+            noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (noise >> 24) as u8
+        })
+        .collect();
+    jpeg_encoder::Encoder::new_file(folder.path().join("noise.jpg"), 95)
+        .unwrap()
+        .encode(&pixels, 640, 480, jpeg_encoder::ColorType::Luma)
+        .unwrap();
+    let more = ["--rate", "max", "--loop", "--frames", "300"];
+    let (frames, sent) = replayed(folder.path(), &more, async || {
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    })
+    .await;
+    assert_eq!(sent.frames, 300);
+    let sequence: Vec<u64> = frames.iter().map(|frame| frame.sequence).collect();
+    assert_eq!(sequence, (0..300).collect::<Vec<_>>());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nobody_there_is_an_error_that_says_so() {
+    let folder = pictures(1);
+    let (_session, endpoint) = listening_peer().await;
+    let more = ["--connect", &endpoint, "--wait-for-subscriber=1"];
+    let error = replay::run(arguments(folder.path(), &more), CancellationToken::new())
+        .await
+        .unwrap_err();
+    let text = format!("{error:#}");
+    assert!(
+        text.contains("nobody subscribed to `albireo/node/front/frame`"),
+        "{text}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_is_not_running_is_an_error_that_names_the_endpoint() {
+    let folder = pictures(1);
+    // A port that was free a moment ago.
+    let port = std::net::TcpListener::bind("127.0.0.1:0")
+        .unwrap()
+        .local_addr()
+        .unwrap()
+        .port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let more = ["--connect", &endpoint];
+    let error = replay::run(arguments(folder.path(), &more), CancellationToken::new())
+        .await
+        .unwrap_err();
+    let text = format!("{error:#}");
+    assert!(
+        text.contains(&endpoint) && text.contains("is the node running"),
+        "{text}"
+    );
+}
+
+/// Shell scripts in place of the two programs: `answer` is what ffmpeg does when asked for frames.
+#[cfg(unix)]
+fn stand_ins(folder: &Path, answer: &str) -> Ffmpeg {
+    use std::os::unix::fs::PermissionsExt;
+    let script = |name: &str, text: String| -> PathBuf {
+        let file = folder.join(name);
+        std::fs::write(&file, format!("#!/bin/sh\n{text}\n")).unwrap();
+        std::fs::set_permissions(&file, std::fs::Permissions::from_mode(0o755)).unwrap();
+        file
+    };
+    let stream = r#"{"streams":[{"avg_frame_rate":"0/0","r_frame_rate":"25/2","nb_frames":"2"}]}"#;
+    Ffmpeg {
+        ffprobe: script("ffprobe", format!("echo '{stream}'")),
+        ffmpeg: script(
+            "ffmpeg",
+            format!("if [ \"$1\" = -version ]; then echo 'ffmpeg version 6.0'; exit; fi\n{answer}"),
+        ),
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_video_s_frames_are_cut_out_of_ffmpeg_s_output_and_can_be_had_again() {
+    let folder = pictures(2);
+    let mut stream = Vec::new();
+    for number in 0..2 {
+        let file = std::fs::read(folder.path().join(format!("{number}.jpg"))).unwrap();
+        let head = format!(
+            "--ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: {}\r\n\r\n",
+            file.len()
+        );
+        stream.extend_from_slice(head.as_bytes());
+        stream.extend_from_slice(&file);
+        stream.extend_from_slice(b"\r\n");
+    }
+    let output = folder.path().join("stream");
+    std::fs::write(&output, stream).unwrap();
+    let programs = stand_ins(folder.path(), &format!("cat '{}'", output.display()));
+    let mut video = Video::open("day/drive 1.mp4", None, VideoEncoding::Jpeg, programs).unwrap();
+    assert_eq!(video.name(), "drive_1");
+    assert_eq!((video.rate(), video.frames()), (12.5, Some(2)));
+    for _ in 0..2 {
+        for number in 0..2 {
+            let picture = video.next().unwrap().unwrap();
+            let file = std::fs::read(folder.path().join(format!("{number}.jpg"))).unwrap();
+            assert_eq!(picture.bytes, file);
+        }
+        assert_eq!(video.next().unwrap(), None);
+        video.rewind().unwrap();
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn a_failing_ffmpeg_is_quoted_and_a_missing_one_can_be_installed() {
+    let folder = tempfile::tempdir().unwrap();
+    let programs = stand_ins(folder.path(), "echo 'moov atom not found' >&2; exit 1");
+    let mut video = Video::open("a.mp4", None, VideoEncoding::Jpeg, programs).unwrap();
+    let text = format!("{:#}", video.next().unwrap_err());
+    assert!(
+        text.contains("a.mp4") && text.contains("moov atom not found"),
+        "{text}"
+    );
+
+    let missing = Ffmpeg {
+        ffprobe: folder.path().join("no-such-program"),
+        ..Ffmpeg::default()
+    };
+    let error = Video::open("a.mp4", None, VideoEncoding::Jpeg, missing).unwrap_err();
+    assert!(
+        error.to_string().contains("apt-get install ffmpeg"),
+        "{error}"
+    );
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn ffmpeg_is_killed_with_us_even_while_it_says_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let note = folder.path().join("pid");
+    let answer = format!(
+        "echo $$ > '{0}.new'; mv '{0}.new' '{0}'; exec tail -f /dev/null",
+        note.display()
+    );
+    for stopped in [true, false] {
+        let programs = stand_ins(folder.path(), &answer);
+        let mut video = Video::open("a.mp4", None, VideoEncoding::Jpeg, programs).unwrap();
+        let pid = loop {
+            match std::fs::read_to_string(&note) {
+                Ok(pid) => break pid.trim().to_owned(),
+                Err(_) => std::thread::yield_now(),
+            }
+        };
+        let process = PathBuf::from("/proc").join(&pid);
+        assert!(process.exists());
+        if stopped {
+            let stop = video.stopper().unwrap();
+            let reading = std::thread::spawn(move || video.next().unwrap());
+            stop();
+            assert_eq!(reading.join().unwrap(), None);
+        } else {
+            drop(video);
+        }
+        assert!(!process.exists(), "process {pid} lives on");
+        std::fs::remove_file(&note).unwrap();
+    }
+}
+
+/// Needs the real `ffmpeg`.
+#[tokio::test(flavor = "multi_thread")]
+async fn needs_ffmpeg_a_real_video_arrives_frame_by_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("test.mp4");
+    let made = std::process::Command::new("ffmpeg")
+        .args(["-v", "error", "-f", "lavfi", "-i"])
+        .args(["testsrc=size=320x180:rate=24:duration=2", "-c:v", "mpeg4"])
+        .arg(&file)
+        .status()
+        .expect("this test needs ffmpeg: apt-get install ffmpeg");
+    assert!(made.success());
+    for encoding in ["jpeg", "png"] {
+        let more = ["--rate", "max", "--encoding", encoding];
+        let (frames, sent) = replayed(&file, &more, async || {}).await;
+        assert_eq!((sent.frames, sent.clips), (48, 1));
+        for (number, frame) in frames.iter().enumerate() {
+            assert_eq!(frame.sequence, number as u64);
+            assert_eq!(frame.picture.format.as_str(), encoding);
+            assert_eq!(frame.picture.size, PictureSize::new(320, 180));
+            assert_eq!(frame.clip.as_deref(), Some("test"));
+            let after = frame.time_ns - frames[0].time_ns;
+            assert!(after.abs_diff(number as u64 * 1_000_000_000 / 24) < 1000);
+        }
+    }
+}

@@ -1,0 +1,224 @@
+//! What the end-to-end tests share: the program as a process, the independent Zenoh client, and the
+//! folder of recordings.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use serde_json::Value;
+use std::path::{Path, PathBuf};
+use std::process::{ExitStatus, Stdio};
+use std::time::Duration;
+use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader, Lines};
+use tokio::process::{Child, ChildStdin, ChildStdout, Command};
+use tokio::time::timeout;
+
+/// The longest any single thing may take on a busy machine before a test gives up on it.
+pub const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A file of the shared recordings, clips and models.
+pub fn shared(path: &str) -> PathBuf {
+    let folder = std::env::var_os("ALBIREO_SHARED").map_or_else(
+        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
+        PathBuf::from,
+    );
+    let file = folder.join(path);
+    assert!(
+        file.exists(),
+        "{} is not there: set ALBIREO_SHARED, or leave tests named shared_ out",
+        file.display()
+    );
+    file
+}
+
+/// The Python of the independent clients, as `make python` sets it up.
+pub fn python() -> String {
+    std::env::var("ALBIREO_PYTHON")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into())
+}
+
+/// A port nobody listens on at this moment.
+pub fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0")
+        .and_then(|listener| listener.local_addr())
+        .expect("the loopback interface has a free port")
+        .port()
+}
+
+/// The program itself, with a clean environment for its configuration.
+pub fn albireo() -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_albireo"));
+    command
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .kill_on_drop(true)
+        .stdin(Stdio::null());
+    command
+}
+
+/// `albireo node`, running.
+pub struct Node {
+    child: Child,
+    /// Its folder: configuration, state.
+    pub folder: tempfile::TempDir,
+    /// Where its HTTP interface is.
+    pub http: String,
+    /// Where its Zenoh session listens.
+    pub zenoh: String,
+    log: tokio::task::JoinHandle<String>,
+}
+
+impl Node {
+    /// Starts a node with `settings` (TOML) added to addresses of its own, and waits until it is ready.
+    pub async fn start(settings: &str) -> Self {
+        Self::start_in(tempfile::tempdir().expect("a temporary folder"), settings).await
+    }
+
+    /// As [`Self::start`], with the folder of an earlier node.
+    pub async fn start_in(folder: tempfile::TempDir, settings: &str) -> Self {
+        let zenoh = format!("tcp/127.0.0.1:{}", free_port());
+        let file = folder.path().join("node.toml");
+        let addresses = format!(
+            "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"{zenoh}\"]\nlog.format = \"json\"\n"
+        );
+        std::fs::write(&file, addresses + settings).expect("the configuration is written");
+        let mut child = albireo()
+            .args(["node", "--config"])
+            .arg(&file)
+            .stderr(Stdio::piped())
+            .spawn()
+            .expect("the program starts");
+        let mut lines = BufReader::new(child.stderr.take().expect("piped")).lines();
+        let http = timeout(PATIENCE, http_address(&mut lines))
+            .await
+            .expect("the node tells its HTTP address in time");
+        let log = tokio::spawn(async move {
+            let mut log = String::new();
+            while let Ok(Some(line)) = lines.next_line().await {
+                log.push_str(&line);
+                log.push('\n');
+            }
+            log
+        });
+        let node = Self {
+            child,
+            folder,
+            http,
+            zenoh,
+            log,
+        };
+        node.wait_until_ready().await;
+        node
+    }
+
+    async fn wait_until_ready(&self) {
+        let ready = async {
+            while reqwest::get(format!("{}/readyz", self.http))
+                .await
+                .is_ok_and(|response| !response.status().is_success())
+            {
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        };
+        timeout(PATIENCE, ready).await.expect("the node gets ready");
+    }
+
+    /// Sends the signal a service manager sends.
+    pub fn terminate(&self) {
+        let id = self.child.id().expect("the node runs").to_string();
+        let status = std::process::Command::new("kill")
+            .args(["-TERM", &id])
+            .status()
+            .expect("kill runs");
+        assert!(status.success());
+    }
+
+    /// Terminates the node; how it ended, how long that took, its log, and its folder.
+    pub async fn stop(mut self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
+        let start = std::time::Instant::now();
+        self.terminate();
+        let status = timeout(PATIENCE, self.child.wait())
+            .await
+            .expect("the node ends")
+            .expect("its status can be had");
+        let took = start.elapsed();
+        (status, took, self.log.await.expect("its log"), self.folder)
+    }
+}
+
+async fn http_address<R: AsyncRead + Unpin>(lines: &mut Lines<BufReader<R>>) -> String {
+    let mut seen = String::new();
+    while let Ok(Some(line)) = lines.next_line().await {
+        if let Some(address) = serde_json::from_str::<Value>(&line)
+            .ok()
+            .and_then(|entry| entry["http"].as_str().map(str::to_owned))
+        {
+            return address;
+        }
+        seen.push_str(&line);
+        seen.push('\n');
+    }
+    panic!("the node ended before it listened:\n{seen}");
+}
+
+/// The independent client: Eclipse Zenoh's Python binding.
+pub struct Client {
+    child: Child,
+    stdin: Option<ChildStdin>,
+    lines: Lines<BufReader<ChildStdout>>,
+}
+
+impl Client {
+    /// Subscribes to `key` at `endpoint` and waits until the subscription stands.
+    pub async fn listen(endpoint: &str, key: &str, history: bool) -> Self {
+        let python = std::env::var("ALBIREO_PYTHON").unwrap_or_else(|_| {
+            concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into()
+        });
+        let mut command = Command::new(&python);
+        command
+            .arg(concat!(
+                env!("CARGO_MANIFEST_DIR"),
+                "/tests/clients/listen.py"
+            ))
+            .args([endpoint, key])
+            .kill_on_drop(true)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped());
+        if history {
+            command.arg("--history");
+        }
+        let mut child = command
+            .spawn()
+            .unwrap_or_else(|error| panic!("{python} does not start ({error}): run `make python`"));
+        let mut client = Self {
+            stdin: child.stdin.take(),
+            lines: BufReader::new(child.stdout.take().expect("piped")).lines(),
+            child,
+        };
+        assert_eq!(client.line().await.as_deref(), Some("ready"));
+        client
+    }
+
+    async fn line(&mut self) -> Option<String> {
+        timeout(PATIENCE, self.lines.next_line())
+            .await
+            .expect("the client says something in time")
+            .expect("its output can be read")
+    }
+
+    /// The next message: its key and itself. `None` once the client has ended.
+    pub async fn next(&mut self) -> Option<(String, Value)> {
+        let line = self.line().await?;
+        let mut entry: Value = serde_json::from_str(&line).expect("a JSON line");
+        let key = entry["key"].as_str().expect("a key").to_owned();
+        Some((key, entry["message"].take()))
+    }
+
+    /// Ends the client and gives what it still had to say.
+    pub async fn finish(mut self) -> Vec<(String, Value)> {
+        drop(self.stdin.take());
+        let mut rest = Vec::new();
+        while let Some(message) = self.next().await {
+            rest.push(message);
+        }
+        let _ = self.child.wait().await;
+        rest
+    }
+}
