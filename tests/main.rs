@@ -9,6 +9,7 @@ mod end_to_end;
 mod eval_agreement;
 mod eval_coco;
 mod eval_paper;
+mod expected_loss;
 mod frame_decoding;
 mod frame_formats;
 mod golden_traces;

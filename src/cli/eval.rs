@@ -1,5 +1,6 @@
 //! `albireo eval`: accuracy, skip rate, time and energy of policies on recordings.
 
+use super::frontier::{self, FrontierArguments};
 use crate::eval::average_precision::{Classes, Interpolation};
 use crate::eval::data::{Clips, bdd100k, coco, kitti, mot_challenge, recorded};
 use crate::eval::energy_model::EnergyModel;
@@ -22,6 +23,8 @@ const EXAMPLES: &str = "\
 Examples:
   albireo eval recorded DIR --policy albireo --sweep u=3e-4,5e-4,7e-4,1e-3
       what each threshold costs in accuracy and saves in detector calls
+  albireo eval frontier DIR --out results
+      expected-loss against every other policy at the same number of detector calls
   albireo eval recorded DIR --profile reference --screen detections --traces traces
       the published code's decisions, frame by frame";
 
@@ -83,6 +86,8 @@ enum What {
         #[command(flatten)]
         run: RunArguments,
     },
+    /// Compare expected-loss with every other policy at equal skip rates, on recorded detections.
+    Frontier(FrontierArguments),
     /// Recompute the paper's main table from published per-clip results.
     Paper {
         /// Files with a row per clip and system.
@@ -190,6 +195,7 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
             detections,
             run,
         } => compare(coco::read(dataset, Some(detections))?, dataset, run),
+        What::Frontier(arguments) => frontier::run(arguments),
         What::Paper { files, json } => recompute(files, json.as_deref()),
         What::FitEnergy {
             file,

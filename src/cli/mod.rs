@@ -3,6 +3,7 @@
 mod check;
 mod demo;
 pub mod eval;
+mod frontier;
 mod logging;
 mod node;
 pub mod replay;

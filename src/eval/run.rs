@@ -10,7 +10,7 @@ use crate::eval::result::ClipResult;
 use crate::eval::source::{ScreenRule, SourceError, StoredEvidence};
 use crate::eval::spec::PolicySpec;
 use crate::eval::trace::{self, TraceError};
-use crate::policy::PolicyConfigError;
+use crate::policy::{ExpectedLoss, PolicyConfigError};
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -128,7 +128,7 @@ fn run_clip(clip: &Clip, policy: &PolicySpec, settings: &Settings) -> Result<Cli
     let replayed = replay(
         decider.as_mut(),
         &mut source,
-        settings.scoring,
+        scoring_of(decider.name(), settings.scoring),
         policy.decay_u,
         settings.traces.is_some(),
     )
@@ -159,6 +159,17 @@ fn run_clip(clip: &Clip, policy: &PolicySpec, settings: &Settings) -> Result<Cli
         model.apply(&mut result);
     }
     Ok(result)
+}
+
+/// How a policy is judged in a run of that `scoring`: one that is not of the paper has no published
+/// definition of its boxes and confidences, and counts as it reports.
+fn scoring_of(policy: &str, scoring: Scoring) -> Scoring {
+    match policy {
+        ExpectedLoss::NAME | ExpectedLoss::FIXED_SKIP_NAME | ExpectedLoss::EVEN_SKIP_NAME => {
+            Scoring::Paper
+        }
+        _ => scoring,
+    }
 }
 
 fn judge(clip: &Clip, boxes: &[Vec<ScoredBox>], settings: &Settings) -> Option<Accuracy> {

@@ -2,8 +2,8 @@
 
 use super::ablation::Ablation;
 use super::{
-    Albireo, AlbireoSettings, Ctd, CtdSettings, ErdOnly, ExpectedLoss, FixedSkip, FixedSkipSettings,
-    InTracker, Policy, Profile, Statues, StatuesSettings, Vanilla,
+    Albireo, AlbireoSettings, Ctd, CtdSettings, ErdOnly, ExpectedLoss, FixedSkip,
+    FixedSkipSettings, InTracker, Policy, Profile, Statues, StatuesSettings, Vanilla,
 };
 use serde::{Deserialize, Serialize};
 

@@ -58,8 +58,8 @@ pub use config::{PolicyConfig, PolicyConfigError, Table, known_policies};
 pub use ctd::{Ctd, CtdSettings};
 pub use erd_only::ErdOnly;
 pub use expected_loss::{
-    Call, CallRule, Confidence, ExpectedLoss, ExpectedLossAssociation, ExpectedLossSettings, InTracker,
-    Life, Motion, Surprise, Trigger,
+    Call, CallRule, Confidence, ExpectedLoss, ExpectedLossAssociation, ExpectedLossSettings,
+    InTracker, Life, Motion, Surprise, Trigger,
 };
 pub use fixed_skip::{FixedSkip, FixedSkipSettings, SkippedBoxes};
 pub use record::ObjectRecord;

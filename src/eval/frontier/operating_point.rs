@@ -211,7 +211,10 @@ impl Candidate {
                 source,
             },
         )?;
-        let skipped = replayed.frames.iter().filter(|frame| frame.state.is_skipped());
+        let skipped = replayed
+            .frames
+            .iter()
+            .filter(|frame| frame.state.is_skipped());
         let skip_rate = skipped.count() as f64 / replayed.frames.len().max(1) as f64;
         let accuracy = judged
             .then(|| {

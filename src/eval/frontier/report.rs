@@ -223,10 +223,19 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         write(&study, folder.path()).expect("it can be written");
         let text = std::fs::read_to_string(folder.path().join("frontier.md")).expect("the table");
-        for part in ["albireo:3e-4", "fixed-skip-in-tracker:2", "10 % of the frames lost"] {
+        for part in [
+            "albireo:3e-4",
+            "fixed-skip-in-tracker:2",
+            "10 % of the frames lost",
+        ] {
             assert!(text.contains(part), "{part} is missing:\n{text}");
         }
-        for name in ["frontier.json", "frontier.csv", "frontier-1.svg", "frontier-2.png"] {
+        for name in [
+            "frontier.json",
+            "frontier.csv",
+            "frontier-1.svg",
+            "frontier-2.png",
+        ] {
             let length = std::fs::metadata(folder.path().join(name)).map(|file| file.len());
             assert!(length.expect("the file") > 500, "{name}");
         }

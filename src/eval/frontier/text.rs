@@ -43,8 +43,7 @@ fn render_view(text: &mut String, study: &ViewStudy) {
         "- expected-loss without a skip: AP@50 {:.3}, mAP {:.3}\n\n\
          | skip | λ | AP@50 | mAP | even calls: AP@50 | mAP | Δ AP@50 | p | Δ mAP | worse |\n\
          | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
-        study.without_skips.ap50,
-        study.without_skips.map
+        study.without_skips.ap50, study.without_skips.map
     );
     for EqualSkip {
         other,

@@ -78,9 +78,10 @@ impl View {
             let sure = detections
                 .iter()
                 .filter(|detection| detection.confidence >= self.confidence);
-            viewed
-                .detections
-                .push(sure.map(|detection| detection.normalise(clip.picture)).collect());
+            viewed.detections.push(
+                sure.map(|detection| detection.normalise(clip.picture))
+                    .collect(),
+            );
             viewed.truth.push(truth.clone());
         }
         (viewed.truth.iter().any(|truth| !truth.is_empty())).then_some(viewed)
@@ -176,7 +177,9 @@ mod tests {
 
     #[test]
     fn half_the_rate_is_every_second_frame_as_if_there_were_no_others() {
-        let viewed = View::half_rate(0.5).look(&clip(10)).expect("there is truth");
+        let viewed = View::half_rate(0.5)
+            .look(&clip(10))
+            .expect("there is truth");
         assert_eq!(viewed.steps, [1; 5]);
         let counts: Vec<_> = viewed.detections.iter().map(Vec::len).collect();
         assert_eq!(counts, [0, 0, 0, 1, 1]);

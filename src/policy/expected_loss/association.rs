@@ -53,6 +53,9 @@ impl Matcher {
         for (row, object) in (0u32..).zip(objects) {
             let own = object.filter_box(aspect).corners();
             for (column, corners) in (0u32..).zip(&self.corners) {
+                if corners.x1 >= own.x2 || corners.x2 <= own.x1 {
+                    continue;
+                }
                 let overlap = own.intersection_over_union(*corners);
                 if overlap >= gate && overlap > 0.0 && !self.matched[column as usize] {
                     self.edges.push(Edge {

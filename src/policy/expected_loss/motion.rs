@@ -70,21 +70,19 @@ impl Axis {
 /// A box as the filter measures it: centre and logarithms of the sides.
 pub(super) type Measured = [f64; 4];
 
-/// The size s of a box.
-pub(super) fn size(measured: &Measured) -> f64 {
-    ((measured[LOG_WIDTH] + measured[LOG_HEIGHT]) / 2.0).exp()
-}
-
 /// The filter of one object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct MotionFilter {
     pub axes: [Axis; 4],
+    /// Width and height: the exponentials of the log-sides, which are asked for often.
+    sides: [f64; 2],
 }
 
 impl MotionFilter {
     /// A new object at `measured`, moving at `velocity` in units of U.
     pub fn new(settings: &Motion, measured: &Measured, velocity: &[f64; 3]) -> Self {
-        let s = size(measured);
+        let sides = [LOG_WIDTH, LOG_HEIGHT].map(|axis| measured[axis].exp());
+        let s = (sides[0] * sides[1]).sqrt();
         let r = measurement_variance(settings, s);
         let unit = [s, s, 1.0, 1.0];
         let velocity = [velocity[0], velocity[1], velocity[2], velocity[2]];
@@ -102,7 +100,13 @@ impl MotionFilter {
                 p01: 0.0,
                 p11: (deviation[axis] * unit[axis]).powi(2),
             }),
+            sides,
         }
+    }
+
+    /// Width and height.
+    pub fn sides(&self) -> [f64; 2] {
+        self.sides
     }
 
     /// Where the object is.
@@ -112,7 +116,11 @@ impl MotionFilter {
 
     /// The size s.
     pub fn size(&self) -> f64 {
-        size(&self.position())
+        (self.sides[0] * self.sides[1]).sqrt()
+    }
+
+    fn refresh_sides(&mut self) {
+        self.sides = [LOG_WIDTH, LOG_HEIGHT].map(|axis| self.axes[axis].x.exp());
     }
 
     /// Advances by one frame.
@@ -132,6 +140,7 @@ impl MotionFilter {
             axis.predict(1.0, g_size, q_size);
             axis.x = axis.x.clamp(-LARGEST_LOG, LARGEST_LOG);
         }
+        self.refresh_sides();
     }
 
     /// Takes a measurement; returns the four squared normalised innovations y²/S.
@@ -142,6 +151,7 @@ impl MotionFilter {
         let growth = (self.axes[LOG_WIDTH].v + self.axes[LOG_HEIGHT].v) / 2.0;
         self.axes[LOG_WIDTH].v = growth;
         self.axes[LOG_HEIGHT].v = growth;
+        self.refresh_sides();
         innovations
     }
 
@@ -165,8 +175,9 @@ impl MotionFilter {
     /// means an edge that is off by about half a side.
     pub fn relative_variance(&self) -> f64 {
         let [x, y, log_width, log_height] = &self.axes;
-        4.0 * x.p00 * (-2.0 * log_width.x).exp()
-            + 4.0 * y.p00 * (-2.0 * log_height.x).exp()
+        let [width, height] = self.sides;
+        4.0 * x.p00 / (width * width)
+            + 4.0 * y.p00 / (height * height)
             + log_width.p00
             + log_height.p00
     }

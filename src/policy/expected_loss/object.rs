@@ -1,6 +1,6 @@
 //! What is remembered of one object, its predicted miss probability and its confidence.
 
-use super::motion::{LARGEST_LOG, LOG_HEIGHT, LOG_WIDTH, Measured, MotionFilter, X, Y};
+use super::motion::{LARGEST_LOG, Measured, MotionFilter, X, Y};
 use super::settings::{Confidence, ExpectedLossSettings, Surprise};
 use crate::detection::{ClassId, Detection};
 use crate::geometry::BoundingBox;
@@ -142,12 +142,24 @@ impl Object {
     /// The box of the filter.
     pub fn filter_box(&self, aspect: f64) -> BoundingBox {
         let position = self.filter.position();
+        let [width, height] = self.filter.sides();
         BoundingBox {
             center_x: position[X] / aspect,
             center_y: position[Y],
-            width: position[LOG_WIDTH].exp() / aspect,
-            height: position[LOG_HEIGHT].exp(),
+            width: width / aspect,
+            height,
         }
+    }
+
+    /// The share of the predicted box that lies in the picture.
+    pub fn visible_share(&self, aspect: f64) -> f64 {
+        let [width, height] = self.filter.sides();
+        let (x, y) = (self.filter.axes[X].x, self.filter.axes[Y].x);
+        let inside = |center: f64, side: f64, end: f64| {
+            let seen = (center + side / 2.0).min(end) - (center - side / 2.0).max(0.0);
+            seen.max(0.0) / side
+        };
+        inside(x, width, aspect) * inside(y, height, 1.0)
     }
 
     /// The box to report, not clipped: if seen, the mean of the detector's box and the filter's.
@@ -167,7 +179,8 @@ impl Object {
     /// The paper's uncertainty τ of this filter: the summed variance of the box in normalised form.
     pub fn tau(&self, aspect: f64) -> f64 {
         let [x, y, log_width, log_height] = &self.filter.axes;
-        let (width, height) = (log_width.x.exp() / aspect, log_height.x.exp());
+        let [width, height] = self.filter.sides();
+        let width = width / aspect;
         x.p00 / (aspect * aspect)
             + y.p00
             + width * width * log_width.p00

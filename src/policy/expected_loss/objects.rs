@@ -1,7 +1,7 @@
 //! The objects in view: what keeps them, whatever calls the detector.
 
 use super::association::Matcher;
-use super::motion::{LOG_HEIGHT, LOG_WIDTH, X, Y};
+use super::motion::{X, Y};
 use super::object::{Object, scale};
 use super::settings::ExpectedLossSettings;
 use super::velocity::{VelocityRegression, features};
@@ -88,13 +88,12 @@ impl Objects {
         }
     }
 
-    /// Advances by one frame; removes the objects whose centre leaves the picture.
+    /// Advances by one frame; removes the objects that leave the picture.
     pub fn predict(&mut self, settings: &ExpectedLossSettings) {
         let aspect = self.aspect;
         self.objects.retain_mut(|object| {
             object.predict(settings);
-            let position = object.filter.position();
-            (0.0..=aspect).contains(&position[X]) && (0.0..=1.0).contains(&position[Y])
+            object.visible_share(aspect) >= settings.life.least_visible
         });
     }
 
@@ -210,7 +209,7 @@ pub(super) struct Report {
 
 fn object_features(object: &Object, aspect: f64) -> super::velocity::Features {
     let position = object.filter.position();
-    let log_size = (position[LOG_WIDTH] + position[LOG_HEIGHT]) / 2.0;
+    let log_size = object.filter.size().ln();
     features(position[X] / aspect, position[Y], log_size)
 }
 

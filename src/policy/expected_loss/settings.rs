@@ -114,10 +114,13 @@ impl Default for ExpectedLossAssociation {
 #[serde(deny_unknown_fields, default)]
 pub struct Life {
     /// An unmatched detection of this confidence or more becomes an object. Less confident ones can only
-    /// prolong an object that is known.
+    /// prolong an object that is known. (With detections of at least 0.5 the value makes no difference;
+    /// on the recordings every detection that is let in pays.)
     pub birth_confidence: f64,
     /// Detector frames in a row without a match at which an object is removed.
     pub misses_to_removal: u32,
+    /// An object is removed when less of its predicted box than this share lies in the picture.
+    pub least_visible: f64,
     /// Frames without any answer of the detector after which all objects are forgotten.
     pub longest_blindness: u32,
     /// Matches that make an object confirmed, its first detection included. Only confirmed objects teach
@@ -138,6 +141,7 @@ impl Default for Life {
         Self {
             birth_confidence: 0.1,
             misses_to_removal: 6,
+            least_visible: 0.2,
             longest_blindness: 30,
             hits_to_confirm: 3,
             velocity_ridge: 5.0,
@@ -319,6 +323,7 @@ impl ExpectedLossSettings {
                 1e6,
             ),
             ("life.birth_confidence", life.birth_confidence, 0.0, 1.0),
+            ("life.least_visible", life.least_visible, 0.0, 1.0),
             ("life.velocity_ridge", life.velocity_ridge, 1e-3, 1e6),
             ("life.velocity_memory", life.velocity_memory, 0.0, 0.9999),
             ("life.largest_velocity", life.largest_velocity, 0.0, 10.0),

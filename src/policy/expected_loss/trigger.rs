@@ -31,7 +31,7 @@ impl Trigger {
                   higher saves more energy, lower is more accurate",
         minimum: 0.0,
         maximum: 100.0,
-        default: 0.6,
+        default: 0.3,
     };
 
     const N: Knob = Knob {
