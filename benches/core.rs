@@ -1,12 +1,13 @@
 //! The decision core per frame, detector time excluded: `P` frames and detector frames apart, for 1 to
-//! 300 objects, both profiles. Run with `cargo bench --bench core`.
+//! 300 objects: Albireo with both profiles, and expected-loss. Run with `cargo bench --bench core`.
 
 #![allow(clippy::expect_used)]
 
 use albireo::detection::{ClassId, Detection};
 use albireo::geometry::{BoundingBox, PictureSize};
 use albireo::policy::{
-    Albireo, AlbireoSettings, Evidence, FrameHead, Need, Outcome, Policy, Profile,
+    Albireo, AlbireoSettings, Evidence, ExpectedLoss, ExpectedLossSettings, FrameHead, Need,
+    Outcome, Policy, Profile, Trigger,
 };
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use rand_core::{RngCore, SeedableRng};
@@ -86,18 +87,17 @@ impl Scene {
     }
 }
 
-/// A policy and the scene it watches.
-struct Camera {
-    policy: Albireo,
+/// A policy at work.
+struct Camera<P> {
+    policy: P,
     outcome: Outcome,
     index: u64,
 }
 
-impl Camera {
-    fn new(profile: Profile, u: f64) -> Self {
+impl<P: Policy> Camera<P> {
+    fn new(policy: P) -> Self {
         Self {
-            policy: Albireo::new(AlbireoSettings::of(profile), u)
-                .expect("the profiles can be used"),
+            policy,
             outcome: Outcome::default(),
             index: 0,
         }
@@ -124,70 +124,85 @@ impl Camera {
 
 fn frames(criterion: &mut Criterion) {
     for (name, profile) in [("paper", Profile::Paper), ("reference", Profile::Reference)] {
-        let mut group = criterion.benchmark_group(format!("detector_frame/{name}"));
-        for objects in OBJECTS {
-            let mut scene = Scene::new(objects);
-            // So low that every frame calls the detector. One object in twenty is missed.
-            let mut camera = Camera::new(profile, 1e-9);
-            let recorded: Vec<_> = (0..400).map(|_| scene.detections(objects / 20)).collect();
-            for detections in &recorded {
-                camera.frame(detections);
-            }
-            // Back and forth, so that the film has no cut.
-            let film = recorded.iter().rev().chain(&recorded);
-            let mut film = film.cycle();
-            group.bench_function(BenchmarkId::from_parameter(objects), |bencher| {
-                bencher.iter(|| camera.frame(film.next().expect("it goes on for ever")));
-            });
-            assert!(!camera.outcome.state.is_skipped());
-            assert!(camera.outcome.boxes.len() >= objects * 9 / 10);
-        }
-        group.finish();
-
-        let mut group = criterion.benchmark_group(format!("predicted_frame/{name}"));
-        for objects in OBJECTS {
-            let mut camera = steady_camera(profile, objects);
-            let start = camera.policy.clone();
-            group.bench_function(BenchmarkId::from_parameter(objects), |bencher| {
-                bencher.iter_custom(|frames| {
-                    let mut elapsed = Duration::ZERO;
-                    let mut left = frames;
-                    while left > 0 {
-                        camera.policy.clone_from(&start);
-                        let run = left.min(PREDICTED_IN_A_ROW);
-                        let begin = Instant::now();
-                        for _ in 0..run {
-                            camera.frame(&[]);
-                        }
-                        elapsed += begin.elapsed();
-                        left -= run;
-                    }
-                    elapsed
-                });
-            });
-            assert!(camera.outcome.state.is_skipped());
-            assert_eq!(camera.outcome.boxes.len(), objects);
-        }
-        group.finish();
+        let mut settings = AlbireoSettings::of(profile);
+        let new = |settings| Albireo::new(settings, 1e-9).expect("the settings can be used");
+        detector_frames(criterion, name, &new(settings));
+        // So that nothing but the threshold calls the detector, and nobody leaves.
+        settings.t_max = u32::MAX;
+        settings.periodic_cap = u32::MAX;
+        settings.life_cycle.boundary_margin = 10.0;
+        predicted_frames(criterion, name, &new(settings), 1.0);
     }
+    let trigger = Trigger::ExpectedLoss { lambda: 0.0 };
+    let mut settings = ExpectedLossSettings::default();
+    let new = |settings| ExpectedLoss::new(settings, trigger).expect("the settings can be used");
+    detector_frames(criterion, ExpectedLoss::NAME, &new(settings));
+    settings.life.longest_blindness = 300;
+    settings.call.longest_pause = 300;
+    predicted_frames(criterion, ExpectedLoss::NAME, &new(settings), 100.0);
 }
 
-/// A camera that has seen its objects ten times and will now predict them.
-fn steady_camera(profile: Profile, objects: usize) -> Camera {
-    let mut scene = Scene::new(objects);
-    let mut camera = Camera::new(profile, 1e-9);
-    let mut settings = AlbireoSettings::of(profile);
-    // So that nothing but the threshold calls the detector, and nobody leaves.
-    settings.t_max = u32::MAX;
-    settings.periodic_cap = u32::MAX;
-    settings.life_cycle.boundary_margin = 10.0;
-    camera.policy = Albireo::new(settings, 1e-9).expect("the settings can be used");
-    for _ in 0..10 {
-        let detections = scene.detections(0);
-        camera.frame(&detections);
+/// Frames of `policy`, which calls the detector on each of them. One object in twenty is missed.
+fn detector_frames<P: Policy + Clone>(criterion: &mut Criterion, name: &str, policy: &P) {
+    let mut group = criterion.benchmark_group(format!("detector_frame/{name}"));
+    for objects in OBJECTS {
+        let mut scene = Scene::new(objects);
+        let mut camera = Camera::new(policy.clone());
+        let recorded: Vec<_> = (0..400).map(|_| scene.detections(objects / 20)).collect();
+        for detections in &recorded {
+            camera.frame(detections);
+        }
+        // Back and forth, so that the film has no cut.
+        let film = recorded.iter().rev().chain(&recorded);
+        let mut film = film.cycle();
+        group.bench_function(BenchmarkId::from_parameter(objects), |bencher| {
+            bencher.iter(|| camera.frame(film.next().expect("it goes on for ever")));
+        });
+        assert!(!camera.outcome.state.is_skipped());
+        assert!(camera.outcome.boxes.len() >= objects * 9 / 10);
     }
-    camera.policy.set_knob(1.0).expect("the knob goes to 1");
-    camera
+    group.finish();
+}
+
+/// Frames that `policy`, which has seen its objects ten times, predicts with its knob at `highest`.
+fn predicted_frames<P: Policy + Clone>(
+    criterion: &mut Criterion,
+    name: &str,
+    policy: &P,
+    highest: f64,
+) {
+    let mut group = criterion.benchmark_group(format!("predicted_frame/{name}"));
+    for objects in OBJECTS {
+        let mut scene = Scene::new(objects);
+        let mut camera = Camera::new(policy.clone());
+        for _ in 0..10 {
+            let detections = scene.detections(0);
+            camera.frame(&detections);
+        }
+        let turned = camera.policy.set_knob(highest);
+        turned.expect("the knob goes so far");
+        let start = camera.policy.clone();
+        group.bench_function(BenchmarkId::from_parameter(objects), |bencher| {
+            bencher.iter_custom(|frames| {
+                let mut elapsed = Duration::ZERO;
+                let mut left = frames;
+                while left > 0 {
+                    camera.policy.clone_from(&start);
+                    let run = left.min(PREDICTED_IN_A_ROW);
+                    let begin = Instant::now();
+                    for _ in 0..run {
+                        camera.frame(&[]);
+                    }
+                    elapsed += begin.elapsed();
+                    left -= run;
+                }
+                elapsed
+            });
+        });
+        assert!(camera.outcome.state.is_skipped());
+        assert_eq!(camera.outcome.boxes.len(), objects);
+    }
+    group.finish();
 }
 
 criterion_group!(benches, frames);

@@ -82,7 +82,7 @@ fn period(policy: &mut dyn Policy, outcome: &mut Outcome, start: usize) -> Vec<(
 fn no_frame_allocates_once_the_buffers_have_grown() {
     use FrameState::{AI, E, EI, I, P};
     let _profiler = dhat::Profiler::builder().testing().build();
-    let cases: [(&str, &[FrameState]); 7] = [
+    let cases: [(&str, &[FrameState]); 9] = [
         ("albireo:3e-4", &[P, I, AI]),
         ("vanilla", &[I]),
         ("fixed-skip:2", &[P, I]),
@@ -90,6 +90,8 @@ fn no_frame_allocates_once_the_buffers_have_grown() {
         ("statues:75", &[P, I]),
         ("erd-only", &[E, EI]),
         ("kill-only:5e-4", &[P, I]),
+        ("expected-loss:0.5", &[P, I, AI]),
+        ("fixed-skip-in-tracker:2", &[P, I, AI]),
     ];
     for (asked, states) in cases {
         for profile in [Profile::Paper, Profile::Reference] {

@@ -100,6 +100,7 @@ fn specs(asked: &[&str], screen: ScreenRule) -> Vec<PolicySpec> {
         profile: Profile::Paper,
         u: 3e-4,
         screen: Some(screen),
+        pixels: true,
     };
     resolve(&asked, &[], &common).unwrap()
 }

@@ -11,6 +11,7 @@ mod eval_coco;
 mod eval_command;
 mod eval_paper;
 mod eval_pictures;
+mod expected_loss;
 mod frame_decoding;
 mod frame_formats;
 mod golden_traces;

@@ -1,5 +1,6 @@
 //! `albireo eval`: accuracy, skip rate, time and energy of policies on recordings.
 
+mod frontier;
 mod pictures;
 
 use crate::eval::average_precision::{Classes, Interpolation};
@@ -24,6 +25,8 @@ const EXAMPLES: &str = "\
 Examples:
   albireo eval recorded DIR --policy albireo --sweep u=3e-4,5e-4,7e-4,1e-3
       what each threshold costs in accuracy and saves in detector calls
+  albireo eval frontier DIR --out results
+      expected-loss against every other policy at the same number of detector calls
   albireo eval recorded DIR --profile reference --screen detections --traces traces
       the published code's decisions, frame by frame";
 
@@ -91,6 +94,8 @@ enum What {
     Pictures(pictures::FolderArguments),
     /// The same on the synthetic dashcam, with its exact ground truth.
     Synth(pictures::SynthArguments),
+    /// Compare expected-loss with every other policy at equal skip rates, on recorded detections.
+    Frontier(frontier::FrontierArguments),
     /// Recompute the paper's main table from published per-clip results.
     Paper {
         /// Files with a row per clip and system.
@@ -202,6 +207,7 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         What::Video(arguments) => pictures::videos(arguments),
         What::Pictures(arguments) => pictures::folders(arguments),
         What::Synth(arguments) => pictures::synthetic(arguments),
+        What::Frontier(arguments) => frontier::run(arguments),
         What::Paper { files, json } => recompute(files, json.as_deref()),
         What::FitEnergy {
             file,

@@ -7,6 +7,7 @@ pub mod average_precision;
 pub mod data;
 pub mod energy_fit;
 pub mod energy_model;
+pub mod frontier;
 pub mod paper;
 pub mod paper_text;
 pub mod pareto;

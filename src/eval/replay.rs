@@ -80,10 +80,14 @@ pub fn replay(
     };
     let mut outcome = Outcome::default();
     let mut objects = Vec::new();
+    let mut next_index = 0;
     for frame in 0..frames {
+        let step = source.step(frame).max(1);
+        let index = next_index + u64::from(step) - 1;
+        next_index = index + 1;
         let head = FrameHead {
-            index: frame as u64,
-            step: 1,
+            index,
+            step,
             picture,
         };
         let record = decide(policy, source, head, frame, &mut outcome)?;
@@ -106,7 +110,7 @@ pub fn replay(
         }
         if let Some(trace) = &mut result.trace {
             trace.push(TraceFrame {
-                frame: frame as u64,
+                frame: index,
                 state: outcome.state,
                 tau_max: outcome.tau_max,
                 active: outcome.active,

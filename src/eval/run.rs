@@ -10,7 +10,7 @@ use crate::eval::result::ClipResult;
 use crate::eval::source::{EvidenceSource, ScreenRule, SourceError, StoredEvidence};
 use crate::eval::spec::PolicySpec;
 use crate::eval::trace::{self, TraceError};
-use crate::policy::PolicyConfigError;
+use crate::policy::{ExpectedLoss, PolicyConfigError};
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -156,10 +156,11 @@ pub(super) fn run_policy(
         policy: policy.label.clone(),
         source,
     })?;
+    let scoring = scoring_of(decider.name(), settings.scoring);
     let replayed = replay(
         decider.as_mut(),
         source,
-        settings.scoring,
+        scoring,
         policy.decay_u,
         settings.traces.is_some(),
     )
@@ -190,6 +191,17 @@ pub(super) fn run_policy(
         model.apply(&mut result);
     }
     Ok((result, replayed))
+}
+
+/// How a policy is judged in a run of that `scoring`: one that is not of the paper has no published
+/// definition of its boxes and confidences, and counts as it reports.
+fn scoring_of(policy: &str, scoring: Scoring) -> Scoring {
+    match policy {
+        ExpectedLoss::NAME | ExpectedLoss::FIXED_SKIP_NAME | ExpectedLoss::EVEN_SKIP_NAME => {
+            Scoring::Paper
+        }
+        _ => scoring,
+    }
 }
 
 fn judge(clip: &Clip, boxes: &[Vec<ScoredBox>], settings: &Settings) -> Option<Accuracy> {

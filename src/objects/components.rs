@@ -9,7 +9,7 @@ use super::AssignmentSolver;
 
 /// A pair that passed its gate.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Edge {
+pub(crate) struct Edge {
     pub row: u32,
     pub column: u32,
     /// Zero or more.
@@ -20,7 +20,7 @@ const UNSEEN: u32 = u32::MAX;
 
 /// The solver with its buffers, which are kept from call to call.
 #[derive(Clone, Debug, Default)]
-pub(super) struct ComponentSolver {
+pub(crate) struct ComponentSolver {
     dense: AssignmentSolver,
     /// First edge of each row, and the end.
     row_start: Vec<u32>,

@@ -15,6 +15,7 @@ mod state;
 
 pub use assignment::{AssignmentError, AssignmentSolver, LARGEST_COST};
 pub use collection::{ObjectSettings, ObjectStates, Sighting};
+pub(crate) use components::{ComponentSolver, Edge};
 pub use life_cycle::{LifeCycle, Missed};
 pub use matching::{Association, GateOrder, Matcher};
 pub use screening::{LARGEST_COORDINATE, is_usable};

@@ -2,8 +2,8 @@
 
 use super::ablation::Ablation;
 use super::{
-    Albireo, AlbireoSettings, Ctd, CtdSettings, ErdOnly, FixedSkip, FixedSkipSettings, Policy,
-    Profile, Statues, StatuesSettings, Vanilla,
+    Albireo, AlbireoSettings, Ctd, CtdSettings, ErdOnly, ExpectedLoss, FixedSkip,
+    FixedSkipSettings, InTracker, Policy, Profile, Statues, StatuesSettings, Vanilla,
 };
 use serde::{Deserialize, Serialize};
 
@@ -21,6 +21,8 @@ pub struct PolicyConfig {
     pub profile: Profile,
     /// The uncertainty threshold of `albireo` and its ablations.
     pub u: f64,
+    /// The price λ of a detector call under `expected-loss`.
+    pub lambda: f64,
     /// Single settings of the Albireo policy that differ from the profile's: the fields of
     /// [`AlbireoSettings`], as deep as it goes. Every policy that keeps objects has them, as far as it
     /// has the parts they are about.
@@ -31,6 +33,12 @@ pub struct PolicyConfig {
     pub ctd: CtdSettings,
     /// Settings of `statues`.
     pub statues: StatuesSettings,
+    /// Single settings of `expected-loss`, and of the schedules that share its objects, that differ from
+    /// the default: the fields of [`ExpectedLossSettings`](super::ExpectedLossSettings), as deep as it
+    /// goes.
+    pub expected_loss: Table,
+    /// The schedules of `fixed-skip-in-tracker` and `even-skip-in-tracker`.
+    pub in_tracker: InTracker,
 }
 
 impl Default for PolicyConfig {
@@ -39,10 +47,13 @@ impl Default for PolicyConfig {
             name: Albireo::NAME.to_owned(),
             profile: Profile::default(),
             u: Albireo::KNOB.default,
+            lambda: ExpectedLoss::KNOB.default,
             albireo: Table::new(),
             fixed_skip: FixedSkipSettings::default(),
             ctd: CtdSettings::default(),
             statues: StatuesSettings::default(),
+            expected_loss: Table::new(),
+            in_tracker: InTracker::default(),
         }
     }
 }
@@ -106,6 +117,9 @@ const KILL_ONLY: Ablation = Ablation::KillOnly;
 const KILL_ERD: Ablation = Ablation::KillErd;
 const KILL_ERD_10D: Ablation = Ablation::KillErd10d;
 
+const IN_TRACKER_FIXED: &str = ExpectedLoss::FIXED_SKIP_NAME;
+const IN_TRACKER_EVEN: &str = ExpectedLoss::EVEN_SKIP_NAME;
+
 /// All policies: one line each.
 #[rustfmt::skip]
 const POLICIES: &[Entry] = &[
@@ -118,6 +132,9 @@ const POLICIES: &[Entry] = &[
     entry(KILL_ONLY.name(), |c| Albireo::ablated(KILL_ONLY, c), Some(|c| &mut c.u)),
     entry(KILL_ERD.name(), |c| Albireo::ablated(KILL_ERD, c), Some(|c| &mut c.u)),
     entry(KILL_ERD_10D.name(), |c| Albireo::ablated(KILL_ERD_10D, c), Some(|c| &mut c.u)),
+    entry(ExpectedLoss::NAME, ExpectedLoss::from_config, Some(|c| &mut c.lambda)),
+    entry(IN_TRACKER_FIXED, ExpectedLoss::fixed_skip, Some(|c| &mut c.in_tracker.n)),
+    entry(IN_TRACKER_EVEN, ExpectedLoss::even_skip, Some(|c| &mut c.in_tracker.skip_rate)),
 ];
 
 /// The names that [`PolicyConfig::name`] can have.
@@ -210,7 +227,7 @@ impl PolicyConfig {
 ///
 /// # Errors
 /// A sentence that names the setting that does not exist or the value it cannot have.
-fn with_overrides<T: Serialize + for<'a> Deserialize<'a>>(
+pub(super) fn with_overrides<T: Serialize + for<'a> Deserialize<'a>>(
     settings: &T,
     overrides: &Table,
 ) -> Result<T, String> {

@@ -21,6 +21,9 @@
 //! | `kill-only[:u]` | as albireo, but without the screen: always without objects | predicted boxes | ablation: 8 dimensions, no rescue |
 //! | `kill+erd[:u]` | as albireo | as albireo | ablation: 8 dimensions, no rescue |
 //! | `kill+erd-10d[:u]` | as albireo | as albireo | ablation: no rescue |
+//! | `expected-loss[:lambda]` | when the expected loss of another predicted frame exceeds the price λ of a call | predicted boxes | our own |
+//! | `fixed-skip-in-tracker[:n]` | on every n-th frame | predicted boxes of expected-loss | comparison: the object keeping alone |
+//! | `even-skip-in-tracker[:skip_rate]` | evenly spaced, at any rate | predicted boxes of expected-loss | comparison: the object keeping alone |
 //!
 //! It knows no clock, no picture format and no network, so the live node, the evaluation and the tests
 //! drive the same code, and a frame that needs nothing costs no decoding.
@@ -37,6 +40,7 @@ mod config;
 mod ctd;
 mod detector_boxes;
 mod erd_only;
+mod expected_loss;
 mod fixed_skip;
 mod record;
 mod reporting;
@@ -56,6 +60,10 @@ pub use albireo_settings::{
 pub use config::{PolicyConfig, PolicyConfigError, Table, known_policies};
 pub use ctd::{Ctd, CtdSettings};
 pub use erd_only::ErdOnly;
+pub use expected_loss::{
+    Call, CallRule, Confidence, ExpectedLoss, ExpectedLossAssociation, ExpectedLossSettings,
+    InTracker, Life, Motion, Surprise, Trigger,
+};
 pub use fixed_skip::{FixedSkip, FixedSkipSettings, SkippedBoxes};
 pub use record::ObjectRecord;
 pub use statues::{Statues, StatuesSettings};

@@ -10,6 +10,7 @@ mod style;
 mod tradeoff;
 
 pub use power::{PowerTrace, RibbonFrame};
+pub use tradeoff::Point;
 
 use crate::eval::result::Provenance;
 use crate::eval::spec::{BASELINE, split_label};
@@ -18,7 +19,7 @@ use plotters::coord::Shift;
 use plotters::prelude::{BitMapBackend, DrawingArea, DrawingBackend, IntoDrawingArea, SVGBackend};
 use std::error::Error;
 use style::Scale;
-use tradeoff::{Point, Tradeoff};
+use tradeoff::Tradeoff;
 
 /// Steps of an SVG file's coordinates per point, so that rounding to whole numbers does not show.
 const SVG_STEPS: u32 = 8;
@@ -48,6 +49,27 @@ enum Content {
 }
 
 impl Figure {
+    /// Accuracy against cost, with the labels of the horizontal and the vertical axis.
+    pub fn tradeoff(
+        name: &'static str,
+        title: String,
+        caption: String,
+        [x_label, y_label]: [&str; 2],
+        points: Vec<Point>,
+    ) -> Self {
+        Self {
+            name,
+            title,
+            caption,
+            size: (760, 520),
+            content: Content::Tradeoff(Tradeoff {
+                x_label: x_label.to_owned(),
+                y_label: y_label.to_owned(),
+                points,
+            }),
+        }
+    }
+
     /// The figure as an SVG document.
     ///
     /// # Errors
