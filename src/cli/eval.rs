@@ -96,6 +96,8 @@ enum What {
     Synth(pictures::SynthArguments),
     /// Compare expected-loss with every other policy at equal skip rates, on recorded detections.
     Frontier(frontier::FrontierArguments),
+    /// Judge settings of expected-loss on each recording by values chosen on all others.
+    LeaveOneOut(frontier::LeaveOneOutArguments),
     /// Recompute the paper's main table from published per-clip results.
     Paper {
         /// Files with a row per clip and system.
@@ -208,6 +210,7 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         What::Pictures(arguments) => pictures::folders(arguments),
         What::Synth(arguments) => pictures::synthetic(arguments),
         What::Frontier(arguments) => frontier::run(arguments),
+        What::LeaveOneOut(arguments) => frontier::run_leave_one_out(arguments),
         What::Paper { files, json } => recompute(files, json.as_deref()),
         What::FitEnergy {
             file,

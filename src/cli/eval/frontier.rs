@@ -1,7 +1,10 @@
-//! `albireo eval frontier`: the comparison table and plots of expected-loss at equal skip rates.
+//! `albireo eval frontier` and `leave-one-out`: expected-loss at equal skip rates, and how its settings
+//! generalise.
 
 use crate::eval::data::recorded;
-use crate::eval::frontier::{Study, View, render, study, write};
+use crate::eval::frontier::{
+    LeaveOneOut, Study, Variation, View, leave_one_out, render, render_leave_one_out, study, write,
+};
 use anyhow::Context;
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -18,6 +21,56 @@ pub struct FrontierArguments {
     /// Write frontier.md, frontier.json, frontier.csv and the plots here.
     #[arg(long, value_name = "DIR")]
     out: Option<PathBuf>,
+}
+
+/// The options.
+#[derive(Debug, Args)]
+pub struct LeaveOneOutArguments {
+    /// Recorded detections with ground truth: a folder with sequences.json, detections/ and groundtruth/.
+    folder: PathBuf,
+    /// A setting of `[policy.expected_loss]` and the values to try, for instance
+    /// `life.least_visible=0,0.2,0.5`; may be given several times.
+    #[arg(long, required = true, value_name = "SETTING=VALUE,VALUE")]
+    setting: Vec<Variation>,
+    /// Detections below this confidence are not shown to the policy.
+    #[arg(long, default_value_t = 0.5)]
+    confidence: f64,
+}
+
+/// Runs the command that tells whether settings were fitted to single clips.
+///
+/// # Errors
+/// A sentence with what was wrong, where, and what to do.
+pub fn run_leave_one_out(arguments: &LeaveOneOutArguments) -> anyhow::Result<()> {
+    let clips = recorded::read(&arguments.folder)?.only_with_detections(&arguments.folder)?;
+    let view = View::as_recorded(arguments.confidence);
+    let viewed: Vec<_> = (clips.clips.iter())
+        .filter_map(|clip| view.look(clip))
+        .collect();
+    anyhow::ensure!(
+        viewed.len() > 1,
+        "{}: leaving one clip out takes at least two with ground truth",
+        arguments.folder.display()
+    );
+    let steps = arguments.setting.iter().map(LeaveOneOut::steps).sum();
+    let bar = progress(steps, "operating points")?;
+    println!(
+        "AP@50 of expected-loss, {} clips, {}",
+        viewed.len(),
+        view.name
+    );
+    for variation in &arguments.setting {
+        let result = leave_one_out(variation, &viewed, &|| bar.inc(1))?;
+        bar.suspend(|| print!("{}", render_leave_one_out(&result)));
+    }
+    bar.finish_and_clear();
+    Ok(())
+}
+
+fn progress(steps: usize, what: &str) -> anyhow::Result<ProgressBar> {
+    let template = format!("{{bar:40}} {{pos}}/{{len}} {what}, {{elapsed}}, {{eta}} left");
+    let style = ProgressStyle::with_template(&template).context("the progress bar's template")?;
+    Ok(ProgressBar::new(steps as u64).with_style(style))
 }
 
 /// Runs the command; the tables go to standard output, everything else to standard error.
@@ -44,10 +97,7 @@ pub fn run(arguments: &FrontierArguments) -> anyhow::Result<()> {
             ]
         })
         .collect();
-    let bar = ProgressBar::new(Study::steps(views.len()) as u64).with_style(
-        ProgressStyle::with_template("{bar:40} {pos}/{len} comparisons, {elapsed}, {eta} left")
-            .context("the progress bar's template")?,
-    );
+    let bar = progress(Study::steps(views.len()), "comparisons")?;
     let title = format!("Equal skip rates on {}", arguments.folder.display());
     let study = study(&title, &clips.clips, &views, &|| bar.inc(1))?;
     bar.finish_and_clear();

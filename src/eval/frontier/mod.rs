@@ -9,12 +9,16 @@
 //! `reference`), all others by the boxes and confidences that they report.
 
 mod comparison;
+mod leave_one_out;
 mod operating_point;
 mod report;
 mod text;
 mod view;
 
 pub use comparison::{EqualSkip, PairedDifference, Study, ViewStudy, study};
+pub use leave_one_out::{
+    LeaveOneOut, NotAVariation, Tried, Variation, leave_one_out, render as render_leave_one_out,
+};
 pub use operating_point::{Candidate, ClipFigures, FrontierError, OperatingPoint};
 pub use report::write;
 pub use text::render;

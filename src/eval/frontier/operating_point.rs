@@ -124,6 +124,26 @@ impl Candidate {
         Ok(Self { config, scoring })
     }
 
+    /// This policy with one setting of expected-loss, by its path such as `life.least_visible`, at `value`.
+    ///
+    /// # Errors
+    /// [`FrontierError::Policy`] when there is no such setting or it cannot have the value.
+    pub fn with_expected_loss(
+        &self,
+        setting: &str,
+        value: serde_json::Value,
+    ) -> Result<Self, FrontierError> {
+        let mut varied = self.clone();
+        let nested = setting
+            .rsplit('.')
+            .fold(value, |inner, key| serde_json::json!({ key: inner }));
+        if let serde_json::Value::Object(table) = nested {
+            varied.config.expected_loss = table;
+        }
+        varied.build()?;
+        Ok(varied)
+    }
+
     fn build(&self) -> Result<Box<dyn crate::policy::Policy>, FrontierError> {
         self.config.build().map_err(|source| FrontierError::Policy {
             policy: self.config.name.clone(),

@@ -136,13 +136,19 @@ fn point(point: &OperatingPoint, setting: String, baseline: bool) -> Point {
     }
 }
 
-/// Marks the points that no other beats in both skips and accuracy.
+/// Marks the points that no other beats in both skips and accuracy. Points that were brought to the same
+/// skip rate count as equal in it, though the knob meets it to a fraction of a thousandth only.
 fn mark_frontier(points: &mut [Point]) {
-    let all: Vec<(f64, f64)> = points.iter().map(|point| (point.x, point.y)).collect();
+    let tenths = |x: f64| (x * 10.0).round();
+    let all: Vec<(f64, f64)> = points
+        .iter()
+        .map(|point| (tenths(point.x), point.y))
+        .collect();
     for point in points {
+        let own = tenths(point.x);
         point.on_frontier = !all
             .iter()
-            .any(|&(x, y)| x >= point.x && y >= point.y && (x > point.x || y > point.y));
+            .any(|&(x, y)| x >= own && y >= point.y && (x > own || y > point.y));
     }
 }
 

@@ -1,6 +1,6 @@
 use super::load::misspelt_variables;
 use super::*;
-use crate::policy::AlbireoSettings;
+use crate::policy::{AlbireoSettings, ExpectedLossSettings};
 use std::path::Path;
 
 fn shipped() -> PathBuf {
@@ -90,6 +90,8 @@ fn every_key_is_in_the_shipped_file_with_a_comment() {
     // The settings of a policy are there only where they differ from its profile's.
     let settings = serde_json::to_value(AlbireoSettings::paper()).unwrap();
     keys(&settings, "policy.albireo", &mut wanted);
+    let settings = serde_json::to_value(ExpectedLossSettings::default()).unwrap();
+    keys(&settings, "policy.expected_loss", &mut wanted);
     shown.sort();
     wanted.sort();
     assert_eq!(shown, wanted);
@@ -117,6 +119,10 @@ fn the_keys_shown_as_comments_can_be_used_as_they_stand() {
     assert_eq!(
         serde_json::to_value(config.policy.albireo).unwrap(),
         serde_json::to_value(AlbireoSettings::of(config.policy.profile)).unwrap()
+    );
+    assert_eq!(
+        serde_json::to_value(config.policy.expected_loss).unwrap(),
+        serde_json::to_value(ExpectedLossSettings::default()).unwrap()
     );
 }
 
