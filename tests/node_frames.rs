@@ -282,12 +282,12 @@ async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_a_bad_one_is_refus
     let mut bench = Bench::start(&config).await;
     let picture = pictures(1).remove(0);
     bench.send(picture.clone(), "image/jpeg", 0).await;
-    assert_eq!(bench.answer().await.u, Some(3e-4));
+    assert_eq!(bench.answer().await.knob.map(|knob| knob.value), Some(3e-4));
 
     assert_eq!(ask(&bench.session, None).await, Ok(3e-4));
     assert_eq!(ask(&bench.session, Some(r#"{"u":5e-4}"#)).await, Ok(5e-4));
     bench.send(picture.clone(), "image/jpeg", 1).await;
-    assert_eq!(bench.answer().await.u, Some(5e-4));
+    assert_eq!(bench.answer().await.knob.map(|knob| knob.value), Some(5e-4));
 
     for bad in [
         r#"{"u":-1}"#,
@@ -310,7 +310,7 @@ async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_a_bad_one_is_refus
     // On one link a query comes after the put before it.
     assert_eq!(ask(&bench.session, None).await, Ok(7e-4));
     bench.send(picture, "image/jpeg", 2).await;
-    assert_eq!(bench.answer().await.u, Some(7e-4));
+    assert_eq!(bench.answer().await.knob.map(|knob| knob.value), Some(7e-4));
     bench.stop().await;
 }
 
@@ -390,7 +390,7 @@ async fn a_threshold_survives_a_restart() {
     bench.stop().await;
     let mut bench = Bench::start(&config).await;
     bench.send(pictures(1).remove(0), "image/jpeg", 0).await;
-    assert_eq!(bench.answer().await.u, Some(6e-4));
+    assert_eq!(bench.answer().await.knob.map(|knob| knob.value), Some(6e-4));
     bench.stop().await;
 }
 

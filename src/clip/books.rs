@@ -10,7 +10,7 @@ use super::config::ClipConfig;
 use super::latencies::Latencies;
 use super::report::ClosedClip;
 use crate::policy::FrameState;
-use crate::wire::{ClipEnd, DroppedFrames, FrameStates, ThresholdChange};
+use crate::wire::{ClipEnd, DroppedFrames, FrameStates, KnobChange, KnobValue};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -45,7 +45,7 @@ pub struct FrameResult {
     /// Time of the detector, if it ran.
     pub detector: Option<Duration>,
     /// Threshold in force for this frame, if the policy has one.
-    pub u: Option<f64>,
+    pub knob: Option<KnobValue>,
 }
 
 /// The clip now open.
@@ -62,8 +62,8 @@ struct OpenClip {
     states: FrameStates,
     degraded: u64,
     dropped: DroppedFrames,
-    u: Option<f64>,
-    u_changes: Vec<ThresholdChange>,
+    knob: Option<KnobValue>,
+    knob_changes: Vec<KnobChange>,
     total: Latencies,
     detector: Latencies,
 }
@@ -122,15 +122,18 @@ impl ClipBooks {
             open.detector.add(detector);
         }
         open.last_answered = open.last_answered.max(open.last_arrival + frame.total);
-        if let Some(u) = frame.u
-            && open.u != Some(u)
+        if let Some(knob) = frame.knob
+            && open.knob != Some(knob)
         {
-            if open.u_changes.len() == MOST_CHANGES {
-                open.u_changes.pop();
+            if open.knob_changes.len() == MOST_CHANGES {
+                open.knob_changes.pop();
             }
-            open.u_changes.push(ThresholdChange { seq: frame.seq, u });
+            open.knob_changes.push(KnobChange {
+                seq: frame.seq,
+                knob,
+            });
         }
-        open.u = frame.u;
+        open.knob = frame.knob;
     }
 
     /// Counts frames that were not processed.
@@ -228,8 +231,8 @@ impl ClipBooks {
             states: FrameStates::default(),
             degraded: 0,
             dropped: std::mem::take(&mut self.pending),
-            u: None,
-            u_changes: Vec::new(),
+            knob: None,
+            knob_changes: Vec::new(),
             total: Latencies::default(),
             detector: Latencies::default(),
         });
@@ -247,8 +250,8 @@ impl ClipBooks {
             states: open.states,
             degraded: open.degraded,
             dropped: open.dropped,
-            u: open.u,
-            u_changes: open.u_changes,
+            knob: open.knob,
+            knob_changes: open.knob_changes,
             total: open.total,
             detector: open.detector,
         })

@@ -5,7 +5,7 @@ use super::share::{CameraShare, Slice};
 use crate::power::{PowerHandle, SpanEnergy};
 use crate::wire::{
     BoardState, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates,
-    ThresholdChange, VERSION,
+    KnobChange, KnobValue, VERSION,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -31,9 +31,9 @@ pub struct ClosedClip {
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
     /// Threshold at the end.
-    pub u: Option<f64>,
+    pub knob: Option<KnobValue>,
     /// The threshold at the start, then its changes.
-    pub u_changes: Vec<ThresholdChange>,
+    pub knob_changes: Vec<KnobChange>,
     /// Latencies from reception to publication.
     pub total: Latencies,
     /// Latencies of the detector, over the frames where it ran.
@@ -85,8 +85,8 @@ impl ClosedClip {
             degraded_frames: self.degraded,
             dropped: self.dropped,
             policy: meta.policy,
-            u: self.u,
-            u_changes: self.u_changes,
+            knob: self.knob,
+            knob_changes: self.knob_changes,
             model: meta.model,
             provider: meta.provider,
             total_latency_ms: self.total.percentiles(),

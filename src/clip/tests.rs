@@ -1,8 +1,9 @@
 //! Promises of the clip's books.
 
 use super::*;
+use crate::policy::Albireo;
 use crate::policy::FrameState;
-use crate::wire::{ClipEnd, DroppedFrames};
+use crate::wire::{ClipEnd, DroppedFrames, KnobValue};
 use proptest::prelude::*;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -51,7 +52,7 @@ impl Camera {
             degraded: seq.is_multiple_of(7),
             total: ms(12),
             detector: (!state.is_skipped()).then_some(ms(10)),
-            u,
+            knob: u.map(|u| KnobValue::new(&Albireo::KNOB, u)),
         });
         closed
     }
@@ -151,9 +152,13 @@ fn the_threshold_at_the_start_and_each_change_are_told_once() {
         camera.frame_with(camera.seq * 100, Some("a"), Some(u));
     }
     let closed = camera.books.shutdown(camera.at(1000)).unwrap();
-    let told: Vec<_> = closed.u_changes.iter().map(|c| (c.seq, c.u)).collect();
+    let told: Vec<_> = closed
+        .knob_changes
+        .iter()
+        .map(|c| (c.seq, c.knob.value))
+        .collect();
     assert_eq!(told, [(0, 3e-4), (2, 5e-4), (4, 3e-4)]);
-    assert_eq!(closed.u, Some(3e-4));
+    assert_eq!(closed.knob.map(|knob| knob.value), Some(3e-4));
 }
 
 #[test]
@@ -163,8 +168,8 @@ fn a_threshold_that_never_rests_does_not_fill_the_memory() {
         camera.frame_with(i * 10, Some("a"), Some(i as f64));
     }
     let closed = camera.books.shutdown(camera.at(50_000)).unwrap();
-    assert_eq!(closed.u_changes.len(), 256);
-    assert_eq!(closed.u_changes[255].u, 4999.0);
+    assert_eq!(closed.knob_changes.len(), 256);
+    assert_eq!(closed.knob_changes[255].knob.value, 4999.0);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use crate::frame::Frame;
 use crate::geometry::{BoundingBox, PictureSize};
 use crate::policy::{Outcome, OutputBox};
-use crate::wire::{BoxMessage, DetectionsMessage, Latency, VERSION};
+use crate::wire::{BoxMessage, DetectionsMessage, KnobValue, Latency, VERSION};
 
 /// What the message says about the frame besides the policy's outcome.
 #[derive(Debug)]
@@ -13,7 +13,7 @@ pub struct AnswerContext<'a> {
     /// The clip it is booked under.
     pub clip: &'a str,
     /// The knob's value in force.
-    pub threshold: Option<f64>,
+    pub knob: Option<KnobValue>,
     /// Names of the detector's classes.
     pub class_names: &'a [String],
     /// Where the time went.
@@ -32,7 +32,7 @@ pub fn detections_message(outcome: &Outcome, context: &AnswerContext<'_>) -> Det
         state: outcome.state,
         degraded: outcome.degraded,
         tau_max: outcome.tau_max,
-        u: context.threshold,
+        knob: context.knob,
         width: size.width,
         height: size.height,
         boxes: outcome

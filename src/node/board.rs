@@ -202,7 +202,7 @@ impl Board {
             skip_rate: snapshot.states.skip_rate(),
             degraded_frames: snapshot.degraded_frames,
             dropped: snapshot.dropped,
-            u: camera.threshold(),
+            knob: camera.knob_value(),
             watts: power.watts,
             power_quality: power.quality,
         }

@@ -9,7 +9,7 @@ use super::senses::Senses;
 use crate::clip::{FrameArrival, FrameResult};
 use crate::frame::{FrameFault, RingReceiver};
 use crate::policy::{Evidence, FrameHead, GreyPicture, Need, Outcome, Policy};
-use crate::wire::Latency;
+use crate::wire::{KnobValue, Latency};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -124,7 +124,11 @@ impl Camera {
             &AnswerContext {
                 frame,
                 clip: &clip,
-                threshold: self.policy.knob_value(),
+                knob: self
+                    .board
+                    .knob()
+                    .zip(self.policy.knob_value())
+                    .map(|(knob, value)| KnobValue::new(&knob, value)),
                 class_names: &self.class_names,
                 latency: Latency {
                     total: milliseconds(frame.received.elapsed()),
@@ -160,7 +164,7 @@ impl Camera {
             degraded: message.degraded,
             total: frame.received.elapsed(),
             detector: times.detector(),
-            u: message.u,
+            knob: message.knob,
         });
         self.board.record_frame(Arc::new(message));
     }

@@ -1,7 +1,7 @@
 //! The threshold over Zenoh: a query tells it, a put or a query with a payload changes it.
 
 use super::board::CameraBoard;
-use crate::wire::{self, ThresholdMessage, VERSION};
+use crate::wire::{self, KnobValue, ThresholdMessage, VERSION};
 use std::sync::Arc;
 use zenoh::Session;
 use zenoh::bytes::Encoding;
@@ -50,7 +50,7 @@ impl ThresholdService {
 }
 
 /// Changes the threshold to what the payload says; the value now in force.
-fn change(board: &CameraBoard, payload: &[u8]) -> Result<f64, String> {
+fn change(board: &CameraBoard, payload: &[u8]) -> Result<KnobValue, String> {
     if payload.len() > MAX_MESSAGE_BYTES {
         return Err(format!(
             "a threshold message has at most {MAX_MESSAGE_BYTES} bytes, not {}",
@@ -63,21 +63,25 @@ fn change(board: &CameraBoard, payload: &[u8]) -> Result<f64, String> {
     if message.v != VERSION {
         return Err(wire::MessageError::Version { found: message.v }.to_string());
     }
-    board
-        .set_threshold(message.u)
-        .map_err(|error| error.to_string())
+    if let Some(knob) = board.knob() {
+        message.value_of(&knob).map_err(|error| error.to_string())?;
+    }
+    (board.set_threshold(message.knob.value)).map_err(|error| error.to_string())?;
+    in_force(board)
+}
+
+fn in_force(board: &CameraBoard) -> Result<KnobValue, String> {
+    (board.knob_value()).ok_or_else(|| "the policy in use has no threshold".to_owned())
 }
 
 fn answer(board: &CameraBoard, key: &str, query: &Query) {
     let result = match query.payload() {
         Some(payload) if !payload.is_empty() => change(board, &payload.to_bytes()),
-        _ => board
-            .threshold()
-            .ok_or_else(|| "the policy in use has no threshold".to_owned()),
+        _ => in_force(board),
     };
     use zenoh::Wait;
     let sent = match result {
-        Ok(u) => match serde_json::to_vec(&ThresholdMessage { v: VERSION, u }) {
+        Ok(knob) => match serde_json::to_vec(&ThresholdMessage { v: VERSION, knob }) {
             Ok(reply) => query
                 .reply(key, reply)
                 .encoding(Encoding::APPLICATION_JSON)

@@ -137,6 +137,16 @@ const POLICIES: &[Entry] = &[
     entry(IN_TRACKER_EVEN, ExpectedLoss::even_skip, Some(|c| &mut c.in_tracker.skip_rate)),
 ];
 
+/// The names of the policies' knobs, as each declares its own.
+pub const KNOB_NAMES: &[&str] = &[
+    "u",
+    "lambda",
+    "n",
+    "threshold",
+    "component_size",
+    "skip_rate",
+];
+
 /// The names that [`PolicyConfig::name`] can have.
 pub fn known_policies() -> impl Iterator<Item = &'static str> {
     POLICIES.iter().map(|entry| entry.name)

@@ -57,7 +57,7 @@ pub use albireo::Albireo;
 pub use albireo_settings::{
     AlbireoSettings, DetectorFrameBoxes, PeriodicCap, Profile, ReportedConfidence,
 };
-pub use config::{PolicyConfig, PolicyConfigError, Table, known_policies};
+pub use config::{KNOB_NAMES, PolicyConfig, PolicyConfigError, Table, known_policies};
 pub use ctd::{Ctd, CtdSettings};
 pub use erd_only::ErdOnly;
 pub use expected_loss::{

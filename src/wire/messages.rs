@@ -1,5 +1,6 @@
 //! The JSON messages. Every one carries `v`, its version; an unknown version is refused.
 
+use super::knob::{KnobChange, KnobValue};
 use crate::policy::{BoxSource, FrameState, ObjectId};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -117,9 +118,10 @@ pub struct DetectionsMessage {
     /// Largest uncertainty τ before the decision; absent without objects.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tau_max: Option<f64>,
-    /// Threshold `u` (or the policy's own knob) in force; absent when the policy has none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub u: Option<f64>,
+    /// Threshold `u` in force, or the policy's own knob under its own name; absent when the policy has none.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    pub knob: Option<KnobValue>,
     /// Columns of the picture.
     pub width: u32,
     /// Rows of the picture.
@@ -321,15 +323,6 @@ pub struct ClipEnergy {
     pub domains: Vec<DomainEnergy>,
 }
 
-/// A change of the threshold during a clip.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct ThresholdChange {
-    /// First frame it held for.
-    pub seq: u64,
-    /// The value.
-    pub u: f64,
-}
-
 /// Why a clip ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -376,11 +369,12 @@ pub struct ClipReport {
     pub dropped: DroppedFrames,
     /// Policy.
     pub policy: String,
-    /// Threshold at the end of the clip; absent when the policy has none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub u: Option<f64>,
+    /// Threshold at the end of the clip, under the knob's name; absent when the policy has none.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    pub knob: Option<KnobValue>,
     /// Every value in force during the clip, in order: the one at the start, then the changes.
-    pub u_changes: Vec<ThresholdChange>,
+    pub knob_changes: Vec<KnobChange>,
     /// Detector model: file name.
     pub model: String,
     /// Execution provider that really ran it.
@@ -441,9 +435,10 @@ pub struct CountersMessage {
     pub degraded_frames: u64,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
-    /// Threshold in force.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub u: Option<f64>,
+    /// Threshold in force, under the knob's name; absent when the policy has none.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    pub knob: Option<KnobValue>,
     /// Power now by domain, watts; empty without a source.
     pub watts: Vec<DomainWatts>,
     /// How far to trust the watts.
@@ -459,18 +454,7 @@ pub struct DomainWatts {
     pub watts: f64,
 }
 
-/// The threshold, in a put, in a query's payload and in its reply.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ThresholdMessage {
-    /// Version; may be left out on the way in.
-    #[serde(default = "current_version")]
-    pub v: u32,
-    /// The uncertainty threshold `u`, or the policy's own knob.
-    pub u: f64,
-}
-
-const fn current_version() -> u32 {
+pub(super) const fn current_version() -> u32 {
     VERSION
 }
 

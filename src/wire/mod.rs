@@ -2,7 +2,9 @@
 //! types and no others.
 
 mod keys;
+mod knob;
 mod messages;
 
 pub use keys::{CameraKeys, KeyError, NodeKeys, check_segment};
+pub use knob::{KnobChange, KnobValue, ThresholdMessage, WrongKnob};
 pub use messages::*;

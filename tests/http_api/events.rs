@@ -70,7 +70,7 @@ async fn a_change_of_the_threshold_is_told_to_who_listens() {
     }
     // The change of the other camera alone is not told.
     let told = events.expect("threshold").await;
-    assert_eq!(told, json!({"camera": "rear", "knob": "u", "u": 5e-4}));
+    assert_eq!(told, json!({"camera": "rear", "u": 5e-4}));
 }
 
 #[tokio::test]

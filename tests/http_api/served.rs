@@ -8,7 +8,7 @@ use albireo::node::config::HttpConfig;
 use albireo::policy::{BoxSource, FrameState, Knob, ObjectId};
 use albireo::wire::{
     BoxMessage, ClipEnd, ClipEnergy, ClipReport, DetectionsMessage, DomainEnergy, DroppedFrames,
-    EnergyQuality, FrameStates, Latency, Percentiles, ThresholdChange,
+    EnergyQuality, FrameStates, KnobChange, KnobValue, Latency, Percentiles,
 };
 use reqwest::{Client, Method, RequestBuilder, Response, StatusCode};
 use serde_json::Value;
@@ -162,7 +162,7 @@ pub fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
         state,
         degraded: false,
         tau_max: Some(1.5e-4),
-        u: Some(3e-4),
+        knob: Some(KnobValue::new(&KNOB, 3e-4)),
         width: 320,
         height: 240,
         boxes: vec![BoxMessage {
@@ -203,8 +203,11 @@ pub fn clip(camera: &str, report: u64) -> ClipReport {
         degraded_frames: 0,
         dropped: DroppedFrames::default(),
         policy: "albireo".to_owned(),
-        u: Some(3e-4),
-        u_changes: vec![ThresholdChange { seq: 0, u: 3e-4 }],
+        knob: Some(KnobValue::new(&KNOB, 3e-4)),
+        knob_changes: vec![KnobChange {
+            seq: 0,
+            knob: KnobValue::new(&KNOB, 3e-4),
+        }],
         model: "detector.onnx".to_owned(),
         provider: "cpu".to_owned(),
         total_latency_ms: Percentiles::default(),

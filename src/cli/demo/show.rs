@@ -132,9 +132,9 @@ fn live_line(board: &Board, message: &DetectionsMessage) -> String {
         .cameras()
         .first()
         .map_or(0.0, |camera| camera.snapshot().states.skip_rate());
-    let u = message.u.map_or_else(String::new, |u| format!("  u {u:e}"));
+    let knob = (message.knob).map_or_else(String::new, |knob| format!("  {knob}"));
     let line = format!(
-        "frame {:>5}  {:<3} {:>5.1} ms{u}  skip {:>4.1} %  {}",
+        "frame {:>5}  {:<3} {:>5.1} ms{knob}  skip {:>4.1} %  {}",
         message.seq,
         message.state,
         message.latency_ms.total,

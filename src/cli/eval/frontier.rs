@@ -35,6 +35,9 @@ pub struct LeaveOneOutArguments {
     /// Detections below this confidence are not shown to the policy.
     #[arg(long, default_value_t = 0.5)]
     confidence: f64,
+    /// Use every second frame only, as if the camera were half as fast.
+    #[arg(long)]
+    half_rate: bool,
 }
 
 /// Runs the command that tells whether settings were fitted to single clips.
@@ -43,7 +46,11 @@ pub struct LeaveOneOutArguments {
 /// A sentence with what was wrong, where, and what to do.
 pub fn run_leave_one_out(arguments: &LeaveOneOutArguments) -> anyhow::Result<()> {
     let clips = recorded::read(&arguments.folder)?.only_with_detections(&arguments.folder)?;
-    let view = View::as_recorded(arguments.confidence);
+    let view = if arguments.half_rate {
+        View::half_rate(arguments.confidence)
+    } else {
+        View::as_recorded(arguments.confidence)
+    };
     let viewed: Vec<_> = (clips.clips.iter())
         .filter_map(|clip| view.look(clip))
         .collect();

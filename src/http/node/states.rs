@@ -3,7 +3,7 @@
 use super::Shared;
 use crate::http::problem::Problem;
 use crate::node::board::CameraBoard;
-use crate::wire::{DroppedFrames, FrameStates};
+use crate::wire::{DroppedFrames, FrameStates, KnobValue};
 use axum::Json;
 use axum::extract::{Path, State};
 use serde::Serialize;
@@ -27,9 +27,10 @@ pub(super) struct CameraStates {
     /// Largest uncertainty of the newest frame; absent without objects.
     #[serde(skip_serializing_if = "Option::is_none")]
     tau_max: Option<f64>,
-    /// Threshold in force.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    u: Option<f64>,
+    /// Threshold in force, under the knob's name.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    knob: Option<KnobValue>,
     /// Seconds since the newest frame; absent before the first.
     #[serde(skip_serializing_if = "Option::is_none")]
     last_frame_age_s: Option<f64>,
@@ -62,7 +63,7 @@ fn of(camera: &CameraBoard) -> CameraStates {
         degraded_frames: snapshot.degraded_frames,
         dropped: snapshot.dropped,
         tau_max: snapshot.latest.and_then(|latest| latest.tau_max),
-        u: camera.threshold(),
+        knob: camera.knob_value(),
         last_frame_age_s: snapshot.last_frame_age.map(|age| age.as_secs_f64()),
     }
 }

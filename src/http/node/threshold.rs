@@ -5,7 +5,7 @@ use crate::http::problem::Problem;
 use crate::http::serve::BODY_LIMIT;
 use crate::node::board::CameraBoard;
 use crate::policy::Knob;
-use crate::wire::{ThresholdMessage, VERSION};
+use crate::wire::{KnobValue, ThresholdMessage, VERSION};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
@@ -22,8 +22,9 @@ pub(super) struct CameraThreshold {
     /// Camera.
     camera: String,
     /// The value in force from its next frame on; absent when the policy has none.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    u: Option<f64>,
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    value: Option<KnobValue>,
     /// What the policy calls it, its range and its default; absent when the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     knob: Option<Knob>,
@@ -33,8 +34,9 @@ pub(super) struct CameraThreshold {
 #[derive(Serialize, ToSchema)]
 pub(super) struct Thresholds {
     /// The value in force, where all cameras have the same.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    u: Option<f64>,
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    value: Option<KnobValue>,
     /// Whether values changed while running hold after a restart: a `state_dir` is set and can be
     /// written to.
     survives_restart: bool,
@@ -54,7 +56,7 @@ pub(super) struct OneThreshold {
 fn of(camera: &CameraBoard) -> CameraThreshold {
     CameraThreshold {
         camera: camera.name().to_owned(),
-        u: camera.threshold(),
+        value: camera.knob_value(),
         knob: camera.knob(),
     }
 }
@@ -66,9 +68,9 @@ fn thresholds(shared: &Shared) -> Thresholds {
         .iter()
         .map(|camera| of(camera))
         .collect();
-    let first = cameras.first().and_then(|camera| camera.u);
+    let first = cameras.first().and_then(|camera| camera.value);
     Thresholds {
-        u: first.filter(|_| cameras.iter().all(|camera| camera.u == first)),
+        value: first.filter(|_| cameras.iter().all(|camera| camera.value == first)),
         survives_restart: shared.board().thresholds_are_kept(),
         cameras,
     }
@@ -139,14 +141,19 @@ fn value(
         let what = format!("version {} is not known here, only {VERSION}", message.v);
         return Err(fault(StatusCode::UNPROCESSABLE_ENTITY, &what));
     }
-    Ok(message.u)
+    match knob {
+        Some(knob) => (message.value_of(&knob))
+            .map_err(|error| fault(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string())),
+        // Changing it will tell that there is nothing to change.
+        None => Ok(message.knob.value),
+    }
 }
 
 fn expected(knob: Option<Knob>) -> String {
     match knob {
         Some(knob) => format!(
-            "a JSON object such as {{\"u\": {}}} with a number from {:e} to {:e}",
-            knob.default, knob.minimum, knob.maximum
+            "a JSON object such as {{\"{}\": {}}} with a number from {:e} to {:e}",
+            knob.name, knob.default, knob.minimum, knob.maximum
         ),
         None => "a JSON object such as {\"u\": 0.0003}".to_owned(),
     }
@@ -174,7 +181,8 @@ pub(super) async fn get_all(State(shared): State<Shared>) -> Json<Thresholds> {
 
 /// Changes the threshold of all cameras, or of none
 ///
-/// It holds from each camera's next frame.
+/// It holds from each camera's next frame. A policy's knob goes by its own name: `u`, or `lambda` under
+/// expected-loss.
 /// `curl -X PUT -H 'Content-Type: application/json' -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
 #[utoipa::path(
     put, path = "/api/v1/threshold", tag = "threshold", request_body = ThresholdMessage,

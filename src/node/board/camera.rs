@@ -5,7 +5,7 @@ use super::lock;
 use super::thresholds::ThresholdStore;
 use crate::frame::EncodedPicture;
 use crate::policy::{FrameState, Knob, KnobError};
-use crate::wire::{DetectionsMessage, DroppedFrames, FrameStates};
+use crate::wire::{DetectionsMessage, DroppedFrames, FrameStates, KnobValue};
 use prometheus_client::metrics::histogram::Histogram;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -225,6 +225,11 @@ impl CameraBoard {
         *self.threshold.borrow()
     }
 
+    /// The same with its name.
+    pub fn knob_value(&self) -> Option<KnobValue> {
+        Some(KnobValue::new(self.knob.as_ref()?, self.threshold()?))
+    }
+
     /// The threshold, for the camera's loop: read it before each frame.
     pub fn watch_threshold(&self) -> watch::Receiver<Option<f64>> {
         self.threshold.subscribe()
@@ -234,8 +239,7 @@ impl CameraBoard {
     pub(super) fn threshold_event(&self) -> Option<Event> {
         Some(Event::Threshold(ThresholdEvent {
             camera: Arc::clone(&self.name),
-            knob: self.knob?.name,
-            u: self.threshold()?,
+            knob: self.knob_value()?,
         }))
     }
 

@@ -1,6 +1,6 @@
 //! What happens on a node, told as it happens.
 
-use crate::wire::{ClipReport, CountersMessage, DetectionsMessage};
+use crate::wire::{ClipReport, CountersMessage, DetectionsMessage, KnobValue};
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -60,8 +60,8 @@ pub struct ThresholdEvent {
     /// Camera.
     #[schema(value_type = String)]
     pub camera: Arc<str>,
-    /// The policy's own name for it: `u`, `lambda`, …
-    pub knob: &'static str,
-    /// The value now.
-    pub u: f64,
+    /// The value now, under the knob's name.
+    #[serde(flatten)]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    pub knob: KnobValue,
 }

@@ -2,7 +2,7 @@ use super::*;
 use crate::detector::ExecutionProvider;
 use crate::node::config::{CameraConfig, NodeConfig};
 use crate::policy::{FrameState, Knob};
-use crate::wire::{DetectionsMessage, DroppedFrames, Latency};
+use crate::wire::{DetectionsMessage, DroppedFrames, KnobValue, Latency};
 use std::path::PathBuf;
 
 const KNOB: Knob = Knob {
@@ -40,7 +40,10 @@ fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
         state,
         degraded: state == FrameState::P,
         tau_max: Some(1e-4),
-        u: Some(3e-4),
+        knob: Some(KnobValue {
+            name: "u",
+            value: 3e-4,
+        }),
         width: 4,
         height: 3,
         boxes: Vec::new(),

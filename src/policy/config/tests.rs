@@ -180,3 +180,16 @@ fn the_baselines_have_tables_of_their_own() {
         "{message}"
     );
 }
+
+#[test]
+fn every_knob_goes_by_a_name_that_messages_know() {
+    for name in known_policies() {
+        let config = PolicyConfig {
+            name: name.to_owned(),
+            ..PolicyConfig::default()
+        };
+        if let Some(knob) = config.build().unwrap().knob() {
+            assert!(KNOB_NAMES.contains(&knob.name), "{name}: {}", knob.name);
+        }
+    }
+}

@@ -141,7 +141,7 @@ impl Default for Life {
         Self {
             birth_confidence: 0.1,
             misses_to_removal: 6,
-            least_visible: 0.2,
+            least_visible: 0.1,
             longest_blindness: 30,
             hits_to_confirm: 3,
             velocity_ridge: 5.0,
