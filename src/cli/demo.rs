@@ -22,6 +22,8 @@ Examples:
   albireo demo                      until Ctrl-C
   albireo demo --seconds 60         one minute, then a summary
   albireo demo --seed 42 --u 1e-3   another world, a higher threshold
+  albireo demo --policy expected-loss:0.5
+                                    our own policy, a detector call priced at 0.5
 While it runs, in another terminal:
   curl localhost:8080/api/v1/frame-states
   curl -X PUT localhost:8080/api/v1/threshold -H 'content-type: application/json' -d '{\"u\":7e-4}'";
@@ -48,8 +50,8 @@ pub(super) struct Arguments {
     /// Play a video or a folder of pictures in place of the synthetic dashcam
     #[arg(long, value_name = "FILE", conflicts_with = "seed")]
     source: Option<SourceName>,
-    /// Policy that decides
-    #[arg(long, default_value = "albireo")]
+    /// Policy that decides, with the value of its knob if it should not be the default
+    #[arg(long, value_name = "NAME[:VALUE]", default_value = "albireo")]
     policy: String,
     /// Uncertainty threshold at the start
     #[arg(long)]
@@ -123,7 +125,7 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
     config.zenoh.listen = vec![endpoint.to_owned()];
     config.detector.model = arguments.models.join("detector.onnx");
     config.screen.model = Some(arguments.models.join("screen.onnx"));
-    config.policy.name.clone_from(&arguments.policy);
+    config.policy.select(&arguments.policy)?;
     if let Some(u) = arguments.u {
         config.policy.u = u;
     }

@@ -61,10 +61,16 @@ impl Show {
             "  counters curl http://{}/api/v1/frame-states",
             self.address
         );
-        println!(
-            "  tune u   curl -X PUT http://{}/api/v1/threshold \\\n             -H 'content-type: application/json' -d '{{\"u\":7e-4}}'",
-            self.address
-        );
+        let camera = self.board.cameras().first();
+        if let Some(knob) = camera.and_then(|camera| camera.knob()) {
+            // Something to see the difference by: twice what it is without configuration.
+            let value = (2.0 * knob.default).min(knob.maximum);
+            let value = serde_json::json!({ knob.name: value });
+            println!(
+                "  tune it  curl -X PUT http://{}/api/v1/threshold \\\n             -H 'content-type: application/json' -d '{value}'",
+                self.address
+            );
+        }
         println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue\n");
         println!("{HEADING}");
     }
