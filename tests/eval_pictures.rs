@@ -81,6 +81,7 @@ fn look(
 ) -> PicturedClip {
     let mut observer = Observer::start(detector, screen).unwrap();
     let keep = PassSettings {
+        keep_thumbnails: true,
         keep_grey: true,
         most_frames: None,
     };
@@ -272,6 +273,7 @@ fn by_hand(frames: usize) -> PicturedClip {
             truth: None,
             pictures: Vec::new(),
         },
+        thumbnails: Vec::new(),
         grey: Vec::new(),
         times: vec![
             StepTimes {

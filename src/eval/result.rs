@@ -168,6 +168,11 @@ pub struct ClipResult {
     pub detector_frames: usize,
     /// Frames on which the empty-scene screen ran.
     pub screen_frames: usize,
+    /// Frames in which the detector finds something, looked at by this policy or not; 0 where only stored
+    /// detections were evaluated.
+    pub occupied_frames: usize,
+    /// Those of them with state E: what the empty-scene screen misses.
+    pub false_empty_frames: usize,
     /// Frames that needed the detector and did not get it.
     pub degraded_frames: usize,
     /// Detections refused by the policy because their numbers make no box.
@@ -210,6 +215,8 @@ impl ClipResult {
             states,
             detector_frames: count(|frame| frame.detector),
             screen_frames: count(|frame| frame.screen),
+            occupied_frames: 0,
+            false_empty_frames: 0,
             degraded_frames: count(|frame| frame.degraded),
             rejected_detections: replay.rejected_detections,
             boxes: replay.boxes.iter().map(Vec::len).sum(),

@@ -52,6 +52,12 @@ pub enum SourceError {
          of pictures"
     )]
     NoPictures,
+    /// The agnostic screen is asked for and there are no pictures.
+    #[error(
+        "the agnostic screen looks at pictures, and stored detections have none: evaluate it with \
+         `albireo eval video`, `pictures` or `synth`"
+    )]
+    AgnosticNeedsPictures,
     /// The screen's verdicts are asked for and there are none.
     #[error(
         "no verdicts of an empty-scene screen are stored with the clip: use another --screen, or store \
@@ -76,6 +82,8 @@ pub enum ScreenRule {
     Nonempty,
     /// A screen that is always right: "empty" exactly when the frame has no stored detection.
     Detections,
+    /// The screen that learns from the detector while it runs; needs pictures.
+    Agnostic,
     /// What a real screen said when the pictures were there: `screen/*.csv` beside the detections.
     Recorded,
 }
@@ -86,6 +94,7 @@ impl ScreenRule {
         match self {
             Self::Nonempty => "nonempty",
             Self::Detections => "detections",
+            Self::Agnostic => "agnostic",
             Self::Recorded => "recorded",
         }
     }
@@ -121,6 +130,7 @@ impl StoredEvidence {
             .collect();
         let verdicts = match screen {
             ScreenRule::Recorded => clip.screen.clone().ok_or(SourceError::NoScreenVerdicts)?,
+            ScreenRule::Agnostic => return Err(SourceError::AgnosticNeedsPictures),
             ScreenRule::Nonempty | ScreenRule::Detections => Vec::new(),
         };
         Ok(Self {
@@ -129,6 +139,11 @@ impl StoredEvidence {
             screen,
             verdicts,
         })
+    }
+
+    /// Whether a frame has a detection at or above the run's confidence.
+    pub fn is_occupied(&self, frame: usize) -> bool {
+        !self.frame(frame).is_empty()
     }
 
     fn frame(&self, frame: usize) -> &[Detection] {
@@ -151,7 +166,8 @@ impl EvidenceSource for StoredEvidence {
 
     fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError> {
         Ok(match self.screen {
-            ScreenRule::Nonempty => Some(false),
+            // The agnostic screen never gets this far.
+            ScreenRule::Nonempty | ScreenRule::Agnostic => Some(false),
             ScreenRule::Detections => Some(self.frame(frame).is_empty()),
             ScreenRule::Recorded => self.verdicts.get(frame).copied().flatten(),
         })

@@ -166,6 +166,7 @@ impl Camera {
             detector: times.detector(),
             knob: message.knob,
         });
+        self.board.record_screen(self.senses.screen_counts());
         self.board.record_frame(Arc::new(message));
     }
 

@@ -5,7 +5,7 @@ use crate::detector::{CameraSlot, Detected, DetectorHandle};
 use crate::frame::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
 };
-use crate::screen::ScreenHandle;
+use crate::screen::{CameraScreen, ScreenCounts};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -31,7 +31,7 @@ impl Times {
 /// One camera's eyes.
 pub struct Senses {
     detector: DetectorHandle,
-    screen: Option<ScreenHandle>,
+    screen: CameraScreen,
     slot: CameraSlot,
     limits: FrameLimits,
     /// The decoded picture of the frame in hand; its buffer serves all frames.
@@ -46,7 +46,7 @@ impl Senses {
     /// Eyes for the camera with this `slot` in the detector's queue.
     pub fn new(
         detector: DetectorHandle,
-        screen: Option<ScreenHandle>,
+        screen: CameraScreen,
         slot: CameraSlot,
         limits: FrameLimits,
     ) -> Self {
@@ -65,6 +65,7 @@ impl Senses {
     /// Forgets the last frame's picture and times.
     pub fn next_frame(&mut self) {
         self.decoded = false;
+        self.screen.next_frame();
         self.times = Times::default();
     }
 
@@ -74,14 +75,14 @@ impl Senses {
     /// # Errors
     /// [`FrameFault`] when the picture cannot be decoded.
     pub async fn screen(&mut self, encoded: &EncodedPicture) -> Result<Option<bool>, FrameFault> {
-        let Some(screen) = self.screen.clone() else {
+        if self.screen.is_none() {
             return Ok(None);
-        };
+        }
         self.decode(encoded).await?;
         let start = Instant::now();
-        let verdict = screen.ask(self.slot, Arc::clone(&self.picture)).await;
+        let empty = self.screen.ask(self.slot, &self.picture).await;
         self.times.screen = Some(start.elapsed());
-        Ok(verdict.ok().map(|verdict| verdict.empty))
+        Ok(empty)
     }
 
     /// What the detector finds; `None` when it cannot be had for this frame.
@@ -100,7 +101,17 @@ impl Senses {
             .await;
         self.times.detector_span = Some((start, Instant::now()));
         // The detector counts and logs its failures itself.
-        Ok(answer.ok())
+        let detected = answer.ok();
+        if let Some(detected) = &detected {
+            self.screen
+                .detected(&self.picture, !detected.detections.is_empty());
+        }
+        Ok(detected)
+    }
+
+    /// What the screen has counted.
+    pub fn screen_counts(&self) -> ScreenCounts {
+        self.screen.counts()
     }
 
     /// The picture in grey at half its size.

@@ -14,7 +14,7 @@ use crate::clip::{ClipBooks, ShareLedger};
 use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use crate::frame::{Delivery, frame_ring};
 use crate::power::{self, PowerHandle};
-use crate::screen::ScreenHandle;
+use crate::screen::{CameraScreen, ScreenHandle};
 use crate::wire::{CameraKeys, NodeKeys};
 use anyhow::{Context, anyhow};
 use std::sync::Arc;
@@ -268,7 +268,7 @@ impl Parts<'_> {
             policy,
             senses: Senses::new(
                 self.detector.clone(),
-                self.screen.cloned(),
+                CameraScreen::new(&self.config.screen, self.screen.cloned(), slot),
                 slot,
                 self.config.frame,
             ),

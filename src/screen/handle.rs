@@ -1,7 +1,7 @@
 //! What a camera's loop holds of the screen.
 
 use super::network::Network;
-use super::{Logits, ScreenConfig};
+use super::{Logits, ScreenConfig, ScreenKind};
 use crate::detector::task::{InferenceTask, TaskCounters, TaskSettings};
 use crate::detector::{CameraSlot, DetectorStatus, InferenceError, Model, StartError};
 use crate::frame::Picture;
@@ -43,7 +43,11 @@ impl ScreenHandle {
         config: &ScreenConfig,
         onnxruntime: Option<&Path>,
     ) -> Result<Option<Self>, StartError> {
-        let Some(model) = config.model.clone() else {
+        let Some(model) = config
+            .model
+            .clone()
+            .filter(|_| config.kind() == ScreenKind::Model)
+        else {
             return Ok(None);
         };
         let library = onnxruntime.map(Path::to_owned);

@@ -18,6 +18,7 @@ use crate::eval::{summary, table};
 use crate::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
 use crate::frame::ColorOrder;
 use crate::geometry::PictureSize;
+use crate::policy::FrameState;
 use crate::screen::ScreenConfig;
 use crate::synth::DashcamSettings;
 use anyhow::{Context, bail, ensure};
@@ -292,6 +293,7 @@ impl<'a> Evaluation<'a> {
                 color_order: pass.screen_color_order,
                 empty_class: usize::from(pass.screen_empty_class),
                 timeout_ms: TIMEOUT_MS,
+                ..ScreenConfig::default()
             },
         )?;
         Ok(Self {
@@ -341,6 +343,7 @@ impl<'a> Evaluation<'a> {
         bar.set_message(source.name().to_owned());
         let settings = PassSettings {
             keep_grey: self.keep_grey,
+            keep_thumbnails: self.arguments.screen == ScreenRule::Agnostic,
             most_frames: self
                 .pass
                 .frames
@@ -419,6 +422,9 @@ impl<'a> Evaluation<'a> {
                 }
             );
             println!("{}", table::render(&report.policies));
+            for line in screen_lines(&report.clips) {
+                println!("{line}");
+            }
             if let Some(out) = &self.arguments.out {
                 let out = match folder.filter(|_| both) {
                     Some(folder) => out.join(folder),
@@ -483,4 +489,30 @@ impl<'a> Evaluation<'a> {
 
 fn name_of(head: HeadName) -> String {
     format!("head {}", head.as_str())
+}
+
+/// What the empty-scene screen spared and what it missed, a line for each policy that asked it.
+fn screen_lines(results: &[ClipResult]) -> Vec<String> {
+    let mut policies: Vec<&str> = Vec::new();
+    for result in results.iter().filter(|result| result.screen_frames > 0) {
+        if !policies.contains(&result.policy.as_str()) {
+            policies.push(&result.policy);
+        }
+    }
+    let line = |policy: &str| {
+        let of = || results.iter().filter(|result| result.policy == policy);
+        let frames: usize = of().map(|result| result.frames).sum();
+        let empty: usize = of()
+            .flat_map(|result| &result.sequence)
+            .filter(|state| **state == FrameState::E)
+            .count();
+        let occupied: usize = of().map(|result| result.occupied_frames).sum();
+        let missed: usize = of().map(|result| result.false_empty_frames).sum();
+        let share = 100.0 * missed as f64 / occupied.max(1) as f64;
+        format!(
+            "Screen under {policy}: {empty} of {frames} frames called empty; false-empty rate {share:.1} % \
+             ({missed} of the {occupied} frames in which the detector finds something)"
+        )
+    };
+    policies.into_iter().map(line).collect()
 }

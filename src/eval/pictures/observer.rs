@@ -170,6 +170,11 @@ impl Observer {
         })
     }
 
+    /// The picture last looked at.
+    pub fn picture(&self) -> &Picture {
+        &self.picture
+    }
+
     /// The picture in grey at half its size, and the time that took.
     ///
     /// # Errors

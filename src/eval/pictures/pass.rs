@@ -5,12 +5,15 @@ use crate::eval::data::{Clip, LoadReport, StoredDetection};
 use crate::footage::FrameSource;
 use crate::frame::Picture;
 use crate::geometry::{Corners, PictureSize};
+use crate::screen::Thumbnail;
 
 /// What to keep of the pass.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PassSettings {
     /// Whether to keep the grey pictures at half size: a quarter of a byte for each pixel of the clip.
     pub keep_grey: bool,
+    /// Whether to keep what the agnostic screen sees of each picture.
+    pub keep_thumbnails: bool,
     /// Look at no more frames than this.
     pub most_frames: Option<usize>,
 }
@@ -36,6 +39,8 @@ pub struct PicturedClip {
     pub clip: Clip,
     /// The grey picture of each frame at half size; empty when not kept.
     pub grey: Vec<Picture>,
+    /// What the agnostic screen sees of each frame; empty when not kept.
+    pub thumbnails: Vec<Option<Thumbnail>>,
     /// The time of each step on each frame.
     pub times: Vec<StepTimes>,
 }
@@ -98,7 +103,7 @@ pub fn collect(
     let mut size = None;
     let mut detections = Vec::new();
     let mut verdicts = Vec::new();
-    let (mut grey, mut times) = (Vec::new(), Vec::new());
+    let (mut grey, mut thumbnails, mut times) = (Vec::new(), Vec::new(), Vec::new());
     while settings.most_frames.is_none_or(|most| times.len() < most) {
         let next = source.next().map_err(|error| PassError::Source {
             reason: format!("{error:#}"),
@@ -126,6 +131,9 @@ pub fn collect(
             screen: observed.screen.map_or(0.0, |time| time.as_secs_f64() * 1e3),
             grey: 0.0,
         };
+        if settings.keep_thumbnails {
+            thumbnails.push(Thumbnail::of(observer.picture()));
+        }
         if settings.keep_grey {
             let (picture, time) = observer.grey_half(&encoded).map_err(failed)?;
             grey.push(picture);
@@ -160,6 +168,7 @@ pub fn collect(
             pictures: Vec::new(),
         },
         grey,
+        thumbnails,
         times,
     })
 }

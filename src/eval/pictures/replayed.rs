@@ -8,7 +8,8 @@ use crate::eval::run::{RunError, Settings, in_parallel, no_evidence, run_policy}
 use crate::eval::source::{EvidenceSource, ScreenRule, SourceError, StoredEvidence};
 use crate::eval::spec::PolicySpec;
 use crate::geometry::PictureSize;
-use crate::policy::{FrameHead, GreyPicture, Need};
+use crate::policy::{FrameHead, FrameState, GreyPicture, Need};
+use crate::screen::{AgnosticScreen, EmptyRun, ScreenConfig, Thumbnail};
 
 /// Which steps a frame needed.
 #[derive(Clone, Copy, Debug, Default)]
@@ -23,7 +24,16 @@ pub struct PictureEvidence<'a> {
     stored: StoredEvidence,
     pictured: &'a PicturedClip,
     rule: ScreenRule,
+    agnostic: Option<Agnostic>,
     asked: Vec<Asked>,
+}
+
+/// The agnostic screen at work on one clip.
+struct Agnostic {
+    screen: AgnosticScreen,
+    run: EmptyRun,
+    /// The frame it saw last.
+    seen: Option<usize>,
 }
 
 impl<'a> PictureEvidence<'a> {
@@ -36,12 +46,40 @@ impl<'a> PictureEvidence<'a> {
         confidence: f64,
         rule: ScreenRule,
     ) -> Result<Self, SourceError> {
+        let settings = ScreenConfig::default();
+        let (agnostic, stored) = match rule {
+            ScreenRule::Agnostic => {
+                let agnostic = Agnostic {
+                    screen: AgnosticScreen::new(&settings.agnostic, 0),
+                    run: EmptyRun::new(settings.longest_empty_run),
+                    seen: None,
+                };
+                (Some(agnostic), ScreenRule::Nonempty)
+            }
+            _ => (None, rule),
+        };
         Ok(Self {
-            stored: StoredEvidence::new(&pictured.clip, confidence, rule)?,
+            stored: StoredEvidence::new(&pictured.clip, confidence, stored)?,
             pictured,
             rule,
+            agnostic,
             asked: vec![Asked::default(); pictured.clip.frames],
         })
+    }
+
+    /// Frames of the wanted states in which the detector finds something.
+    fn occupied(&self, records: &[FrameRecord], wanted: fn(FrameState) -> bool) -> usize {
+        let records = records.iter().enumerate();
+        let wanted = records.filter(|(_, record)| wanted(record.state));
+        wanted
+            .filter(|(frame, _)| self.stored.is_occupied(*frame))
+            .count()
+    }
+
+    /// What the agnostic screen sees of a frame, where there is that screen.
+    fn thumbnail(&self, frame: usize) -> Option<Thumbnail> {
+        let thumbnail = self.pictured.thumbnails.get(frame)?.clone();
+        thumbnail.filter(|_| self.agnostic.is_some())
     }
 
     /// Milliseconds of each frame: its decision as `records` has it, and the steps it asked for as they were
@@ -52,7 +90,9 @@ impl<'a> PictureEvidence<'a> {
             .iter()
             .zip(steps)
             .map(|(record, (asked, times))| {
-                let real_screen = asked.screen && self.rule == ScreenRule::Recorded;
+                // The agnostic screen costs the decoding; its own time is not measured.
+                let real_screen = asked.screen
+                    && matches!(self.rule, ScreenRule::Recorded | ScreenRule::Agnostic);
                 let mut time = record.decision.as_secs_f64() * 1e3;
                 for (needed, step) in [
                     (asked.detector || real_screen, times.decode),
@@ -83,14 +123,31 @@ impl EvidenceSource for PictureEvidence<'_> {
         if let Some(asked) = self.asked.get_mut(frame) {
             asked.detector = true;
         }
-        self.stored.detections(frame)
+        let thumbnail = self.thumbnail(frame);
+        let found = self.stored.detections(frame)?;
+        if let (Some(agnostic), Some(found)) = (&mut self.agnostic, found) {
+            agnostic.run.looked();
+            if agnostic.seen != Some(frame)
+                && let Some(thumbnail) = thumbnail
+            {
+                agnostic.screen.look(thumbnail);
+            }
+            agnostic.screen.learn(!found.is_empty());
+        }
+        Ok(found)
     }
 
     fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError> {
         if let Some(asked) = self.asked.get_mut(frame) {
             asked.screen = true;
         }
-        self.stored.screen_says_empty(frame)
+        let thumbnail = self.thumbnail(frame);
+        let Some(agnostic) = &mut self.agnostic else {
+            return self.stored.screen_says_empty(frame);
+        };
+        agnostic.seen = Some(frame);
+        let empty = thumbnail.map(|thumbnail| agnostic.screen.empty(thumbnail));
+        Ok(empty.map(|empty| agnostic.run.judge(empty)))
     }
 
     fn grey_picture(&mut self, frame: usize) -> Result<Option<GreyPicture<'_>>, SourceError> {
@@ -151,6 +208,9 @@ pub fn run_pictured(
         let mut source = PictureEvidence::new(pictured, settings.confidence, settings.screen)
             .map_err(|source| no_evidence(clip, policy, source))?;
         let (mut result, replayed) = run_policy(clip, policy, settings, &mut source)?;
+        result.occupied_frames = source.occupied(&replayed.frames, |_| true);
+        result.false_empty_frames =
+            source.occupied(&replayed.frames, |state| state == FrameState::E);
         if !projected {
             let times = source.frame_times(&replayed.frames);
             result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {

@@ -233,6 +233,29 @@ fn frames(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt::
             })
         },
     )?;
+    let help = "Frames the detector looked at against or to check the empty-scene screen: `forced` after \
+                too many empty ones, `audited` by chance, `false_empty` of these with something in view";
+    family(
+        encoder,
+        "screen_overruled",
+        help,
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                let screen = snapshot.screen;
+                [
+                    ("forced", screen.forced),
+                    ("audited", screen.audited),
+                    ("false_empty", screen.false_empty),
+                ]
+                .into_iter()
+                .try_for_each(|(kind, count)| {
+                    let labels = vec![("camera", camera.name()), ("kind", kind)];
+                    family.counter(labels, count as f64)
+                })
+            })
+        },
+    )?;
     let help = "Frames answered from prediction because the detector could not be had";
     family(
         encoder,

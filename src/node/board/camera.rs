@@ -5,6 +5,7 @@ use super::lock;
 use super::thresholds::ThresholdStore;
 use crate::frame::EncodedPicture;
 use crate::policy::{FrameState, Knob, KnobError};
+use crate::screen::ScreenCounts;
 use crate::wire::{DetectionsMessage, DroppedFrames, FrameStates, KnobValue};
 use prometheus_client::metrics::histogram::Histogram;
 use std::sync::{Arc, Mutex};
@@ -51,6 +52,8 @@ pub struct CameraSnapshot {
     pub degraded_frames: u64,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
+    /// What the empty-scene screen has counted.
+    pub screen: ScreenCounts,
     /// Clips ended.
     pub clips: u64,
     /// What was published for the newest frame.
@@ -64,6 +67,7 @@ struct Counts {
     states: FrameStates,
     degraded_frames: u64,
     dropped: DroppedFrames,
+    screen: ScreenCounts,
     clips: u64,
     latest: Option<Arc<DetectionsMessage>>,
     last_frame: Option<Instant>,
@@ -145,6 +149,11 @@ impl CameraBoard {
         self.knob
     }
 
+    /// Takes over what the empty-scene screen has counted.
+    pub fn record_screen(&self, screen: ScreenCounts) {
+        lock(&self.counts).screen = screen;
+    }
+
     /// Counts a processed frame by what was published for it, and tells it to subscribers.
     pub fn record_frame(&self, detections: Arc<DetectionsMessage>) {
         let latency = &detections.latency_ms;
@@ -187,6 +196,7 @@ impl CameraBoard {
             states: counts.states,
             degraded_frames: counts.degraded_frames,
             dropped: counts.dropped,
+            screen: counts.screen,
             clips: counts.clips,
             latest: counts.latest.clone(),
             last_frame_age: counts.last_frame.map(|instant| instant.elapsed()),

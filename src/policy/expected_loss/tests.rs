@@ -209,7 +209,9 @@ fn without_the_detector_boxes_are_predicted_and_no_miss_is_counted() {
     for round in 0..20 {
         let outcome = frame(&mut policy, blind);
         assert_eq!((outcome.state, outcome.degraded), (FrameState::P, true));
-        assert_eq!(outcome.boxes.len(), before.len(), "round {round}");
+        // Whoever drives out of the picture meanwhile is gone; nobody comes.
+        assert!(!outcome.boxes.is_empty(), "round {round}");
+        assert!(outcome.boxes.len() <= before.len(), "round {round}");
         assert!(
             outcome
                 .boxes
@@ -217,8 +219,9 @@ fn without_the_detector_boxes_are_predicted_and_no_miss_is_counted() {
                 .all(|b| b.source == BoxSource::Predicted)
         );
     }
-    for (before, after) in before.iter().zip(records(&policy)) {
-        assert_eq!((before.id, before.rescues), (after.id, after.rescues));
+    for after in records(&policy) {
+        let before = before.iter().find(|before| before.id == after.id);
+        assert_eq!(before.map(|before| before.rescues), Some(after.rescues));
     }
     // The blindness has an end: then nothing is known any more.
     for _ in 0..11 {

@@ -1,0 +1,105 @@
+//! The screen as one camera's loop asks it: whichever kind is configured, with what it has learnt of this
+//! camera, and with a limit on how long it may be believed.
+
+use super::agnostic::{AgnosticScreen, Thumbnail};
+use super::{EmptyRun, ScreenConfig, ScreenHandle, ScreenKind};
+use crate::detector::CameraSlot;
+use crate::frame::Picture;
+use std::sync::Arc;
+
+enum Kind {
+    None,
+    Model(ScreenHandle),
+    Agnostic(Box<AgnosticScreen>),
+}
+
+/// What one camera's screen has counted since the node started.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ScreenCounts {
+    /// Frames on which the detector looked because too many in a row had been called empty.
+    pub forced: u64,
+    /// Frames that the agnostic screen would have called empty and the detector looked at.
+    pub audited: u64,
+    /// Those of them in which the detector found something.
+    pub false_empty: u64,
+}
+
+/// One camera's screen.
+pub struct CameraScreen {
+    kind: Kind,
+    run: EmptyRun,
+    /// Whether the agnostic screen has seen the frame in hand.
+    seen: bool,
+}
+
+impl CameraScreen {
+    /// The screen that `config` names; `model` is the one all cameras share, if there is one.
+    pub fn new(config: &ScreenConfig, model: Option<ScreenHandle>, camera: CameraSlot) -> Self {
+        let kind = match (config.kind(), model) {
+            (ScreenKind::Agnostic, _) => {
+                let seed = camera.0 as u64;
+                Kind::Agnostic(Box::new(AgnosticScreen::new(&config.agnostic, seed)))
+            }
+            (ScreenKind::Model, Some(model)) => Kind::Model(model),
+            (ScreenKind::Model | ScreenKind::None, _) => Kind::None,
+        };
+        Self {
+            kind,
+            run: EmptyRun::new(config.longest_empty_run),
+            seen: false,
+        }
+    }
+
+    /// Whether there is nothing to ask.
+    pub const fn is_none(&self) -> bool {
+        matches!(self.kind, Kind::None)
+    }
+
+    /// A new frame begins.
+    pub fn next_frame(&mut self) {
+        self.seen = false;
+    }
+
+    /// Whether nothing is in view in `picture`; `None` when it cannot be said.
+    pub async fn ask(&mut self, camera: CameraSlot, picture: &Arc<Picture>) -> Option<bool> {
+        let empty = match &mut self.kind {
+            Kind::None => None,
+            Kind::Model(model) => {
+                let verdict = model.ask(camera, Arc::clone(picture)).await;
+                // The screen counts and logs its failures itself.
+                verdict.ok().map(|verdict| verdict.empty)
+            }
+            Kind::Agnostic(screen) => {
+                self.seen = true;
+                Thumbnail::of(picture).map(|thumbnail| screen.empty(thumbnail))
+            }
+        }?;
+        Some(self.run.judge(empty))
+    }
+
+    /// The detector looked at `picture` and did or did not find something.
+    pub fn detected(&mut self, picture: &Picture, found_something: bool) {
+        self.run.looked();
+        if let Kind::Agnostic(screen) = &mut self.kind {
+            if !self.seen
+                && let Some(thumbnail) = Thumbnail::of(picture)
+            {
+                screen.look(thumbnail);
+            }
+            screen.learn(found_something);
+        }
+    }
+
+    /// What it has counted.
+    pub fn counts(&self) -> ScreenCounts {
+        let agnostic = match &self.kind {
+            Kind::Agnostic(screen) => screen.counters(),
+            Kind::None | Kind::Model(_) => Default::default(),
+        };
+        ScreenCounts {
+            forced: self.run.forced(),
+            audited: agnostic.audited,
+            false_empty: agnostic.false_empty,
+        }
+    }
+}
