@@ -155,7 +155,7 @@ fn mark(provenance: Provenance) -> &'static str {
 }
 
 /// The label without the part that all policies of a run share.
-fn short(label: &str) -> &str {
+pub(super) fn short(label: &str) -> &str {
     label.split_once("-erd-").map_or(label, |(start, _)| start)
 }
 
