@@ -8,7 +8,7 @@ ONNXRUNTIME := $(CACHE)/onnxruntime/.ready
 PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
 DEMO_SECONDS ?=
 
-.PHONY: help demo test lint onnxruntime python debian release bench clean
+.PHONY: help demo test lint onnxruntime python debian release bench bench-peers clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,6 +26,10 @@ lint: ## formatting and clippy, as the continuous integration does
 
 bench: onnxruntime ## the benches, optimised (takes a while the first time)
 	cargo bench --locked
+
+bench-peers: ## the decision core beside other trackers, and average precision up to a million boxes
+	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml --bin trackers
+	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml --bin average_precision
 
 release: ## the optimised program in target/release/albireo
 	cargo build --locked --release

@@ -263,7 +263,7 @@ fn rows_that_mean_nothing_are_counted_and_said() {
         "left out 1: coordinate or score not a finite number",
         "left out 1: box inverted or without area",
         "left out 1: box wholly outside the picture",
-        "detections/drive.csv:37",
+        "detections/drive.csv:38",
     ] {
         assert!(said.contains(part), "{part} in\n{said}");
     }

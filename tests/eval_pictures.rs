@@ -311,7 +311,7 @@ fn a_frame_s_time_is_that_of_the_steps_it_needed_and_marked_as_composed() {
         );
     }
     assert_eq!(results[0].detector_frames, 30);
-    assert_eq!(results[1].detector_frames, 10);
+    assert_eq!(results[1].detector_frames, 15);
     assert_eq!(results[2].screen_frames, 30);
 }
 

@@ -146,7 +146,7 @@ struct RunArguments {
     #[arg(long, value_name = "NAME[:SETTING]", default_value = "albireo")]
     policy: Vec<String>,
     /// Uncertainty threshold of the policies that have one.
-    #[arg(long, default_value_t = 3e-4)]
+    #[arg(long, default_value_t = 3e-4, allow_negative_numbers = true)]
     u: f64,
     /// Values of a setting to try one after the other, for instance u=3e-4,5e-4,7e-4,1e-3.
     #[arg(long, value_name = "NAME=VALUE,…")]
@@ -155,7 +155,7 @@ struct RunArguments {
     #[arg(long, value_enum, default_value_t = ScreenRule::Nonempty)]
     screen: ScreenRule,
     /// Detections below this confidence are not used.
-    #[arg(long, default_value_t = 0.5)]
+    #[arg(long, default_value_t = 0.5, allow_negative_numbers = true)]
     confidence: f64,
     /// Judge every class by itself instead of all as one.
     #[arg(long)]

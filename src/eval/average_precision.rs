@@ -132,6 +132,9 @@ struct Matching {
     /// Bit `t` is set when the prediction matches at `IOU_THRESHOLDS[t]`.
     matched: Vec<u16>,
     truths: usize,
+    /// Pairs of boxes whose IoU was computed.
+    #[cfg(test)]
+    compared: usize,
 }
 
 impl Matching {
@@ -173,6 +176,8 @@ impl Matching {
         Self {
             matched: ranked.into_iter().map(|(_, matched)| matched).collect(),
             truths,
+            #[cfg(test)]
+            compared: frame.compared,
         }
     }
 
@@ -262,6 +267,9 @@ struct FrameMatcher {
     /// Where each prediction's candidates end.
     ends: Vec<usize>,
     free: Vec<bool>,
+    /// Pairs compared so far, over all frames.
+    #[cfg(test)]
+    compared: usize,
 }
 
 impl FrameMatcher {
@@ -327,6 +335,10 @@ impl FrameMatcher {
             for &(left, index) in &self.by_left[first..] {
                 if left > prediction.x2 {
                     break;
+                }
+                #[cfg(test)]
+                {
+                    self.compared += 1;
                 }
                 let overlap = prediction.intersection_over_union(self.truths[index]);
                 if overlap >= IOU_THRESHOLDS[0] {

@@ -220,3 +220,46 @@ proptest! {
         prop_assert!((fast.map - slow.iter().sum::<f64>() / 10.0).abs() < 1e-12);
     }
 }
+
+/// `count` boxes, 20 a frame, each predicted a little off its place.
+fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<TruthBox>>) {
+    let place = |frame: usize, index: usize| {
+        let x = ((frame * 37 + index * 61) % 1200) as f64;
+        square(x, ((frame + index * 97) % 640) as f64, 80.0)
+    };
+    let boxes = |frame: usize| (0..20).map(move |index| (index, place(frame, index)));
+    let frames = 0..count / 20;
+    let predictions = frames.clone().map(|frame| {
+        let off_by = |index: usize| ((frame + index) % 40) as f64;
+        boxes(frame)
+            .map(|(index, c)| {
+                let x1 = c.x1 + off_by(index);
+                let corners = Corners {
+                    x1,
+                    x2: x1 + 80.0,
+                    ..c
+                };
+                scored(corners, ((frame * 7 + index) % 101) as f64 / 101.0)
+            })
+            .collect()
+    });
+    let truth = frames.map(|frame| boxes(frame).map(|(_, corners)| truth(corners)).collect());
+    (predictions.collect(), truth.collect())
+}
+
+/// Sorting apart, the work is in the pairs compared.
+#[test]
+fn a_million_boxes_are_compared_in_a_number_of_pairs_linear_in_their_number() {
+    let pairs = [10_000, 100_000, 1_000_000].map(|count| {
+        let (predictions, truth) = spread_over_frames(count);
+        let matching = Matching::new(&predictions, &truth, None);
+        assert_eq!((matching.matched.len(), matching.truths), (count, count));
+        let hits = matching.matched.iter().filter(|&&m| m & 1 == 1).count();
+        assert!(hits * 2 > count && hits < count, "{hits} of {count}");
+        matching.compared
+    });
+    assert!(pairs[1] < 11 * pairs[0], "{pairs:?}");
+    assert!(pairs[2] < 11 * pairs[1], "{pairs:?}");
+    // Boxes beside each other are not compared: far fewer than the 20 of a frame.
+    assert!(pairs[2] < 5 * 1_000_000, "{pairs:?}");
+}

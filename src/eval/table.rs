@@ -155,7 +155,7 @@ fn mark(provenance: Provenance) -> &'static str {
 }
 
 /// The label without the part that all policies of a run share.
-fn short(label: &str) -> &str {
+pub(super) fn short(label: &str) -> &str {
     label.split_once("-erd-").map_or(label, |(start, _)| start)
 }
 
@@ -184,10 +184,12 @@ fn foot(text: &mut String, summaries: &[PolicySummary], left_out: &[String]) {
         "Unweighted means over {clips} clips; Δ and p (paired t, Wilcoxon) against vanilla, clip by clip. \
          * no other skips as much and is as accurate."
     )];
-    if without > 0 {
-        notes.push(format!(
+    match without {
+        0 => {}
+        1 => notes.push("1 clip has no ground truth and is not in the means.".to_owned()),
+        _ => notes.push(format!(
             "{without} clips have no ground truth and are not in the means."
-        ));
+        )),
     }
     let kinds: Vec<Provenance> = summaries
         .iter()

@@ -150,7 +150,7 @@ pub fn videos(arguments: &VideoArguments) -> anyhow::Result<()> {
         let mut video = Video::open(file, None, arguments.encoding, Ffmpeg::default())?;
         evaluation.look(&mut video)?;
     }
-    evaluation.finish(&format!("Video: {}", arguments.files.join(", ")))
+    evaluation.finish(&title("Video", &arguments.files))
 }
 
 /// Runs `albireo eval pictures`.
@@ -179,7 +179,7 @@ pub fn folders(arguments: &FolderArguments) -> anyhow::Result<()> {
         .iter()
         .map(|folder| folder.display().to_string())
         .collect();
-    evaluation.finish(&format!("Pictures: {}", folders.join(", ")))
+    evaluation.finish(&title("Pictures", &folders))
 }
 
 /// Runs `albireo eval synth`.
@@ -204,6 +204,14 @@ pub fn synthetic(arguments: &SynthArguments) -> anyhow::Result<()> {
         }
     }
     evaluation.finish("Synthetic dashcam")
+}
+
+/// What a report is headed with: every file, or the first of many.
+fn title(what: &str, files: &[String]) -> String {
+    match files {
+        [first, second, _, ..] => format!("{what}: {first}, {second} and {} more", files.len() - 2),
+        few => format!("{what}: {}", few.join(", ")),
+    }
 }
 
 /// A run in the making: clips are looked at one after the other and dropped when every policy is done.

@@ -5,7 +5,7 @@ use super::plot::Figure;
 use crate::eval::result::{ClipResult, Provenance};
 use crate::eval::spec::BASELINE;
 use crate::eval::summary::{Difference, PolicySummary};
-use crate::eval::table::p_value;
+use crate::eval::table::{p_value, short};
 use std::collections::HashMap;
 use std::fmt::Write;
 
@@ -110,9 +110,12 @@ fn change(difference: Option<Difference>) -> String {
 }
 
 fn tests(difference: Option<Difference>) -> String {
-    let t = p_value(difference.and_then(|d| d.t).map(|t| t.p));
-    let wilcoxon = p_value(difference.and_then(|d| d.wilcoxon).map(|w| w.p));
-    format!("<td>{}</td><td>{}</td>", escape(&t), escape(&wilcoxon))
+    let cell = |p: Option<f64>| match p {
+        Some(p) => format!("<td>{}</td>", escape(&p_value(Some(p)))),
+        None => "<td class=\"none\">–</td>".to_owned(),
+    };
+    let t = cell(difference.and_then(|d| d.t).map(|t| t.p));
+    t + &cell(difference.and_then(|d| d.wilcoxon).map(|w| w.p))
 }
 
 /// A word where figures were not measured.
@@ -159,7 +162,7 @@ fn policies(page: &mut String, summaries: &[PolicySummary]) {
             } else {
                 ""
             },
-            escape(&summary.policy),
+            escape(short(&summary.policy)),
             if summary.on_skip_frontier {
                 " <span class=\"star\" title=\"No other skips as much and is as accurate\">★</span>"
             } else {
@@ -233,7 +236,7 @@ fn classes(page: &mut String, summaries: &[PolicySummary]) {
         let _ = write!(
             page,
             "<tr><th scope=\"row\">{}</th>",
-            escape(&summary.policy)
+            escape(short(&summary.policy))
         );
         for name in &names {
             page.push_str(&cell(summary.ap50_by_class.get(*name).copied(), 4));
@@ -270,7 +273,7 @@ fn clips(page: &mut String, results: &[ClipResult]) {
             page,
             "<tr><th scope=\"row\">{}</th><td class=\"text\">{}</td><td>{}</td>{}{}{}{}<td>{}</td>{}</tr>",
             escape(&result.clip),
-            escape(&result.policy),
+            escape(short(&result.policy)),
             result.frames,
             cell(Some(result.states.skip_rate() * 100.0), 1),
             cell(result.accuracy.map(|accuracy| accuracy.ap50), 4),

@@ -139,26 +139,22 @@ pub fn figures(report: &super::Report) -> Vec<Figure> {
     let mut figures = Vec::new();
     let has_accuracy = summaries.iter().any(|summary| summary.ap50.is_some());
     let energy = summaries.iter().find_map(|summary| summary.energy);
-    let whiskers =
-        "Whiskers: 95 % confidence interval of the difference to Vanilla, paired over clips.";
+    let marks = "Whiskers: 95 % confidence interval of the difference to Vanilla, paired over clips. \
+                 Thin line: Vanilla. Grey band: the Pareto frontier; filled markers are on it.";
     if has_accuracy && let Some(energy) = energy {
         figures.push(Figure {
             name: "ap50-against-edp",
             title: "Accuracy against energy-delay product".to_owned(),
-            caption: format!(
-                "Mean over clips{}. {whiskers} Grey: the Pareto frontier; filled markers are on it.",
-                of_kind(energy.provenance)
-            ),
+            caption: format!("Mean over clips{}. {marks}", of_kind(energy.provenance)),
             size: (720, 430),
             content: Content::Tradeoff(Tradeoff {
-                x_label: format!(
-                    "EDP, J·ms per frame{}",
-                    of_kind(energy.provenance)
-                ),
+                x_label: format!("EDP, J·ms per frame{}", of_kind(energy.provenance)),
                 y_label: "AP@50".to_owned(),
-                points: points(summaries, &|summary| Some(summary.energy?.edp), &|summary| {
-                    summary.on_edp_frontier == Some(true)
-                }),
+                points: points(
+                    summaries,
+                    &|summary| Some(summary.energy?.edp),
+                    &|summary| summary.on_edp_frontier == Some(true),
+                ),
             }),
         });
     }
@@ -166,9 +162,7 @@ pub fn figures(report: &super::Report) -> Vec<Figure> {
         figures.push(Figure {
             name: "ap50-against-skip-rate",
             title: "Accuracy against skip rate".to_owned(),
-            caption: format!(
-                "Mean over clips. {whiskers} Grey: the Pareto frontier; filled markers are on it."
-            ),
+            caption: format!("Mean over clips. {marks}"),
             size: (720, 430),
             content: Content::Tradeoff(Tradeoff {
                 x_label: "Frames without the detector, %".to_owned(),

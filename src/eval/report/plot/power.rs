@@ -4,6 +4,7 @@ use super::DrawResult;
 use super::states;
 use super::style::{GRID, INK, SOFT_INK, Scale, anchored, family_color, state_color};
 use crate::eval::result::Provenance;
+use crate::eval::spec::split_label;
 use crate::policy::FrameState;
 use plotters::coord::Shift;
 use plotters::prelude::{ChartBuilder, DrawingArea, DrawingBackend, LineSeries, Rectangle, Text};
@@ -80,13 +81,13 @@ where
         .x_label_formatter(&|value| format!("{value:.0}"))
         .y_label_formatter(&|value| format!("{value:.0}"))
         .draw()?;
+    let color = |index: usize| match index {
+        0 => SOFT_INK,
+        index => family_color(index - 1),
+    };
     let mut x = left as i32;
     for (index, (trace, smooth)) in traces.iter().zip(&smooth).enumerate() {
-        let color = if index == 0 {
-            SOFT_INK
-        } else {
-            family_color(index - 1)
-        };
+        let color = color(index);
         chart.draw_series(LineSeries::new(
             smooth.iter().copied(),
             scale.line(1.8, color),
@@ -102,10 +103,9 @@ where
     for (row, trace) in traces.iter().enumerate() {
         let top = scale.length(16.0 * row as f64);
         let middle = top + scale.length(6.0);
-        let style = anchored(scale.text(10.0, SOFT_INK), HPos::Right);
-        let label = trace.policy.split('-').next().unwrap_or(&trace.policy);
+        let style = anchored(scale.text(10.0, color(row)), HPos::Right);
         let place = (left as i32 - scale.length(6.0), middle);
-        lower.draw(&Text::new(label.to_owned(), place, style))?;
+        lower.draw(&Text::new(short_name(traces, trace), place, style))?;
         let mut from = 0.0;
         for frame in &trace.frames {
             let corners = [
@@ -119,6 +119,19 @@ where
     }
     let (_, foot) = lower.split_vertically(ribbons - scale.length(8.0));
     states::legend(&foot, scale, left as i32)
+}
+
+/// The policy of `trace`, or its setting where several have the same policy.
+fn short_name(traces: &[PowerTrace], trace: &PowerTrace) -> String {
+    let (family, setting) = split_label(&trace.policy);
+    let same = traces
+        .iter()
+        .filter(|other| split_label(&other.policy).0 == family);
+    if same.count() > 1 && !setting.is_empty() {
+        setting
+    } else {
+        family.to_owned()
+    }
 }
 
 /// Mean power over windows of [`WINDOW_S`], at their middles.

@@ -166,3 +166,18 @@ pub fn range(values: impl Iterator<Item = f64>, air: f64) -> (f64, f64) {
     let span = (high - low).max(high.abs() * 1e-3).max(1e-6);
     (low - air * span, high + air * span)
 }
+/// Draws a ring around a marker.
+pub fn ring<B: DrawingBackend>(
+    area: &DrawingArea<B, Shift>,
+    scale: Scale,
+    at: (i32, i32),
+    color: RGBColor,
+) -> Result<(), Box<dyn Error>>
+where
+    B::ErrorType: 'static,
+{
+    for (radius, color) in [(7.6, color), (6.4, RGBColor(255, 255, 255))] {
+        area.draw(&Circle::new(at, scale.length(radius), color.filled()))?;
+    }
+    Ok(())
+}

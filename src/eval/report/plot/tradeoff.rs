@@ -1,7 +1,9 @@
 //! Accuracy against what it costs: one marker a policy, families joined, the frontier behind.
 
 use super::DrawResult;
-use super::style::{FRONTIER, GRID, INK, SOFT_INK, Scale, anchored, family_color, marker, range};
+use super::style::{
+    FRONTIER, GRID, INK, SOFT_INK, Scale, anchored, family_color, marker, range, ring,
+};
 use plotters::coord::Shift;
 use plotters::prelude::{ChartBuilder, DrawingArea, DrawingBackend, LineSeries, PathElement, Text};
 use plotters::style::text_anchor::HPos;
@@ -34,6 +36,9 @@ pub struct Tradeoff {
     /// The policies.
     pub points: Vec<Point>,
 }
+
+/// With more families than this, the setting of a family that has but one is not written: the legend names it.
+const CROWDED: usize = 4;
 
 /// A rectangle in the backend's steps: left, top, right, bottom.
 type Place = (i32, i32, i32, i32);
@@ -109,6 +114,11 @@ impl Tradeoff {
             chart.draw_series(LineSeries::new(path, scale.line(5.0, FRONTIER)))?;
             Ok(())
         })?;
+        if let Some(baseline) = self.points.iter().find(|point| point.baseline) {
+            let level = vec![(x0, baseline.y), (x1, baseline.y)];
+            let style = SOFT_INK.mix(0.5).stroke_width(scale.size(1.0));
+            chart.draw_series([PathElement::new(level, style)])?;
+        }
         for family in &families {
             let mut path: Vec<(f64, f64)> = self
                 .points
@@ -138,6 +148,10 @@ impl Tradeoff {
             .collect();
         for (point, &at) in self.points.iter().zip(&places) {
             let (index, color) = color(&point.family);
+            if point.baseline {
+                // So that it shows below a policy that does the same.
+                ring(area, scale, at, color)?;
+            }
             marker(area, scale, at, index, color, point.on_frontier)?;
         }
         self.draw_settings(area, scale, &places, &|family| color(family).1)?;
@@ -172,8 +186,13 @@ impl Tradeoff {
             .map(|&(x, y)| (x - reach, y - reach, x + reach, y + reach))
             .collect();
         let (width, height) = area.dim_in_pixel();
+        let crowded = self.families().len() > CROWDED;
         for (point, &(x, y)) in self.points.iter().zip(places) {
-            if point.setting.is_empty() {
+            let alone = || {
+                let family = self.points.iter().filter(|p| p.family == point.family);
+                family.count() == 1
+            };
+            if point.setting.is_empty() || crowded && alone() {
                 continue;
             }
             let style = scale.text(10.5, color(&point.family));
