@@ -84,6 +84,7 @@ impl Counters {
             quality: now.quality,
             watts: now.watts,
             joules: self.joules.clone(),
+            cost: self.power.cost(),
         });
     }
 
