@@ -1,7 +1,7 @@
 //! A node with a board's power monitor (a tree of files laid out as sysfs has it): where its watts and
 //! joules are told, and what happens to frames when the monitor hangs.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::support::{Client, Node, PATIENCE, albireo, fake_nvpmodel};
 use serde_json::Value;
@@ -245,7 +245,7 @@ async fn the_survey_lists_every_source_and_runs_tegrastats_by_sudo_only_when_tol
     .unwrap();
     // A stand-in for sudo that notes what it was asked for and runs it.
     let sudo = folder.path().join("sudo");
-    let script = "#!/bin/sh\necho \"$@\" >> \"$0.log\"\nshift\nexec \"$@\"\n";
+    let script = "#!/bin/sh\nprintf '%s\\n' \"$*\" >> \"$0.log\"\nshift\nexec \"$@\"\n";
     std::fs::write(&sudo, script).unwrap();
     std::fs::set_permissions(&sudo, std::fs::Permissions::from_mode(0o755)).unwrap();
     let path = format!(

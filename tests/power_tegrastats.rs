@@ -163,7 +163,9 @@ async fn recorded_lines_of_every_board_are_integrated_to_their_own_total() {
         ("orin_nx:2", 7.280, "input_rail"),
         ("xavier_and_older:1", 32.850, "sum_of_rails"),
     ] {
-        let line = lines.lines().find_map(|l| l.strip_prefix(name)?.strip_prefix('\t'));
+        let line = lines
+            .lines()
+            .find_map(|l| l.strip_prefix(name)?.strip_prefix('\t'));
         let running = run(&json!({"lines": [line.unwrap()]})).await;
         let (mean, found) = running.watch(Duration::from_millis(700)).await;
         assert!(close(mean, watts), "{name}: {found:?}");

@@ -84,7 +84,11 @@ impl Mean {
         }
         let mean = values.iter().sum::<f64>() / rounds as f64;
         let half = match paired_t(values) {
-            Some(found) => Some((found.upper - found.lower) / 2.0),
+            Some(found) => {
+                let half = (found.upper - found.lower) / 2.0;
+                // Equal values differ from their mean by its rounding error.
+                Some(if half > 1e-12 * mean.abs() { half } else { 0.0 })
+            }
             // All of them zero.
             None if rounds > 1 => Some(0.0),
             None => None,

@@ -128,8 +128,8 @@ fn energy(summary: &Summary) -> String {
             summary.coverage * 100.0
         ),
         Basis::Estimated => "There is no power meter here (`albireo power` says why not): what is measured is \
-             CPU time, frame time and detector calls. Energy and EDP are ESTIMATED from utilisation with \
-             assumed watts and are no measurement."
+             CPU time, frame time and detector calls. Energy and EDP are ESTIMATED from the utilisation of the \
+             whole machine with assumed watts, and are no measurement."
             .to_owned(),
         Basis::Unavailable => "There is no power meter here (`albireo power` says why not), so there is no \
              energy: what is measured is CPU time, frame time and detector calls."
@@ -207,6 +207,7 @@ fn row(text: &mut String, width: usize, label: &str, cells: impl Iterator<Item =
 /// `12.34 ± 0.56`, with as many decimals as the interval has meaning for.
 fn mean(mean: Mean) -> String {
     match mean.half {
+        Some(half) if mean.mean.abs() >= 1e6 => format!("{:.2e} ± {half:.0e}", mean.mean),
         Some(half) if half > 0.0 => {
             let decimals = decimals(half);
             format!("{:.decimals$} ± {half:.decimals$}", mean.mean)
@@ -218,6 +219,8 @@ fn mean(mean: Mean) -> String {
 
 fn change(change: Change) -> String {
     match change.half {
+        // Differences that are all equal differ in their rounding errors.
+        Some(half) if half < 1e-9 => format!("{:+.1} ± 0 %", change.percent),
         Some(half) => {
             let decimals = decimals(half.max(0.1)).min(1);
             format!("{:+.decimals$} ± {half:.decimals$} %", change.percent)

@@ -44,16 +44,17 @@ Mean of 3 runs ± half of its 95 % confidence interval
 policy               energy J EDP J·ms/frame     CPU time s  frame time ms detector calls
                      measured       measured
 vanilla            80.0 ± 1.2     8000 ± 124          2 ± 0       12.5 ± 0        100 ± 0
-albireo u=5e-4     60.0 ± 1.2     6000 ± 124        0.8 ± 0       12.5 ± 0         40 ± 0
+albireo u=5e-4     60.0 ± 1.2     6000 ± 124      0.800 ± 0       12.5 ± 0         40 ± 0
 
 Change against vanilla: mean of the differences within a round
 policy                 energy            EDP       CPU time     frame time detector calls
-albireo u=5e-4  -25.0 ± 3.1 %  -25.0 ± 3.1 %  -60.0 ± 0.0 %   +0.0 ± 0.0 %  -60.0 ± 0.0 %
+                     measured       measured
+albireo u=5e-4  -25.0 ± 3.1 %  -25.0 ± 3.1 %    -60.0 ± 0 %     +0.0 ± 0 %    -60.0 ± 0 %
 
 Boxes against those of vanilla (IoU 0.5, frames that both answered), and frames
 policy                  AP@50      precision         recall      skip rate        dropped
-vanilla             0.912 ± 0       0.95 ± 0       0.93 ± 0          0 ± 0          0 ± 0
-albireo u=5e-4      0.912 ± 0       0.95 ± 0       0.93 ± 0        0.6 ± 0          0 ± 0
+vanilla             0.912 ± 0      0.950 ± 0      0.930 ± 0          0 ± 0          0 ± 0
+albireo u=5e-4      0.912 ± 0      0.950 ± 0      0.930 ± 0      0.600 ± 0          0 ± 0
 ";
     assert_eq!(found, expected, "\n{found}");
 }
