@@ -3,6 +3,7 @@
 mod support;
 
 mod command_line;
+mod compare;
 mod detector_models;
 mod detector_session;
 mod end_to_end;
@@ -17,6 +18,7 @@ mod frame_formats;
 mod golden_traces;
 mod http_api;
 mod node_frames;
+mod power_live;
 mod power_published;
 mod power_sysfs;
 mod power_tegrastats;

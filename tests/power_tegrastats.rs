@@ -151,6 +151,31 @@ async fn a_child_that_dies_is_started_again_and_half_its_last_line_is_no_reading
 }
 
 #[tokio::test]
+async fn recorded_lines_of_every_board_are_integrated_to_their_own_total() {
+    let lines = include_str!("fixtures/telemetry/tegrastats_lines.tsv");
+    // What an independent reading says of them is in the file of expectations beside it.
+    for (name, watts, rule) in [
+        ("agx_orin_jp5:5", 22.430, "sum_of_rails"),
+        ("agx_orin_jp7:1", 13.907, "sum_of_rails"),
+        ("agx_thor:2", 19.780, "input_rail"),
+        ("agx_thor:3", 8.291, "sum_of_rails"),
+        ("orin_nano:2", 12.479, "input_rail"),
+        ("orin_nx:2", 7.280, "input_rail"),
+        ("xavier_and_older:1", 32.850, "sum_of_rails"),
+    ] {
+        let line = lines
+            .lines()
+            .find_map(|l| l.strip_prefix(name)?.strip_prefix('\t'));
+        let running = run(&json!({"lines": [line.unwrap()]})).await;
+        let (mean, found) = running.watch(Duration::from_millis(700)).await;
+        assert!(close(mean, watts), "{name}: {found:?}");
+        assert_eq!(found.total_from, rule, "{name}");
+        assert_eq!(found.quality, EnergyQuality::Measured, "{name}");
+        running.end().await;
+    }
+}
+
+#[tokio::test]
 async fn a_program_without_rails_says_that_root_is_needed() {
     let line = "RAM 998/15389MB (lfb 3313x4MB) CPU [4%@883] EMC_FREQ 0% GR3D_FREQ 0% cpu@56.8C";
     let (_folder, config) = stand_in(&json!({"lines": [line]}));

@@ -1,6 +1,7 @@
 //! The command line: one file a subcommand. Each has its arguments and a `run` that says how it ended.
 
 mod check;
+mod compare;
 mod demo;
 pub mod eval;
 mod logging;
@@ -13,14 +14,19 @@ pub mod synth;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
+use std::time::Duration;
 
 pub use node::run_node;
+
+/// How long threads that are still at work may take when everything else has ended.
+const STRAGGLERS: Duration = Duration::from_secs(1);
 
 const EXAMPLES: &str = "\
 Examples:
   albireo demo                           everything at once, with nothing to configure
   albireo check config/node.toml         say what is wrong with a configuration
   albireo power                          say which power meters work here
+  albireo compare                        see what each policy costs and finds here
   albireo node --config config/node.toml run a node
   albireo replay drive.mp4               play a video to it as a camera
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
@@ -41,6 +47,8 @@ enum Command {
     Check(check::Arguments),
     /// Say which power sources work on this machine, their rails, and watts now.
     Power(power::Arguments),
+    /// Play a clip to the live node under several policies: what each costs and finds here.
+    Compare(compare::Arguments),
     /// Publish a video, a folder of pictures or the synthetic dashcam as a camera.
     Replay(replay::ReplayArguments),
     /// Replay recordings through any policy: accuracy against what it saves.
@@ -58,6 +66,7 @@ impl Arguments {
             Command::Node(arguments) => node::run(&arguments),
             Command::Check(arguments) => check::run(&arguments),
             Command::Power(arguments) => power::run(&arguments),
+            Command::Compare(arguments) => block_on(compare::run(arguments)),
             Command::Replay(arguments) => block_on(async {
                 let shutdown = signals::shutdown().context(signals::CONTEXT)?;
                 replay::run(arguments, shutdown).await.map(drop)
@@ -78,9 +87,13 @@ impl Arguments {
 
 /// Runs a subcommand that waits for things.
 fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
-    tokio::runtime::Builder::new_multi_thread()
+    let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()
-        .context("the asynchronous runtime cannot be started")?
-        .block_on(work)
+        .context("the asynchronous runtime cannot be started")?;
+    let ended = runtime.block_on(work);
+    // A thread that waits for a file that never answers (a power monitor whose bus hangs) must not keep the
+    // program alive.
+    runtime.shutdown_timeout(STRAGGLERS);
+    ended
 }

@@ -4,6 +4,7 @@
 //! policies the node runs, on stored detections or on pictures.
 
 pub mod average_precision;
+pub mod compare;
 pub mod data;
 pub mod energy_fit;
 pub mod energy_model;

@@ -12,6 +12,7 @@ pub use setup::{BoardSetup, DetectorFacts, SetupError};
 
 use crate::detector::DetectorStatus;
 use crate::policy::KnobError;
+use crate::power::MeterCost;
 use crate::wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -43,6 +44,8 @@ pub struct PowerNow {
     pub watts: Vec<DomainWatts>,
     /// Energy by domain since the node started, joules; only ever grows.
     pub joules: BTreeMap<String, f64>,
+    /// What reading the source has cost.
+    pub cost: MeterCost,
 }
 
 impl Default for PowerNow {
@@ -52,6 +55,7 @@ impl Default for PowerNow {
             quality: EnergyQuality::Unavailable,
             watts: Vec::new(),
             joules: BTreeMap::new(),
+            cost: MeterCost::default(),
         }
     }
 }

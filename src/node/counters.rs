@@ -62,7 +62,8 @@ impl Counters {
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
             tokio::select! {
-                () = shutdown.cancelled() => return,
+                // The figures at the end are the last ones anybody sees.
+                () = shutdown.cancelled() => return self.update_power(),
                 _ = ticks.tick() => {}
             }
             self.update_power();
@@ -84,6 +85,7 @@ impl Counters {
             quality: now.quality,
             watts: now.watts,
             joules: self.joules.clone(),
+            cost: self.power.cost(),
         });
     }
 

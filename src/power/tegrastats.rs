@@ -101,6 +101,7 @@ impl Tegrastats {
                         .to_owned(),
             });
         }
+        self.condition = Condition::of_tegrastats(&line);
         Ok(())
     }
 

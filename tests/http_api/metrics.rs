@@ -2,10 +2,12 @@ use super::exposition::{Samples, read};
 use super::served::{Served, clip, frame};
 use albireo::node::board::PowerNow;
 use albireo::policy::FrameState;
+use albireo::power::MeterCost;
 use albireo::wire::{DomainWatts, DroppedFrames, EnergyQuality};
 use reqwest::Method;
 use std::io::Write;
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
 async fn filled() -> Served {
     let node = Served::start().await;
@@ -35,6 +37,10 @@ async fn filled() -> Served {
             watts: 12.5,
         }],
         joules: [("total".to_owned(), 99.5)].into(),
+        cost: MeterCost {
+            cpu: Duration::from_millis(250),
+            ..MeterCost::default()
+        },
     });
     node
 }
@@ -78,6 +84,10 @@ fn check(samples: &Samples) {
         (
             r#"albireo_energy_joules_total{domain="total",source="estimate",quality="estimated"}"#,
             99.5,
+        ),
+        (
+            r#"albireo_power_meter_cpu_seconds_total{source="estimate"}"#,
+            0.25,
         ),
         (
             r#"albireo_frame_latency_seconds_count{camera="front",state="P"}"#,

@@ -53,6 +53,16 @@ pub fn albireo() -> Command {
     command
 }
 
+/// A stand-in for `nvpmodel` in `folder` that says the board is in mode `MODE_30W`.
+pub fn fake_nvpmodel(folder: &Path) -> PathBuf {
+    let program = folder.join("nvpmodel");
+    let fake = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/fake_nvpmodel");
+    std::os::unix::fs::symlink(fake, &program).expect("the stand-in is linked");
+    std::fs::write(folder.join("nvpmodel.says"), "NV Power Mode: MODE_30W\n2\n")
+        .expect("what it says is written");
+    program
+}
+
 /// `albireo node`, running.
 pub struct Node {
     child: Child,

@@ -104,12 +104,12 @@ fn encoding(format: PictureFormat) -> String {
 /// When the source fails or Zenoh refuses a frame.
 pub async fn publish(
     source: Box<dyn FrameSource>,
-    publisher: Publisher<'static>,
+    publisher: impl Into<Arc<Publisher<'static>>>,
     options: &PublishOptions,
     progress: impl FnMut(&Sent),
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Sent> {
-    let publisher = Arc::new(publisher);
+    let publisher = publisher.into();
     play(
         source,
         options,

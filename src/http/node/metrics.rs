@@ -192,6 +192,17 @@ impl BoardCollector {
                     .iter()
                     .try_for_each(|(domain, joules)| family.counter(labels(domain), *joules))
             },
+        )?;
+        let help = "CPU time spent on reading the power source";
+        family(
+            encoder,
+            "power_meter_cpu_seconds",
+            help,
+            MetricType::Counter,
+            |family| {
+                let labels = vec![("source", power.source.as_str())];
+                family.counter(labels, power.cost.cpu.as_secs_f64())
+            },
         )
     }
 }

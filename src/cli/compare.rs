@@ -1,0 +1,359 @@
+//! `albireo compare`: the same clip under several policies on the live node, side by side.
+
+mod clip;
+mod play;
+
+use super::{logging, signals};
+use crate::detector::HeadName;
+use crate::eval::compare::{
+    Boxes, ClassNumbers, Comparison, Playing, Run, Turn, Variant, agreement, render, schedule,
+    summarise, variants, write,
+};
+use crate::eval::spec::BASELINE;
+use crate::footage::SourceName;
+use crate::node::config::NodeConfig;
+use crate::power::{self, PowerSource};
+use anyhow::{Context, bail, ensure};
+use clip::LoadedClip;
+use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
+use play::{Played, Player};
+use std::path::PathBuf;
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+
+const EXAMPLES: &str = "\
+Each run starts a node as `albireo node` does (same code, same configuration), with a camera that plays the
+clip to it over a Zenoh session of its own. The clip's pictures are read and encoded once, before the first
+run. Each round plays every policy once, every second round in the opposite order, so that what changes
+slowly falls on all alike. A run is: rest (--cool-down), the node starts, the clip's beginning as a warm-up
+that is not counted, then the clip. A round is one sample; intervals are Student's t over the rounds.
+
+Frames come at the clip's own rate, as on a board: energy is then what a camera costs in that time, and EDP
+differs as energy does. With --unpaced the next frame comes when the last was taken: energy is then what the
+clip costs when nothing is waited for.
+
+Without a power meter it says so and compares CPU time and detector calls; energy is then estimated, and
+marked so. `albireo power` says which meter works here.
+
+Examples:
+  albireo compare
+      vanilla and albireo on the synthetic dashcam, 5 rounds of 20 s: about five minutes
+  albireo compare --policy vanilla --policy albireo --u 3e-4 --u 1e-3 --clip drive.mp4 --repeat 5
+      two thresholds on a recording of one's own (needs ffmpeg)
+  albireo compare --config /etc/albireo/node.toml --clip drive.mp4 --out results
+      with this board's detector and meter; every run as JSON and CSV
+  albireo compare --model yolox_nano_416.onnx --head yolox --u 5e-4 --clip drive.mp4
+      another model without a configuration file";
+
+/// How long a node may take to load its model, and the camera to find it.
+const PATIENCE: Duration = Duration::from_secs(120);
+
+/// Arguments of `albireo compare`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// A policy, as NAME or NAME:SETTING; give it again for each. The others are compared with the first
+    #[arg(long, value_name = "NAME[:SETTING]", default_values = [BASELINE, "albireo"])]
+    policy: Vec<String>,
+    /// Threshold of the policies that have one; give it again to try several [default: the configuration's]
+    #[arg(long, value_name = "U", value_delimiter = ',')]
+    u: Vec<f64>,
+    /// A video file, a folder of JPEG and PNG files, or synth:SEED for the synthetic dashcam
+    #[arg(long, value_name = "FILE|synth", default_value = "synth")]
+    clip: SourceName,
+    /// Rounds; each plays every policy once
+    #[arg(long, value_name = "COUNT", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    repeat: u32,
+    /// Play this much of the clip at most, in its own time
+    #[arg(long, default_value_t = 20.0, value_parser = above_zero)]
+    seconds: f64,
+    /// Frames per second of a source that has none of its own
+    #[arg(long, value_name = "FPS", value_parser = above_zero)]
+    rate: Option<f64>,
+    /// Play so many times as fast as the clip's own rate
+    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = above_zero, conflicts_with = "unpaced")]
+    speed: f64,
+    /// Play as fast as the node takes the frames; none is dropped then
+    #[arg(long)]
+    unpaced: bool,
+    /// Warm-up before each run, seconds of the clip
+    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = not_negative)]
+    warm_up: f64,
+    /// Rest before each run, seconds
+    #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = not_negative)]
+    cool_down: f64,
+    /// Configuration of the node: detector, screen, policy settings and meter are taken from it
+    #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// The detector, an ONNX file [default: the configuration's, else the demonstration model with its
+    /// screen]
+    #[arg(long, value_name = "FILE")]
+    model: Option<PathBuf>,
+    /// How the detector's output is read
+    #[arg(long, value_enum, requires = "model")]
+    head: Option<HeadName>,
+    /// The empty-scene screen, an ONNX file
+    #[arg(long, value_name = "FILE")]
+    screen_model: Option<PathBuf>,
+    /// Write compare.json, runs.csv and compare.txt here
+    #[arg(long, value_name = "DIR")]
+    out: Option<PathBuf>,
+}
+
+fn above_zero(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if value > 0.0 && value <= 1e6 => Ok(value),
+        _ => Err("must be a number above 0".to_owned()),
+    }
+}
+
+fn not_negative(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.0..=1e6).contains(&value) => Ok(value),
+        _ => Err("must be a number, 0 or above".to_owned()),
+    }
+}
+
+/// Compares.
+///
+/// # Errors
+/// When the arguments make no sense, the clip cannot be read, a node does not start, or it was stopped
+/// before the first round was complete.
+pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
+    let (config, variants) = prepare(&arguments)?;
+    logging::start(&config.log)?;
+    let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+    let meter = choose_meter(&config).await?;
+    let config = NodeConfig {
+        power: meter.config,
+        ..config
+    };
+    eprintln!("Reading the clip …");
+    let source = arguments
+        .clip
+        .open(arguments.rate, crate::footage::VideoEncoding::default())
+        .await
+        .context("--clip")?;
+    let clip = LoadedClip::read(source, arguments.seconds).await?;
+    let rate = (!arguments.unpaced).then(|| clip.rate() * arguments.speed);
+    let turns = schedule(variants.len(), arguments.repeat as usize);
+    let length = clip.frames() as f64 / clip.rate() / arguments.speed;
+    eprintln!(
+        "{} runs of {} frames of {} at {}; power: {}",
+        turns.len(),
+        clip.frames(),
+        clip.name(),
+        match rate {
+            Some(rate) => format!(
+                "{rate} frames/s, about {}",
+                HumanDuration(Duration::from_secs_f64(
+                    turns.len() as f64
+                        * (length
+                            + arguments.warm_up / arguments.speed
+                            + arguments.cool_down
+                            + 1.0)
+                ))
+            ),
+            None => "full speed".to_owned(),
+        },
+        meter.name
+    );
+    let player = Player {
+        config,
+        clip,
+        rate,
+        warm_up_s: arguments.warm_up,
+        cool_down: Duration::from_secs_f64(arguments.cool_down),
+    };
+    let played = play_all(&player, &variants, &turns, &shutdown).await?;
+    let comparison = judge(&player, &variants, played)?;
+    let summary = summarise(&comparison);
+    let text = render(&comparison, &summary);
+    print!("{text}");
+    if let Some(folder) = &arguments.out {
+        write(folder, &comparison, &summary, &text)?;
+        eprintln!("Written to {}", folder.display());
+    }
+    Ok(())
+}
+
+/// The node's configuration and what is compared, checked before anything starts.
+fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> {
+    let mut config = NodeConfig::load(arguments.config.as_deref())?;
+    if let Some(model) = &arguments.model {
+        config.detector.model.clone_from(model);
+        config.screen.model = None;
+        ensure!(
+            model.is_file(),
+            "--model {}: no such file; name the ONNX file of a detector",
+            model.display()
+        );
+    } else if arguments.config.is_none() {
+        let demonstration = &config.detector.model;
+        ensure!(
+            demonstration.is_file(),
+            "{} is not there: run it in the project's folder, or name a detector with --model or --config",
+            demonstration.display()
+        );
+        config.screen.model = Some(demonstration.with_file_name("screen.onnx"));
+    }
+    if let Some(head) = arguments.head {
+        config.detector.head = head;
+    }
+    if let Some(screen) = &arguments.screen_model {
+        config.screen.model = Some(screen.clone());
+    }
+    if config.log.level == crate::node::config::LogConfig::default().level {
+        config.log.level = "warn".to_owned();
+    }
+    let variants = variants(&arguments.policy, &arguments.u, &config.policy)?;
+    Ok((config, variants))
+}
+
+/// The meter all runs use.
+struct Chosen {
+    config: power::PowerConfig,
+    name: String,
+}
+
+/// Finds out which meter there is, so that every run uses the same and what cannot be used is told once.
+async fn choose_meter(config: &NodeConfig) -> anyhow::Result<Chosen> {
+    let mut config = config.power.clone();
+    let wanted = config.clone();
+    let opened = tokio::task::spawn_blocking(move || {
+        power::open(&wanted).map(|meter| (meter.source().to_owned(), meter.quality()))
+    });
+    let (name, quality) = opened.await.context("the power meter")??;
+    let family = name.split('(').next().unwrap_or_default();
+    let sources = [
+        PowerSource::Ina,
+        PowerSource::Tegrastats,
+        PowerSource::Rapl,
+        PowerSource::Nvml,
+        PowerSource::Battery,
+        PowerSource::Sum,
+        PowerSource::Estimate,
+        PowerSource::None,
+    ];
+    if let Some(source) = sources.into_iter().find(|source| source.as_str() == family) {
+        config.source = source;
+    }
+    let name = match quality {
+        crate::wire::EnergyQuality::Measured => format!("{name} (measured)"),
+        crate::wire::EnergyQuality::Estimated => "no meter, estimated".to_owned(),
+        _ => "no meter".to_owned(),
+    };
+    Ok(Chosen { config, name })
+}
+
+/// A run that was played, and when.
+struct Done {
+    turn: Turn,
+    played: Played,
+}
+
+/// Plays every turn; on a signal, what is complete by then.
+async fn play_all(
+    player: &Player,
+    variants: &[Variant],
+    turns: &[Turn],
+    shutdown: &CancellationToken,
+) -> anyhow::Result<Vec<Done>> {
+    let frames = player.frames_of_a_run();
+    let bar = ProgressBar::new(frames * turns.len() as u64).with_style(
+        ProgressStyle::with_template("{bar:30} {percent:>3} %  {eta} left  {msg}")
+            .context("the progress bar's template")?,
+    );
+    let mut done = Vec::new();
+    for (number, turn) in turns.iter().enumerate() {
+        let Some(variant) = variants.get(turn.variant) else {
+            bail!("there is no variant {}", turn.variant);
+        };
+        let name = format!("run {} of {}, {}", number + 1, turns.len(), variant.label);
+        let before = frames * number as u64;
+        let tell = |sent: u64, step: &str| {
+            bar.set_position(before + sent);
+            bar.set_message(format!("{name}: {step}"));
+        };
+        let played = player.play(&variant.config, tell, shutdown).await;
+        if shutdown.is_cancelled() {
+            break;
+        }
+        let played =
+            played.with_context(|| format!("{}, round {}", variant.label, turn.round + 1))?;
+        done.push(Done {
+            turn: *turn,
+            played,
+        });
+    }
+    bar.finish_and_clear();
+    let complete = done.len() / variants.len() * variants.len();
+    if complete == 0 {
+        bail!("stopped before the first round was complete: there is nothing to compare");
+    }
+    if complete < turns.len() {
+        eprintln!("Stopped: what follows is of the complete rounds.");
+    }
+    done.truncate(complete);
+    Ok(done)
+}
+
+/// Judges every run's boxes against those of the policy that looks at every frame.
+fn judge(player: &Player, variants: &[Variant], done: Vec<Done>) -> anyhow::Result<Comparison> {
+    let vanilla = variants
+        .iter()
+        .position(|variant| variant.config.name == BASELINE);
+    let boxes_of = vanilla.unwrap_or(0);
+    let mut classes = ClassNumbers::default();
+    let boxes: Vec<Boxes> = done
+        .iter()
+        .map(|done| done.played.boxes(&mut classes))
+        .collect();
+    // A detector says the same of the same picture, so a frame dropped in one round is known from another.
+    let mut reference = Boxes::new();
+    for (done, boxes) in done.iter().zip(&boxes) {
+        if done.turn.variant == boxes_of {
+            for (frame, found) in boxes {
+                reference.entry(*frame).or_insert_with(|| found.clone());
+            }
+        }
+    }
+    let provider = done
+        .first()
+        .map_or_else(String::new, |done| done.played.report.provider.clone());
+    let runs = done
+        .into_iter()
+        .zip(&boxes)
+        .map(|(done, boxes)| Run {
+            round: done.turn.round,
+            variant: done.turn.variant,
+            cpu_s: done.played.cpu.as_secs_f64(),
+            meter_share_of_core: done.played.meter_share_of_core,
+            report: done.played.report,
+            agreement: agreement(boxes, &reference),
+        })
+        .collect();
+    let model = player.config.detector.model.file_name();
+    Ok(Comparison {
+        playing: Playing {
+            clip: player.clip.name().to_owned(),
+            frames: player.clip.frames() as u64,
+            size: player.clip.size().to_string(),
+            rate: player.clip.rate(),
+            played_rate: player.rate,
+            warm_up_s: player.warm_up_s,
+            cool_down_s: player.cool_down.as_secs_f64(),
+            detector: format!(
+                "{} run by {provider}",
+                model.map_or_else(String::new, |name| name.to_string_lossy().into_owned())
+            ),
+            cores: std::thread::available_parallelism().map_or(1, usize::from),
+        },
+        policies: variants
+            .iter()
+            .map(|variant| variant.label.clone())
+            .collect(),
+        boxes_of,
+        runs,
+    })
+}

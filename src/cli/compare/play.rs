@@ -1,0 +1,286 @@
+//! One run: a node with one policy, a camera that plays the clip to it, and what came back.
+
+use super::PATIENCE;
+use super::clip::LoadedClip;
+use crate::cli::replay::{
+    PublishOptions, Rate, declare_frame_publisher, flush, open_session, publish,
+    wait_for_subscriber,
+};
+use crate::eval::compare::{Boxes, ClassNumbers};
+use crate::frame::Delivery;
+use crate::node::PreparedNode;
+use crate::node::board::{Board, CameraBoard};
+use crate::node::config::{CameraConfig, NodeConfig, ZenohConfig};
+use crate::policy::PolicyConfig;
+use crate::wire::{ClipReport, DetectionsMessage, read};
+use anyhow::{Context, anyhow, bail};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+use zenoh::Session;
+use zenoh::pubsub::Publisher;
+
+/// The node, its camera, and the clip that counts.
+const NODE: &str = "compare";
+const CAMERA: &str = "camera";
+const WARM_UP: &str = "warm-up";
+const MEASURED: &str = "measured";
+
+/// Plays runs.
+pub(super) struct Player {
+    /// The node's configuration, but for what this makes of it.
+    pub config: NodeConfig,
+    /// What is played.
+    pub clip: LoadedClip,
+    /// Frames a second; `None` for as fast as they are taken.
+    pub rate: Option<f64>,
+    /// Warm-up, seconds of the clip.
+    pub warm_up_s: f64,
+    /// Rest before each run.
+    pub cool_down: Duration,
+}
+
+/// What a run gave.
+pub(super) struct Played {
+    /// The clip's report.
+    pub report: ClipReport,
+    /// CPU time of this process while the clip was played.
+    pub cpu: Duration,
+    /// CPU time of reading the power meter, as a share of one core.
+    pub meter_share_of_core: f64,
+    /// Sequence number of the clip's first frame.
+    first: u64,
+    /// What the node published, as it came.
+    answers: Vec<Vec<u8>>,
+}
+
+impl Played {
+    /// The boxes of the clip's frames.
+    pub(super) fn boxes(&self, classes: &mut ClassNumbers) -> Boxes {
+        let messages = self
+            .answers
+            .iter()
+            .filter_map(|answer| read::<DetectionsMessage>(answer).ok());
+        messages
+            .filter(|message| message.clip == MEASURED)
+            .filter_map(|message| {
+                let frame = message.seq.checked_sub(self.first)?;
+                Some((frame, classes.boxes(&message)))
+            })
+            .collect()
+    }
+}
+
+impl Player {
+    /// Frames a run sends, warm-up included.
+    pub(super) fn frames_of_a_run(&self) -> u64 {
+        self.warm_up_frames() + self.clip.frames() as u64
+    }
+
+    fn warm_up_frames(&self) -> u64 {
+        (self.warm_up_s * self.clip.rate()).round() as u64
+    }
+
+    /// The node's configuration under `policy`: one camera, an endpoint of its own, nothing kept.
+    fn configuration(&self, policy: &PolicyConfig) -> anyhow::Result<NodeConfig> {
+        let mut config = self.config.clone();
+        config.node.name = NODE.to_owned();
+        config.node.state_dir = None;
+        config.zenoh = ZenohConfig {
+            listen: vec!["tcp/127.0.0.1:0".to_owned()],
+            ..ZenohConfig::default()
+        };
+        config.policy.clone_from(policy);
+        let mut camera = CameraConfig::named(CAMERA);
+        if self.rate.is_none() {
+            camera.delivery = Delivery::Every;
+        }
+        config.cameras = vec![camera];
+        // The clip is ended by its end; a detector that is slow must not end it before. The power samples
+        // are kept for twice the window.
+        config.clip.silence_s = 3600.0;
+        config.clip.window_s = 3600.0;
+        match config.problems().into_iter().next() {
+            Some(problem) => bail!("{problem}"),
+            None => Ok(config),
+        }
+    }
+
+    /// Rests, then plays the clip to a new node under `policy`. `tell` is told the frames sent and what is
+    /// being done.
+    ///
+    /// # Errors
+    /// When the node cannot start or does not answer, or on `shutdown`.
+    pub(super) async fn play(
+        &self,
+        policy: &PolicyConfig,
+        tell: impl Fn(u64, &str),
+        shutdown: &CancellationToken,
+    ) -> anyhow::Result<Played> {
+        let config = self.configuration(policy)?;
+        tell(0, "rest");
+        tokio::select! {
+            () = tokio::time::sleep(self.cool_down) => {}
+            () = shutdown.cancelled() => bail!("stopped"),
+        }
+        tell(0, "loading the model");
+        let prepared = PreparedNode::new(&config)?;
+        let board = Arc::clone(prepared.board());
+        let stop = shutdown.child_token();
+        let node = prepared.start(&config, stop.clone()).await?;
+        let endpoints = node.endpoints().await;
+        let stopped = tokio::spawn(node.stopped());
+        let played = tokio::select! {
+            played = self.play_to(&config, &board, &endpoints, &tell, shutdown) => played,
+            () = shutdown.cancelled() => Err(anyhow!("stopped")),
+        };
+        // The clip ends with the node, and its report is on the board when the node has stopped.
+        stop.cancel();
+        stopped.await.context("the node")?;
+        let measured = played?;
+        let report = board
+            .recent_clips(Some(CAMERA), usize::MAX)
+            .into_iter()
+            .find(|report| report.clip == MEASURED)
+            .context("the node reported no clip")?;
+        Ok(Played {
+            report: ClipReport::clone(&report),
+            cpu: measured.cpu,
+            meter_share_of_core: board.power().cost.share_of_core(),
+            first: measured.first,
+            answers: measured.answers,
+        })
+    }
+
+    async fn play_to(
+        &self,
+        config: &NodeConfig,
+        board: &Board,
+        endpoints: &[String],
+        tell: &impl Fn(u64, &str),
+        shutdown: &CancellationToken,
+    ) -> anyhow::Result<Measured> {
+        let keys = config.keys()?.camera(CAMERA)?;
+        let camera = board
+            .camera(CAMERA)
+            .context("the camera is not on the board")?;
+        let session = open_session(endpoints, &[], PATIENCE).await?;
+        let answers = subscribe(&session, keys.detections()).await?;
+        let publisher = declare_frame_publisher(&session, &keys.frame(), true).await?;
+        wait_for_subscriber(&publisher, PATIENCE).await?;
+        let publisher = Arc::new(publisher);
+
+        let warm_up = self.warm_up_frames();
+        if warm_up > 0 {
+            let options = PublishOptions {
+                repeat: true,
+                frames: Some(warm_up),
+                clip: Some(WARM_UP.to_owned()),
+                ..self.options()
+            };
+            let told = |sent| tell(sent, "warm-up");
+            self.send(&publisher, &options, told, shutdown).await?;
+            self.answered(camera, warm_up).await?;
+        }
+        let options = PublishOptions {
+            clip: Some(MEASURED.to_owned()),
+            first_sequence: warm_up,
+            ..self.options()
+        };
+        let before = process_cpu();
+        let told = |sent| tell(warm_up + sent, "playing");
+        self.send(&publisher, &options, told, shutdown).await?;
+        if let Some(rate) = self.rate {
+            // The last frame's time is part of the clip.
+            tokio::time::sleep(Duration::from_secs_f64(1.0 / rate)).await;
+        }
+        self.answered(camera, self.frames_of_a_run()).await?;
+        let cpu = process_cpu().saturating_sub(before);
+        // What the node has published travels before the end of this query.
+        flush(&session, &keys.frame(), PATIENCE).await?;
+        session
+            .close()
+            .await
+            .map_err(|error| anyhow!("closing the Zenoh session: {error}"))?;
+        let answers = std::mem::take(&mut *answers.lock().unwrap_or_else(PoisonError::into_inner));
+        Ok(Measured {
+            cpu,
+            first: warm_up,
+            answers,
+        })
+    }
+
+    fn options(&self) -> PublishOptions {
+        PublishOptions {
+            rate: self.rate.map_or(Rate::Unpaced, Rate::PerSecond),
+            ..PublishOptions::default()
+        }
+    }
+
+    async fn send(
+        &self,
+        publisher: &Arc<Publisher<'static>>,
+        options: &PublishOptions,
+        told: impl Fn(u64),
+        shutdown: &CancellationToken,
+    ) -> anyhow::Result<()> {
+        let publisher = Arc::clone(publisher);
+        let tell = |sent: &crate::cli::replay::Sent| told(sent.frames);
+        publish(self.clip.source(), publisher, options, tell, shutdown)
+            .await
+            .map(drop)
+    }
+
+    /// Waits until the node has answered or counted `frames` frames.
+    async fn answered(&self, camera: &CameraBoard, frames: u64) -> anyhow::Result<()> {
+        let patience = PATIENCE + Duration::from_millis(self.config.detector.timeout_ms);
+        let start = Instant::now();
+        loop {
+            let snapshot = camera.snapshot();
+            let settled = snapshot.states.frames() + snapshot.dropped.total();
+            if settled >= frames {
+                return Ok(());
+            }
+            if start.elapsed() > patience {
+                bail!(
+                    "the node answered {settled} of {frames} frames within {} s",
+                    patience.as_secs()
+                );
+            }
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+    }
+}
+
+/// What is known before the node has stopped.
+struct Measured {
+    cpu: Duration,
+    first: u64,
+    answers: Vec<Vec<u8>>,
+}
+
+/// Keeps what is published on `key` as it comes; it is read after the run.
+async fn subscribe(session: &Session, key: String) -> anyhow::Result<Arc<Mutex<Vec<Vec<u8>>>>> {
+    let answers = Arc::new(Mutex::new(Vec::new()));
+    let kept = Arc::clone(&answers);
+    session
+        .declare_subscriber(key)
+        .callback(move |sample| {
+            let answer = sample.payload().to_bytes().into_owned();
+            kept.lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .push(answer);
+        })
+        .background()
+        .await
+        .map_err(|error| anyhow!("detections cannot be had: {error}"))?;
+    Ok(answers)
+}
+
+/// CPU time of this process so far, all threads.
+fn process_cpu() -> Duration {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    let seconds = u64::try_from(time.tv_sec).unwrap_or(0);
+    Duration::new(seconds, u32::try_from(time.tv_nsec).unwrap_or(0))
+}

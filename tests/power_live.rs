@@ -1,0 +1,298 @@
+//! A node with a board's power monitor (a tree of files laid out as sysfs has it): where its watts and
+//! joules are told, and what happens to frames when the monitor hangs.
+
+#![allow(clippy::unwrap_used, clippy::panic)]
+
+use crate::support::{Client, Node, PATIENCE, albireo, fake_nvpmodel};
+use serde_json::Value;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use tokio::time::timeout;
+
+/// 24 W in three rails, a hot sensor, and a power mode.
+fn board(root: &Path) -> PathBuf {
+    let sysfs = root.join("sys");
+    let write = |file: &str, text: &str| {
+        let path = sysfs.join(file);
+        std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+        std::fs::write(path, text).unwrap();
+    };
+    write("class/hwmon/hwmon1/name", "ina3221\n");
+    let rails = [
+        ("VDD_GPU_SOC", 800),
+        ("VDD_CPU_CV", 400),
+        ("VIN_SYS_5V0", 1200),
+    ];
+    for (i, (label, milliamperes)) in (1..).zip(rails) {
+        let file = |name: &str| format!("class/hwmon/hwmon1/{name}");
+        write(&file(&format!("in{i}_label")), label);
+        write(&file(&format!("in{i}_input")), "10000\n");
+        write(
+            &file(&format!("curr{i}_input")),
+            &format!("{milliamperes}\n"),
+        );
+    }
+    write("class/thermal/thermal_zone0/type", "tj-thermal\n");
+    write("class/thermal/thermal_zone0/temp", "61500\n");
+    sysfs
+}
+
+fn settings(sysfs: &Path) -> String {
+    format!(
+        r#"
+[node]
+name = "bench"
+[policy]
+name = "fixed-skip"
+[policy.fixed_skip]
+n = 3
+[clip]
+silence_s = 1.0
+[power]
+source = "ina"
+sysfs = "{}"
+nvpmodel = "{}"
+[[camera]]
+name = "front"
+delivery = "every"
+"#,
+        sysfs.display(),
+        fake_nvpmodel(&sysfs).display()
+    )
+}
+
+async fn replay(node: &Node, clip: &str, frames: &str) {
+    let output = albireo()
+        .args(["replay", "synth", "--frames", frames, "--clip", clip])
+        .args(["--clip-seconds", "1000", "--every", "--wait-for-subscriber"])
+        .args(["--connect", &node.zenoh, "--node", "bench"])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .output();
+    let output = timeout(PATIENCE, output).await.unwrap().unwrap();
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+}
+
+/// The next message of that kind that `wanted` takes.
+async fn next(client: &mut Client, kind: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+    loop {
+        let (key, message) = client.next().await.unwrap();
+        if key.ends_with(kind) && wanted(&message) {
+            return message;
+        }
+    }
+}
+
+fn near(value: &Value, expected: f64) -> bool {
+    (value.as_f64().unwrap() / expected - 1.0).abs() < 1e-3
+}
+
+fn watts(message: &Value, domain: &str) -> f64 {
+    let told = message["watts"].as_array().unwrap();
+    let entry = told.iter().find(|entry| entry["domain"] == domain);
+    entry.map_or(0.0, |entry| entry["watts"].as_f64().unwrap())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn measured_watts_are_told_by_zenoh_by_events_by_metrics_and_in_the_clip_report() {
+    let folder = tempfile::tempdir().unwrap();
+    let node = Node::start(&settings(&board(folder.path()))).await;
+    let mut client = Client::listen(&node.zenoh, "albireo/bench/front/*", false).await;
+
+    let counters = next(&mut client, "/counters", |m| !m["watts"][0].is_null()).await;
+    assert_eq!(counters["power_quality"], "measured");
+    for (domain, expected) in [
+        ("total", 24.0),
+        ("gpu", 8.0),
+        ("cpu", 4.0),
+        ("io_mem", 12.0),
+    ] {
+        assert!(
+            (watts(&counters, domain) - expected).abs() < 1e-6,
+            "{counters}"
+        );
+    }
+
+    let http = reqwest::Client::new();
+    let mut events = http
+        .get(format!("{}/api/v1/events?types=counters", node.http))
+        .send()
+        .await
+        .unwrap();
+    let mut seen = String::new();
+    while !seen.contains("\n\n") {
+        let piece = timeout(PATIENCE, events.chunk()).await.unwrap().unwrap();
+        seen.push_str(&String::from_utf8_lossy(&piece.unwrap()));
+    }
+    let data = seen
+        .lines()
+        .find_map(|line| line.strip_prefix("data:"))
+        .unwrap();
+    let event: Value = serde_json::from_str(data).unwrap();
+    assert!((watts(&event, "total") - 24.0).abs() < 1e-6, "{event}");
+
+    let metrics = http
+        .get(format!("{}/metrics", node.http))
+        .send()
+        .await
+        .unwrap();
+    let metrics = metrics.text().await.unwrap();
+    let line = |series: &str| -> f64 {
+        let found = metrics.lines().find_map(|line| line.strip_prefix(series));
+        found
+            .unwrap_or_else(|| panic!("no {series} in\n{metrics}"))
+            .trim()
+            .parse()
+            .unwrap()
+    };
+    let power = r#"albireo_power_watts{domain="gpu",source="ina",quality="measured"}"#;
+    assert!((line(power) - 8.0).abs() < 1e-6);
+    assert!(line(r#"albireo_power_meter_cpu_seconds_total{source="ina"}"#) > 0.0);
+
+    replay(&node, "drive", "25").await;
+    let report = next(&mut client, "/clip", |m| {
+        m["clip"]
+            .as_str()
+            .is_some_and(|clip| clip.starts_with("drive"))
+    })
+    .await;
+    let (energy, seconds) = (&report["energy"], report["duration_s"].as_f64().unwrap());
+    assert_eq!(
+        (&energy["quality"], &energy["source"]),
+        (&"measured".into(), &"ina".into())
+    );
+    assert_eq!(energy["total_from"], "sum_of_rails");
+    assert!(near(&energy["joules"], 24.0 * seconds), "{report}");
+    assert!(near(&energy["node_joules"], 24.0 * seconds));
+    assert!(
+        near(&energy["edp"], 24.0 * seconds * seconds * 1e3 / 25.0),
+        "{report}"
+    );
+    assert!(near(&energy["coverage"], 1.0));
+    let samples = energy["samples"].as_f64().unwrap();
+    assert!(
+        samples > 5.0 && samples <= seconds * 10.0 + 1.0,
+        "{samples} in {seconds} s"
+    );
+    let domains = energy["domains"].as_array().unwrap();
+    assert_eq!(domains.len(), 4, "{energy}");
+    assert!(near(&domains[1]["mean_watts"], 8.0) && near(&domains[1]["peak_watts"], 8.0));
+    let board = &report["board"];
+    assert!(near(&board["hottest_celsius"], 61.5), "{board}");
+    assert_eq!(board["power_mode"], "MODE_30W", "{board}");
+    let (status, _, log, _) = node.stop().await;
+    assert!(status.success(), "{log}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let sysfs = board(folder.path());
+    let node = Node::start(&settings(&sysfs)).await;
+    let mut client = Client::listen(&node.zenoh, "albireo/bench/front/*", false).await;
+    next(&mut client, "/counters", |m| !m["watts"][0].is_null()).await;
+
+    // Reading a pipe that nobody writes to never ends.
+    let pipe = folder.path().join("pipe");
+    let made = std::process::Command::new("mkfifo")
+        .arg(&pipe)
+        .status()
+        .unwrap();
+    assert!(made.success());
+    std::fs::rename(&pipe, sysfs.join("class/hwmon/hwmon1/curr1_input")).unwrap();
+    let hangs = next(&mut client, "/counters", |m| m["watts"][0].is_null()).await;
+    assert_eq!(hangs["power_quality"], "unavailable");
+
+    replay(&node, "drive", "12").await;
+    let mut states = Vec::new();
+    let report = loop {
+        let (key, message) = client.next().await.unwrap();
+        if key.ends_with("/detections") {
+            states.push(message["state"].as_str().unwrap().to_owned());
+        } else if key.ends_with("/clip") {
+            break message;
+        }
+    };
+    assert_eq!(states.len(), 12, "{states:?}");
+    assert_eq!(
+        states.iter().filter(|state| *state == "P").count(),
+        8,
+        "{states:?}"
+    );
+    assert_eq!(report["energy"]["quality"], "unavailable", "{report}");
+    assert!(report["energy"]["joules"].is_null());
+
+    let (status, took, log, _) = node.stop().await;
+    assert!(status.success(), "{log}");
+    assert!(took.as_secs_f64() < 10.0, "ended after {took:?}");
+}
+
+#[tokio::test]
+async fn the_survey_lists_every_source_and_runs_tegrastats_by_sudo_only_when_told() {
+    let folder = tempfile::tempdir().unwrap();
+    let program = folder.path().join("tegrastats");
+    let fake = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/fake_tegrastats");
+    std::os::unix::fs::symlink(fake, &program).unwrap();
+    std::fs::write(
+        folder.path().join("tegrastats.json"),
+        r#"{"curve": [[0, 20], [1, 20]]}"#,
+    )
+    .unwrap();
+    // A stand-in for sudo that notes what it was asked for and runs it.
+    let sudo = folder.path().join("sudo");
+    let script = "#!/bin/sh\nprintf '%s\\n' \"$*\" >> \"$0.log\"\nshift\nexec \"$@\"\n";
+    std::fs::write(&sudo, script).unwrap();
+    std::fs::set_permissions(&sudo, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let path = format!(
+        "{}:{}",
+        folder.path().display(),
+        std::env::var("PATH").unwrap_or_default()
+    );
+    for asked in [false, true] {
+        let output = albireo()
+            .args(["power", "--json"])
+            .env("PATH", &path)
+            .env("ALBIREO_POWER__TEGRASTATS", &program)
+            .env("ALBIREO_POWER__SYSFS", folder.path().join("sys"))
+            .env("ALBIREO_POWER__SUDO", asked.to_string())
+            .stdout(Stdio::piped())
+            .output();
+        let output = timeout(PATIENCE, output).await.unwrap().unwrap();
+        let found: Value = serde_json::from_slice(&output.stdout).unwrap();
+        let sources = found.as_array().unwrap();
+        let names: Vec<_> = sources
+            .iter()
+            .map(|s| s["source"].as_str().unwrap())
+            .collect();
+        let all = [
+            "ina",
+            "tegrastats",
+            "rapl",
+            "nvml",
+            "battery",
+            "sum",
+            "estimate",
+        ];
+        assert_eq!(names, all);
+        let tegrastats = &sources[1];
+        assert!(tegrastats["why_not"].is_null(), "{tegrastats}");
+        assert_eq!(tegrastats["automatic"], true);
+        assert_eq!(tegrastats["watts"][0][1], 20.0, "{tegrastats}");
+        assert!(
+            !sources[0]["why_not"].is_null(),
+            "a reason why not: {found}"
+        );
+        let log = std::fs::read_to_string(folder.path().join("sudo.log")).unwrap_or_default();
+        let expected = format!("-n {} --interval 100", program.display());
+        assert_eq!(
+            log.lines().next(),
+            asked.then_some(expected.as_str()),
+            "{log}"
+        );
+    }
+}
