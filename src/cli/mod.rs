@@ -2,6 +2,7 @@
 
 mod check;
 mod demo;
+mod detect;
 pub mod eval;
 mod logging;
 mod node;
@@ -20,6 +21,7 @@ const EXAMPLES: &str = "\
 Examples:
   albireo demo                           everything at once, with nothing to configure
   albireo check config/node.toml         say what is wrong with a configuration
+  albireo detect model.onnx frame.jpg    say what a detector is and what it finds
   albireo power                          say which power meters work here
   albireo node --config config/node.toml run a node
   albireo replay drive.mp4               play a video to it as a camera
@@ -39,6 +41,8 @@ enum Command {
     Node(node::Arguments),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
+    /// Say what a detector is, and run it on pictures.
+    Detect(detect::Arguments),
     /// Say which power sources work on this machine, their rails, and watts now.
     Power(power::Arguments),
     /// Publish a video, a folder of pictures or the synthetic dashcam as a camera.
@@ -57,6 +61,7 @@ impl Arguments {
         let ended = match self.command {
             Command::Node(arguments) => node::run(&arguments),
             Command::Check(arguments) => check::run(&arguments),
+            Command::Detect(arguments) => detect::run(&arguments),
             Command::Power(arguments) => power::run(&arguments),
             Command::Replay(arguments) => block_on(async {
                 let shutdown = signals::shutdown().context(signals::CONTEXT)?;
