@@ -2,7 +2,7 @@
 
 #![allow(clippy::expect_used)]
 
-use albireo::detector::{CameraSlot, Detected, DetectorConfig, DetectorHandle, HeadName};
+use albireo::detector::{CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle};
 use albireo::frame::{ColorOrder, Picture, PixelLayout};
 use albireo::geometry::PictureSize;
 use albireo::screen::{ScreenConfig, ScreenHandle};
@@ -92,7 +92,6 @@ async fn shared_yolox_finds_the_two_cars_of_its_readme() {
     let size = PictureSize::new(720, 576);
     let detector = DetectorHandle::start(&DetectorConfig {
         model: shared().join("models/yolox_nano_416.onnx"),
-        head: HeadName::Yolox,
         ..DetectorConfig::default()
     })
     .await
@@ -105,6 +104,27 @@ async fn shared_yolox_finds_the_two_cars_of_its_readme() {
     assert_found(&detector, &detected, size, right);
     assert_found(&detector, &detected, size, left);
     assert_eq!(detected.detections.len(), 2, "{:?}", detected.detections);
+    detector.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn shared_fastestdet_finds_the_two_cars_of_its_readme() {
+    let size = PictureSize::new(720, 576);
+    let detector = DetectorHandle::start(&DetectorConfig {
+        model: shared().join("models/fastestdet_352.onnx"),
+        class_names: Some(ClassNames::File(shared().join("models/coco80.txt"))),
+        // As its README has it: below, it finds what is not there.
+        confidence: 0.6,
+        ..DetectorConfig::default()
+    })
+    .await
+    .unwrap();
+    let picture = frame("highway_two_cars.mp4", 60, size);
+    let detected = detector.detect(CAMERA, picture).await.unwrap();
+    let right = ("car", 0.88, [558.0, 320.0, 662.0, 398.0]);
+    let left = ("car", 0.83, [463.0, 325.0, 528.0, 401.0]);
+    assert_found(&detector, &detected, size, right);
+    assert_found(&detector, &detected, size, left);
     detector.stop().await;
 }
 

@@ -3,6 +3,7 @@
 mod check;
 mod compare;
 mod demo;
+mod detect;
 pub mod eval;
 mod logging;
 mod node;
@@ -25,6 +26,7 @@ const EXAMPLES: &str = "\
 Examples:
   albireo demo                           everything at once, with nothing to configure
   albireo check config/node.toml         say what is wrong with a configuration
+  albireo detect model.onnx frame.jpg    say what a detector is and what it finds
   albireo power                          say which power meters work here
   albireo compare                        see what each policy costs and finds here
   albireo node --config config/node.toml run a node
@@ -45,6 +47,8 @@ enum Command {
     Node(node::Arguments),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
+    /// Say what a detector is, and run it on pictures.
+    Detect(detect::Arguments),
     /// Say which power sources work on this machine, their rails, and watts now.
     Power(power::Arguments),
     /// Play a clip to the live node under several policies: what each costs and finds here.
@@ -65,6 +69,7 @@ impl Arguments {
         let ended = match self.command {
             Command::Node(arguments) => node::run(&arguments),
             Command::Check(arguments) => check::run(&arguments),
+            Command::Detect(arguments) => detect::run(&arguments),
             Command::Power(arguments) => power::run(&arguments),
             Command::Compare(arguments) => block_on(compare::run(arguments)),
             Command::Replay(arguments) => block_on(async {

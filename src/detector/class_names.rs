@@ -1,6 +1,7 @@
-//! The names of a model's classes: from a file, or the list that belongs to the head.
+//! The names of a model's classes: given, in its metadata, or the list that belongs to its head.
 
-use super::{DetectorConfig, HeadName, StartError};
+use super::head::Head;
+use super::{ClassNames, HeadName, Metadata, StartError};
 use crate::detection::BDD100K_CLASSES;
 
 /// The 80 classes of the COCO detection task (Lin et al., "Microsoft COCO", 2014), in the order of their
@@ -88,95 +89,216 @@ pub const COCO_CLASSES: [&str; 80] = [
     "toothbrush",
 ];
 
-/// The class names `config` asks for.
+/// COCO's category numbers that no category has. Models that answer with category numbers (RF-DETR) have 91
+/// classes, from 0 to 90.
+const UNUSED_CATEGORIES: [usize; 11] = [0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83];
+
+/// The names of COCO by category number; empty where there is no category.
+fn coco_categories() -> Vec<String> {
+    let mut names = COCO_CLASSES.iter();
+    (0..=90)
+        .map(|number| match UNUSED_CATEGORIES.contains(&number) {
+            true => String::new(),
+            false => names.next().copied().unwrap_or_default().to_owned(),
+        })
+        .collect()
+}
+
+/// The names of the model's classes: those that were given, else those of its metadata, else the list that
+/// belongs to its head. An empty name is a class that does not occur.
 ///
 /// # Errors
-/// When the file cannot be read or is empty.
-pub(super) fn read(config: &DetectorConfig) -> Result<Vec<String>, StartError> {
-    let Some(path) = &config.class_names else {
-        let list: &[&str] = match config.head {
-            HeadName::Yolox => &COCO_CLASSES,
-            HeadName::Demonstration => &BDD100K_CLASSES,
-        };
-        return Ok(list.iter().map(|&name| name.to_owned()).collect());
-    };
+/// When there are none, too few or too many, or they cannot be read.
+pub(super) fn read(
+    given: Option<&ClassNames>,
+    metadata: &Metadata,
+    head: &dyn Head,
+) -> Result<Vec<String>, StartError> {
     let wrong = |reason: String| StartError::Configuration {
-        key: "detector.class_names",
-        reason: format!("{}: {reason}", path.display()),
+        key: "detector.class_names".to_owned(),
+        reason,
     };
-    let text = std::fs::read_to_string(path).map_err(|error| wrong(error.to_string()))?;
+    let (names, source) = match given {
+        Some(ClassNames::List(names)) => (Some(names.clone()), "the list".to_owned()),
+        Some(ClassNames::File(path)) => {
+            let source = path.display().to_string();
+            let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
+            let names = text
+                .and_then(|text| lines(&text))
+                .map_err(|error| wrong(format!("{source}: {error}")))?;
+            (Some(names), source)
+        }
+        None => {
+            let names = metadata.class_names().map_err(|error| {
+                wrong(format!(
+                    "the class names in the model's metadata cannot be read ({error}); give a file or a list"
+                ))
+            })?;
+            (names, "its metadata".to_owned())
+        }
+    };
+    let names = match (names, head.classes()) {
+        (Some(names), Some(classes)) => {
+            let count = names.len();
+            // Models of the DETR family may end with a class for "no object".
+            if count != classes && !(head.name() == HeadName::Detr && count + 1 == classes) {
+                return Err(wrong(format!(
+                    "the model has {classes} classes, and {source} has {count} names"
+                )));
+            }
+            names
+        }
+        (Some(names), None) => names,
+        (None, classes) => own_list(head.name(), classes).ok_or_else(|| {
+            let classes = classes.map_or_else(String::new, |classes| format!("{classes} "));
+            wrong(format!(
+                "the model does not name its {classes}classes; give a file with one name a line, or a list"
+            ))
+        })?,
+    };
+    if names.len() > usize::from(u16::MAX) {
+        return Err(wrong(format!("{} names are too many", names.len())));
+    }
+    Ok(names)
+}
+
+/// The list that belongs to a head, if it is as long.
+fn own_list(head: HeadName, classes: Option<usize>) -> Option<Vec<String>> {
+    let owned = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
+    match (head, classes?) {
+        (HeadName::Demonstration, 7) => Some(owned(&BDD100K_CLASSES)),
+        (HeadName::Demonstration, _) => None,
+        (_, 80) => Some(owned(&COCO_CLASSES)),
+        (HeadName::Detr, 91) => Some(coco_categories()),
+        _ => None,
+    }
+}
+
+fn lines(text: &str) -> Result<Vec<String>, String> {
     let names: Vec<String> = text
         .trim_end()
         .lines()
         .map(|line| line.trim().to_owned())
         .collect();
     match names.iter().position(String::is_empty) {
-        _ if names.is_empty() => Err(wrong("it is empty; one name a line is needed".to_owned())),
-        Some(line) => Err(wrong(format!("line {} is empty", line + 1))),
+        _ if names.is_empty() => Err("it is empty; one name a line is needed".to_owned()),
+        Some(line) => Err(format!("line {} is empty", line + 1)),
         None => Ok(names),
     }
-}
-
-/// For each class, whether it is reported: those in `wanted`, or all when that is empty.
-///
-/// # Errors
-/// When `wanted` has a name that no class has.
-pub(super) fn reported(names: &[String], wanted: &[String]) -> Result<Vec<bool>, StartError> {
-    if let Some(unknown) = wanted.iter().find(|&name| !names.contains(name)) {
-        return Err(StartError::Configuration {
-            key: "detector.report_classes",
-            reason: format!(
-                "the model has no class `{unknown}`; it has {}",
-                names.join(", ")
-            ),
-        });
-    }
-    Ok(names
-        .iter()
-        .map(|name| wanted.is_empty() || wanted.contains(name))
-        .collect())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detector::head::{Candidate, TensorView};
+    use crate::frame::InputFormat;
     use std::io::Write;
 
-    fn config_with(text: &str) -> (tempfile::NamedTempFile, DetectorConfig) {
+    /// A head with that name and number of classes.
+    #[derive(Debug)]
+    struct Fake(HeadName, Option<usize>);
+
+    impl Head for Fake {
+        fn name(&self) -> HeadName {
+            self.0
+        }
+
+        fn classes(&self) -> Option<usize> {
+            self.1
+        }
+
+        fn input_format(&self) -> InputFormat {
+            unreachable!()
+        }
+
+        fn read(
+            &self,
+            _: &[TensorView<'_>],
+            _: f64,
+            _: &mut Vec<Candidate>,
+        ) -> Result<u64, String> {
+            unreachable!()
+        }
+    }
+
+    fn metadata(names: &str) -> Metadata {
+        Metadata::new([("names".to_owned(), names.to_owned())])
+    }
+
+    fn file_with(text: &str) -> (tempfile::NamedTempFile, ClassNames) {
         let mut file = tempfile::NamedTempFile::new().unwrap();
         file.write_all(text.as_bytes()).unwrap();
-        let config = DetectorConfig {
-            class_names: Some(file.path().to_owned()),
-            ..DetectorConfig::default()
-        };
-        (file, config)
+        let names = ClassNames::File(file.path().to_owned());
+        (file, names)
     }
 
     #[test]
-    fn without_a_file_each_head_has_its_own_list() {
-        let names = |head| {
-            read(&DetectorConfig {
-                head,
-                ..DetectorConfig::default()
-            })
-            .unwrap()
-        };
-        assert_eq!(names(HeadName::Yolox).len(), 80);
-        assert_eq!(names(HeadName::Yolox)[2], "car");
-        assert_eq!(names(HeadName::Demonstration), BDD100K_CLASSES);
+    fn without_names_the_list_that_belongs_to_the_head_is_taken_if_it_is_as_long() {
+        use HeadName::{Demonstration, Detr, EndToEnd, Yolo, Yolox};
+        let none = Metadata::default();
+        let names = |head, classes| read(None, &none, &Fake(head, classes));
+        assert_eq!(names(Yolox, Some(80)).unwrap()[2], "car");
+        assert_eq!(names(Yolo, Some(80)).unwrap().len(), 80);
+        assert_eq!(names(Demonstration, Some(7)).unwrap(), BDD100K_CLASSES);
+        let categories = names(Detr, Some(91)).unwrap();
+        assert_eq!(categories.len(), 91);
+        // Category numbers from the annotation files of COCO 2017.
+        for (number, name) in [(1, "person"), (3, "car"), (13, "stop sign"), (18, "dog")] {
+            assert_eq!(categories[number], name);
+        }
+        assert_eq!(
+            (categories[0].as_str(), categories[90].as_str()),
+            ("", "toothbrush")
+        );
+        for (head, classes) in [(Yolo, Some(79)), (EndToEnd, None), (Demonstration, Some(8))] {
+            let error = names(head, classes).unwrap_err().to_string();
+            assert!(error.starts_with("detector.class_names"), "{error}");
+        }
+    }
+
+    #[test]
+    fn what_is_given_comes_before_the_metadata_and_these_before_the_own_list() {
+        let head = Fake(HeadName::Yolo, Some(2));
+        let metadata = metadata("{0: 'car', 1: 'bus'}");
+        assert_eq!(read(None, &metadata, &head).unwrap(), ["car", "bus"]);
+        let list = ClassNames::List(vec!["Auto".to_owned(), "Bus".to_owned()]);
+        assert_eq!(
+            read(Some(&list), &metadata, &head).unwrap(),
+            ["Auto", "Bus"]
+        );
+    }
+
+    #[test]
+    fn the_number_of_names_must_be_that_of_the_classes() {
+        let metadata = metadata("{0: 'car', 1: 'bus'}");
+        let error = read(None, &metadata, &Fake(HeadName::Yolo, Some(3)))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("3 classes") && error.contains("2 names"),
+            "{error}"
+        );
+        // The third is "no object".
+        assert!(read(None, &metadata, &Fake(HeadName::Detr, Some(3))).is_ok());
+        assert!(read(None, &metadata, &Fake(HeadName::EndToEnd, None)).is_ok());
     }
 
     #[test]
     fn a_file_has_one_name_a_line_with_either_line_end() {
-        let (_file, config) = config_with("car\r\ntraffic light\n\n");
-        assert_eq!(read(&config).unwrap(), ["car", "traffic light"]);
+        let (_file, names) = file_with("car\r\ntraffic light\n\n");
+        let head = Fake(HeadName::Yolo, Some(2));
+        let read = read(Some(&names), &Metadata::default(), &head).unwrap();
+        assert_eq!(read, ["car", "traffic light"]);
     }
 
     #[test]
     fn a_gap_or_an_empty_file_is_an_error_that_names_the_file() {
         for text in ["", "car\n\nbus\n"] {
-            let (file, config) = config_with(text);
-            let error = read(&config).unwrap_err().to_string();
+            let (file, names) = file_with(text);
+            let head = Fake(HeadName::Yolo, Some(3));
+            let error = read(Some(&names), &Metadata::default(), &head)
+                .unwrap_err()
+                .to_string();
             assert!(error.contains("detector.class_names"), "{error}");
             assert!(
                 error.contains(&file.path().display().to_string()),
@@ -186,19 +308,12 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_class_to_report_is_an_error_that_lists_the_known() {
-        let names = ["car".to_owned(), "bus".to_owned()];
-        let error = reported(&names, &["lorry".to_owned()])
-            .unwrap_err()
-            .to_string();
-        assert!(
-            error.contains("lorry") && error.contains("car, bus"),
-            "{error}"
-        );
-        assert_eq!(
-            reported(&names, &["bus".to_owned()]).unwrap(),
-            [false, true]
-        );
-        assert_eq!(reported(&names, &[]).unwrap(), [true, true]);
+    fn names_in_the_metadata_that_cannot_be_read_are_an_error_unless_others_are_given() {
+        let head = Fake(HeadName::Yolo, Some(1));
+        let broken = metadata("{0: car}");
+        let error = read(None, &broken, &head).unwrap_err().to_string();
+        assert!(error.contains("metadata"), "{error}");
+        let list = ClassNames::List(vec!["car".to_owned()]);
+        assert!(read(Some(&list), &broken, &head).is_ok());
     }
 }

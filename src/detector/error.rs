@@ -49,6 +49,23 @@ pub enum StartError {
         /// The first thing that differs.
         reason: String,
     },
+    /// The model is sound and none of the heads is known to read it.
+    #[error(
+        "the model {} is not recognised: {reason}. The model has {model}. Looked for {}. If you know how it is to \
+         be read, name the head in detector.head",
+        path.display(),
+        looked_for.join("; ")
+    )]
+    ModelNotRecognised {
+        /// The ONNX file.
+        path: PathBuf,
+        /// What is the matter.
+        reason: String,
+        /// Inputs and outputs of the model with their shapes.
+        model: String,
+        /// The heads that were looked for, and why it is none of them.
+        looked_for: Vec<String>,
+    },
     /// An execution provider that was asked for does not work here.
     #[error(
         "the execution provider `{provider}` does not work here: {reason}. Install what it needs, remove it \
@@ -64,9 +81,18 @@ pub enum StartError {
     #[error("{key}: {reason}")]
     Configuration {
         /// The key of the configuration.
-        key: &'static str,
+        key: String,
         /// What is wrong with its value and what would be right.
         reason: String,
+    },
+    /// The file was replaced by a model with other classes while the program runs.
+    #[error(
+        "the model {} has other classes than when the program started; start it again to use the new file",
+        path.display()
+    )]
+    ModelChanged {
+        /// The ONNX file.
+        path: PathBuf,
     },
     /// The model was loaded and its first run failed.
     #[error("the first run of the model {} failed: {reason}", path.display())]

@@ -1,14 +1,14 @@
 //! What a camera's loop holds of the detector.
 
 use super::network::{HeadCounters, Network};
-use super::task::{InferenceTask, TaskCounters, TaskSettings};
+use super::task::{InferenceTask, TaskCounters, TaskMeter, TaskSettings};
 use super::{
     CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, HeadCounts, InferenceError,
-    Model, StartError, class_names,
+    Model, StartError,
 };
 use crate::detection::Detection;
 use crate::frame::Picture;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -63,6 +63,23 @@ pub struct DetectorCounters {
     pub head: HeadCounts,
 }
 
+/// The detector's counters, without the detector.
+#[derive(Clone, Debug)]
+pub struct DetectorMeter {
+    task: TaskMeter,
+    head: Arc<HeadCounters>,
+}
+
+impl DetectorMeter {
+    /// What the detector has counted since it started.
+    pub fn read(&self) -> DetectorCounters {
+        DetectorCounters {
+            task: self.task.read(),
+            head: self.head.counts(),
+        }
+    }
+}
+
 impl DetectorHandle {
     /// Loads the model on a thread of its own, checks that it fits its head, and warms it up.
     ///
@@ -70,23 +87,34 @@ impl DetectorHandle {
     /// When the library, the model, its head or the execution provider is not as configured.
     pub async fn start(config: &DetectorConfig) -> Result<Self, StartError> {
         config.check()?;
-        let class_names = class_names::read(config)?;
         let head = Arc::new(HeadCounters::default());
-        let facts = Facts {
-            model_name: model_name(config),
-            class_names: class_names.clone(),
-            head: head.clone(),
-        };
         let settings = TaskSettings::new(
             "detector",
             Duration::from_millis(config.timeout_ms),
             config.queue,
         );
-        let config = config.clone();
-        let factory = move || Network::open(&config, &class_names, head.clone());
+        let model_name = model_name(config);
+        let names = Arc::new(OnceLock::new());
+        let (config, counters, told) = (config.clone(), head.clone(), names.clone());
+        let factory = move || {
+            let network = Network::open_counting(&config, counters.clone())?;
+            let first: &Vec<String> = told.get_or_init(|| network.class_names().to_vec());
+            if first != network.class_names() {
+                // The numbers of classes that are in use would mean something else.
+                return Err(StartError::ModelChanged {
+                    path: config.model.clone(),
+                });
+            }
+            Ok(network)
+        };
+        let task = InferenceTask::start(settings, factory).await?;
         Ok(Self {
-            task: InferenceTask::start(settings, factory).await?,
-            facts: Arc::new(facts),
+            task,
+            facts: Arc::new(Facts {
+                model_name,
+                class_names: names.get().cloned().unwrap_or_default(),
+                head,
+            }),
         })
     }
 
@@ -143,13 +171,18 @@ impl DetectorHandle {
 
     /// What it has counted since it started.
     pub fn counters(&self) -> DetectorCounters {
-        DetectorCounters {
-            task: self.task.counters(),
-            head: self.facts.head.counts(),
+        self.meter().read()
+    }
+
+    /// Its counters for whoever shows them: does not keep the detector running.
+    pub fn meter(&self) -> DetectorMeter {
+        DetectorMeter {
+            task: self.task.meter(),
+            head: self.facts.head.clone(),
         }
     }
 
-    /// The names of the classes, by class number.
+    /// The names of the reported classes, by class number.
     pub fn class_names(&self) -> &[String] {
         &self.facts.class_names
     }

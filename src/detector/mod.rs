@@ -1,10 +1,13 @@
 //! The detector: ONNX Runtime session, output heads, execution providers, and the task all cameras share.
 
 mod class_names;
+mod classes;
 mod config;
 mod error;
 mod handle;
 pub mod head;
+mod head_name;
+mod metadata;
 mod model;
 mod network;
 mod onnxruntime;
@@ -15,11 +18,15 @@ mod status;
 pub mod task;
 
 pub use class_names::COCO_CLASSES;
-pub use config::{DetectorConfig, ExecutionProvider, HeadName};
+pub(crate) use config::LONGEST_TIMEOUT_MS;
+pub use config::{ClassNames, DetectorConfig, ExecutionProvider};
 pub use error::{InferenceError, ModelError, StartError};
-pub use handle::{Detected, DetectorCounters, DetectorHandle, Found};
+pub use handle::{Detected, DetectorCounters, DetectorHandle, DetectorMeter, Found};
+pub use head_name::HeadName;
+pub use metadata::Metadata;
 pub use model::{CameraSlot, Interrupter, Model};
-pub use network::HeadCounts;
+pub use network::{HeadCounts, Network};
 pub(crate) use session::{OnnxSession, SessionSettings};
-pub use signature::{Signature, TensorSpec};
+pub(crate) use signature::shape_text;
+pub use signature::{ElementType, PictureInput, Signature, TensorSpec};
 pub use status::DetectorStatus;

@@ -30,7 +30,7 @@ pub(super) fn first_that_works<T>(
         &providers[..providers.len().min(1)]
     };
     let mut outcome = Err(StartError::Configuration {
-        key: "detector.providers",
+        key: "detector.providers".to_owned(),
         reason: "the list is empty; [\"cpu\"] works everywhere".to_owned(),
     });
     for (index, &provider) in tried.iter().enumerate() {

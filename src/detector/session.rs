@@ -2,13 +2,16 @@
 
 use super::head::TensorView;
 use super::model::Interrupter;
-use super::{ExecutionProvider, ModelError, Signature, StartError, TensorSpec};
+use super::{
+    ElementType, ExecutionProvider, Metadata, ModelError, Signature, StartError, TensorSpec,
+};
 use super::{onnxruntime, provider};
-use crate::geometry::PictureSize;
+use half::f16;
 use ort::environment::Environment;
 use ort::logging::LogLevel;
 use ort::session::{RunOptions, Session};
-use ort::value::{Outlet, TensorElementType, TensorRef, ValueType};
+use ort::value::{DynValue, Outlet, TensorElementType, TensorRef, ValueType};
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tracing::warn;
@@ -34,6 +37,9 @@ pub(crate) struct OnnxSession {
     options: Arc<RunOptions>,
     signature: Signature,
     provider: ExecutionProvider,
+    /// The input in the model's own element type, where that is not float32.
+    halves: Vec<f16>,
+    bytes: Vec<u8>,
 }
 
 impl OnnxSession {
@@ -67,12 +73,15 @@ impl OnnxSession {
         let signature = Signature {
             inputs: session.inputs().iter().map(spec).collect(),
             outputs: session.outputs().iter().map(spec).collect(),
+            metadata: metadata(&session),
         };
         Ok(Self {
             session,
             options: Arc::new(options),
             signature,
             provider,
+            halves: Vec::new(),
+            bytes: Vec::new(),
         })
     }
 
@@ -96,34 +105,75 @@ impl OnnxSession {
         })
     }
 
-    /// Runs the model on one picture: `planes` are three planes of `size`. `read` gets the outputs in the
-    /// order of the signature.
+    /// Runs the model on one picture, given as float32 in `shape`; converted where the model takes float16 or
+    /// bytes. `read` gets the outputs in the order of the signature.
     ///
     /// # Errors
-    /// When ONNX Runtime fails, or an output is not float32.
+    /// When ONNX Runtime fails, or an output is neither float32 nor float16.
     pub(crate) fn run<R>(
         &mut self,
-        size: PictureSize,
-        planes: &[f32],
+        shape: [i64; 4],
+        values: &[f32],
         read: impl FnOnce(&[TensorView<'_>]) -> R,
     ) -> Result<R, ModelError> {
-        let shape = [1, 3, i64::from(size.height), i64::from(size.width)];
         let failed = |error: ort::Error| ModelError::Run(error.message().to_owned());
-        let input = TensorRef::from_array_view((shape, planes)).map_err(failed)?;
-        let outputs = self
-            .session
-            .run_with_options(ort::inputs![input], &*self.options)
+        let Self {
+            session,
+            options,
+            signature,
+            halves,
+            bytes,
+            ..
+        } = self;
+        let input = match signature.inputs.first().map(|input| &input.element) {
+            Some(ElementType::Float16) => {
+                halves.clear();
+                halves.extend(values.iter().map(|&value| f16::from_f32(value)));
+                TensorRef::from_array_view((shape, halves.as_slice())).map(TensorRef::into_dyn)
+            }
+            Some(ElementType::Uint8) => {
+                bytes.clear();
+                bytes.extend(values.iter().map(|&value| value.round() as u8));
+                TensorRef::from_array_view((shape, bytes.as_slice())).map(TensorRef::into_dyn)
+            }
+            _ => TensorRef::from_array_view((shape, values)).map(TensorRef::into_dyn),
+        }
+        .map_err(failed)?;
+        let outputs = session
+            .run_with_options(ort::inputs![input], &**options)
             .map_err(failed)?;
-        let views = (0..outputs.len())
-            .map(|index| {
-                outputs[index]
-                    .try_extract_tensor::<f32>()
-                    .map(|(shape, values)| TensorView { shape, values })
-            })
+        let read_out = (0..outputs.len())
+            .map(|index| elements(&outputs[index]))
             .collect::<Result<Vec<_>, _>>()
             .map_err(failed)?;
+        let views: Vec<_> = read_out
+            .iter()
+            .map(|(shape, values)| TensorView { shape, values })
+            .collect();
         Ok(read(&views))
     }
+}
+
+/// Shape and elements of an output, float16 widened.
+fn elements(output: &DynValue) -> ort::Result<(&[i64], Cow<'_, [f32]>)> {
+    if let Ok((shape, halves)) = output.try_extract_tensor::<f16>() {
+        let values = halves.iter().map(|half| half.to_f32()).collect();
+        return Ok((shape, Cow::Owned(values)));
+    }
+    let (shape, values) = output.try_extract_tensor::<f32>()?;
+    Ok((shape, Cow::Borrowed(values)))
+}
+
+/// What the file carries beside the graph; nothing where that cannot be read.
+fn metadata(session: &Session) -> Metadata {
+    let Ok(metadata) = session.metadata() else {
+        return Metadata::default();
+    };
+    let keys = metadata.custom_keys().unwrap_or_default();
+    Metadata::new(
+        keys.into_iter()
+            .filter_map(|key| metadata.custom(&key).map(|value| (key, value))),
+    )
 }
 
 fn build(
@@ -163,22 +213,24 @@ fn refusal(model: &Path, provider: ExecutionProvider, reason: String) -> StartEr
 }
 
 fn spec(outlet: &Outlet) -> TensorSpec {
-    let (is_float32, element_type, shape) = match outlet.dtype() {
-        ValueType::Tensor { ty, shape, .. } => (
-            *ty == TensorElementType::Float32,
-            if *ty == TensorElementType::Float32 {
-                "float32".to_owned()
-            } else {
-                ty.to_string()
-            },
-            shape.to_vec(),
+    let (element, shape) = match outlet.dtype() {
+        ValueType::Tensor { ty, shape, .. } => {
+            let element = match ty {
+                TensorElementType::Float32 => ElementType::Float32,
+                TensorElementType::Float16 => ElementType::Float16,
+                TensorElementType::Uint8 => ElementType::Uint8,
+                other => ElementType::Other(other.to_string()),
+            };
+            (element, shape.to_vec())
+        }
+        other => (
+            ElementType::Other(format!("not a tensor ({other})")),
+            Vec::new(),
         ),
-        other => (false, format!("not a tensor ({other})"), Vec::new()),
     };
     TensorSpec {
         name: outlet.name().to_owned(),
-        is_float32,
-        element_type,
+        element,
         shape,
     }
 }

@@ -8,7 +8,7 @@ mod supervisor;
 mod tests;
 mod worker;
 
-pub use counters::TaskCounters;
+pub use counters::{TaskCounters, TaskMeter};
 pub use shared::Inference;
 
 use super::{CameraSlot, DetectorStatus, InferenceError, Model, StartError};
@@ -186,7 +186,12 @@ impl<T: Send + 'static> InferenceTask<T> {
 
     /// What it has counted since it started.
     pub fn counters(&self) -> TaskCounters {
-        self.inner.shared.counters.snapshot()
+        self.meter().read()
+    }
+
+    /// Its counters for whoever shows them: does not keep the task running.
+    pub fn meter(&self) -> TaskMeter {
+        TaskMeter(self.inner.shared.counters.clone())
     }
 
     /// Takes no more pictures, turns away those that wait, and returns when the run in hand has ended or

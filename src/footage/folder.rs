@@ -62,6 +62,11 @@ impl PictureFolder {
             rate,
         })
     }
+
+    /// Its files, in their order.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.files
+    }
 }
 
 /// The file's name in parts that compare as people count: text as text, digits by value.

@@ -27,16 +27,40 @@ pub enum Fit {
     Stretch,
 }
 
-/// What a pixel value of 255 becomes.
+/// What becomes of pixel values from 0 to 255.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ValueRange {
-    /// 255: values as they are.
+    /// They stay as they are.
     To255,
-    /// 1: values divided by 255.
+    /// They are divided by 255.
     ToOne,
+    /// They are divided by 255, less the mean of their colour in ImageNet, over its standard deviation.
+    ImageNet,
 }
 
-/// The input a network expects: three planes of `size`, float32, one after the other (CHW).
+impl ValueRange {
+    /// For red, green and blue: what a value is multiplied by, and what is added then.
+    fn factors(self) -> [(f32, f32); 3] {
+        match self {
+            Self::To255 => [(1.0, 0.0); 3],
+            Self::ToOne => [(1.0 / 255.0, 0.0); 3],
+            // The values of torchvision's models.
+            Self::ImageNet => [(0.485, 0.229), (0.456, 0.224), (0.406, 0.225)]
+                .map(|(mean, deviation)| (1.0 / (255.0 * deviation), -mean / deviation)),
+        }
+    }
+}
+
+/// Where the colours are in a network's input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TensorLayout {
+    /// Three planes, one after the other: `[1, 3, rows, columns]`.
+    Nchw,
+    /// The three values of a pixel side by side: `[1, rows, columns, 3]`.
+    Nhwc,
+}
+
+/// The input a network expects: one picture of `size`, float32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct InputFormat {
     /// Columns and rows of a plane.
@@ -47,6 +71,30 @@ pub struct InputFormat {
     pub color_order: ColorOrder,
     /// Range of the values.
     pub value_range: ValueRange,
+    /// Where the colours are.
+    pub layout: TensorLayout,
+}
+
+impl InputFormat {
+    /// The shape of the input.
+    pub fn shape(&self) -> [i64; 4] {
+        let (rows, columns) = (i64::from(self.size.height), i64::from(self.size.width));
+        match self.layout {
+            TensorLayout::Nchw => [1, 3, rows, columns],
+            TensorLayout::Nhwc => [1, rows, columns, 3],
+        }
+    }
+
+    /// What a value of each place is multiplied by and then added, in the order of the network's colours, and
+    /// which of red, green and blue stands there.
+    fn factors(&self) -> [(usize, f32, f32); 3] {
+        let factors = self.value_range.factors();
+        let order = match self.color_order {
+            ColorOrder::Rgb => [0, 1, 2],
+            ColorOrder::Bgr => [2, 1, 0],
+        };
+        order.map(|color| (color, factors[color].0, factors[color].1))
+    }
 }
 
 /// The way back from the input's pixels to normalised coordinates of the source picture.
@@ -127,7 +175,7 @@ impl Letterbox {
         }
     }
 
-    /// The input: three planes of float32. Its content is that of the last [`fill`](Self::fill).
+    /// The input, in the shape of the format. Its content is that of the last [`fill`](Self::fill).
     pub fn tensor(&self) -> &[f32] {
         &self.tensor
     }
@@ -141,30 +189,41 @@ impl Letterbox {
         check(picture)?;
         let (placement, mapping) = place(picture.size, self.format);
         if self.filled != Some(placement) {
-            let margin = self.margin();
-            self.tensor.fill(margin);
+            self.fill_margin();
             self.filled = Some(placement);
         }
         self.resize(picture, placement)?;
-        match picture.layout {
-            PixelLayout::Rgb8 => self.spread::<3>(placement),
-            PixelLayout::Gray8 => self.spread::<1>(placement),
+        match (picture.layout, self.format.layout) {
+            (PixelLayout::Rgb8, TensorLayout::Nchw) => self.spread::<3>(placement),
+            (PixelLayout::Gray8, TensorLayout::Nchw) => self.spread::<1>(placement),
+            (PixelLayout::Rgb8, TensorLayout::Nhwc) => self.convert::<3>(placement),
+            (PixelLayout::Gray8, TensorLayout::Nhwc) => self.convert::<1>(placement),
         }
         Ok(mapping)
     }
 
-    fn margin(&self) -> f32 {
+    /// Gives every pixel the margin's value.
+    fn fill_margin(&mut self) {
         let fill = match self.format.fit {
-            Fit::TopLeft(fill) | Fit::Centre(fill) => fill,
-            Fit::Stretch => 0,
+            Fit::TopLeft(fill) | Fit::Centre(fill) => f32::from(fill),
+            Fit::Stretch => 0.0,
         };
-        f32::from(fill) * self.factor()
-    }
-
-    fn factor(&self) -> f32 {
-        match self.format.value_range {
-            ValueRange::To255 => 1.0,
-            ValueRange::ToOne => 1.0 / 255.0,
+        let values = self
+            .format
+            .factors()
+            .map(|(_, factor, offset)| fill * factor + offset);
+        match self.format.layout {
+            TensorLayout::Nchw => {
+                let plane = self.tensor.len() / 3;
+                for (plane, value) in self.tensor.chunks_exact_mut(plane.max(1)).zip(values) {
+                    plane.fill(value);
+                }
+            }
+            TensorLayout::Nhwc => {
+                for pixel in self.tensor.chunks_exact_mut(3) {
+                    pixel.copy_from_slice(&values);
+                }
+            }
         }
     }
 
@@ -196,26 +255,39 @@ impl Letterbox {
 
     /// From interleaved bytes to planes of float32, in one pass.
     fn spread<const CHANNELS: usize>(&mut self, placement: Placement) {
-        let factor = self.factor();
         let columns = self.format.size.width as usize;
         let plane = columns * self.format.size.height as usize;
         let (width, left) = (placement.width as usize, placement.left as usize);
         let (first, rest) = self.tensor.split_at_mut(plane);
         let (second, third) = rest.split_at_mut(plane);
-        let (red, green, blue) = match self.format.color_order {
-            ColorOrder::Rgb => (first, second, third),
-            ColorOrder::Bgr => (third, second, first),
-        };
+        let factors = self.format.factors();
+        let source = factors.map(|(color, ..)| color * (CHANNELS - 1) / 2);
         for (row, pixels) in self.resized.chunks_exact(width * CHANNELS).enumerate() {
             let start = (placement.top as usize + row) * columns + left;
-            let red = &mut red[start..start + width];
-            let green = &mut green[start..start + width];
-            let blue = &mut blue[start..start + width];
-            let targets = red.iter_mut().zip(green).zip(blue);
-            for (((red, green), blue), pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
-                *red = f32::from(pixel[0]) * factor;
-                *green = f32::from(pixel[CHANNELS / 2]) * factor;
-                *blue = f32::from(pixel[CHANNELS - 1]) * factor;
+            let first = &mut first[start..start + width];
+            let second = &mut second[start..start + width];
+            let third = &mut third[start..start + width];
+            let targets = first.iter_mut().zip(second).zip(third);
+            for (((first, second), third), pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
+                *first = f32::from(pixel[source[0]]) * factors[0].1 + factors[0].2;
+                *second = f32::from(pixel[source[1]]) * factors[1].1 + factors[1].2;
+                *third = f32::from(pixel[source[2]]) * factors[2].1 + factors[2].2;
+            }
+        }
+    }
+
+    /// From interleaved bytes to interleaved float32.
+    fn convert<const CHANNELS: usize>(&mut self, placement: Placement) {
+        let columns = self.format.size.width as usize;
+        let (width, left) = (placement.width as usize, placement.left as usize);
+        let factors = self.format.factors();
+        for (row, pixels) in self.resized.chunks_exact(width * CHANNELS).enumerate() {
+            let start = ((placement.top as usize + row) * columns + left) * 3;
+            let targets = self.tensor[start..start + 3 * width].chunks_exact_mut(3);
+            for (target, pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
+                for (target, (color, factor, offset)) in target.iter_mut().zip(factors) {
+                    *target = f32::from(pixel[color * (CHANNELS - 1) / 2]) * factor + offset;
+                }
             }
         }
     }

@@ -51,6 +51,7 @@ fn format(width: u32, height: u32, fit: Fit) -> InputFormat {
         fit,
         color_order: ColorOrder::Rgb,
         value_range: ValueRange::To255,
+        layout: TensorLayout::Nchw,
     }
 }
 
@@ -67,7 +68,10 @@ fn compare(picture: &Picture, format: InputFormat, left: u32, top: u32, used: Pi
         };
         for row in 0..size.height {
             for column in 0..size.width {
-                let index = (plane as u32 * size.height + row) * size.width + column;
+                let index = match format.layout {
+                    TensorLayout::Nchw => (plane as u32 * size.height + row) * size.width + column,
+                    TensorLayout::Nhwc => (row * size.width + column) * 3 + plane as u32,
+                };
                 let found = f64::from(letterbox.tensor()[index as usize]);
                 let inside = (left..left + used.width).contains(&column)
                     && (top..top + used.height).contains(&row);
@@ -79,6 +83,11 @@ fn compare(picture: &Picture, format: InputFormat, left: u32, top: u32, used: Pi
                 let found = match format.value_range {
                     ValueRange::To255 => found,
                     ValueRange::ToOne => found * 255.0,
+                    ValueRange::ImageNet => {
+                        let mean = [0.485, 0.456, 0.406][channel];
+                        let deviation = [0.229, 0.224, 0.225][channel];
+                        (found * deviation + mean) * 255.0
+                    }
                 };
                 // Two passes with a rounding each.
                 let allowed = if inside { 1.01 } else { 1e-4 };
@@ -107,16 +116,19 @@ fn shrinking_and_growing_agree_with_bilinear_interpolation() {
 }
 
 #[test]
-fn the_colour_order_and_the_range_are_as_asked() {
+fn colour_order_range_and_layout_are_as_asked() {
     let picture = picture(40, 20, PixelLayout::Rgb8);
     for color_order in [ColorOrder::Rgb, ColorOrder::Bgr] {
-        for value_range in [ValueRange::To255, ValueRange::ToOne] {
-            let format = InputFormat {
-                color_order,
-                value_range,
-                ..format(32, 32, Fit::TopLeft(114))
-            };
-            compare(&picture, format, 0, 0, PictureSize::new(32, 16));
+        for value_range in [ValueRange::To255, ValueRange::ToOne, ValueRange::ImageNet] {
+            for layout in [TensorLayout::Nchw, TensorLayout::Nhwc] {
+                let format = InputFormat {
+                    color_order,
+                    value_range,
+                    layout,
+                    ..format(32, 32, Fit::TopLeft(114))
+                };
+                compare(&picture, format, 0, 0, PictureSize::new(32, 16));
+            }
         }
     }
 }
@@ -124,8 +136,13 @@ fn the_colour_order_and_the_range_are_as_asked() {
 #[test]
 fn a_grey_picture_fills_all_three_planes() {
     let picture = picture(40, 20, PixelLayout::Gray8);
-    let format = format(32, 32, Fit::TopLeft(114));
-    compare(&picture, format, 0, 0, PictureSize::new(32, 16));
+    for layout in [TensorLayout::Nchw, TensorLayout::Nhwc] {
+        let format = InputFormat {
+            layout,
+            ..format(32, 32, Fit::TopLeft(114))
+        };
+        compare(&picture, format, 0, 0, PictureSize::new(32, 16));
+    }
 }
 
 #[test]

@@ -20,7 +20,7 @@ pub use config::{Delivery, FrameLimits, PayloadFormat};
 pub use decode::{decode, decode_grey_half, to_jpeg};
 pub use fault::FrameFault;
 pub use letterbox::{
-    ColorOrder, Fit, InputFormat, InputMapping, Letterbox, LetterboxError, ValueRange,
+    ColorOrder, Fit, InputFormat, InputMapping, Letterbox, LetterboxError, TensorLayout, ValueRange,
 };
 pub use picture::{EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use read::{Frame, RawSample, RejectedFrame, read_frame, read_sample};

@@ -10,12 +10,12 @@ pub use camera::{CameraBoard, CameraSetup, CameraSnapshot, LATENCY_BUCKETS_S, La
 pub use event::{Event, FrameEvent, ThresholdEvent};
 pub use setup::{BoardSetup, DetectorFacts, SetupError};
 
-use crate::detector::DetectorStatus;
+use crate::detector::{DetectorCounters, DetectorMeter, DetectorStatus};
 use crate::policy::KnobError;
 use crate::power::MeterCost;
 use crate::wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
 use thresholds::ThresholdStore;
 use tokio::sync::{broadcast, watch};
@@ -71,6 +71,7 @@ pub struct Board {
     events: broadcast::Sender<Event>,
     detector: DetectorFacts,
     detector_status: watch::Receiver<DetectorStatus>,
+    detector_meter: OnceLock<DetectorMeter>,
     power: Mutex<PowerNow>,
     holds: Mutex<BTreeMap<&'static str, String>>,
     store: Option<Arc<ThresholdStore>>,
@@ -107,6 +108,7 @@ impl Board {
             events,
             detector: setup.detector,
             detector_status: setup.detector_status,
+            detector_meter: OnceLock::new(),
             power: Mutex::default(),
             holds: Mutex::default(),
             store,
@@ -121,6 +123,19 @@ impl Board {
     /// The policy's name.
     pub fn policy(&self) -> &'static str {
         self.policy
+    }
+
+    /// Where to read what the detector counts, once it has started. The first one stays.
+    pub fn attach_detector(&self, meter: DetectorMeter) {
+        let _ = self.detector_meter.set(meter);
+    }
+
+    /// What the detector has counted; all 0 before it has started.
+    pub fn detector_counters(&self) -> DetectorCounters {
+        self.detector_meter
+            .get()
+            .map(DetectorMeter::read)
+            .unwrap_or_default()
     }
 
     /// Time since the board was made.

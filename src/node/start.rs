@@ -104,6 +104,7 @@ impl PreparedNode {
             .await
             .context("[screen]")?;
 
+        board.attach_detector(detector.meter());
         tokio::spawn(follow(detector.status(), detector_status));
         let mut parts = Parts {
             config,

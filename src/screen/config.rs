@@ -1,7 +1,7 @@
 //! The `[screen]` section of the configuration.
 
 use super::AgnosticSettings;
-use crate::detector::StartError;
+use crate::detector::{LONGEST_TIMEOUT_MS, StartError};
 use crate::frame::ColorOrder;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -62,31 +62,43 @@ impl ScreenConfig {
         })
     }
 
-    /// Checks what can be checked without opening a file.
+    /// Everything that is wrong and can be seen without opening a file: the key within `[screen]`, and what its
+    /// value should be.
+    pub fn problems(&self) -> Vec<(&'static str, String)> {
+        let mut problems = Vec::new();
+        if self.empty_class > 1 {
+            problems.push((
+                "empty_class",
+                format!("must be from 0 to 1, not {}", self.empty_class),
+            ));
+        }
+        if !(1..=LONGEST_TIMEOUT_MS).contains(&self.timeout_ms) {
+            problems.push((
+                "timeout_ms",
+                format!(
+                    "must be from 1 to {LONGEST_TIMEOUT_MS}, not {}",
+                    self.timeout_ms
+                ),
+            ));
+        }
+        if self.kind == Some(ScreenKind::Model) && self.model.is_none() {
+            problems.push(("kind", "\"model\" needs a file in screen.model".to_owned()));
+        }
+        problems.extend(self.agnostic.problems());
+        problems
+    }
+
+    /// The first of the [`problems`](Self::problems), as an error.
     ///
     /// # Errors
     /// The first key whose value cannot be.
     pub fn check(&self) -> Result<(), StartError> {
-        let wrong = |key, reason: String| Err(StartError::Configuration { key, reason });
-        if self.kind == Some(ScreenKind::Model) && self.model.is_none() {
-            let reason = "it is \"model\", and screen.model names none".to_owned();
-            return wrong("screen.kind", reason);
+        match self.problems().into_iter().next() {
+            None => Ok(()),
+            Some((key, reason)) => Err(StartError::Configuration {
+                key: format!("screen.{key}"),
+                reason,
+            }),
         }
-        if let Some((key, reason)) = self.agnostic.problem() {
-            let key = match key {
-                "audit" => "screen.agnostic.audit",
-                _ => "screen.agnostic.false_empty",
-            };
-            return wrong(key, reason);
-        }
-        if self.empty_class > 1 {
-            let reason = format!("it is {}, and can be 0 or 1", self.empty_class);
-            return wrong("screen.empty_class", reason);
-        }
-        if self.timeout_ms == 0 {
-            let reason = "it is 0, and must be at least 1".to_owned();
-            return wrong("screen.timeout_ms", reason);
-        }
-        Ok(())
     }
 }

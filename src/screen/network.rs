@@ -2,22 +2,22 @@
 
 use super::ScreenConfig;
 use crate::detector::{
-    CameraSlot, ExecutionProvider, Interrupter, Model, ModelError, OnnxSession, SessionSettings,
-    Signature, StartError,
+    CameraSlot, ExecutionProvider, Interrupter, Model, ModelError, OnnxSession, PictureInput,
+    SessionSettings, Signature, StartError,
 };
 use crate::frame::{Fit, InputFormat, Letterbox, Picture, ValueRange};
-use crate::geometry::PictureSize;
 use std::path::{Path, PathBuf};
 
 /// The two outputs of the network, before any normalisation.
 pub type Logits = [f32; 2];
 
 /// What the network expects of a model, in words.
-const EXPECTED: &str = "one float32 input [1, 3, rows, columns] and one float32 output [1, 2]";
+const EXPECTED: &str =
+    "one picture input [1, 3, rows, columns] or [1, rows, columns, 3] and one output [1, 2]";
 
 pub(super) struct Network {
     session: OnnxSession,
-    size: PictureSize,
+    format: InputFormat,
     letterbox: Letterbox,
 }
 
@@ -36,23 +36,28 @@ impl Network {
             onnxruntime,
         })?;
         let signature = session.signature();
-        let size = input_size(signature).map_err(|reason| StartError::ModelDoesNotFit {
+        let input = picture_input(signature).map_err(|reason| StartError::ModelDoesNotFit {
             path: model.to_owned(),
             head: "screen",
             model: signature.to_string(),
             expected: EXPECTED.to_owned(),
             reason,
         })?;
-        let letterbox = Letterbox::new(InputFormat {
-            size,
+        let format = InputFormat {
+            size: input.size,
             fit: Fit::Stretch,
             color_order: config.color_order,
-            value_range: ValueRange::ToOne,
-        });
+            value_range: if input.takes_bytes {
+                ValueRange::To255
+            } else {
+                ValueRange::ToOne
+            },
+            layout: input.layout,
+        };
         let mut network = Self {
             session,
-            size,
-            letterbox,
+            format,
+            letterbox: Letterbox::new(format),
         };
         network.infer().map_err(|error| StartError::WarmUp {
             path: model.to_owned(),
@@ -62,8 +67,8 @@ impl Network {
     }
 
     fn infer(&mut self) -> Result<Logits, ModelError> {
-        let planes = self.letterbox.tensor();
-        self.session.run(self.size, planes, |outputs| {
+        let input = self.letterbox.tensor();
+        self.session.run(self.format.shape(), input, |outputs| {
             let values = outputs.first().map(|output| output.values);
             match values {
                 Some(&[first, second]) if first.is_finite() && second.is_finite() => {
@@ -78,10 +83,10 @@ impl Network {
     }
 }
 
-fn input_size(signature: &Signature) -> Result<PictureSize, String> {
-    let size = signature.picture_input()?;
+fn picture_input(signature: &Signature) -> Result<PictureInput, String> {
+    let input = signature.picture_input(None)?;
     match *signature.only_output()?.shape.as_slice() {
-        [1 | -1, 2] => Ok(size),
+        [1 | -1, 2] => Ok(input),
         _ => Err("its output has another shape".to_owned()),
     }
 }

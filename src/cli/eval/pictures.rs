@@ -3,7 +3,7 @@
 
 use super::{RunArguments, listed, policies, projected_power, settings};
 use crate::cli::synth::{Seeds, parse_seeds, parse_size};
-use crate::detector::{DetectorConfig, ExecutionProvider, HeadName};
+use crate::detector::{ClassNames, DetectorConfig, ExecutionProvider, HeadName};
 use crate::eval::data::{Clip, LoadReport, recorded};
 use crate::eval::pictures::{
     DashcamClip, GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes,
@@ -106,9 +106,9 @@ struct PassArguments {
     #[arg(long, value_name = "MODEL", default_value = "models/detector.onnx")]
     detector: PathBuf,
     /// How its output is read.
-    #[arg(long, value_enum, default_value_t = HeadName::Demonstration)]
+    #[arg(long, value_enum, default_value_t = HeadName::Auto)]
     head: HeadName,
-    /// Names of its classes, one a line [default: the head's own list]
+    /// Names of its classes, one a line [default: those of its metadata, or the head's own list]
     #[arg(long, value_name = "FILE")]
     class_names: Option<PathBuf>,
     /// What runs it.
@@ -290,7 +290,9 @@ impl<'a> Evaluation<'a> {
             &DetectorConfig {
                 model: pass.detector.clone(),
                 head: pass.head,
-                class_names: pass.class_names.clone(),
+                class_names: pass.class_names.clone().map(ClassNames::File),
+                // The evaluation has a mapping of its own.
+                report_classes: Some(Vec::new()),
                 confidence: LOWEST_CONFIDENCE,
                 providers: vec![pass.provider],
                 timeout_ms: TIMEOUT_MS,

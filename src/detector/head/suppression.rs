@@ -4,36 +4,57 @@ use super::Candidate;
 use std::cmp::Ordering;
 
 /// The most candidates that are looked at, the most confident ones: what a broken model or a hostile picture
-/// can cost at most. A frame with more real objects than this is not known.
-pub const MOST_CANDIDATES: usize = 1000;
+/// can cost at most. More than all anchors of a model with an input of 640x640.
+pub const MOST_CANDIDATES: usize = 10_000;
 
-/// Sorts `candidates` by confidence and drops each that overlaps a better one of its class by more than
-/// `overlap` (intersection over union). Of more than [`MOST_CANDIDATES`] only the best are looked at; returns
-/// how many were not. Equal confidences keep their order.
+/// How suppression works.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Suppression {
+    /// A box that overlaps a better one by more than this (intersection over union) is dropped.
+    pub overlap: f64,
+    /// Whether only boxes of one class suppress each other.
+    pub per_class: bool,
+    /// The most boxes that are kept, the most confident ones.
+    pub most: usize,
+}
+
+/// Sorts `candidates` by confidence and drops each that overlaps a better one too much. Of more than
+/// [`MOST_CANDIDATES`] only the best are looked at, and only `settings.most` are kept; returns how many were
+/// lost to these two limits. Equal confidences keep their order.
 ///
 /// Takes O(n + m log m + k·m) for n candidates, m of them looked at, k of them kept.
-pub fn suppress(candidates: &mut Vec<Candidate>, overlap: f64) -> u64 {
-    let over_limit = candidates.len().saturating_sub(MOST_CANDIDATES);
-    if over_limit > 0 {
-        candidates.select_nth_unstable_by(MOST_CANDIDATES - 1, best_first);
-        candidates.truncate(MOST_CANDIDATES);
-    }
-    candidates.sort_by(best_first);
+pub fn suppress(candidates: &mut Vec<Candidate>, settings: Suppression) -> u64 {
+    let mut over_limit = keep_best(candidates, MOST_CANDIDATES);
     let mut kept = 0;
     for index in 0..candidates.len() {
         let candidate = candidates[index];
         let better = &candidates[..kept];
         let is_covered = better.iter().any(|better| {
-            better.class == candidate.class
-                && better.corners.intersection_over_union(candidate.corners) > overlap
+            (better.class == candidate.class || !settings.per_class)
+                && better.corners.intersection_over_union(candidate.corners) > settings.overlap
         });
-        if !is_covered {
-            candidates[kept] = candidate;
-            kept += 1;
+        if is_covered {
+            continue;
         }
+        if kept == settings.most {
+            over_limit += 1;
+            // The rest would only be counted, at a high price.
+            break;
+        }
+        candidates[kept] = candidate;
+        kept += 1;
     }
     candidates.truncate(kept);
-    over_limit as u64
+    over_limit
+}
+
+/// Sorts `candidates` by confidence and keeps the `most` best; returns how many were dropped. Equal confidences
+/// keep their order.
+pub fn keep_best(candidates: &mut Vec<Candidate>, most: usize) -> u64 {
+    let dropped = candidates.len().saturating_sub(most);
+    candidates.sort_by(best_first);
+    candidates.truncate(most);
+    dropped as u64
 }
 
 fn best_first(left: &Candidate, right: &Candidate) -> Ordering {
@@ -64,6 +85,14 @@ mod tests {
             },
             class: ClassId(class),
             confidence,
+        }
+    }
+
+    fn settings(overlap: f64) -> Suppression {
+        Suppression {
+            overlap,
+            per_class: true,
+            most: usize::MAX,
         }
     }
 
@@ -106,7 +135,7 @@ mod tests {
         #[test]
         fn suppression_equals_the_textbook(all in candidates(), overlap in 0.0..1.0) {
             let mut fast = all.clone();
-            prop_assert_eq!(suppress(&mut fast, overlap), 0);
+            prop_assert_eq!(suppress(&mut fast, settings(overlap)), 0);
             prop_assert_eq!(fast, textbook(all, overlap));
         }
 
@@ -115,7 +144,7 @@ mod tests {
             all in candidates(), overlap in 0.0..1.0
         ) {
             let mut kept = all.clone();
-            suppress(&mut kept, overlap);
+            suppress(&mut kept, settings(overlap));
             let covers = |better: &Candidate, other: &Candidate| {
                 better.class == other.class
                     && better.corners.intersection_over_union(other.corners) > overlap
@@ -133,7 +162,7 @@ mod tests {
                 });
                 prop_assert!(is_kept || is_covered);
             }
-            let again = { let mut again = kept.clone(); suppress(&mut again, overlap); again };
+            let again = { let mut again = kept.clone(); suppress(&mut again, settings(overlap)); again };
             prop_assert_eq!(again, kept);
         }
     }
@@ -148,19 +177,35 @@ mod tests {
             })
             .collect();
         let best = *many.last().unwrap();
-        assert_eq!(suppress(&mut many, 0.5), 29_000);
+        let all = many.clone();
+        assert_eq!(suppress(&mut many, settings(0.5)), 20_000);
         assert_eq!(many.len(), MOST_CANDIDATES);
         assert_eq!(many[0], best);
-        assert!(many.iter().all(|one| one.confidence >= 29_000.0 / 30_000.0));
+        assert!(many.iter().all(|one| one.confidence >= 20_000.0 / 30_000.0));
+        let mut few = all;
+        let most = Suppression {
+            most: 300,
+            ..settings(0.5)
+        };
+        assert_eq!(suppress(&mut few, most), 20_001);
+        assert_eq!(few, many[..300]);
     }
 
     #[test]
-    fn classes_do_not_suppress_each_other() {
-        let mut both = vec![
+    fn classes_suppress_each_other_only_when_told_to() {
+        let both = [
             candidate(0.0, 0.0, 9.0, 9.0, 0, 0.5),
             candidate(0.0, 0.0, 9.0, 9.0, 1, 0.9),
         ];
-        suppress(&mut both, 0.45);
-        assert_eq!(both.len(), 2);
+        let mut per_class = both.to_vec();
+        suppress(&mut per_class, settings(0.45));
+        assert_eq!(per_class.len(), 2);
+        let mut across = both.to_vec();
+        let agnostic = Suppression {
+            per_class: false,
+            ..settings(0.45)
+        };
+        suppress(&mut across, agnostic);
+        assert_eq!(across, [both[1]]);
     }
 }

@@ -1,95 +1,287 @@
-//! The heads on tensors made by hand.
+//! The heads on tensors made by hand. What the models' own code makes of whole outputs is compared in
+//! `tests/head_fixtures.rs`.
 
 use super::*;
-use crate::detector::TensorSpec;
+use crate::detector::{ElementType, Metadata, TensorSpec};
+use crate::frame::{ColorOrder, Fit, TensorLayout, ValueRange};
 use crate::geometry::PictureSize;
+use proptest::prelude::*;
 
 fn spec(name: &str, shape: &[i64]) -> TensorSpec {
     TensorSpec {
         name: name.to_owned(),
-        is_float32: true,
-        element_type: "float32".to_owned(),
+        element: ElementType::Float32,
         shape: shape.to_vec(),
     }
 }
 
-fn signature(input: &[i64], output: &[i64]) -> Signature {
+fn signature(input: &[i64], outputs: &[(&str, &[i64])]) -> Signature {
     Signature {
         inputs: vec![spec("images", input)],
-        outputs: vec![spec("output", output)],
+        outputs: outputs
+            .iter()
+            .map(|(name, shape)| spec(name, shape))
+            .collect(),
+        metadata: Metadata::default(),
     }
 }
 
-/// A YOLOX head for 64x32 and 2 classes: 32 + 8 + 2 cells of 7 numbers.
-fn yolox() -> Head {
-    Head::bind(HeadName::Yolox, &signature(&[1, 3, 32, 64], &[1, 42, 7]), 2).unwrap()
+fn with_metadata(signature: Signature, entries: &[(&str, &str)]) -> Signature {
+    Signature {
+        metadata: Metadata::new(
+            entries
+                .iter()
+                .map(|&(key, value)| (key.to_owned(), value.to_owned())),
+        ),
+        ..signature
+    }
 }
 
-fn demonstration() -> Head {
-    Head::bind(
-        HeadName::Demonstration,
-        &signature(&[1, 3, 192, 320], &[1, 3, 11]),
-        7,
-    )
-    .unwrap()
+fn bound(name: HeadName, input: &[i64], outputs: &[(&str, &[i64])]) -> Box<dyn Head> {
+    let signature = signature(input, outputs);
+    bind(name, &signature, signature.picture_input(None).unwrap()).unwrap()
 }
 
-fn read(head: &Head, shape: &[i64], values: &[f32]) -> (u64, Vec<Candidate>) {
+/// The smallest head of each kind, with the outputs' shapes. All have two classes but the end-to-end head,
+/// which does not know, and an input of 64x32.
+fn heads() -> Vec<(Box<dyn Head>, Vec<Vec<i64>>)> {
+    let input = [1, 3, 32, 64];
+    let one = |name, shape: &[i64]| {
+        let head = bound(name, &input, &[("output", shape)]);
+        (head, vec![shape.to_vec()])
+    };
+    vec![
+        one(HeadName::Yolo, &[1, 6, 42]),
+        one(HeadName::EndToEnd, &[1, 5, 6]),
+        one(HeadName::Yolox, &[1, 42, 7]),
+        one(HeadName::FastestDet, &[1, 7, 2, 4]),
+        one(HeadName::Demonstration, &[1, 3, 6]),
+        (
+            bound(
+                HeadName::Detr,
+                &input,
+                &[("labels", &[1, 4, 2]), ("dets", &[1, 4, 4])],
+            ),
+            vec![vec![1, 4, 2], vec![1, 4, 4]],
+        ),
+    ]
+}
+
+fn read(head: &dyn Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
+    let views: Vec<_> = outputs
+        .iter()
+        .map(|&(shape, values)| TensorView { shape, values })
+        .collect();
     let mut candidates = Vec::new();
-    let rejected = head
-        .read(&[TensorView { shape, values }], 0.5, &mut candidates)
-        .unwrap();
+    let rejected = head.read(&views, 0.5, &mut candidates).unwrap();
     (rejected, candidates)
 }
 
-/// A YOLOX output that is empty but for these rows.
-fn yolox_output(rows: &[(usize, [f32; 7])]) -> Vec<f32> {
-    let mut values = vec![0.0; 42 * 7];
-    for (cell, row) in rows {
-        values[cell * 7..][..7].copy_from_slice(row);
+#[track_caller]
+fn assert_candidates(found: &[Candidate], expected: &[([f64; 4], u16, f32)]) {
+    assert_eq!(found.len(), expected.len(), "{found:?}");
+    for (found, (corners, class, confidence)) in found.iter().zip(expected) {
+        let Corners { x1, y1, x2, y2 } = found.corners;
+        for (found, expected) in [x1, y1, x2, y2].into_iter().zip(corners) {
+            assert!(
+                (found - expected).abs() < 1e-4,
+                "{found} instead of {expected}"
+            );
+        }
+        assert_eq!(found.class, ClassId(*class));
+        assert!((found.confidence - confidence).abs() < 1e-6, "{found:?}");
+    }
+}
+
+/// A tensor that is 0 but for these rows.
+fn rows<const ROW: usize>(count: usize, rows: &[(usize, [f32; ROW])]) -> Vec<f32> {
+    let mut values = vec![0.0; count * ROW];
+    for (place, row) in rows {
+        values[place * ROW..][..ROW].copy_from_slice(row);
     }
     values
+}
+
+/// The same with rows and columns exchanged.
+fn columns<const ROW: usize>(count: usize, given: &[(usize, [f32; ROW])]) -> Vec<f32> {
+    let values = rows(count, given);
+    (0..ROW)
+        .flat_map(|row| (0..count).map(move |column| (row, column)))
+        .map(|(row, column)| values[column * ROW + row])
+        .collect()
+}
+
+#[test]
+fn yolo_reads_columns_of_centre_size_and_scores() {
+    let head = bound(
+        HeadName::Yolo,
+        &[1, 3, 640, 640],
+        &[("output0", &[1, 6, 8400])],
+    );
+    let output = columns(
+        8400,
+        &[
+            (0, [10.0, 20.0, 4.0, 8.0, 0.1, 0.9]),
+            // Above and below the confidence, in the last block, which is not full.
+            (8398, [320.0, 320.0, 640.0, 640.0, 0.5, 0.2]),
+            (8399, [320.0, 320.0, 640.0, 640.0, 0.49, 0.2]),
+            // Inside out, not a number, not a score.
+            (70, [10.0, 20.0, -4.0, 8.0, 0.9, 0.1]),
+            (71, [f32::NAN, 20.0, 4.0, 8.0, 0.9, 0.1]),
+            (72, [10.0, 20.0, 4.0, 8.0, 0.9, f32::NAN]),
+            (73, [10.0, 20.0, 4.0, 8.0, 3.0, 0.1]),
+            (74, [10.0, 20.0, f32::INFINITY, 8.0, 0.6, 0.1]),
+        ],
+    );
+    let (rejected, found) = read(head.as_ref(), &[(&[1, 6, 8400], &output)]);
+    assert_eq!(rejected, 5);
+    assert_candidates(
+        &found,
+        &[
+            ([8.0, 16.0, 12.0, 24.0], 1, 0.9),
+            ([0.0, 0.0, 640.0, 640.0], 0, 0.5),
+        ],
+    );
+}
+
+#[test]
+fn end_to_end_reads_corners_score_and_class() {
+    let head = bound(
+        HeadName::EndToEnd,
+        &[1, 3, 32, 64],
+        &[("output0", &[1, 300, 6])],
+    );
+    let output = rows(
+        300,
+        &[
+            (0, [1.0, 2.0, 30.0, 20.0, 0.9, 79.0]),
+            (1, [1.0, 2.0, 30.0, 20.0, 0.8, 0.0]),
+            (2, [1.0, 2.0, 30.0, 20.0, 0.4, 0.0]),
+            (3, [30.0, 2.0, 1.0, 20.0, 0.9, 0.0]),
+            (4, [1.0, 2.0, 30.0, 20.0, 0.9, -1.0]),
+            (5, [1.0, 2.0, 30.0, 20.0, 0.9, 0.5]),
+            (6, [1.0, 2.0, 30.0, 20.0, 0.9, 1e9]),
+            (7, [1.0, 2.0, 30.0, 20.0, 0.9, f32::NAN]),
+            (8, [1.0, 2.0, 30.0, 20.0, f32::NAN, 0.0]),
+        ],
+    );
+    let (rejected, found) = read(head.as_ref(), &[(&[1, 300, 6], &output)]);
+    assert_eq!(rejected, 6);
+    let corners = [1.0, 2.0, 30.0, 20.0];
+    assert_candidates(&found, &[(corners, 79, 0.9), (corners, 0, 0.8)]);
+    assert!(!head.overlaps());
+}
+
+#[test]
+fn an_open_number_of_boxes_may_change_from_frame_to_frame() {
+    let head = bound(
+        HeadName::EndToEnd,
+        &[1, 3, 32, 64],
+        &[("output0", &[-1, -1, 6])],
+    );
+    for boxes in [0, 1, 7] {
+        let output = vec![0.0; boxes * 6];
+        let shape = [1, boxes as i64, 6];
+        assert_eq!(read(head.as_ref(), &[(&shape, &output)]), (0, vec![]));
+    }
+}
+
+#[test]
+fn detr_takes_pairs_of_query_and_class_by_sigmoid() {
+    let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 3, 4]), ("labels", &[1, 3, 2])];
+    let head = bound(HeadName::Detr, &[1, 3, 100, 200], &outputs);
+    let boxes = [0.5, 0.5, 0.5, 0.5, 0.25, 0.5, 0.5, 1.0, 0.1, 0.1, 0.1, 0.1];
+    // The first query has both classes, the last is too unsure.
+    let logits = [2.0, 0.5, -3.0, 1.0, -0.1, -5.0];
+    let (rejected, found) = read(
+        head.as_ref(),
+        &[(&[1, 3, 4], &boxes), (&[1, 3, 2], &logits)],
+    );
+    assert_eq!(rejected, 0);
+    let score = |logit: f32| 1.0 / (1.0 + (-logit).exp());
+    assert_candidates(
+        &found,
+        &[
+            ([50.0, 25.0, 150.0, 75.0], 0, score(2.0)),
+            ([0.0, 0.0, 100.0, 100.0], 1, score(1.0)),
+            ([50.0, 25.0, 150.0, 75.0], 1, score(0.5)),
+        ],
+    );
+    assert_eq!(head.input_format().fit, Fit::Stretch);
+    assert_eq!(head.input_format().value_range, ValueRange::ImageNet);
+}
+
+#[test]
+fn detr_keeps_as_many_pairs_as_there_are_queries_and_counts_queries_that_are_not_numbers() {
+    let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 2, 4]), ("labels", &[1, 2, 3])];
+    let head = bound(HeadName::Detr, &[1, 3, 64, 64], &outputs);
+    let whole = [0.5, 0.5, 1.0, 1.0];
+    let logits = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+    let boxes = [whole, whole].concat();
+    let shapes: [&[i64]; 2] = [&[1, 2, 4], &[1, 2, 3]];
+    let (_, found) = read(head.as_ref(), &[(shapes[0], &boxes), (shapes[1], &logits)]);
+    let classes: Vec<_> = found.iter().map(|found| found.class.0).collect();
+    assert_eq!(classes, [2, 1]);
+    let broken = [1.0, f32::NAN, 3.0, 4.0, 5.0, 6.0];
+    let (rejected, found) = read(head.as_ref(), &[(shapes[0], &boxes), (shapes[1], &broken)]);
+    assert_eq!((rejected, found.len()), (1, 2));
+    let boxes = [[0.5, 0.5, f32::NAN, 1.0], whole].concat();
+    let (rejected, found) = read(head.as_ref(), &[(shapes[0], &boxes), (shapes[1], &logits)]);
+    assert_eq!((rejected, found.len()), (1, 2));
+}
+
+#[test]
+fn fastestdet_decodes_its_cells_by_channel() {
+    let head = bound(
+        HeadName::FastestDet,
+        &[1, 3, 32, 64],
+        &[("758", &[1, 7, 2, 4])],
+    );
+    let output = columns(
+        8,
+        &[
+            // Column 2, row 1: the centre in its corner, a quarter and half of the picture large.
+            (6, [0.9, 0.0, 0.0, -3.0_f32.ln(), 0.0, 0.2, 0.8]),
+            (1, [0.2, 0.0, 0.0, 0.0, 0.0, 0.9, 0.1]),
+            (2, [0.9, 0.0, 0.0, 0.0, 0.0, 0.05, 0.1]),
+            (3, [f32::NAN, 0.0, 0.0, 0.0, 0.0, 0.9, 0.1]),
+            (4, [0.9, 0.0, 0.0, 0.0, 0.0, 0.9, f32::NAN]),
+        ],
+    );
+    let (rejected, found) = read(head.as_ref(), &[(&[1, 7, 2, 4], &output)]);
+    assert_eq!(rejected, 2);
+    let score = 0.9_f32.powf(0.6) * 0.8_f32.powf(0.4);
+    assert_candidates(&found, &[([24.0, 8.0, 40.0, 24.0], 1, score)]);
 }
 
 #[test]
 fn yolox_decodes_the_cells_of_all_three_strides() {
     let half = 0.5_f32;
-    let output = yolox_output(&[
-        // Stride 8, 8 columns: cell 11 is column 3, row 1.
-        (11, [half, 0.25, 2.0_f32.ln(), 0.0, 0.9, 0.1, 0.8]),
-        // Stride 16, 4 columns: cell 32 + 6 is column 2, row 1.
-        (38, [0.0, 0.0, 0.0, 0.0, 1.0, 0.7, 0.2]),
-        // Stride 32, 2 columns: cell 40 + 1 is column 1, row 0.
-        (41, [half, half, 0.0, half.ln(), 0.75, 1.0, 0.0]),
-    ]);
-    let (rejected, candidates) = read(&yolox(), &[1, 42, 7], &output);
+    let output = rows(
+        42,
+        &[
+            // Stride 8, 8 columns: cell 11 is column 3, row 1.
+            (11, [half, 0.25, 2.0_f32.ln(), 0.0, 0.9, 0.1, 0.8]),
+            // Stride 16, 4 columns: cell 32 + 6 is column 2, row 1.
+            (38, [0.0, 0.0, 0.0, 0.0, 1.0, 0.7, 0.2]),
+            // Stride 32, 2 columns: cell 40 + 1 is column 1, row 0.
+            (41, [half, half, 0.0, half.ln(), 0.75, 1.0, 0.0]),
+            // Objectness times score is too low; then objectness alone.
+            (0, [0.0, 0.0, 0.0, 0.0, 0.6, 0.6, 0.0]),
+            (1, [0.0, 0.0, 0.0, 0.0, 0.49, 1.0, 0.0]),
+        ],
+    );
+    let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
+    let (rejected, found) = read(head.as_ref(), &[(&[1, 42, 7], &output)]);
     assert_eq!(rejected, 0);
-    let expected = [
-        ([20.0, 6.0, 36.0, 14.0], 1, 0.72),
-        ([24.0, 8.0, 40.0, 24.0], 0, 0.7),
-        ([32.0, 8.0, 64.0, 24.0], 0, 0.75),
-    ];
-    assert_eq!(candidates.len(), expected.len());
-    for (found, (corners, class, confidence)) in candidates.iter().zip(expected) {
-        let Corners { x1, y1, x2, y2 } = found.corners;
-        for (found, expected) in [x1, y1, x2, y2].into_iter().zip(corners) {
-            assert!(
-                (found - expected).abs() < 1e-5,
-                "{found} instead of {expected}"
-            );
-        }
-        assert_eq!(found.class, ClassId(class));
-        assert!((found.confidence - confidence).abs() < 1e-6);
-    }
-}
-
-#[test]
-fn yolox_multiplies_objectness_and_class_score() {
-    let output = yolox_output(&[
-        (0, [0.0, 0.0, 0.0, 0.0, 0.6, 0.6, 0.0]),
-        (1, [0.0, 0.0, 0.0, 0.0, 0.49, 1.0, 0.0]),
-    ]);
-    assert_eq!(read(&yolox(), &[1, 42, 7], &output), (0, vec![]));
+    assert_candidates(
+        &found,
+        &[
+            ([20.0, 6.0, 36.0, 14.0], 1, 0.72),
+            ([24.0, 8.0, 40.0, 24.0], 0, 0.7),
+            ([32.0, 8.0, 64.0, 24.0], 0, 0.75),
+        ],
+    );
 }
 
 #[test]
@@ -100,174 +292,350 @@ fn yolox_rejects_and_counts_what_is_not_a_number_or_not_possible() {
         row[index] = value;
         row
     };
-    let output = yolox_output(&[
-        (0, with(0, f32::NAN)),
-        (1, with(1, f32::INFINITY)),
-        (2, with(2, 1e4)),
-        (3, with(3, f32::NEG_INFINITY)),
-        (4, with(4, f32::NAN)),
-        (5, with(4, 7.0)),
-        (6, with(5, f32::NAN)),
-        (7, with(6, -0.5)),
-        (8, good),
-    ]);
-    let (rejected, candidates) = read(&yolox(), &[1, 42, 7], &output);
-    assert_eq!(rejected, 8);
-    assert_eq!(candidates.len(), 1);
+    let output = rows(
+        42,
+        &[
+            (0, with(0, f32::NAN)),
+            (1, with(1, f32::INFINITY)),
+            (2, with(2, 1e4)),
+            (3, with(3, f32::NEG_INFINITY)),
+            (4, with(4, f32::NAN)),
+            (5, with(4, 7.0)),
+            (6, with(5, f32::NAN)),
+            (7, with(6, -0.5)),
+            (8, good),
+        ],
+    );
+    let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
+    let (rejected, found) = read(head.as_ref(), &[(&[1, 42, 7], &output)]);
+    assert_eq!((rejected, found.len()), (8, 1));
 }
 
 #[test]
 fn the_demonstration_head_reads_corners_and_the_best_class() {
-    let mut output = vec![0.0; 33];
-    output[..11].copy_from_slice(&[10.0, 20.0, 110.0, 80.0, 0.1, 0.0, 0.8, 0.3, 0.0, 0.0, 0.0]);
-    output[11..22].copy_from_slice(&[0.0, 0.0, 5.0, 5.0, 0.49, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    output[22..].copy_from_slice(&[9.0, 9.0, 8.0, 20.0, 0.9, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
-    let (rejected, candidates) = read(&demonstration(), &[1, 3, 11], &output);
-    // The last is inside out.
-    assert_eq!(rejected, 1);
-    let expected = Candidate {
-        corners: Corners {
-            x1: 10.0,
-            y1: 20.0,
-            x2: 110.0,
-            y2: 80.0,
-        },
-        class: ClassId(2),
-        confidence: 0.8,
-    };
-    assert_eq!(candidates, [expected]);
-}
-
-#[test]
-fn the_demonstration_head_rejects_and_counts_what_is_not_a_number() {
-    let (rejected, candidates) = read(&demonstration(), &[1, 3, 11], &[f32::NAN; 33]);
-    assert_eq!((rejected, candidates.len()), (3, 0));
-}
-
-#[test]
-fn an_output_of_another_shape_than_announced_is_an_error() {
-    let mut candidates = Vec::new();
-    let values = vec![0.0; 43 * 7];
-    for (shape, length) in [
-        (&[1, 43, 7][..], 43 * 7),
-        (&[42, 7], 42 * 7),
-        (&[1, 42, 7], 41 * 7),
-    ] {
-        let view = TensorView {
-            shape,
-            values: &values[..length],
-        };
-        let error = yolox().read(&[view], 0.5, &mut candidates).unwrap_err();
-        assert!(error.contains("[1, 42, 7]"), "{error}");
-    }
-    assert!(yolox().read(&[], 0.5, &mut candidates).is_err());
-    assert!(candidates.is_empty());
-}
-
-#[test]
-fn the_input_size_is_the_models() {
-    assert_eq!(yolox().input_format().size, PictureSize::new(64, 32));
-    assert_eq!(
-        demonstration().input_format().size,
-        PictureSize::new(320, 192)
+    let head = bound(
+        HeadName::Demonstration,
+        &[1, 3, 192, 320],
+        &[("detections", &[1, 4, 7])],
     );
+    let output = rows(
+        4,
+        &[
+            (0, [10.0, 20.0, 110.0, 80.0, 0.1, 0.0, 0.8]),
+            (1, [0.0, 0.0, 5.0, 5.0, 0.49, 0.0, 0.0]),
+            (2, [9.0, 9.0, 8.0, 20.0, 0.9, 0.0, 0.0]),
+            (3, [f32::NAN; 7]),
+        ],
+    );
+    let (rejected, found) = read(head.as_ref(), &[(&[1, 4, 7], &output)]);
+    assert_eq!(rejected, 2);
+    assert_candidates(&found, &[([10.0, 20.0, 110.0, 80.0], 2, 0.8)]);
+}
+
+#[test]
+fn an_output_of_another_shape_than_announced_is_an_error_for_every_head() {
+    for (head, shapes) in heads() {
+        let lengths: Vec<_> = shapes
+            .iter()
+            .map(|shape| shape.iter().product::<i64>() as usize)
+            .collect();
+        let attempt = |shapes: &[Vec<i64>], lengths: &[usize]| {
+            let tensors: Vec<_> = lengths.iter().map(|&length| vec![0.0; length]).collect();
+            let views: Vec<_> = shapes
+                .iter()
+                .zip(&tensors)
+                .map(|(shape, values)| TensorView { shape, values })
+                .collect();
+            head.read(&views, 0.5, &mut Vec::new())
+        };
+        assert!(attempt(&shapes, &lengths).is_ok(), "{head:?}");
+        assert!(attempt(&[], &[]).is_err(), "{head:?}");
+        for place in 0..shapes[0].len() {
+            let mut other = shapes.clone();
+            other[0][place] += 1;
+            let length = other[0].iter().product::<i64>() as usize;
+            let mut longer = lengths.clone();
+            longer[0] = length;
+            let error = attempt(&other, &longer).unwrap_err();
+            assert!(error.contains("instead of ["), "{head:?}: {error}");
+            // Elements and shape that contradict each other, and shapes that cannot be.
+            assert!(attempt(&other, &lengths).is_err(), "{head:?}");
+            other[0][place] = -1;
+            assert!(attempt(&other, &lengths).is_err(), "{head:?}");
+            other[0][place] = i64::MAX;
+            assert!(attempt(&other, &lengths).is_err(), "{head:?}");
+        }
+    }
+}
+
+#[test]
+fn bytes_and_colours_last_are_asked_for_as_the_model_takes_them() {
+    let mut model = signature(&[1, 320, 640, 3], &[("output0", &[1, 84, 4200])]);
+    model.inputs[0].element = ElementType::Uint8;
+    let input = model.picture_input(None).unwrap();
+    let format = bind(HeadName::Yolo, &model, input).unwrap().input_format();
+    assert_eq!(format.size, PictureSize::new(640, 320));
+    assert_eq!(format.layout, TensorLayout::Nhwc);
+    assert_eq!(format.value_range, ValueRange::To255);
+    assert_eq!(format.shape(), [1, 320, 640, 3]);
+    assert_eq!(format.color_order, ColorOrder::Rgb);
+}
+
+#[test]
+fn an_open_input_takes_its_size_from_the_configuration_or_the_metadata() {
+    let open = signature(&[-1, 3, -1, -1], &[("output0", &[-1, 84, -1])]);
+    let wanted = Some(PictureSize::new(320, 256));
+    assert_eq!(open.picture_input(wanted).unwrap().size, wanted.unwrap());
+    let error = open.picture_input(None).unwrap_err();
+    assert!(error.contains("detector.input_size"), "{error}");
+    let told = with_metadata(open, &[("imgsz", "[384, 640]")]);
+    let size = told.picture_input(None).unwrap().size;
+    assert_eq!(size, PictureSize::new(640, 384));
+    assert_eq!(told.picture_input(wanted).unwrap().size, wanted.unwrap());
+    let fixed = signature(&[1, 3, 640, 640], &[("output0", &[1, 84, 8400])]);
+    let error = fixed.picture_input(wanted).unwrap_err();
+    assert!(
+        error.contains("640x640") && error.contains("320x256"),
+        "{error}"
+    );
+}
+
+#[test]
+fn an_input_that_is_no_picture_is_refused_with_what_is_wrong() {
+    for (shape, reason) in [
+        (&[4, 3, 64, 64][..], "4 pictures"),
+        (&[1, 416], "neither"),
+        (&[1, 4, 64, 64], "neither"),
+        (&[1, 3, 9000, 64], "8192"),
+        (&[1, 3, 0, 64], "8192"),
+        (&[1, 3, 8000, 8000], "4096x4096"),
+    ] {
+        let error = signature(shape, &[]).picture_input(None).unwrap_err();
+        assert!(error.contains(reason), "{error}");
+    }
+    let mut other = signature(&[1, 3, 64, 64], &[]);
+    other.inputs[0].element = ElementType::Other("int64".to_owned());
+    assert!(other.picture_input(None).unwrap_err().contains("int64"));
+    other.inputs.clear();
+    assert!(other.picture_input(None).unwrap_err().contains("0 inputs"));
 }
 
 #[test]
 fn a_model_that_does_not_fit_is_refused_with_the_first_difference() {
-    use HeadName::{Demonstration, Yolox};
+    use HeadName::{Demonstration, Detr, EndToEnd, FastestDet, Yolo, Yolox};
     let input = [1, 3, 416, 416];
-    for (name, signature, classes, reason) in [
-        (Yolox, signature(&input, &[1, 3549, 84]), 80, "79 classes"),
-        (
-            Yolox,
-            signature(&input, &[1, 84, 8400]),
-            80,
-            "another shape",
-        ),
-        (
-            Yolox,
-            signature(&[1, 3, 400, 416], &[1, 1, 85]),
-            80,
-            "multiple of 32",
-        ),
-        (
-            Yolox,
-            signature(&[1, 3, -1, -1], &[1, 3549, 85]),
-            80,
-            "open",
-        ),
-        (
-            Yolox,
-            signature(&[1, 416, 416, 3], &[1, 3549, 85]),
-            80,
-            "NHWC",
-        ),
-        (
-            Yolox,
-            signature(&[1, 416], &[1, 3549, 85]),
-            80,
-            "[1, 3, rows, columns]",
-        ),
-        (
-            Yolox,
-            signature(&[1, 3, 9000, 9000], &[1, 3549, 85]),
-            80,
-            "8192",
-        ),
-        (
-            Demonstration,
-            signature(&input, &[1, 1000, 12]),
-            7,
-            "8 classes",
-        ),
-        (
-            Demonstration,
-            signature(&input, &[1, 2]),
-            7,
-            "another shape",
-        ),
-        (
-            Demonstration,
-            signature(&input, &[1, 0, 11]),
-            7,
-            "another shape",
-        ),
-        (
-            Demonstration,
-            signature(&input, &[1, -1, 11]),
-            7,
-            "another shape",
-        ),
+    for (name, output, reason) in [
+        (Yolox, &[1, 84, 8400][..], "[1, 3549, 5 + classes]"),
+        (Yolox, &[1, 3549, 5], "another shape"),
+        (Demonstration, &[1, 2], "another shape"),
+        (Demonstration, &[1, 0, 11], "another shape"),
+        (Demonstration, &[1, -1, 11], "another shape"),
+        (Yolo, &[1, 4, 3549], "another shape"),
+        (Yolo, &[2, 84, 3549], "another shape"),
+        (EndToEnd, &[1, 300, 7], "another shape"),
+        (FastestDet, &[1, 85, 22, 22], "26, 26"),
+        (Detr, &[1, 300, 4], "no such outputs"),
     ] {
-        let misfit = Head::bind(name, &signature, classes).unwrap_err();
+        let signature = signature(&input, &[("output", output)]);
+        let picture = signature.picture_input(None).unwrap();
+        let misfit = bind(name, &signature, picture).unwrap_err();
         assert!(misfit.reason.contains(reason), "{misfit:?}");
-        assert!(misfit.expected.contains("float32"), "{misfit:?}");
+        assert!(misfit.expected.contains("[1, "), "{misfit:?}");
     }
 }
 
 #[test]
-fn more_than_one_output_or_another_element_type_is_refused() {
-    let mut two = signature(&[1, 3, 64, 64], &[1, 5, 11]);
-    two.outputs.push(spec("more", &[1]));
-    let reason = Head::bind(HeadName::Demonstration, &two, 7)
-        .unwrap_err()
-        .reason;
+fn more_outputs_or_another_element_type_are_refused() {
+    let mut two = signature(&[1, 3, 64, 64], &[("a", &[1, 6, 84]), ("b", &[1])]);
+    let input = two.picture_input(None).unwrap();
+    let reason = bind(HeadName::Yolo, &two, input).unwrap_err().reason;
     assert!(reason.contains("2 outputs"), "{reason}");
-    let mut half = signature(&[1, 3, 64, 64], &[1, 5, 11]);
-    half.inputs[0].is_float32 = false;
-    half.inputs[0].element_type = "float16".to_owned();
-    let reason = Head::bind(HeadName::Demonstration, &half, 7)
-        .unwrap_err()
-        .reason;
-    assert!(reason.contains("float16"), "{reason}");
+    two.outputs.pop();
+    two.outputs[0].element = ElementType::Other("int8".to_owned());
+    let reason = bind(HeadName::Yolo, &two, input).unwrap_err().reason;
+    assert!(reason.contains("int8"), "{reason}");
+    two.outputs[0].element = ElementType::Float16;
+    assert!(bind(HeadName::Yolo, &two, input).is_ok());
+}
+
+fn recognised(signature: &Signature) -> Result<HeadName, Unrecognised> {
+    recognise(signature, signature.picture_input(None).unwrap())
+}
+
+#[test]
+fn models_are_recognised_by_what_their_exporters_write() {
+    let names = ("names", "{0: 'car'}");
+    let ultralytics = [
+        ("author", "Ultralytics"),
+        ("task", "detect"),
+        ("head", "Detect"),
+        ("stride", "32"),
+        names,
+    ];
+    let square = [1, 3, 640, 640];
+    let model = |outputs: &[(&str, &[i64])], entries: &[(&str, &str)]| {
+        with_metadata(signature(&square, outputs), entries)
+    };
+    let end = [&ultralytics[..], &[("end2end", "True")]].concat();
+    let nms = [&ultralytics[..], &[("args", "{'nms': True}")]].concat();
+    let one: &[(&str, &[i64])] = &[("output0", &[1, 5, 8400])];
+    let boxes: &[(&str, &[i64])] = &[("output0", &[1, 300, 6])];
+    for (signature, expected) in [
+        (model(one, &ultralytics), HeadName::Yolo),
+        (model(boxes, &end), HeadName::EndToEnd),
+        (model(boxes, &nms), HeadName::EndToEnd),
+        (
+            model(&[("o", &[1, 9, 5])], &[("head", "demonstration")]),
+            HeadName::Demonstration,
+        ),
+        (model(boxes, &[]), HeadName::EndToEnd),
+        (model(&[("output0", &[1, 84, 8400])], &[]), HeadName::Yolo),
+        // With a coarser fourth stride, and one that leaves its anchors open.
+        (model(&[("output0", &[1, 84, 8500])], &[]), HeadName::Yolo),
+        (model(&[("output0", &[-1, 84, -1])], &[]), HeadName::Yolo),
+        (model(&[("output", &[1, 8400, 85])], &[]), HeadName::Yolox),
+        (
+            model(&[("758", &[1, 85, 40, 40])], &[]),
+            HeadName::FastestDet,
+        ),
+        (
+            model(&[("dets", &[1, 300, 4]), ("labels", &[1, 300, 91])], &[]),
+            HeadName::Detr,
+        ),
+        (
+            model(
+                &[
+                    ("dets", &[1, 300, 4]),
+                    ("labels", &[1, 300, 91]),
+                    ("masks", &[1, 300, 9, 9]),
+                ],
+                &[],
+            ),
+            HeadName::Detr,
+        ),
+    ] {
+        assert_eq!(recognised(&signature), Ok(expected), "{signature}");
+    }
+}
+
+#[test]
+fn an_unknown_or_ambiguous_model_is_refused_with_all_that_was_looked_for() {
+    let square = [1, 3, 64, 64];
+    let task = |task| {
+        with_metadata(
+            signature(&square, &[("output0", &[1, 6, 84])]),
+            &[("author", "Ultralytics"), ("task", task)],
+        )
+    };
+    for (signature, reason) in [
+        (
+            signature(&square, &[("logits", &[1, 1000])]),
+            "none of them",
+        ),
+        // YOLOv5: three boxes a cell.
+        (
+            signature(&[1, 3, 640, 640], &[("output0", &[1, 25200, 85])]),
+            "none of them",
+        ),
+        // A transformer of unknown scores and colours.
+        (
+            signature(
+                &square,
+                &[("logits", &[1, 300, 80]), ("pred_boxes", &[1, 300, 4])],
+            ),
+            "none of them",
+        ),
+        // One class of YOLOX, or 84 finished boxes.
+        (
+            signature(&square, &[("output", &[1, 84, 6])]),
+            "each of end-to-end, yolox",
+        ),
+        (task("segment"), "`segment`"),
+        // Metadata and shape contradict each other.
+        (
+            with_metadata(
+                task("detect"),
+                &[("author", "Ultralytics"), ("end2end", "True")],
+            ),
+            "`end-to-end`",
+        ),
+    ] {
+        let refusal = recognised(&signature).unwrap_err();
+        assert!(refusal.reason.contains(reason), "{refusal:?}");
+        assert_eq!(refusal.looked_for.len(), HeadName::RECOGNISED.len());
+        for (head, line) in HeadName::RECOGNISED.iter().zip(&refusal.looked_for) {
+            assert!(line.starts_with(head.as_str()), "{line}");
+        }
+    }
 }
 
 #[test]
 fn a_signature_reads_like_a_sentence() {
-    let text = signature(&[1, 3, 416, -1], &[1, 3549, 85]).to_string();
+    let text = signature(&[1, 3, 416, -1], &[("output", &[1, 3549, 85])]).to_string();
     assert_eq!(
         text,
         "input `images` float32 [1, 3, 416, ?] and output `output` float32 [1, 3549, 85]"
     );
+}
+
+fn any_number() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        6 => 0.0_f32..1.0,
+        2 => -10.0_f32..70.0,
+        1 => any::<f32>(),
+        1 => Just(f32::NAN),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn whatever_a_model_gives_candidates_are_possible_and_nothing_ends_the_program(
+        numbers in prop::collection::vec(any_number(), 42 * 7),
+        confidence in 0.0_f64..=1.0,
+    ) {
+        for (head, shapes) in heads() {
+            let mut candidates = Vec::new();
+            let views: Vec<_> = shapes
+                .iter()
+                .map(|shape| TensorView {
+                    shape,
+                    values: &numbers[..shape.iter().product::<i64>() as usize],
+                })
+                .collect();
+            let rejected = head.read(&views, confidence, &mut candidates).unwrap();
+            let rows = if head.name() == HeadName::Detr { 8 } else { 42 };
+            prop_assert!(rejected as usize + candidates.len() <= rows);
+            for Candidate { corners, confidence: score, class } in candidates {
+                let Corners { x1, y1, x2, y2 } = corners;
+                prop_assert!(x1 < x2 && y1 < y2);
+                prop_assert!([x1, y1, x2, y2].iter().all(|side| side.is_finite()));
+                prop_assert!((0.0..=1.0).contains(&score));
+                prop_assert!(f64::from(score) >= confidence - 1e-6, "{score} {confidence}");
+                let known = head.classes().is_none_or(|classes| usize::from(class.0) < classes);
+                prop_assert!(known);
+            }
+        }
+    }
+
+    #[test]
+    fn a_higher_confidence_gives_a_part_of_what_a_lower_one_gives(
+        numbers in prop::collection::vec(0.0_f32..1.0, 42 * 7),
+        low in 0.0_f64..=1.0,
+        high in 0.0_f64..=1.0,
+    ) {
+        let (low, high) = (low.min(high), low.max(high));
+        for (head, shapes) in heads() {
+            let views: Vec<_> = shapes
+                .iter()
+                .map(|shape| TensorView {
+                    shape,
+                    values: &numbers[..shape.iter().product::<i64>() as usize],
+                })
+                .collect();
+            let (mut many, mut few) = (Vec::new(), Vec::new());
+            head.read(&views, low, &mut many).unwrap();
+            head.read(&views, high, &mut few).unwrap();
+            prop_assert!(few.iter().all(|one| many.contains(one)));
+        }
+    }
 }

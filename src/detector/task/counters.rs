@@ -1,10 +1,11 @@
 //! What the task counts.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// The numbers as they are kept.
 #[derive(Debug, Default)]
-pub(super) struct Counters {
+pub struct Counters {
     pub(super) completed: AtomicU64,
     pub(super) bad_pictures: AtomicU64,
     pub(super) timed_out: AtomicU64,
@@ -40,6 +41,17 @@ pub struct TaskCounters {
     pub rebuilds_failed: u64,
     /// Threads that still hang in a run that was given up: a number that goes down again.
     pub abandoned: u64,
+}
+
+/// A task's counters for whoever shows them: does not keep the task running.
+#[derive(Clone, Debug)]
+pub struct TaskMeter(pub(super) Arc<Counters>);
+
+impl TaskMeter {
+    /// What the task has counted since it started.
+    pub fn read(&self) -> TaskCounters {
+        self.0.snapshot()
+    }
 }
 
 impl Counters {

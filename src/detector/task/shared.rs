@@ -69,7 +69,7 @@ pub(super) struct Shared<T> {
     work: Condvar,
     /// Wakes the supervisor: a run has started.
     pub(super) run_started: Notify,
-    pub(super) counters: Counters,
+    pub(super) counters: Arc<Counters>,
     pub(super) status: watch::Sender<DetectorStatus>,
 }
 
@@ -86,7 +86,7 @@ impl<T> Shared<T> {
             }),
             work: Condvar::new(),
             run_started: Notify::new(),
-            counters: Counters::default(),
+            counters: Arc::default(),
             status: watch::Sender::new(DetectorStatus::Starting),
         }
     }

@@ -104,7 +104,7 @@ fn row(comparison: &Comparison, run: &Run) -> [String; 26] {
             .get(run.variant)
             .cloned()
             .unwrap_or_default(),
-        number(report.u),
+        number(report.knob.map(|knob| knob.value)),
         report.frames.to_string(),
         figure(Figure::Dropped),
         report.duration_s.to_string(),

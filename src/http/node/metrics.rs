@@ -1,6 +1,7 @@
 //! Metrics for Prometheus, in OpenMetrics text or in the older text format (0.0.4), as the reader asks.
 
 use super::Shared;
+use super::detector_metrics::detector;
 use super::health::provider;
 use super::plain_metrics::to_plain;
 use crate::detector::DetectorStatus;
@@ -40,13 +41,13 @@ impl Metrics {
 #[derive(Debug)]
 struct BoardCollector(Arc<Board>);
 
-type Labels<'a> = Vec<(&'static str, &'a str)>;
+pub(super) type Labels<'a> = Vec<(&'static str, &'a str)>;
 
 /// Writes one family of metrics: its description, then a sample for each set of labels.
-struct Family<'a>(MetricEncoder<'a>);
+pub(super) struct Family<'a>(MetricEncoder<'a>);
 
 impl Family<'_> {
-    fn counter(&mut self, labels: Labels<'_>, value: f64) -> fmt::Result {
+    pub(super) fn counter(&mut self, labels: Labels<'_>, value: f64) -> fmt::Result {
         self.0
             .encode_family(&labels)?
             .encode_counter::<NoLabelSet, _, u64>(&value, None)
@@ -66,7 +67,7 @@ impl Family<'_> {
     }
 }
 
-fn family(
+pub(super) fn family(
     encoder: &mut DescriptorEncoder<'_>,
     name: &str,
     help: &str,
@@ -96,6 +97,7 @@ impl Collector for BoardCollector {
             .map(|camera| (&**camera, camera.snapshot()))
             .collect();
         self.node(&mut encoder)?;
+        detector(&mut encoder, &self.0.detector_counters())?;
         frames(&mut encoder, &cameras)?;
         threshold(&mut encoder, &cameras)?;
         latency(&mut encoder, &cameras)?;

@@ -2,6 +2,7 @@
 
 mod cameras;
 mod clips;
+mod detector_metrics;
 mod events;
 mod health;
 mod metrics;

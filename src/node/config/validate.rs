@@ -1,6 +1,7 @@
 //! What a configuration's values must keep to beyond their types.
 
 use super::{CameraConfig, HttpConfig, NodeConfig, Problem};
+use crate::detector::ClassNames;
 use crate::policy::Knob;
 use crate::wire;
 use std::collections::HashSet;
@@ -21,17 +22,8 @@ impl Findings {
         self.0.push(Problem::new(key, reason));
     }
 
-    fn between(&mut self, key: &str, value: f64, low: f64, high: f64) {
-        // Written so that NaN is refused.
-        if !(value >= low && value <= high) {
-            self.add(
-                key,
-                format!("must be a number from {low} to {high}, not {value}"),
-            );
-        }
-    }
-
     fn above_zero(&mut self, key: &str, value: f64, high: f64) {
+        // Written so that NaN is refused.
         if !(value > 0.0 && value <= high) {
             self.add(
                 key,
@@ -120,36 +112,17 @@ impl NodeConfig {
     fn check_models(&self, findings: &mut Findings) {
         let detector = &self.detector;
         findings.path("detector.model", Some(&detector.model));
-        findings.path("detector.class_names", detector.class_names.as_deref());
+        if let Some(ClassNames::File(names)) = &detector.class_names {
+            findings.path("detector.class_names", Some(names));
+        }
         findings.path("detector.onnxruntime", detector.onnxruntime.as_deref());
-        findings.between("detector.confidence", detector.confidence, 0.0, 1.0);
-        findings.between(
-            "detector.suppression_overlap",
-            detector.suppression_overlap,
-            0.0,
-            1.0,
-        );
-        if detector.providers.is_empty() {
-            findings.add(
-                "detector.providers",
-                "is empty; `[\"cpu\"]` runs everywhere",
-            );
+        for (key, reason) in detector.problems() {
+            findings.add(format!("detector.{key}"), reason);
         }
-        let mut seen = HashSet::new();
-        for provider in &detector.providers {
-            if !seen.insert(provider) {
-                findings.add(
-                    "detector.providers",
-                    format!("`{}` is there twice", provider.as_str()),
-                );
-            }
-        }
-        findings.count("detector.threads", detector.threads as u64, 0, 1024);
-        findings.count("detector.timeout_ms", detector.timeout_ms, 1, DAY_MS);
-        findings.count("detector.queue", detector.queue as u64, 1, 4096);
         findings.path("screen.model", self.screen.model.as_deref());
-        findings.count("screen.empty_class", self.screen.empty_class as u64, 0, 1);
-        findings.count("screen.timeout_ms", self.screen.timeout_ms, 1, DAY_MS);
+        for (key, reason) in self.screen.problems() {
+            findings.add(format!("screen.{key}"), reason);
+        }
     }
 
     fn check_figures(&self, findings: &mut Findings) {

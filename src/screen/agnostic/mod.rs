@@ -41,17 +41,18 @@ impl Default for AgnosticSettings {
 }
 
 impl AgnosticSettings {
-    /// The first number that cannot be used: its key and what is allowed.
-    pub fn problem(&self) -> Option<(&'static str, String)> {
-        let within = |key, value: f64, least: f64, most: f64| {
-            let right = (least..=most).contains(&value);
-            (!right).then(|| {
-                let reason = format!("it is {value}, and must be a number from {least} to {most}");
-                (key, reason)
-            })
-        };
-        within("false_empty", self.false_empty, 0.001, 0.5)
-            .or_else(|| within("audit", self.audit, 0.01, 1.0))
+    /// Everything that cannot be used: the key within `[screen]`, and what its value should be.
+    pub fn problems(&self) -> Vec<(&'static str, String)> {
+        [
+            ("agnostic.false_empty", self.false_empty, 0.001, 0.5),
+            ("agnostic.audit", self.audit, 0.01, 1.0),
+        ]
+        .into_iter()
+        .filter(|(_, value, least, most)| !(least..=most).contains(&value))
+        .map(|(key, value, least, most)| {
+            (key, format!("must be from {least} to {most}, not {value}"))
+        })
+        .collect()
     }
 }
 
@@ -229,10 +230,10 @@ mod tests {
     #[test]
     fn settings_out_of_range_are_named() {
         let mut settings = AgnosticSettings::default();
-        assert_eq!(settings.problem(), None);
+        assert_eq!(settings.problems(), []);
         settings.audit = 0.0;
-        assert_eq!(settings.problem().unwrap().0, "audit");
         settings.false_empty = f64::NAN;
-        assert_eq!(settings.problem().unwrap().0, "false_empty");
+        let keys: Vec<_> = settings.problems().iter().map(|(key, _)| *key).collect();
+        assert_eq!(keys, ["agnostic.false_empty", "agnostic.audit"]);
     }
 }

@@ -1,0 +1,238 @@
+//! `albireo detect`: says what a detector is, and runs it on pictures.
+
+use super::synth::parse_size;
+use crate::detector::{
+    CameraSlot, ClassNames, DetectorConfig, ExecutionProvider, Found, HeadName, Model, Network,
+};
+use crate::footage::{FrameSource, PictureFolder};
+use crate::frame::{FrameLimits, Picture, PixelLayout, decode};
+use crate::geometry::PictureSize;
+use anyhow::Context;
+use serde::Serialize;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+const EXAMPLES: &str = "\
+Examples:
+  albireo detect yolo26n.onnx                       say how the model is read
+  albireo detect yolo26n.onnx frame.jpg             and what it finds
+  albireo detect yolo26n.onnx pictures/ --json      one JSON object a picture";
+
+/// Arguments of `albireo detect`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// The ONNX file.
+    model: PathBuf,
+    /// Pictures, or folders of pictures.
+    pictures: Vec<PathBuf>,
+    /// How the model's output is read.
+    #[arg(long, value_enum, default_value_t = HeadName::Auto)]
+    head: HeadName,
+    /// Names of its classes, one a line [default: those of its metadata, or the head's own list]
+    #[arg(long, value_name = "FILE")]
+    class_names: Option<PathBuf>,
+    /// Report all classes of the model under their own names and numbers, not only those of BDD100K.
+    #[arg(long)]
+    all_classes: bool,
+    /// Columns x rows of the input, where the model leaves them open.
+    #[arg(long, value_parser = parse_size)]
+    input_size: Option<PictureSize>,
+    /// Detections below this confidence are dropped.
+    #[arg(long, default_value_t = 0.5)]
+    confidence: f64,
+    /// A box that overlaps a better one of its class by more than this is dropped.
+    #[arg(long, default_value_t = 0.45)]
+    overlap: f64,
+    /// The most detections of a picture.
+    #[arg(long, default_value_t = 300)]
+    most: usize,
+    /// What runs it.
+    #[arg(long, value_enum, default_value_t = ExecutionProvider::Cpu)]
+    provider: ExecutionProvider,
+    /// Write one JSON object a line: first the model, then each picture.
+    #[arg(long)]
+    json: bool,
+    /// Write what the model is given into this folder: for each picture a file PICTURE.f32 with the input
+    /// tensor, float32, little-endian.
+    #[arg(long, value_name = "FOLDER")]
+    write_input: Option<PathBuf>,
+}
+
+/// What is told of the model.
+#[derive(Serialize)]
+struct ModelFacts<'a> {
+    model: &'a Path,
+    head: &'a str,
+    input: [i64; 4],
+    classes: &'a [String],
+}
+
+/// What is told of a picture.
+#[derive(Serialize)]
+struct PictureFacts<'a> {
+    picture: &'a Path,
+    width: u32,
+    height: u32,
+    decode_ms: f64,
+    letterbox_ms: f64,
+    model_ms: f64,
+    head_ms: f64,
+    detections: Vec<Detected<'a>>,
+}
+
+/// A detection, in pixels of the picture.
+#[derive(Serialize)]
+struct Detected<'a> {
+    class: u16,
+    class_name: &'a str,
+    confidence: f64,
+    x1: f64,
+    y1: f64,
+    x2: f64,
+    y2: f64,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let mut network = Network::open(&configuration(arguments))?;
+    let names = network.class_names().to_vec();
+    let facts = ModelFacts {
+        model: &arguments.model,
+        head: network.head().as_str(),
+        input: network.input_format().shape(),
+        classes: &names,
+    };
+    if arguments.json {
+        println!("{}", serde_json::to_string(&facts)?);
+    } else {
+        println!("{}: {}", arguments.model.display(), network.signature());
+        println!(
+            "head {}, fed {:?} ({:?}, {:?}, {:?}), reports {} classes: {}",
+            facts.head,
+            facts.input,
+            network.input_format().fit,
+            network.input_format().color_order,
+            network.input_format().value_range,
+            names.len(),
+            names.join(", ")
+        );
+    }
+    for path in &arguments.pictures {
+        let mut folder = PictureFolder::open(path, PictureFolder::RATE)?;
+        for file in folder.files().to_vec() {
+            let Some(encoded) = folder.next()? else { break };
+            let started = Instant::now();
+            let mut picture = Picture::default();
+            decode(
+                &encoded,
+                &FrameLimits::default(),
+                PixelLayout::Rgb8,
+                Some(network.input_format().size),
+                &mut picture,
+            )
+            .with_context(|| file.display().to_string())?;
+            let decode_ms = started.elapsed().as_secs_f64() * 1e3;
+            let found = network
+                .run(CameraSlot(0), &picture)
+                .with_context(|| file.display().to_string())?;
+            tell(arguments.json, &file, &picture, decode_ms, &found, &names)?;
+            if let Some(folder) = &arguments.write_input {
+                write_input(folder, &file, network.input())?;
+            }
+        }
+    }
+    let counts = network.counts();
+    if counts != Default::default() {
+        eprintln!("albireo: not reported: {counts:?}");
+    }
+    Ok(())
+}
+
+fn configuration(arguments: &Arguments) -> DetectorConfig {
+    DetectorConfig {
+        model: arguments.model.clone(),
+        head: arguments.head,
+        input_size: arguments.input_size.map(|size| [size.width, size.height]),
+        class_names: arguments.class_names.clone().map(ClassNames::File),
+        report_classes: arguments.all_classes.then(Vec::new),
+        confidence: arguments.confidence,
+        suppression_overlap: arguments.overlap,
+        most_detections: arguments.most,
+        providers: vec![arguments.provider],
+        ..DetectorConfig::default()
+    }
+}
+
+fn tell(
+    json: bool,
+    file: &Path,
+    picture: &Picture,
+    decode_ms: f64,
+    found: &Found,
+    names: &[String],
+) -> anyhow::Result<()> {
+    let size = picture.source_size;
+    let detections = found
+        .detections
+        .iter()
+        .map(|detection| {
+            let corners = detection.bounding_box.pixel_corners(size);
+            Detected {
+                class: detection.class.0,
+                class_name: names
+                    .get(usize::from(detection.class.0))
+                    .map_or("", String::as_str),
+                confidence: detection.confidence,
+                x1: corners.x1,
+                y1: corners.y1,
+                x2: corners.x2,
+                y2: corners.y2,
+            }
+        })
+        .collect();
+    let facts = PictureFacts {
+        picture: file,
+        width: size.width,
+        height: size.height,
+        decode_ms,
+        letterbox_ms: found.letterbox.as_secs_f64() * 1e3,
+        model_ms: found.model.as_secs_f64() * 1e3,
+        head_ms: found.head.as_secs_f64() * 1e3,
+        detections,
+    };
+    let mut out = std::io::stdout().lock();
+    if json {
+        writeln!(out, "{}", serde_json::to_string(&facts)?)?;
+        return Ok(());
+    }
+    writeln!(
+        out,
+        "{} {size}: {} detections (decode {decode_ms:.1} ms, letterbox {:.1} ms, model {:.1} ms, head {:.1} ms)",
+        file.display(),
+        facts.detections.len(),
+        facts.letterbox_ms,
+        facts.model_ms,
+        facts.head_ms,
+    )?;
+    for found in &facts.detections {
+        writeln!(
+            out,
+            "  {:<14} {:.3}  [{:.1}, {:.1}, {:.1}, {:.1}]",
+            found.class_name, found.confidence, found.x1, found.y1, found.x2, found.y2
+        )?;
+    }
+    Ok(())
+}
+
+fn write_input(folder: &Path, picture: &Path, values: &[f32]) -> anyhow::Result<()> {
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    let mut name = picture.file_name().unwrap_or_default().to_owned();
+    name.push(".f32");
+    let file = folder.join(name);
+    let bytes: Vec<u8> = values
+        .iter()
+        .flat_map(|value| value.to_le_bytes())
+        .collect();
+    std::fs::write(&file, bytes).with_context(|| file.display().to_string())
+}

@@ -1,0 +1,124 @@
+//! Which head a model needs: from its metadata when an exporter has said it, else from names and shapes.
+
+use super::detr::Detr;
+use super::reading::{STRIDES, can_be, cells};
+use super::{Misfit, bind};
+use crate::detector::{HeadName, PictureInput, Signature};
+
+/// The sets of strides that YOLO models have: with three feature maps, with a finer or a coarser fourth.
+const YOLO_STRIDES: [&[u32]; 3] = [&STRIDES, &[4, 8, 16, 32], &[8, 16, 32, 64]];
+
+/// More boxes than end-to-end models give. More rows of six numbers are cells of something else.
+const MOST_BOXES: i64 = 1000;
+
+/// Why no head was recognised.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Unrecognised {
+    /// What is the matter, in words.
+    pub reason: String,
+    /// Each head that was looked for, what it looks like, and why it is not this.
+    pub looked_for: Vec<String>,
+}
+
+/// The head for a model with this signature and picture input. Never [`HeadName::Auto`].
+///
+/// # Errors
+/// When no head fits, when several do, and when the metadata say that the model is no detector.
+pub fn recognise(signature: &Signature, input: PictureInput) -> Result<HeadName, Unrecognised> {
+    let metadata = &signature.metadata;
+    let refused = |reason: String| Unrecognised {
+        reason,
+        looked_for: looked_for(signature, input),
+    };
+    if let Some(task) = metadata.get("task").filter(|&task| task != "detect") {
+        return Err(refused(format!(
+            "its metadata say that its task is `{task}`; a model for the task `detect` is needed"
+        )));
+    }
+    if let Some(head) = metadata.get("head").and_then(HeadName::from_metadata) {
+        return Ok(head);
+    }
+    if metadata.is_ultralytics() {
+        let head = if metadata.is_end_to_end() {
+            HeadName::EndToEnd
+        } else {
+            HeadName::Yolo
+        };
+        return match fit(head, signature, input) {
+            Ok(()) => Ok(head),
+            Err(reason) => Err(refused(format!(
+                "its metadata are those of an Ultralytics export for the head `{}`, and {reason}",
+                head.as_str()
+            ))),
+        };
+    }
+    let fitting: Vec<_> = HeadName::RECOGNISED
+        .into_iter()
+        .filter(|&head| looks_like(head, signature, input).is_ok())
+        .collect();
+    match fitting.as_slice() {
+        [head] => Ok(*head),
+        [] => Err(refused("it looks like none of them".to_owned())),
+        several => {
+            let names: Vec<_> = several.iter().map(|head| head.as_str()).collect();
+            Err(refused(format!(
+                "it looks like each of {}, and its metadata do not tell which",
+                names.join(", ")
+            )))
+        }
+    }
+}
+
+fn looked_for(signature: &Signature, input: PictureInput) -> Vec<String> {
+    HeadName::RECOGNISED
+        .into_iter()
+        .map(|head| {
+            let found = match looks_like(head, signature, input) {
+                Ok(()) => "it could be".to_owned(),
+                Err(reason) => reason,
+            };
+            format!("{}: {} ({found})", head.as_str(), head.looks_for())
+        })
+        .collect()
+}
+
+fn fit(head: HeadName, signature: &Signature, input: PictureInput) -> Result<(), String> {
+    bind(head, signature, input)
+        .map(drop)
+        .map_err(|Misfit { reason, .. }| reason)
+}
+
+/// Whether a model without metadata looks like one for `head`. Stricter than binding it, which is for a user
+/// who knows.
+fn looks_like(head: HeadName, signature: &Signature, input: PictureInput) -> Result<(), String> {
+    if head == HeadName::Demonstration {
+        return Err("its metadata do not name it".to_owned());
+    }
+    fit(head, signature, input)?;
+    let all_cells = || YOLO_STRIDES.map(|strides| cells(input.size, strides));
+    let dimension = |place: usize| {
+        signature
+            .outputs
+            .first()
+            .and_then(|output| output.shape.get(place))
+            .copied()
+            .unwrap_or(0)
+    };
+    match head {
+        HeadName::Yolo if !all_cells().iter().any(|&cells| can_be(dimension(2), cells)) => {
+            Err(format!(
+                "it has {} anchors, and an input of {} has {:?} (by strides)",
+                dimension(2),
+                input.size,
+                all_cells()
+            ))
+        }
+        HeadName::EndToEnd if dimension(1) > MOST_BOXES => {
+            Err(format!("it has {} boxes", dimension(1)))
+        }
+        HeadName::Detr if !Detr::is_named(signature) => {
+            Err("its outputs have other names, so its scores and colours are not known".to_owned())
+        }
+        _ => Ok(()),
+    }
+}

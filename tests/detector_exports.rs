@@ -1,0 +1,224 @@
+//! Exports of many kinds through the whole detector: recognised and run, or refused, or survived.
+
+#![allow(clippy::panic)]
+
+use albireo::detector::{
+    CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle, DetectorStatus, HeadName,
+    InferenceError, Network,
+};
+use albireo::frame::{Picture, PixelLayout};
+use albireo::geometry::PictureSize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+const CAMERA: CameraSlot = CameraSlot(0);
+const NAMES: [&str; 2] = ["car", "traffic light"];
+
+fn model(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/fixtures/models")
+        .join(name)
+}
+
+fn config(name: &str) -> DetectorConfig {
+    DetectorConfig {
+        model: model(name),
+        ..DetectorConfig::default()
+    }
+}
+
+/// The same with both classes named and reported.
+fn named(name: &str) -> DetectorConfig {
+    let names = NAMES.map(str::to_owned).to_vec();
+    DetectorConfig {
+        class_names: Some(ClassNames::List(names)),
+        report_classes: Some(Vec::new()),
+        ..config(name)
+    }
+}
+
+/// A picture of one colour.
+fn picture(width: u32, height: u32, color: [u8; 3]) -> Arc<Picture> {
+    let size = PictureSize::new(width, height);
+    Arc::new(Picture {
+        size,
+        source_size: size,
+        layout: PixelLayout::Rgb8,
+        pixels: color.repeat(size.pixels() as usize),
+    })
+}
+
+async fn started(config: &DetectorConfig) -> DetectorHandle {
+    DetectorHandle::start(config).await.unwrap()
+}
+
+async fn detected(detector: &DetectorHandle, color: [u8; 3]) -> Detected {
+    let answer = detector.detect(CAMERA, picture(128, 64, color)).await;
+    answer.unwrap()
+}
+
+/// Asserts that the only detection is the fixtures' box, in a picture of twice the input's size.
+#[track_caller]
+fn assert_the_box(found: &Detected, class: u16, confidence: f64) {
+    let [detection] = found.detections.as_slice() else {
+        panic!("{found:?}");
+    };
+    assert_eq!(detection.class.0, class);
+    assert!(
+        (detection.confidence - confidence).abs() < 2e-3,
+        "{detection:?}"
+    );
+    let corners = detection
+        .bounding_box
+        .pixel_corners(PictureSize::new(128, 64));
+    for (found, expected) in [
+        (corners.x1, 16.0),
+        (corners.y1, 8.0),
+        (corners.x2, 80.0),
+        (corners.y2, 40.0),
+    ] {
+        assert!((found - expected).abs() < 0.05, "{corners:?}");
+    }
+}
+
+async fn refusal(config: DetectorConfig) -> String {
+    match DetectorHandle::start(&config).await {
+        Ok(_) => panic!("{config:?} was accepted"),
+        Err(error) => error.to_string(),
+    }
+}
+
+#[tokio::test]
+async fn an_export_with_open_batch_and_size_is_run_at_the_size_of_its_metadata() {
+    let network = Network::open(&config("yolo_open.onnx")).unwrap();
+    assert_eq!(network.head(), HeadName::Yolo);
+    assert_eq!(network.input_format().size, PictureSize::new(64, 32));
+    let all = DetectorConfig {
+        report_classes: Some(Vec::new()),
+        ..config("yolo_open.onnx")
+    };
+    let detector = started(&all).await;
+    assert_eq!(detector.class_names(), NAMES);
+    assert_the_box(&detected(&detector, [51, 204, 0]).await, 1, 0.8);
+    let wider = DetectorConfig {
+        input_size: Some([128, 64]),
+        ..config("yolo_open.onnx")
+    };
+    let size = Network::open(&wider).unwrap().input_format().size;
+    assert_eq!(size, PictureSize::new(128, 64));
+}
+
+#[tokio::test]
+async fn float16_and_bytes_with_colours_last_give_what_float32_gives() {
+    for name in ["yolo_float16.onnx", "yolo_bytes.onnx"] {
+        let detector = started(&named(name)).await;
+        assert_the_box(&detected(&detector, [204, 51, 0]).await, 0, 0.8);
+        assert_the_box(&detected(&detector, [0, 153, 0]).await, 1, 0.6);
+        assert!(
+            detected(&detector, [90, 90, 90])
+                .await
+                .detections
+                .is_empty()
+        );
+        assert_eq!(detector.counters().head, Default::default());
+    }
+}
+
+#[tokio::test]
+async fn classes_are_filtered_and_renamed_as_configured() {
+    // By default only the classes of BDD100K: a traffic light is none.
+    let detector = started(&config("yolo_open.onnx")).await;
+    assert!(detected(&detector, [0, 204, 0]).await.detections.is_empty());
+    let found = detected(&detector, [204, 0, 0]).await;
+    let class = usize::from(found.detections[0].class.0);
+    assert_eq!(detector.class_names()[class], "car");
+    let renamed = DetectorConfig {
+        class_map: [("traffic light".to_owned(), "bus".to_owned())].into(),
+        ..config("yolo_open.onnx")
+    };
+    let detector = started(&renamed).await;
+    let found = detected(&detector, [0, 204, 0]).await;
+    let class = usize::from(found.detections[0].class.0);
+    assert_eq!(detector.class_names()[class], "bus");
+}
+
+#[tokio::test]
+async fn impossible_unknown_and_outside_boxes_are_counted_and_the_sound_one_is_reported() {
+    let detector = started(&config("end_to_end.onnx")).await;
+    let found = detected(&detector, [230, 0, 0]).await;
+    assert_the_box(&found, 2, 0.902);
+    let counts = detector.counters().head;
+    assert_eq!(
+        (counts.rejected, counts.unknown_class, counts.outside),
+        (1, 1, 1)
+    );
+    assert_eq!(detector.counters().task.failed, 0);
+}
+
+#[tokio::test]
+async fn more_boxes_than_the_cap_are_counted_and_the_cap_holds() {
+    let detector = started(&config("crowd.onnx")).await;
+    let found = detected(&detector, [204, 0, 0]).await;
+    assert_eq!(found.detections.len(), 42);
+    assert_eq!(detector.counters().head.over_limit, 0);
+    let capped = DetectorConfig {
+        most_detections: 10,
+        ..config("crowd.onnx")
+    };
+    let detector = started(&capped).await;
+    assert_eq!(detected(&detector, [204, 0, 0]).await.detections.len(), 10);
+    assert!(detector.counters().head.over_limit > 0);
+}
+
+#[tokio::test]
+async fn a_model_that_changes_its_output_shape_fails_that_frame_and_works_on_the_next() {
+    let detector = started(&config("changing.onnx")).await;
+    assert!(detected(&detector, [51, 0, 0]).await.detections.is_empty());
+    let red = picture(128, 64, [230, 0, 0]);
+    let error = detector.detect(CAMERA, red).await.unwrap_err();
+    assert!(
+        matches!(&error, InferenceError::Failed(reason) if reason.contains("[1, 7, 42]")),
+        "{error}"
+    );
+    let mut status = detector.status();
+    status
+        .wait_for(|status| matches!(status, DetectorStatus::Ready { .. }))
+        .await
+        .unwrap();
+    assert!(detected(&detector, [51, 0, 0]).await.detections.is_empty());
+    let counters = detector.counters().task;
+    assert_eq!((counters.failed, counters.rebuilds), (1, 1));
+}
+
+#[tokio::test]
+async fn a_hostile_or_unsupported_file_is_refused_with_what_is_wrong() {
+    for (name, parts) in [
+        ("wrong_opset.onnx", &["cannot be loaded", "opset"][..]),
+        ("outside.onnx", &["cannot be loaded"]),
+        ("large.onnx", &["does not fit", "between 1 and 8192"]),
+    ] {
+        let error = refusal(config(name)).await;
+        for part in parts {
+            assert!(error.contains(part), "{part} is not in: {error}");
+        }
+        assert!(error.contains(name), "{error}");
+    }
+    let error = refusal(DetectorConfig {
+        input_size: Some([128, 64]),
+        ..named("yolo_bytes.onnx")
+    })
+    .await;
+    assert!(
+        error.contains("64x32") && error.contains("128x64"),
+        "{error}"
+    );
+}
+
+#[tokio::test]
+async fn a_model_whose_classes_nobody_names_is_refused() {
+    let error = refusal(config("yolo_float16.onnx")).await;
+    assert!(
+        error.starts_with("detector.class_names") && error.contains("2 classes"),
+        "{error}"
+    );
+}
