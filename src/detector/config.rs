@@ -1,6 +1,6 @@
 //! The `[detector]` section of the configuration.
 
-use super::{HeadName, StartError};
+use super::{GpuConfig, HeadName, StartError};
 use crate::geometry::PictureSize;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -75,6 +75,8 @@ pub struct DetectorConfig {
     /// Whether a later provider of the list may stand in for the first. Otherwise a missing first
     /// provider is an error at start.
     pub may_fall_back: bool,
+    /// What a provider on a GPU is told.
+    pub gpu: GpuConfig,
     /// Threads ONNX Runtime uses inside one run; 0 for one less than the machine has cores.
     pub threads: usize,
     /// A run that takes longer counts as failed and the session is rebuilt.
@@ -101,6 +103,7 @@ impl Default for DetectorConfig {
             most_detections: 300,
             providers: vec![ExecutionProvider::Cpu],
             may_fall_back: false,
+            gpu: GpuConfig::default(),
             threads: 0,
             timeout_ms: 2000,
             queue: 8,
@@ -157,6 +160,7 @@ impl DetectorConfig {
             let reason = format!("`{}` is there twice", provider.as_str());
             check("providers", is_new, reason);
         }
+        problems.extend(self.gpu.problems());
         problems
     }
 

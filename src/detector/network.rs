@@ -90,6 +90,7 @@ impl Network {
             model: config.model.clone(),
             providers: config.providers.clone(),
             may_fall_back: config.may_fall_back,
+            gpu: config.gpu.clone(),
             threads: config.threads,
             onnxruntime: config.onnxruntime.clone(),
         })?;

@@ -1,17 +1,56 @@
 //! Execution providers: the configured list, in order, and no silent fall-back.
 
-use super::{ExecutionProvider, StartError};
-use ort::ep::{CUDA, ExecutionProviderDispatch, TensorRT};
+use super::{ExecutionProvider, GpuConfig, StartError};
+use ort::ep::{ArenaExtendStrategy, CUDA, ExecutionProviderDispatch, TensorRT};
 use tracing::warn;
 
-/// The provider as ONNX Runtime registers it; `None` for the CPU, which is always there. Left to itself, ONNX
-/// Runtime would go on without a provider that it cannot register.
-pub(super) fn registration(provider: ExecutionProvider) -> Option<ExecutionProviderDispatch> {
-    match provider {
-        ExecutionProvider::TensorRt => Some(TensorRT::default().build().error_on_failure()),
-        ExecutionProvider::Cuda => Some(CUDA::default().build().error_on_failure()),
-        ExecutionProvider::Cpu => None,
+/// What ONNX Runtime is to register for `provider`; nothing for the CPU, which is always there. What TensorRT
+/// cannot run of a model goes to CUDA if that is among the `configured`. Left to itself, ONNX Runtime would go
+/// on without a provider that it cannot register.
+pub(super) fn registrations(
+    provider: ExecutionProvider,
+    configured: &[ExecutionProvider],
+    gpu: &GpuConfig,
+) -> Vec<ExecutionProviderDispatch> {
+    let mut asked = Vec::new();
+    if provider == ExecutionProvider::TensorRt {
+        asked.push(tensorrt(gpu).build().error_on_failure());
     }
+    let for_the_rest =
+        provider == ExecutionProvider::TensorRt && configured.contains(&ExecutionProvider::Cuda);
+    if provider == ExecutionProvider::Cuda || for_the_rest {
+        asked.push(cuda(gpu).build().error_on_failure());
+    }
+    asked
+}
+
+fn cuda(gpu: &GpuConfig) -> CUDA {
+    let cuda = CUDA::default().with_device_id(gpu.device_id());
+    match gpu.memory_limit() {
+        Some(limit) => cuda
+            .with_memory_limit(limit)
+            // The arena otherwise grows by doubling, over the limit's half at the first large model.
+            .with_arena_extend_strategy(ArenaExtendStrategy::SameAsRequested),
+        None => cuda,
+    }
+}
+
+fn tensorrt(gpu: &GpuConfig) -> TensorRT {
+    let mut tensorrt = TensorRT::default()
+        .with_device_id(gpu.device_id())
+        .with_fp16(gpu.fp16);
+    if let Some(limit) = gpu.memory_limit() {
+        tensorrt = tensorrt.with_max_workspace_size(limit);
+    }
+    if let Some(folder) = &gpu.engine_cache {
+        let folder = folder.display();
+        tensorrt = tensorrt
+            .with_engine_cache(true)
+            .with_engine_cache_path(&folder)
+            .with_timing_cache(true)
+            .with_timing_cache_path(&folder);
+    }
+    tensorrt
 }
 
 /// Tries `attempt` with each of `providers` in order and returns the first that works. Without

@@ -3,7 +3,8 @@
 use super::head::TensorView;
 use super::model::Interrupter;
 use super::{
-    ElementType, ExecutionProvider, Metadata, ModelError, Signature, StartError, TensorSpec,
+    ElementType, ExecutionProvider, GpuConfig, Metadata, ModelError, Signature, StartError,
+    TensorSpec,
 };
 use super::{onnxruntime, provider};
 use half::f16;
@@ -25,6 +26,8 @@ pub(crate) struct SessionSettings {
     pub(crate) providers: Vec<ExecutionProvider>,
     /// Whether a later one may stand in for the first.
     pub(crate) may_fall_back: bool,
+    /// What a provider on a GPU is told.
+    pub(crate) gpu: GpuConfig,
     /// Threads inside one run; 0 for one less than the machine has cores.
     pub(crate) threads: usize,
     /// The library, if it is named.
@@ -54,6 +57,14 @@ impl OnnxSession {
                 path: settings.model.clone(),
                 reason: error.to_string(),
             });
+        }
+        if let Some(folder) = &settings.gpu.engine_cache
+            && settings.providers.contains(&ExecutionProvider::TensorRt)
+        {
+            std::fs::create_dir_all(folder).map_err(|error| StartError::Configuration {
+                key: "detector.gpu.engine_cache".to_owned(),
+                reason: format!("{} cannot be made: {error}", folder.display()),
+            })?;
         }
         let environment = onnxruntime::environment(settings.onnxruntime.as_deref())?;
         provider::first_that_works(&settings.providers, settings.may_fall_back, |provider| {
@@ -191,8 +202,9 @@ fn build(
         .with_inter_threads(1)?
         // Threads that spin between runs take the core from the rest of the program.
         .with_intra_op_spinning(false)?;
-    if let Some(registration) = provider::registration(provider) {
-        builder = builder.with_execution_providers([registration])?;
+    let registrations = provider::registrations(provider, &settings.providers, &settings.gpu);
+    if !registrations.is_empty() {
+        builder = builder.with_execution_providers(registrations)?;
     }
     builder.commit_from_file(&settings.model)
 }

@@ -2,8 +2,8 @@
 
 use super::ScreenConfig;
 use crate::detector::{
-    CameraSlot, ExecutionProvider, Interrupter, Model, ModelError, OnnxSession, PictureInput,
-    SessionSettings, Signature, StartError,
+    CameraSlot, ExecutionProvider, GpuConfig, Interrupter, Model, ModelError, OnnxSession,
+    PictureInput, SessionSettings, Signature, StartError,
 };
 use crate::frame::{Fit, InputFormat, Letterbox, Picture, ValueRange};
 use std::path::{Path, PathBuf};
@@ -32,6 +32,7 @@ impl Network {
             model: model.to_owned(),
             providers: vec![ExecutionProvider::Cpu],
             may_fall_back: false,
+            gpu: GpuConfig::default(),
             threads: 1,
             onnxruntime,
         })?;

@@ -119,7 +119,7 @@ impl Object {
     /// `π = exp(−0.25 / (2σ²))`, the probability that a Rayleigh variable of that variance exceeds 1/2.
     pub fn judge(&mut self) {
         let variance = self.alpha * self.filter.relative_variance();
-        self.miss_probability = (-0.125 / variance).exp();
+        self.miss_probability = fading(0.125 / variance);
     }
 
     /// What losing the object would cost now: `m · miss^misses · π`.
@@ -131,7 +131,7 @@ impl Object {
     pub fn confidence(&self, settings: &Confidence) -> f64 {
         let blend = settings.last * self.last_score + (1.0 - settings.last) * self.mean_score;
         let age = f64::from(self.hits.saturating_sub(1));
-        let base = blend * (1.0 - settings.newcomer * (-settings.newcomer_fading * age).exp());
+        let base = blend * (1.0 - settings.newcomer * fading(settings.newcomer_fading * age));
         if self.seen.is_some() {
             return base;
         }
@@ -202,6 +202,11 @@ impl Object {
             rescues: self.misses,
         }
     }
+}
+
+/// e⁻ˣ for x ≥ 0; zero where it is below 1e-17, which the library computes on a slow path.
+fn fading(x: f64) -> f64 {
+    if x > 40.0 { 0.0 } else { (-x).exp() }
 }
 
 /// The covariance scale after an innovation: `α ← clamp(α + rate·(n − α))`.

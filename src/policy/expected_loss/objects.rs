@@ -1,7 +1,7 @@
 //! The objects in view: what keeps them, whatever calls the detector.
 
 use super::association::Matcher;
-use super::motion::{X, Y};
+use super::motion::{LOG_HEIGHT, LOG_WIDTH, X, Y};
 use super::object::{Object, scale};
 use super::settings::ExpectedLossSettings;
 use super::velocity::{VelocityRegression, features};
@@ -209,7 +209,7 @@ pub(super) struct Report {
 
 fn object_features(object: &Object, aspect: f64) -> super::velocity::Features {
     let position = object.filter.position();
-    let log_size = object.filter.size().ln();
+    let log_size = (position[LOG_WIDTH] + position[LOG_HEIGHT]) / 2.0;
     features(position[X] / aspect, position[Y], log_size)
 }
 
