@@ -223,6 +223,10 @@ fn bad_input_ends_with_what_was_wrong_where_and_what_to_do() {
             vec!["must be a number from"],
         ),
         (
+            vec!["recorded", good, "--out", "/dev/null/results"],
+            vec!["cannot write to /dev/null/results"],
+        ),
+        (
             vec!["recorded", good, "--confidence", "1.5"],
             vec!["--confidence 1.5"],
         ),
@@ -244,7 +248,7 @@ fn bad_input_ends_with_what_was_wrong_where_and_what_to_do() {
         assert!(!output.status.success(), "{arguments:?} printed {table}");
         assert!(table.is_empty(), "{arguments:?} printed {table}");
         for part in parts {
-            assert!(said.contains(part), "{arguments:?} said {said}");
+            assert_eq!(said.matches(part).count(), 1, "{arguments:?} said {said}");
         }
     }
 }

@@ -328,7 +328,13 @@ fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<Policy
     Ok(resolve(&arguments.policy, &arguments.sweep, &common)?)
 }
 
+/// How the run judges. Makes the folders it will write to, so that a place where nothing can be written is
+/// known before the work and not after it.
 fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
+    for folder in [&arguments.out, &arguments.traces].into_iter().flatten() {
+        std::fs::create_dir_all(folder)
+            .with_context(|| format!("cannot write to {}", folder.display()))?;
+    }
     let energy_model = arguments
         .energy_model
         .as_deref()

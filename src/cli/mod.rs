@@ -83,11 +83,24 @@ impl Arguments {
         match ended {
             Ok(()) => ExitCode::SUCCESS,
             Err(error) => {
-                eprintln!("albireo: {error:#}");
+                eprintln!("albireo: {}", in_words(&error));
                 ExitCode::FAILURE
             }
         }
     }
+}
+
+/// An error and its causes in one line. A cause that the text before it already tells is not told again.
+fn in_words(error: &anyhow::Error) -> String {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1) {
+        let cause = cause.to_string();
+        if !text.contains(&format!(": {cause}")) {
+            text.push_str(": ");
+            text.push_str(&cause);
+        }
+    }
+    text
 }
 
 /// Runs a subcommand that waits for things.
@@ -101,4 +114,23 @@ fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()
     // program alive.
     runtime.shutdown_timeout(STRAGGLERS);
     ended
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_is_told_with_every_cause_and_none_twice() {
+        let cause = std::io::Error::other("no such file");
+        let error = anyhow::Error::new(cause)
+            .context("cannot read a.csv: no such file")
+            .context("evaluating");
+        assert_eq!(
+            in_words(&error),
+            "evaluating: cannot read a.csv: no such file"
+        );
+        let error = anyhow::anyhow!("b is 3").context("a").context("reading");
+        assert_eq!(in_words(&error), "reading: a: b is 3");
+    }
 }

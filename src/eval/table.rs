@@ -181,8 +181,9 @@ fn foot(text: &mut String, summaries: &[PolicySummary], left_out: &[String]) {
     let clips = first.map_or(0, |summary| summary.clips);
     let without = first.map_or(0, |summary| summary.clips_without_truth);
     let mut notes = vec![format!(
-        "Unweighted means over {clips} clips; Δ and p (paired t, Wilcoxon) against vanilla, clip by clip. \
-         * no other skips as much and is as accurate."
+        "Unweighted means over {clips} clip{}; Δ and p (paired t, Wilcoxon) against vanilla, clip by clip. \
+         * no other skips as much and is as accurate.",
+        if clips == 1 { "" } else { "s" }
     )];
     match without {
         0 => {}

@@ -16,10 +16,7 @@ pub mod objects;
 #[path = "../../../src/policy/mod.rs"]
 pub mod policy;
 
-/// The judge.
-pub mod eval {
-    #[path = "../../../../src/eval/average_precision.rs"]
-    pub mod average_precision;
-}
+#[path = "../../../src/eval/average_precision.rs"]
+pub mod average_precision;
 
 pub mod scene;

@@ -204,9 +204,10 @@ fn policies(page: &mut String, summaries: &[PolicySummary]) {
         .map_or(0, |summary| summary.clips_without_truth);
     let _ = write!(
         page,
-        "</tbody></table></div><p class=\"legend\">Unweighted means over {clips} clips{}. Δ and p against \
+        "</tbody></table></div><p class=\"legend\">Unweighted means over {clips} clip{}{}. Δ and p against \
          Vanilla, clip by clip: paired t-test and Wilcoxon signed-rank test, two-sided. Clips kept: same or \
          better AP@50. ★ no other skips as much and is as accurate. Click a column's head to sort.</p></section>",
+        if clips == 1 { "" } else { "s" },
         if without > 0 {
             format!("; {without} without ground truth are not in them")
         } else {

@@ -1,5 +1,5 @@
 //! Time of a detector frame in the decision core, beside the trackers of `trackforge` on the same boxes, in
-//! the same run, on one thread. Prints a table in Markdown.
+//! the same run: processor time of the one thread they run on. Prints a table in Markdown.
 //!
 //! `cargo run --release --manifest-path benches/standalone/Cargo.toml --bin trackers`
 
@@ -8,16 +8,15 @@ use albireo_standalone_benches::policy::{
     Albireo, AlbireoSettings, Evidence, ExpectedLoss, ExpectedLossSettings, FrameHead, Need,
     Outcome, Policy, Profile, Trigger,
 };
-use albireo_standalone_benches::scene::{PICTURE, ROUNDS, Scene, quartiles};
+use albireo_standalone_benches::scene::{PICTURE, ROUNDS, Scene, processor_seconds, quartiles};
 use std::error::Error;
 use std::hint::black_box;
-use std::time::Instant;
 use trackforge::trackers::byte_track::ByteTrack;
 use trackforge::trackers::ocsort::{OcSort, OcSortParams};
 use trackforge::trackers::sort::Sort;
 
 const OBJECTS: [usize; 3] = [10, 30, 100];
-const FRAMES: usize = 300;
+const FRAMES: usize = 100;
 
 /// A box as trackforge takes it: left, top, width, height in pixels; score; class.
 type Measured = ([f32; 4], f32, i64);
@@ -60,7 +59,7 @@ fn ours<'a, P: Policy + 'a>(mut policy: P, film: &'a Film) -> Contestant<'a> {
     let mut outcome = Outcome::default();
     let mut index = 0u64;
     Box::new(move || {
-        let begin = Instant::now();
+        let begin = processor_seconds();
         for detections in &film.ours {
             index += 1;
             let mut need = policy.begin(FrameHead {
@@ -92,7 +91,7 @@ fn theirs<'a, T: 'a>(
         // They take the boxes by value: the copies are not counted.
         let frames = film.theirs.clone();
         let mut boxes = 0;
-        let begin = Instant::now();
+        let begin = processor_seconds();
         for frame in frames {
             boxes = black_box(update(frame)).len();
         }
@@ -100,8 +99,8 @@ fn theirs<'a, T: 'a>(
     })
 }
 
-fn per_frame(begin: Instant) -> f64 {
-    begin.elapsed().as_secs_f64() * 1e6 / FRAMES as f64
+fn per_frame(begin: f64) -> f64 {
+    (processor_seconds() - begin) * 1e6 / FRAMES as f64
 }
 
 fn contestants(film: &Film) -> Result<Vec<(&'static str, Contestant<'_>)>, Box<dyn Error>> {
@@ -138,7 +137,7 @@ fn contestants(film: &Film) -> Result<Vec<(&'static str, Contestant<'_>)>, Box<d
 
 fn main() -> Result<(), Box<dyn Error>> {
     println!(
-        "µs a frame on which the detector ran: median of {ROUNDS} rounds of {FRAMES} frames (quartiles)\n"
+        "Processor time of a frame on which the detector ran, µs: median of {ROUNDS} rounds of {FRAMES} frames (quartiles)\n"
     );
     let films = OBJECTS.map(Film::new);
     let mut columns = Vec::new();
