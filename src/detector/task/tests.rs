@@ -495,7 +495,7 @@ async fn a_first_model_that_cannot_be_built_or_panics_is_an_error() {
     let _held = hold_time();
     let refusing = InferenceTask::start(settings(), || -> Result<Scripted, _> {
         Err(StartError::Configuration {
-            key: "detector.model",
+            key: "detector.model".to_owned(),
             reason: "scripted refusal".to_owned(),
         })
     });
