@@ -34,7 +34,7 @@ fn keys(value: &serde_json::Value, section: &str, found: &mut Vec<String>) {
                 } else {
                     format!("{section}.{key}")
                 };
-                if value.is_object()
+                if value.as_object().is_some_and(|map| !map.is_empty())
                     || value
                         .as_array()
                         .is_some_and(|list| list.iter().any(serde_json::Value::is_object))

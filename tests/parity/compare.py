@@ -1,0 +1,166 @@
+"""Compares albireo's whole path with the vendors' own code on the same pictures, prints tables, and writes them
+to models/PARITY.md and small fixtures to tests/fixtures/parity. Run by `make parity`; exit code 1 when boxes or
+scores of the same pixels differ by more than they may."""
+
+import argparse
+import pathlib
+import sys
+
+import cv2
+import numpy
+import onnxruntime
+import torch
+import ultralytics
+
+import fixtures
+import pictures
+import trained
+from detect import detect
+from networks import networks
+
+CONFIDENCE = 0.25
+OVERLAP = 0.7
+# What boxes of the same pixels may differ by, and scores.
+PIXELS = 1.0
+SCORE = 1e-3
+# Boxes this close to the confidence may be on either side of it.
+EDGE = 2e-3
+
+
+def ours(program, network, model, files, folder):
+    """For each file albireo's detections as rows like the vendors', and the model's input."""
+    more = ["--overlap", str(OVERLAP)]
+    if network.name.startswith("rfdetr"):
+        # By number: some of COCO's category numbers have no name.
+        names = pathlib.Path(folder) / "names.txt"
+        names.parent.mkdir(parents=True, exist_ok=True)
+        names.write_text("".join(f"{number}\n" for number in range(91)))
+        more += ["--class-names", names]
+    return detect(program, model, files, folder, CONFIDENCE, more)
+
+
+def matched(first, second):
+    """For each box of `first`, best first, the box of `second` of its class that is nearest and not taken:
+    differences of corners (largest) and scores, or None."""
+    free = list(range(len(second)))
+    pairs = []
+    for row in first[numpy.argsort(-first[:, 4], kind="stable")]:
+        same = [place for place in free if second[place, 5] == row[5]]
+        if not same:
+            pairs.append((row, None))
+            continue
+        # The nearest in place and score: stacked boxes of one class may differ little.
+        distance = [
+            numpy.abs(second[place, :4] - row[:4]).max() + 100 * abs(second[place, 4] - row[4])
+            for place in same
+        ]
+        best = same[int(numpy.argmin(distance))]
+        pixels = numpy.abs(second[best, :4] - row[:4]).max()
+        score = abs(second[best, 4] - row[4])
+        if pixels > 32:
+            pairs.append((row, None))
+            continue
+        free.remove(best)
+        pairs.append((row, (pixels, score)))
+    return pairs
+
+
+def compare(theirs, ours):
+    """What one picture's detections differ by."""
+    edge = CONFIDENCE + EDGE
+    pairs = matched(theirs, ours)
+    sure = [pair for pair in pairs if pair[0][4] >= edge]
+    found = [difference for _, difference in sure if difference]
+    back = [pair for pair in matched(ours, theirs) if pair[0][4] >= edge]
+    within = [d for d in found if d[0] <= PIXELS and d[1] <= SCORE]
+    return {
+        "theirs": len(sure),
+        "ours": len(back),
+        "within": len(within),
+        "unmatched": len(sure) - len(found) + sum(difference is None for _, difference in back),
+        "pixels": [d[0] for d in found],
+        "scores": [d[1] for d in found],
+    }
+
+
+def row(name, what, results):
+    pixels = numpy.concatenate([result["pixels"] for result in results] or [[]])
+    scores = numpy.concatenate([result["scores"] for result in results] or [[]])
+    total = {key: sum(result[key] for result in results) for key in ("theirs", "ours", "within", "unmatched")}
+    def spread(values, digits):
+        if not len(values):
+            return "none"
+        three = numpy.median(values), numpy.quantile(values, 0.95), values.max()
+        return " / ".join(f"{value:.{digits}f}" for value in three)
+
+    line = (
+        f"| {name} | {what} | {len(results)} | {total['theirs']} | {total['ours']} | {total['within']} "
+        f"| {total['unmatched']} | {spread(pixels, 4)} | {spread(scores, 6)} |"
+    )
+    return line, total
+
+
+def levels(network, theirs, ours):
+    """Differences of two inputs in levels of 0 to 255."""
+    factor = 255.0
+    if hasattr(network, "deviation"):
+        factor = 255.0 * network.deviation.numpy()
+    return numpy.abs((theirs - ours) * factor)
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--program", default="target/debug/albireo")
+    parser.add_argument("--shared", default="../shared")
+    parser.add_argument("--work", default=".cache/parity/work")
+    parser.add_argument("--report", default="models/PARITY.md")
+    parser.add_argument("--fixtures", default="tests/fixtures/parity")
+    arguments = parser.parse_args()
+    torch.set_num_threads(2)
+    work = pathlib.Path(arguments.work)
+    files = pictures.sources(arguments.shared, arguments.program, work / "pictures")
+    boxes, inputs, heads, failed = [], [], [], False
+    for network in networks():
+        squares = pictures.exact(files, network.side, work / f"pictures_{network.side}")
+        network.calibrate([cv2.imread(str(file)) for file in squares])
+        model = network.export(work)
+        for what, given in (("same pixels", squares), ("own resize", files)):
+            head, found = ours(arguments.program, network, model, given, work / network.name / what.split()[0])
+            results, differences = [], []
+            for file, (rows, tensor) in zip(given, found, strict=True):
+                picture = cv2.imread(str(file))
+                results.append(compare(network.predict(picture, CONFIDENCE, OVERLAP), rows))
+                differences.append(levels(network, network.tensor(picture), tensor))
+                print(network.name, what, file.name, {k: v for k, v in results[-1].items() if isinstance(v, int)}, flush=True)
+            line, total = row(network.name, what, results)
+            boxes.append(line)
+            largest = max(difference.max() for difference in differences)
+            every = numpy.concatenate([difference.ravel() for difference in differences])
+            inputs.append(
+                f"| {network.name} | {what} | {largest:.4f} | {every.mean():.4f} | {100 * (every > 0.75).mean():.2f} % "
+                f"| {100 * (every > 1.5).mean():.3f} % |"
+            )
+            if what == "same pixels":
+                heads.append(f"`{network.name}`: `{head}`")
+                failed |= total["theirs"] < 100 or total["within"] < total["theirs"] or total["unmatched"] > 0 or largest > 0.01
+        fixtures.write(network, files, arguments.fixtures)
+    resized = trained.rows(arguments.program, arguments.shared, files[: len(pictures.CLIPS)], work / "trained")
+    versions = {
+        "ultralytics": ultralytics.__version__,
+        "rfdetr": __import__("importlib.metadata").metadata.version("rfdetr"),
+        "torch": torch.__version__,
+        "onnxruntime": onnxruntime.__version__,
+        "opencv": cv2.__version__,
+    }
+    text = pathlib.Path(__file__).with_name("report.md").read_text()
+    text = text.replace("{boxes}", "\n".join(boxes)).replace("{inputs}", "\n".join(inputs)).replace("{trained}", "\n".join(resized))
+    text = text.replace("{heads}", ", ".join(heads)).replace("{pictures}", str(len(files)))
+    text = text.replace("{versions}", ", ".join(f"{name} {version}" for name, version in versions.items()))
+    pathlib.Path(arguments.report).write_text(text)
+    print(text)
+    if failed:
+        sys.exit("boxes, scores or inputs of the same pixels differ by more than they may")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,198 @@
+"""The vendors' detectors with random weights: built offline, made to find something, run by their own code, and
+exported by their own exporters.
+
+A network with random weights gives nearly the same score everywhere. So that hundreds of boxes of different
+classes, sizes and scores come out, the last layer of each branch is scaled: over one calibration picture, its
+outputs get a chosen mean and spread. The weights stay random; what is compared is arithmetic, not accuracy.
+"""
+
+import pathlib
+
+import numpy
+import torch
+from rfdetr import RFDETRNano
+from ultralytics import YOLO
+
+SEED = 7
+
+
+def spread(layer, inputs, middle, high, share):
+    """Scales `layer` (linear, or a convolution of 1x1) so that each of its outputs has the median `middle` over
+    `inputs` (rows of features), and exceeds `high` for this share of them."""
+    outputs = inputs @ layer.weight.data.flatten(1).T
+    ordered = outputs.sort(0).values
+    median = ordered[len(ordered) // 2]
+    top = ordered[min(round(len(ordered) * (1 - share)), len(ordered) - 1)]
+    scale = (high - middle) / (top - median).clamp(min=1e-12)
+    layer.weight.data.mul_(scale.reshape(-1, *[1] * (layer.weight.dim() - 1)))
+    layer.bias.data.copy_(middle - median * scale)
+
+
+def batch(pictures):
+    """Pictures of one size (BGR) as planes of red, green, blue from 0 to 1."""
+    stacked = numpy.stack([picture[:, :, ::-1] for picture in pictures])
+    return torch.from_numpy(stacked).permute(0, 3, 1, 2) / 255
+
+
+def normalise(network, run):
+    """Gives each batch normalisation the mean and variance of what it sees while `run` runs: with those of a new
+    network everything fades to 0 on its way."""
+    layers = [layer for layer in network.modules() if isinstance(layer, torch.nn.BatchNorm2d)]
+    momenta = [layer.momentum for layer in layers]
+    for layer in layers:
+        layer.momentum = 1.0
+        layer.train()
+    with torch.no_grad():
+        run()
+    for layer, momentum in zip(layers, momenta, strict=True):
+        layer.momentum = momentum
+        layer.eval()
+
+
+def features(run, layers):
+    """What each of `layers` is given while `run` runs, as rows."""
+    kept = {}
+
+    def keep(layer):
+        def hook(_, inputs):
+            value = inputs[0].detach()
+            value = value.permute(0, 2, 3, 1) if value.dim() == 4 and isinstance(layer, torch.nn.Conv2d) else value
+            kept[layer] = value.reshape(-1, value.shape[-1])
+
+        return layer.register_forward_pre_hook(hook)
+
+    hooks = [keep(layer) for layer in layers]
+    with torch.no_grad():
+        run()
+    for hook in hooks:
+        hook.remove()
+    return kept
+
+
+class Ultralytics:
+    """yolo11n, or yolo26n with either of its heads."""
+
+    side = 640
+
+    def __init__(self, name, end_to_end):
+        torch.manual_seed(SEED)
+        self.name = name + ("" if end_to_end is None else "-one2one" if end_to_end else "-one2many")
+        self.end_to_end = end_to_end
+        self.model = YOLO(f"{name}.yaml")
+        self.predictor = None
+
+    def calibrate(self, pictures):
+        """`pictures`: BGR, of the network's own size."""
+        network = self.model.model.eval()
+        head = network.model[-1]
+        branches = [(head.cv2, head.cv3)]
+        if self.end_to_end is not None:
+            branches.append((head.one2one_cv2, head.one2one_cv3))
+        tensor = batch(pictures)
+        normalise(network, lambda: network(tensor))
+        layers = [level[-1] for branch in branches for part in branch for level in part]
+        inputs = features(lambda: network(tensor), layers)
+        for boxes, classes in branches:
+            for level in boxes:
+                # Distances from the anchor to the four sides, in strides: by distribution, or directly.
+                middle, high = (0.0, 3.0) if head.reg_max > 1 else (4.0, 6.0)
+                spread(level[-1], inputs[level[-1]], middle, high, 0.001)
+            for level in classes:
+                spread(level[-1], inputs[level[-1]], -7.0, -0.8, 0.0003)
+
+    def export(self, folder):
+        file = self.model.export(
+            format="onnx",
+            imgsz=self.side,
+            opset=17,
+            simplify=False,
+            device="cpu",
+            nms=False if self.end_to_end else None,
+        )
+        target = pathlib.Path(folder) / f"{self.name}.onnx"
+        pathlib.Path(file).replace(target)
+        return target
+
+    def predict(self, picture, confidence, overlap):
+        """Rows of x1, y1, x2, y2, score, class, in pixels of `picture` (BGR)."""
+        [result] = self.model.predict(
+            picture,
+            imgsz=self.side,
+            rect=False,
+            conf=confidence,
+            iou=overlap,
+            max_det=300,
+            nms=False if self.end_to_end else None,
+            device="cpu",
+            verbose=False,
+        )
+        return result.boxes.data.numpy().astype(numpy.float64)
+
+    def tensor(self, picture):
+        """What the network is given for `picture` (BGR): planes of float32."""
+        if self.model.predictor is None:
+            self.predict(picture, 0.5, 0.5)
+        return self.model.predictor.preprocess([picture])[0].numpy()
+
+    def raw(self, tensor):
+        """The output for that input."""
+        with torch.no_grad():
+            return [self.model.predictor.model(torch.from_numpy(tensor)[None])[0].numpy()]
+
+
+class RfDetr:
+    """RF-DETR Nano."""
+
+    side = 384
+    name = "rfdetr-nano"
+
+    def __init__(self):
+        torch.manual_seed(SEED)
+        self.model = RFDETRNano(pretrain_weights=None, device="cpu")
+        self.mean = torch.tensor(self.model.means)[:, None, None]
+        self.deviation = torch.tensor(self.model.stds)[:, None, None]
+
+    def calibrate(self, pictures):
+        network = self.model.model.model.eval()
+        tensor = (batch(pictures) - self.mean) / self.deviation
+        last = network.bbox_embed.layers[-1]
+        torch.nn.init.normal_(last.weight, std=0.02)
+        inputs = features(lambda: network(tensor), [network.class_embed])
+        spread(network.class_embed, inputs[network.class_embed], -5.0, -0.8, 0.005)
+
+    def export(self, folder):
+        target = pathlib.Path(folder) / f"{self.name}.onnx"
+        made = self.model.export(output_dir=str(folder), format="onnx", opset_version=17)
+        made = pathlib.Path(made)
+        if made.is_dir():
+            [made] = made.glob("*.onnx")
+        made.replace(target)
+        return target
+
+    def predict(self, picture, confidence, overlap):
+        del overlap
+        found = self.model.predict(picture[:, :, ::-1], threshold=confidence)
+        return numpy.column_stack([found.xyxy, found.confidence, found.class_id]).astype(numpy.float64)
+
+    def tensor(self, picture):
+        given = []
+        network = self.model.model.model
+        hook = network.register_forward_pre_hook(lambda _, inputs: given.append(inputs[0].detach()))
+        self.predict(picture, 0.5, 0.5)
+        hook.remove()
+        return given[0][0].numpy()
+
+    def raw(self, tensor):
+        with torch.no_grad():
+            found = self.model.model.model(torch.from_numpy(tensor)[None])
+        return [found["pred_boxes"].numpy(), found["pred_logits"].numpy()]
+
+
+def networks():
+    """All that is compared."""
+    return [
+        Ultralytics("yolo11n", None),
+        Ultralytics("yolo26n", True),
+        Ultralytics("yolo26n", False),
+        RfDetr(),
+    ]
