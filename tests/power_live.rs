@@ -58,7 +58,7 @@ name = "front"
 delivery = "every"
 "#,
         sysfs.display(),
-        fake_nvpmodel(&sysfs).display()
+        fake_nvpmodel(sysfs).display()
     )
 }
 
