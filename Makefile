@@ -6,9 +6,10 @@ SHELL := /bin/bash
 CACHE := .cache
 ONNXRUNTIME := $(CACHE)/onnxruntime/.ready
 PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
+PARITY_ENVIRONMENT := $(CACHE)/parity/.ready
 DEMO_SECONDS ?=
 
-.PHONY: help demo test lint onnxruntime python debian release bench bench-peers clean
+.PHONY: help demo test lint onnxruntime python debian release bench bench-peers parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -30,6 +31,16 @@ bench: onnxruntime ## the benches, optimised (takes a while the first time)
 bench-peers: ## the decision core beside other trackers, and average precision up to a million boxes
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml --bin trackers
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml --bin average_precision
+
+parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
+	cargo build --locked
+	YOLO_OFFLINE=true YOLO_CONFIG_DIR="$(CURDIR)/$(CACHE)/parity/config" $(CACHE)/parity/bin/python \
+		tests/parity/compare.py --shared "$${ALBIREO_SHARED:-../shared}"
+
+$(PARITY_ENVIRONMENT): tests/parity/requirements.txt
+	python3 -m venv $(CACHE)/parity
+	$(CACHE)/parity/bin/python -m pip install --quiet --disable-pip-version-check -r tests/parity/requirements.txt
+	@touch $@
 
 release: ## the optimised program in target/release/albireo
 	cargo build --locked --release

@@ -18,7 +18,6 @@ fn yolox_settings(policy: &str) -> String {
 name = "bench"
 [detector]
 model = "{}"
-head = "yolox"
 timeout_ms = 30000
 [policy]
 name = "{policy}"
@@ -165,9 +164,21 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
         "albireo_frames",
         "albireo_frames_dropped",
         "albireo_threshold",
+        "albireo_detector_boxes_dropped",
     ] {
         assert!(families.contains_key(family), "no {family} in {families:?}");
     }
+    let asked = detections
+        .iter()
+        .filter(|message| ["I", "E+I", "AI"].contains(&message["state"].as_str().unwrap()))
+        .count();
+    let counted = format!("albireo_detector_runs_total{{outcome=\"completed\"}} {asked}");
+    assert!(
+        metrics
+            .lines()
+            .any(|line| line.trim_end_matches(".0") == counted),
+        "{counted} is not in {metrics}"
+    );
 
     let (status, took, log, _) = node.stop().await;
     assert!(status.success(), "{log}");

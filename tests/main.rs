@@ -17,6 +17,7 @@ mod expected_loss;
 mod frame_decoding;
 mod frame_formats;
 mod golden_traces;
+mod head_fixtures;
 mod http_api;
 mod node_frames;
 mod power_live;

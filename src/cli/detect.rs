@@ -51,6 +51,9 @@ pub(super) struct Arguments {
     /// What runs it.
     #[arg(long, value_enum, default_value_t = ExecutionProvider::Cpu)]
     provider: ExecutionProvider,
+    /// Threads inside one run; 0 for one less than the machine has cores.
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
     /// Write one JSON object a line: first the model, then each picture.
     #[arg(long)]
     json: bool,
@@ -160,6 +163,7 @@ fn configuration(arguments: &Arguments) -> DetectorConfig {
         suppression_overlap: arguments.overlap,
         most_detections: arguments.most,
         providers: vec![arguments.provider],
+        threads: arguments.threads,
         ..DetectorConfig::default()
     }
 }

@@ -77,6 +77,12 @@ fn check(samples: &Samples) {
             r#"albireo_detector_info{model="detector.onnx",provider="cpu",policy="albireo"}"#,
             1.0,
         ),
+        (r#"albireo_detector_runs_total{outcome="completed"}"#, 0.0),
+        (r#"albireo_detector_rebuilds_total{outcome="failed"}"#, 0.0),
+        (
+            r#"albireo_detector_boxes_dropped_total{reason="unknown_class"}"#,
+            0.0,
+        ),
         (
             r#"albireo_power_watts{domain="total",source="estimate",quality="estimated"}"#,
             12.5,

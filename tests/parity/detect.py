@@ -11,7 +11,7 @@ def detect(program, model, files, folder, confidence, more=()):
     """The head that was recognised, and for each file the detections as rows of x1, y1, x2, y2, score, class, with
     the model's input, planes of float32."""
     command = [program, "detect", model, *files, "--json", "--all-classes", "--write-input", folder]
-    command += ["--confidence", confidence, *more]
+    command += ["--confidence", confidence, "--threads", 1, *more]
     run = subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True)
     answers = [json.loads(line) for line in run.stdout.splitlines()]
     keys = ("x1", "y1", "x2", "y2", "confidence", "class")

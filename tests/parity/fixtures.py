@@ -74,12 +74,16 @@ def yolo(network, files, folder):
     given = torch.from_numpy(picture[:, :, ::-1].copy()).permute(2, 0, 1)[None] / 255
     with torch.no_grad():
         output = rounded(network.model.model.eval()(given)[0].numpy(), 4)
+    # So low that many boxes are above it, halfway between two scores.
+    scores = numpy.sort(output[0, 4:].max(0))[::-1]
+    many, few = (float((scores[place] + scores[place + 1]) / 2) for place in (90, 20))
     cases = []
     for confidence, overlap, per_class, most in (
-        (CONFIDENCE, OVERLAP, True, 300),
-        (0.02, 0.45, True, 300),
-        (0.02, 0.45, False, 300),
-        (0.02, 0.7, True, 20),
+        (few, OVERLAP, True, 300),
+        (many, OVERLAP, True, 300),
+        (many, 0.45, True, 300),
+        (many, 0.45, False, 300),
+        (many, 0.8, True, 20),
     ):
         [found] = non_max_suppression(
             torch.from_numpy(output), confidence, overlap, agnostic=not per_class, max_det=most

@@ -9,21 +9,22 @@ outputs get a chosen mean and spread. The weights stay random; what is compared 
 import pathlib
 
 import numpy
+import onnxruntime
 import torch
 from rfdetr import RFDETRNano
 from ultralytics import YOLO
+from ultralytics.utils.nms import non_max_suppression
+from ultralytics.utils.ops import scale_boxes
 
 SEED = 7
 
 
-def spread(layer, inputs, middle, high, share):
+def spread(layer, inputs, middle, most):
     """Scales `layer` (linear, or a convolution of 1x1) so that each of its outputs has the median `middle` over
-    `inputs` (rows of features), and exceeds `high` for this share of them."""
+    `inputs` (rows of features), and is nowhere farther from it than `most` above or below."""
     outputs = inputs @ layer.weight.data.flatten(1).T
-    ordered = outputs.sort(0).values
-    median = ordered[len(ordered) // 2]
-    top = ordered[min(round(len(ordered) * (1 - share)), len(ordered) - 1)]
-    scale = (high - middle) / (top - median).clamp(min=1e-12)
+    median = outputs.median(0).values
+    scale = most / (outputs - median).abs().amax(0).clamp(min=1e-12)
     layer.weight.data.mul_(scale.reshape(-1, *[1] * (layer.weight.dim() - 1)))
     layer.bias.data.copy_(middle - median * scale)
 
@@ -73,13 +74,13 @@ class Ultralytics:
     """yolo11n, or yolo26n with either of its heads."""
 
     side = 640
+    exported = None
 
     def __init__(self, name, end_to_end):
         torch.manual_seed(SEED)
         self.name = name + ("" if end_to_end is None else "-one2one" if end_to_end else "-one2many")
         self.end_to_end = end_to_end
         self.model = YOLO(f"{name}.yaml")
-        self.predictor = None
 
     def calibrate(self, pictures):
         """`pictures`: BGR, of the network's own size."""
@@ -95,10 +96,10 @@ class Ultralytics:
         for boxes, classes in branches:
             for level in boxes:
                 # Distances from the anchor to the four sides, in strides: by distribution, or directly.
-                middle, high = (0.0, 3.0) if head.reg_max > 1 else (4.0, 6.0)
-                spread(level[-1], inputs[level[-1]], middle, high, 0.001)
+                middle, most = (0.0, 6.0) if head.reg_max > 1 else (4.0, 3.0)
+                spread(level[-1], inputs[level[-1]], middle, most)
             for level in classes:
-                spread(level[-1], inputs[level[-1]], -7.0, -0.8, 0.0003)
+                spread(level[-1], inputs[level[-1]], -6.0, 9.0)
 
     def export(self, folder):
         file = self.model.export(
@@ -111,7 +112,21 @@ class Ultralytics:
         )
         target = pathlib.Path(folder) / f"{self.name}.onnx"
         pathlib.Path(file).replace(target)
+        options = onnxruntime.SessionOptions()
+        # One thread, as ours has: sums then agree to the last bit, and no tie goes the other way.
+        options.intra_op_num_threads = 1
+        self.exported = onnxruntime.InferenceSession(target, options)
         return target
+
+    def predict_exported(self, picture, tensor, confidence, overlap):
+        """As `predict`, with the export in ONNX Runtime on our own input tensor, and the vendor's steps after it.
+        Inputs are compared apart: ours are multiplied by 1/255 where theirs are divided by 255."""
+        tensor = tensor[None]
+        [output] = self.exported.run(None, {self.exported.get_inputs()[0].name: tensor})
+        output = torch.from_numpy(output)
+        [found] = non_max_suppression(output, confidence, overlap, max_det=300, end2end=bool(self.end_to_end))
+        found[:, :4] = scale_boxes(tensor.shape[2:], found[:, :4], picture.shape)
+        return found.numpy().astype(numpy.float64)
 
     def predict(self, picture, confidence, overlap):
         """Rows of x1, y1, x2, y2, score, class, in pixels of `picture` (BGR)."""
@@ -144,6 +159,7 @@ class RfDetr:
     """RF-DETR Nano."""
 
     side = 384
+    exported = None
     name = "rfdetr-nano"
 
     def __init__(self):
@@ -158,7 +174,7 @@ class RfDetr:
         last = network.bbox_embed.layers[-1]
         torch.nn.init.normal_(last.weight, std=0.02)
         inputs = features(lambda: network(tensor), [network.class_embed])
-        spread(network.class_embed, inputs[network.class_embed], -5.0, -0.8, 0.005)
+        spread(network.class_embed, inputs[network.class_embed], -5.0, 7.0)
 
     def export(self, folder):
         target = pathlib.Path(folder) / f"{self.name}.onnx"

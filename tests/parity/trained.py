@@ -15,7 +15,7 @@ def corner(picture, side):
     """In the top-left corner of a grey square, as YOLOX has it; and what to multiply boxes by."""
     rows, columns = picture.shape[:2]
     scale = min(side / rows, side / columns)
-    size = int(columns * scale + 1e-9), int(rows * scale + 1e-9)
+    size = int(columns * scale), int(rows * scale)
     square = numpy.full((side, side, 3), 114, numpy.uint8)
     square[: size[1], : size[0]] = cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
     return square, (1 / scale, 1 / scale)
@@ -30,9 +30,9 @@ def stretched(picture, side):
 def rows(program, shared, files, folder):
     """A line of the table for each network."""
     lines = []
-    for name, side, fit, classes in (
-        ("yolox_nano_416", 416, corner, []),
-        ("fastestdet_352", 352, stretched, []),
+    for name, side, fit in (
+        ("yolox_nano_416", 416, corner),
+        ("fastestdet_352", 352, stretched),
     ):
         model = pathlib.Path(shared) / "models" / f"{name}.onnx"
         squares, scales = [], []
@@ -42,8 +42,8 @@ def rows(program, shared, files, folder):
             squares[-1].parent.mkdir(parents=True, exist_ok=True)
             cv2.imwrite(str(squares[-1]), square)
             scales.append(numpy.array([*scale, *scale, 1, 1]))
-        _, own = detect(program, model, files, pathlib.Path(folder) / "own", CONFIDENCE, classes)
-        _, other = detect(program, model, squares, pathlib.Path(folder) / "other", CONFIDENCE, classes)
+        _, own = detect(program, model, files, pathlib.Path(folder) / "own", CONFIDENCE)
+        _, other = detect(program, model, squares, pathlib.Path(folder) / "other", CONFIDENCE)
         pixels, scores, alone, boxes, levels = [], [], 0, 0, []
         for (mine, given), (theirs, given_other), scale in zip(own, other, scales, strict=True):
             factor = 255 if given.max() <= 1 else 1

@@ -1,0 +1,204 @@
+//! Heads and preprocessing against numbers that the vendors' own code made (`make parity` writes them).
+
+#![allow(clippy::expect_used)]
+
+use albireo::detector::head::{self, Suppression, TensorView, keep_best, suppress};
+use albireo::detector::{ElementType, HeadName, Metadata, Signature, TensorSpec};
+use albireo::frame::{
+    ColorOrder, Fit, InputFormat, Letterbox, Picture, PixelLayout, TensorLayout, ValueRange,
+};
+use albireo::geometry::PictureSize;
+use flate2::read::GzDecoder;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use std::fs::File;
+use std::path::Path;
+
+#[derive(Deserialize)]
+struct Tensor {
+    shape: Vec<i64>,
+    values: Vec<f32>,
+}
+
+/// What one head's vendor makes of outputs: rows of x1, y1, x2, y2, score, class in input pixels.
+#[derive(Deserialize)]
+struct HeadFixture {
+    columns: i64,
+    rows: i64,
+    #[serde(default)]
+    names: Vec<String>,
+    outputs: Vec<Tensor>,
+    cases: Vec<Case>,
+}
+
+#[derive(Deserialize)]
+struct Case {
+    confidence: f64,
+    overlap: f64,
+    per_class: bool,
+    most: usize,
+    boxes: Tensor,
+}
+
+/// A picture (rows, columns, colours) and the input made of it.
+#[derive(Deserialize)]
+struct InputFixture {
+    picture: Tensor,
+    input: Tensor,
+}
+
+fn fixture<T: DeserializeOwned>(name: &str) -> T {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/fixtures/parity")
+        .join(format!("{name}.json.gz"));
+    let file = File::open(&path).expect("the fixture is there");
+    serde_json::from_reader(GzDecoder::new(file)).expect("the fixture can be read")
+}
+
+fn spec(name: &str, shape: &[i64]) -> TensorSpec {
+    TensorSpec {
+        name: name.to_owned(),
+        element: ElementType::Float32,
+        shape: shape.to_vec(),
+    }
+}
+
+/// Reads the fixture's outputs as the whole detector does and compares with the vendor's boxes.
+fn assert_head(name: &str, expected_head: HeadName, least_boxes: usize) {
+    let fixture: HeadFixture = fixture(name);
+    let output_name = |place: usize| fixture.names.get(place).map_or("output0", String::as_str);
+    let signature = Signature {
+        inputs: vec![spec("images", &[1, 3, fixture.rows, fixture.columns])],
+        outputs: fixture
+            .outputs
+            .iter()
+            .enumerate()
+            .map(|(place, output)| spec(output_name(place), &output.shape))
+            .collect(),
+        metadata: Metadata::default(),
+    };
+    let input = signature.picture_input(None).expect("a picture input");
+    let found = head::recognise(&signature, input).expect("recognised");
+    assert_eq!(found, expected_head);
+    let head = head::bind(found, &signature, input).expect("it fits");
+    let views: Vec<_> = fixture
+        .outputs
+        .iter()
+        .map(|output| TensorView {
+            shape: &output.shape,
+            values: &output.values,
+        })
+        .collect();
+    let mut boxes = 0;
+    for case in &fixture.cases {
+        let mut candidates = Vec::new();
+        let rejected = head.read(&views, case.confidence, &mut candidates).unwrap();
+        assert_eq!(rejected, 0);
+        if head.overlaps() {
+            let settings = Suppression {
+                overlap: case.overlap,
+                per_class: case.per_class,
+                most: case.most,
+            };
+            suppress(&mut candidates, settings);
+        } else {
+            keep_best(&mut candidates, case.most);
+        }
+        let expected: Vec<_> = case.boxes.values.chunks_exact(6).collect();
+        assert_eq!(candidates.len(), expected.len());
+        boxes += expected.len();
+        for expected in expected {
+            // Boxes of equal score may come in another order.
+            let same = candidates.iter().any(|candidate| {
+                let corners = candidate.corners;
+                let sides = [corners.x1, corners.y1, corners.x2, corners.y2];
+                let most = [fixture.columns, fixture.rows, fixture.columns, fixture.rows];
+                f32::from(candidate.class.0) == expected[5]
+                    && (candidate.confidence - expected[4]).abs() < 1e-5
+                    && sides
+                        .iter()
+                        .zip(most)
+                        .zip(expected)
+                        .all(|((side, most), expected)| {
+                            // RF-DETR's own code clips boxes at once, ours later.
+                            let clipped = side.clamp(0.0, most as f64);
+                            let expected = f64::from(*expected);
+                            (side - expected).abs() < 1e-2 || (clipped - expected).abs() < 1e-2
+                        })
+            });
+            assert!(same, "{expected:?} is not among {candidates:?}");
+        }
+    }
+    assert!(boxes >= least_boxes, "{boxes} boxes prove nothing");
+}
+
+#[test]
+fn the_yolo_head_and_suppression_agree_with_ultralytics() {
+    assert_head("head_yolo", HeadName::Yolo, 100);
+}
+
+#[test]
+fn the_end_to_end_head_agrees_with_ultralytics() {
+    assert_head("head_end_to_end", HeadName::EndToEnd, 20);
+}
+
+#[test]
+fn the_detr_head_agrees_with_rf_detr() {
+    assert_head("head_detr", HeadName::Detr, 20);
+}
+
+/// The largest and the mean difference of our input from the vendor's, in levels of 0 to 255.
+fn input_differences(name: &str, fit: Fit, value_range: ValueRange) -> (f64, f64) {
+    let fixture: InputFixture = fixture(name);
+    let size = PictureSize::new(
+        fixture.picture.shape[1] as u32,
+        fixture.picture.shape[0] as u32,
+    );
+    let picture = Picture {
+        size,
+        source_size: size,
+        layout: PixelLayout::Rgb8,
+        pixels: fixture.picture.values.iter().map(|&v| v as u8).collect(),
+    };
+    let mut letterbox = Letterbox::new(InputFormat {
+        size: PictureSize::new(fixture.input.shape[2] as u32, fixture.input.shape[1] as u32),
+        fit,
+        color_order: ColorOrder::Rgb,
+        value_range,
+        layout: TensorLayout::Nchw,
+    });
+    letterbox.fill(&picture).unwrap();
+    let ours = letterbox.tensor();
+    assert_eq!(ours.len(), fixture.input.values.len());
+    let plane = ours.len() / 3;
+    let differences: Vec<f64> = ours
+        .iter()
+        .zip(&fixture.input.values)
+        .enumerate()
+        .map(|(place, (ours, theirs))| {
+            let level = match value_range {
+                ValueRange::ImageNet => 255.0 * [0.229, 0.224, 0.225][place / plane],
+                _ => 255.0,
+            };
+            f64::from((ours - theirs).abs()) * level
+        })
+        .collect();
+    let largest = differences.iter().copied().fold(0.0, f64::max);
+    (
+        largest,
+        differences.iter().sum::<f64>() / differences.len() as f64,
+    )
+}
+
+#[test]
+fn the_input_of_yolo_models_is_that_of_ultralytics_to_two_levels() {
+    let (largest, mean) = input_differences("input_yolo", Fit::Centre(114), ValueRange::ToOne);
+    assert!(largest < 2.01 && mean < 0.25, "{largest} {mean}");
+}
+
+#[test]
+fn the_input_of_rf_detr_is_its_own_to_rounding() {
+    // Theirs is not rounded to whole levels; ours is, once for each direction.
+    let (largest, mean) = input_differences("input_detr", Fit::Stretch, ValueRange::ImageNet);
+    assert!(largest < 1.51 && mean < 0.5, "{largest} {mean}");
+}
