@@ -204,7 +204,8 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> 
         config.screen.model = Some(screen.clone());
     }
     if config.log.level == crate::node::config::LogConfig::default().level {
-        config.log.level = "warn".to_owned();
+        // Dropped frames are told in the table.
+        config.log.level = "warn,albireo::node::intake=error".to_owned();
     }
     let variants = variants(&arguments.policy, &arguments.u, &config.policy)?;
     Ok((config, variants))
