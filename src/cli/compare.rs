@@ -22,23 +22,24 @@ use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
 const EXAMPLES: &str = "\
-Each run starts a node as `albireo node` does (same code, same configuration), with a camera that plays the
-clip to it over a Zenoh session of its own. The clip's pictures are read and encoded once, before the first
-run. Each round plays every policy once, every second round in the opposite order, so that what changes
-slowly falls on all alike. A run is: rest (--cool-down), the node starts, the clip's beginning as a warm-up
-that is not counted, then the clip. A round is one sample; intervals are Student's t over the rounds.
+Each run starts a node as `albireo node` does (same code, same configuration), with a camera that \
+plays the clip to it over a Zenoh session of its own. The clip's pictures are read and encoded once, \
+before the first run. Each round plays every policy once, every second round in the opposite order, so \
+that what changes slowly falls on all alike. A run is: rest (--cool-down), the node starts, the clip's \
+beginning as a warm-up that is not counted, then the clip. A round is one sample; intervals are \
+Student's t over the rounds. Ctrl-C ends it with the rounds that are complete.
 
-Frames come at the clip's own rate, as on a board: energy is then what a camera costs in that time, and EDP
-differs as energy does. With --unpaced the next frame comes when the last was taken: energy is then what the
-clip costs when nothing is waited for.
+Frames come at the clip's own rate, as on a board: energy is then what a camera costs in that time, and \
+EDP differs as energy does. With --unpaced the next frame comes when the last was taken: energy is then \
+what the clip costs when nothing is waited for.
 
-Without a power meter it says so and compares CPU time and detector calls; energy is then estimated, and
-marked so. `albireo power` says which meter works here.
+Without a power meter it says so and compares CPU time and detector calls; energy is then estimated, \
+and marked so. `albireo power` says which meter works here.
 
 Examples:
   albireo compare
       vanilla and albireo on the synthetic dashcam, 5 rounds of 20 s: about five minutes
-  albireo compare --policy vanilla --policy albireo --u 3e-4 --u 1e-3 --clip drive.mp4 --repeat 5
+  albireo compare --policy vanilla --policy albireo --u 3e-4 --u 1e-3 --clip drive.mp4
       two thresholds on a recording of one's own (needs ffmpeg)
   albireo compare --config /etc/albireo/node.toml --clip drive.mp4 --out results
       with this board's detector and meter; every run as JSON and CSV
@@ -204,7 +205,8 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> 
         config.screen.model = Some(screen.clone());
     }
     if config.log.level == crate::node::config::LogConfig::default().level {
-        config.log.level = "warn".to_owned();
+        // Dropped frames are told in the table.
+        config.log.level = "warn,albireo::node::intake=error".to_owned();
     }
     let variants = variants(&arguments.policy, &arguments.u, &config.policy)?;
     Ok((config, variants))

@@ -42,7 +42,10 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
         columns.insert(0, (Figure::Joules, ["energy J", energy_unit]));
         columns.insert(1, (Figure::Edp, ["EDP J·ms/frame", energy_unit]));
     }
-    let means = |policy: &PolicySummary, figure| policy.mean(figure).map(mean);
+    let means = |policy: &PolicySummary, figure| {
+        let scale = if is_share(figure) { 100.0 } else { 1.0 };
+        policy.mean(figure).map(|found| mean(found, scale))
+    };
     table(&mut text, &interval, &summary.policies, &columns, means);
 
     let first = summary.policies.first().map_or("", |first| &first.policy);
@@ -66,11 +69,11 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
         of.map_or("", String::as_str)
     );
     let columns = [
-        (Figure::Ap50, ["AP@50", ""]),
-        (Figure::Precision, ["precision", ""]),
-        (Figure::Recall, ["recall", ""]),
-        (Figure::SkipRate, ["skip rate", ""]),
-        (Figure::Dropped, ["dropped", ""]),
+        (Figure::Ap50, ["AP@50 %", ""]),
+        (Figure::Precision, ["precision %", ""]),
+        (Figure::Recall, ["recall %", ""]),
+        (Figure::SkipRate, ["skip rate %", ""]),
+        (Figure::Dropped, ["frames dropped", ""]),
     ];
     table(&mut text, &title, &summary.policies, &columns, means);
     text.truncate(text.trim_end().len());
@@ -204,16 +207,25 @@ fn row(text: &mut String, width: usize, label: &str, cells: impl Iterator<Item =
     text.push('\n');
 }
 
+/// Whether a figure lies between 0 and 1, and is told in percent.
+fn is_share(figure: Figure) -> bool {
+    matches!(
+        figure,
+        Figure::Ap50 | Figure::Precision | Figure::Recall | Figure::SkipRate
+    )
+}
+
 /// `12.34 ± 0.56`, with as many decimals as the interval has meaning for.
-fn mean(mean: Mean) -> String {
-    match mean.half {
-        Some(half) if mean.mean.abs() >= 1e6 => format!("{:.2e} ± {half:.0e}", mean.mean),
+fn mean(found: Mean, scale: f64) -> String {
+    let mean = found.mean * scale;
+    match found.half.map(|half| half * scale) {
+        Some(half) if mean.abs() >= 1e6 => format!("{mean:.2e} ± {half:.0e}"),
         Some(half) if half > 0.0 => {
             let decimals = decimals(half);
-            format!("{:.decimals$} ± {half:.decimals$}", mean.mean)
+            format!("{mean:.decimals$} ± {half:.decimals$}")
         }
-        Some(_) => format!("{} ± 0", exact(mean.mean)),
-        None => exact(mean.mean),
+        Some(_) => format!("{} ± 0", exact(mean)),
+        None => exact(mean),
     }
 }
 
@@ -229,13 +241,13 @@ fn change(change: Change) -> String {
     }
 }
 
-/// Two significant digits of `scale`, and never more than four decimals.
+/// Two significant digits of `scale`, and never more than three decimals.
 fn decimals(scale: f64) -> usize {
-    (1.0 - scale.abs().log10().floor()).clamp(0.0, 4.0) as usize
+    (1.0 - scale.abs().log10().floor()).clamp(0.0, 3.0) as usize
 }
 
 fn exact(value: f64) -> String {
-    if value.fract() == 0.0 {
+    if (value - value.round()).abs() < 1e-9 {
         format!("{value:.0}")
     } else {
         let decimals = decimals(value) + 1;

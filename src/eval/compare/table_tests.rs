@@ -52,9 +52,9 @@ policy                 energy            EDP       CPU time     frame time detec
 albireo u=5e-4  -25.0 ± 3.1 %  -25.0 ± 3.1 %    -60.0 ± 0 %     +0.0 ± 0 %    -60.0 ± 0 %
 
 Boxes against those of vanilla (IoU 0.5, frames that both answered), and frames
-policy                  AP@50      precision         recall      skip rate        dropped
-vanilla             0.912 ± 0      0.950 ± 0      0.930 ± 0          0 ± 0          0 ± 0
-albireo u=5e-4      0.912 ± 0      0.950 ± 0      0.930 ± 0      0.600 ± 0          0 ± 0
+policy                AP@50 %    precision %       recall %    skip rate % frames dropped
+vanilla              91.2 ± 0         95 ± 0         93 ± 0          0 ± 0          0 ± 0
+albireo u=5e-4       91.2 ± 0         95 ± 0         93 ± 0         60 ± 0          0 ± 0
 ";
     assert_eq!(found, expected, "\n{found}");
 }
