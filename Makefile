@@ -34,7 +34,8 @@ bench-peers: ## the decision core beside other trackers, and average precision u
 
 parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
 	cargo build --locked
-	YOLO_OFFLINE=true YOLO_CONFIG_DIR="$(CURDIR)/$(CACHE)/parity/config" $(CACHE)/parity/bin/python \
+	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" YOLO_OFFLINE=true \
+		YOLO_CONFIG_DIR="$(abspath $(CACHE))/parity/config" $(CACHE)/parity/bin/python \
 		tests/parity/compare.py --shared "$${ALBIREO_SHARED:-../shared}"
 
 $(PARITY_ENVIRONMENT): tests/parity/requirements.txt

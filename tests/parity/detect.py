@@ -12,7 +12,7 @@ def detect(program, model, files, folder, confidence, more=()):
     the model's input, planes of float32."""
     command = [program, "detect", model, *files, "--json", "--all-classes", "--write-input", folder]
     command += ["--confidence", confidence, "--threads", 1, *more]
-    run = subprocess.run(list(map(str, command)), check=True, capture_output=True, text=True)
+    run = subprocess.run(list(map(str, command)), check=True, stdout=subprocess.PIPE, text=True)
     answers = [json.loads(line) for line in run.stdout.splitlines()]
     keys = ("x1", "y1", "x2", "y2", "confidence", "class")
     found = []

@@ -12,6 +12,7 @@ import numpy
 import onnxruntime
 import torch
 from rfdetr import RFDETRNano
+from rfdetr.models.postprocess import PostProcess
 from ultralytics import YOLO
 from ultralytics.utils.nms import non_max_suppression
 from ultralytics.utils.ops import scale_boxes
@@ -118,6 +119,13 @@ class Ultralytics:
         self.exported = onnxruntime.InferenceSession(target, options)
         return target
 
+    def boxes_of(self, tensor, confidence, overlap):
+        """What PyTorch and the vendor's steps after it make of an input, in its pixels."""
+        [output] = self.raw(tensor)
+        output = torch.from_numpy(output)
+        [found] = non_max_suppression(output, confidence, overlap, max_det=300, end2end=bool(self.end_to_end))
+        return found.numpy().astype(numpy.float64)
+
     def predict_exported(self, picture, tensor, confidence, overlap):
         """As `predict`, with the export in ONNX Runtime on our own input tensor, and the vendor's steps after it.
         Inputs are compared apart: ours are multiplied by 1/255 where theirs are divided by 255."""
@@ -184,6 +192,14 @@ class RfDetr:
             [made] = made.glob("*.onnx")
         made.replace(target)
         return target
+
+    def boxes_of(self, tensor, confidence, overlap):
+        del overlap
+        boxes, logits = map(torch.from_numpy, self.raw(tensor))
+        outputs = {"pred_boxes": boxes, "pred_logits": logits}
+        [found] = PostProcess(num_select=300)(outputs, torch.tensor([[self.side, self.side]]))
+        rows = torch.column_stack([found["boxes"], found["scores"], found["labels"]])
+        return rows[found["scores"] > confidence].numpy().astype(numpy.float64)
 
     def predict(self, picture, confidence, overlap):
         del overlap

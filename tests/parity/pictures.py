@@ -40,7 +40,7 @@ def sources(shared, program, folder):
     synthetic = folder / "synth"
     command = [program, "synth", "--seeds", "3", "--first", "40", "--frames", "1", "--out", synthetic]
     if not any(synthetic.rglob("*.jpg")):
-        subprocess.run(command, check=True, capture_output=True)
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     files.append(sorted(synthetic.rglob("*.jpg"))[0])
     generator = numpy.random.default_rng(7)
     # Grains of a few pixels: single ones are like nothing a network sees.

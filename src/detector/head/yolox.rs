@@ -22,7 +22,7 @@ impl Yolox {
     pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Self, Misfit> {
         let misfit = misfit(HeadName::Yolox);
         let size = input.size;
-        if size.width % 32 != 0 || size.height % 32 != 0 {
+        if !size.width.is_multiple_of(32) || !size.height.is_multiple_of(32) {
             let reason = format!("its input of {size} has a side that is no multiple of 32");
             return Err(misfit(reason));
         }
