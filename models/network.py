@@ -149,6 +149,39 @@ class Screen(nn.Module):
         return self.classify(self.blocks(picture))
 
 
+def load_screen(path):
+    """A screen with the weights of an exported one, to train on from there.
+
+    The export has folded the batch normalisations into the convolutions: they start as plain shifts.
+    """
+    graph = onnx.load(str(path)).graph
+    stored = {tensor.name: torch.from_numpy(onnx.numpy_helper.to_array(tensor).copy()) for tensor in graph.initializer}
+    folded = [[stored[name] for name in node.input[1:3]] for node in graph.node if node.op_type in ("Conv", "Gemm")]
+    screen = Screen()
+    layers = [*screen.blocks, screen.classifier[0], screen.classifier[2]]
+    with torch.no_grad():
+        for layer, (weights, bias) in zip(layers, folded, strict=True):
+            if isinstance(layer, nn.Linear):
+                layer.weight.copy_(weights)
+                layer.bias.copy_(bias)
+            else:
+                layer[0].weight.copy_(weights)
+                layer[1].bias.copy_(bias)
+                layer[1].running_var.fill_(1.0 - layer[1].eps)
+    return screen
+
+
+def average(smooth, module, step, most):
+    """Moves the averaged weights towards those of this step, keeping at most the share `most`."""
+    keep = min(most, (1 + step) / (10 + step))
+    with torch.no_grad():
+        for slow, fast in zip(smooth.state_dict().values(), module.state_dict().values()):
+            if slow.dtype.is_floating_point:
+                slow.lerp_(fast, 1 - keep)
+            else:
+                slow.copy_(fast)
+
+
 def parameters(module):
     """Number of trained numbers."""
     return sum(weights.numel() for weights in module.parameters())

@@ -24,7 +24,7 @@ from tqdm import tqdm
 
 from dataset import SCREEN_SIZE
 from evaluate import check_export, session
-from network import Screen, export_screen
+from network import Screen, average, export_screen, load_screen
 
 EMPTY, OCCUPIED = 0, 1
 
@@ -113,7 +113,8 @@ def train(training, arguments):
         sys.exit(f"the clips to train on hold {counts[EMPTY]} empty and {counts[OCCUPIED]} occupied frames: both are needed")
     weights = torch.tensor((len(labels) / (2 * counts)).astype(np.float32))
     weights[OCCUPIED] *= arguments.weight
-    screen = Screen().to(memory_format=torch.channels_last)
+    screen = Screen() if arguments.from_scratch else load_screen(arguments.start)
+    screen = screen.to(memory_format=torch.channels_last)
     smooth = copy.deepcopy(screen).eval()
     optimiser = torch.optim.AdamW(screen.parameters(), lr=arguments.rate, weight_decay=0.02)
     steps = max(1, len(labels) // arguments.batch) * arguments.epochs
@@ -136,13 +137,7 @@ def train(training, arguments):
         loss.backward()
         optimiser.step()
         schedule.step()
-        keep = min(0.98, (1 + step) / (10 + step))
-        with torch.no_grad():
-            for slow, fast in zip(smooth.state_dict().values(), screen.state_dict().values()):
-                if slow.dtype.is_floating_point:
-                    slow.lerp_(fast, 1 - keep)
-                else:
-                    slow.copy_(fast)
+        average(smooth, screen, step, most=0.98)
         bar.set_postfix(loss=f"{float(loss.detach()):.3f}")
     return smooth
 
@@ -157,9 +152,11 @@ def main():
     parser.add_argument("--every", type=int, default=2, help="use every n-th frame (default: 2)")
     parser.add_argument("--validation", type=float, default=0.3, help="share of the frames to validate on (default: 0.3)")
     parser.add_argument("--weight", type=float, default=3.0, help="a missed object costs so much more than a false alarm (default: 3)")
+    parser.add_argument("--start", default=str(Path(__file__).with_name("screen.onnx")), help="screen to train on from (default: the demonstration's)")
+    parser.add_argument("--from-scratch", action="store_true", help="begin with random weights; takes far more footage")
     parser.add_argument("--epochs", type=int, default=8)
     parser.add_argument("--batch", type=int, default=16)
-    parser.add_argument("--rate", type=float, default=3e-3)
+    parser.add_argument("--rate", type=float, default=1e-3)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     parser.add_argument("--out", default="screen.onnx")

@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from dataset import CLASSES, DETECTOR_SIZE, detector_arrays
 from evaluate import check_export, report
-from network import STRIDES, Detector, export_detector, parameters
+from network import Detector, STRIDES, average, export_detector, parameters
 
 # Largest side of a box, input pixels, that each stride learns; neighbours overlap.
 REACH = ((0.0, 22.0), (14.0, 60.0), (40.0, 1e4))
@@ -177,13 +177,7 @@ def main():
         torch.nn.utils.clip_grad_norm_(detector.parameters(), 10.0)
         optimiser.step()
         schedule.step()
-        keep = min(0.998, (1 + step) / (10 + step))
-        with torch.no_grad():
-            for slow, fast in zip(smooth.state_dict().values(), detector.state_dict().values()):
-                if slow.dtype.is_floating_point:
-                    slow.lerp_(fast, 1 - keep)
-                else:
-                    slow.copy_(fast)
+        average(smooth, detector, step, most=0.998)
         sums += [float(losses[0].detach()), float(losses[1].detach())]
         if (step + 1) % 100 == 0:
             taken = time.time() - started

@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from dataset import SCREEN_SIZE, label, read_lines, screen_arrays
 from evaluate import check_export, session
-from network import Screen, export_screen, parameters
+from network import Screen, average, export_screen, parameters
 
 # Missing an object is worse than waking the detector for nothing, so its loss counts more.
 WEIGHT_OF_NON_EMPTY = 3.0
@@ -107,13 +107,7 @@ def main():
         loss.backward()
         optimiser.step()
         schedule.step()
-        keep = min(0.99, (1 + step) / (10 + step))
-        with torch.no_grad():
-            for slow, fast in zip(smooth.state_dict().values(), screen.state_dict().values()):
-                if slow.dtype.is_floating_point:
-                    slow.lerp_(fast, 1 - keep)
-                else:
-                    slow.copy_(fast)
+        average(smooth, screen, step, most=0.99)
         total += float(loss.detach())
         if (step + 1) % 50 == 0:
             print(f"step {step + 1}/{steps} loss {total / 50:.3f} {time.time() - started:.0f} s", flush=True)

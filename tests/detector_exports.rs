@@ -1,6 +1,6 @@
 //! Exports of many kinds through the whole detector: recognised and run, or refused, or survived.
 
-#![allow(clippy::panic)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 use albireo::detector::{
     CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle, DetectorStatus, HeadName,

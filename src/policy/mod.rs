@@ -287,7 +287,11 @@ pub enum KnobError {
         policy: &'static str,
     },
     /// The value cannot be used.
-    #[error("`{name}` must be a number from {minimum:e} to {maximum:e}, not {value}")]
+    #[error(
+        "`{name}` must be a number from {} to {}, not {value}",
+        short(*.minimum),
+        short(*.maximum)
+    )]
     OutOfRange {
         /// The knob's name.
         name: &'static str,
@@ -300,7 +304,25 @@ pub enum KnobError {
     },
 }
 
+/// A number as a person writes it: `0.3`, `100`, `1e-9`.
+pub(crate) fn short(value: f64) -> String {
+    if value == 0.0 || (0.001..1e6).contains(&value.abs()) {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
+}
+
 impl Knob {
+    /// The range of its values, in words.
+    pub fn range(&self) -> String {
+        format!(
+            "a number from {} to {}",
+            short(self.minimum),
+            short(self.maximum)
+        )
+    }
+
     /// `value` if it is a number inside the range.
     ///
     /// # Errors

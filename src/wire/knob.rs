@@ -4,7 +4,7 @@
 //! for another's, and a message says what was turned.
 
 use super::messages::current_version;
-use crate::policy::{KNOB_NAMES, Knob};
+use crate::policy::{KNOB_NAMES, Knob, short};
 use serde::de::{self, Deserializer, MapAccess, Visitor};
 use serde::ser::{SerializeMap, Serializer};
 use serde::{Deserialize, Serialize};
@@ -33,12 +33,7 @@ impl KnobValue {
 impl fmt::Display for KnobValue {
     /// `u 3e-4`, `lambda 0.3`.
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { name, value } = self;
-        if value.abs() < 0.01 && *value != 0.0 {
-            write!(formatter, "{name} {value:e}")
-        } else {
-            write!(formatter, "{name} {value}")
-        }
+        write!(formatter, "{} {}", self.name, short(self.value))
     }
 }
 

@@ -4,7 +4,7 @@ use super::Shared;
 use crate::http::problem::Problem;
 use crate::http::serve::BODY_LIMIT;
 use crate::node::board::CameraBoard;
-use crate::policy::Knob;
+use crate::policy::{Knob, short};
 use crate::wire::{KnobValue, ThresholdMessage, VERSION};
 use axum::Json;
 use axum::body::Bytes;
@@ -152,8 +152,10 @@ fn value(
 fn expected(knob: Option<Knob>) -> String {
     match knob {
         Some(knob) => format!(
-            "a JSON object such as {{\"{}\": {}}} with a number from {:e} to {:e}",
-            knob.name, knob.default, knob.minimum, knob.maximum
+            "a JSON object such as {{\"{}\": {}}} with {}",
+            knob.name,
+            short(knob.default),
+            knob.range()
         ),
         None => "a JSON object such as {\"u\": 0.0003}".to_owned(),
     }
