@@ -1,6 +1,6 @@
 //! Exports of many kinds through the whole detector: recognised and run, or refused, or survived.
 
-#![allow(clippy::unwrap_used, clippy::panic)]
+#![allow(clippy::panic, clippy::unwrap_used)]
 
 use albireo::detector::{
     CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle, DetectorStatus, HeadName,

@@ -1,6 +1,6 @@
 //! Heads and preprocessing against numbers that the vendors' own code made (`make parity` writes them).
 
-#![allow(clippy::unwrap_used, clippy::expect_used)]
+#![allow(clippy::expect_used, clippy::unwrap_used)]
 
 use albireo::detector::head::{self, Suppression, TensorView, keep_best, suppress};
 use albireo::detector::{ElementType, HeadName, Metadata, Signature, TensorSpec};
