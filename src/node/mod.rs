@@ -15,4 +15,5 @@ mod spool;
 mod start;
 mod threshold;
 
+pub use answer::{AnswerContext, detections_message};
 pub use start::{Node, PreparedNode};

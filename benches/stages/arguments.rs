@@ -1,0 +1,73 @@
+//! What the user may choose.
+
+use anyhow::{Context, bail};
+use std::path::{Path, PathBuf};
+
+/// Time of each stage between a JPEG picture and published detections, on this machine.
+#[derive(clap::Parser)]
+#[command(name = "cargo bench --bench stages --")]
+pub struct Arguments {
+    /// ONNX file of a detector; may be given several times. Without it the demonstration detector, and
+    /// `yolox_nano_416.onnx` where $ALBIREO_SHARED (default ../shared) has it.
+    #[arg(long = "model", value_name = "FILE")]
+    models: Vec<PathBuf>,
+    /// Folder of JPEG files; without it the synthetic dashcam at 1280x720.
+    #[arg(long, value_name = "FOLDER")]
+    pub pictures: Option<PathBuf>,
+    /// Pictures of one round.
+    #[arg(long, default_value_t = 32, value_parser = clap::value_parser!(u16).range(1..))]
+    pub frames: u16,
+    /// Rounds; ours, Python's and the loops take turns in each.
+    #[arg(long, default_value_t = 7, value_parser = clap::value_parser!(u16).range(1..))]
+    pub rounds: u16,
+    /// Threads of ONNX Runtime; 0 for one less than the machine has cores.
+    #[arg(long, default_value_t = 0)]
+    threads: usize,
+    /// A Python with numpy, opencv-python and onnxruntime, to run the same path in.
+    #[arg(long, value_name = "FILE")]
+    pub python: Option<PathBuf>,
+    /// `cargo bench` says so; changes nothing.
+    #[arg(long, hide = true)]
+    bench: bool,
+}
+
+impl Arguments {
+    /// The detectors to measure.
+    pub fn models(&self) -> anyhow::Result<Vec<PathBuf>> {
+        if !self.models.is_empty() {
+            return Ok(self.models.clone());
+        }
+        let shared = std::env::var_os("ALBIREO_SHARED").map_or("../shared".into(), PathBuf::from);
+        let models: Vec<_> = [
+            PathBuf::from("models/detector.onnx"),
+            shared.join("models/yolox_nano_416.onnx"),
+        ]
+        .into_iter()
+        .filter(|model| model.is_file())
+        .collect();
+        if models.is_empty() {
+            bail!("models/detector.onnx is not here: name a model with --model");
+        }
+        Ok(models)
+    }
+
+    /// Threads of ONNX Runtime, never 0.
+    pub fn threads(&self) -> usize {
+        match self.threads {
+            0 => std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1)),
+            threads => threads,
+        }
+    }
+}
+
+/// The machine's load of the last minute, where it tells.
+pub fn load_average() -> Option<String> {
+    let text = std::fs::read_to_string("/proc/loadavg").ok()?;
+    text.split_whitespace().next().map(ToOwned::to_owned)
+}
+
+/// A file's name for headings.
+pub fn name_of(path: &Path) -> anyhow::Result<String> {
+    let name = path.file_name().context("the model has no file name")?;
+    Ok(name.to_string_lossy().into_owned())
+}

@@ -1,0 +1,152 @@
+//! Where the time of a frame goes, stage by stage, and what the queue in front of the detector costs; with
+//! `--python`, beside the same path in Python. Run with `cargo bench --bench stages`; `-- --help` lists options.
+
+mod arguments;
+mod ours;
+mod python;
+mod samples;
+mod table;
+mod throughput;
+
+use albireo::detector::{DetectorConfig, DetectorHandle};
+use albireo::footage::{FrameSource, PictureFolder, Synthetic};
+use albireo::frame::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
+use anyhow::{Context, bail};
+use arguments::{Arguments, load_average, name_of};
+use clap::Parser;
+use ours::{Line, OurPath};
+use python::PythonPath;
+use samples::Samples;
+use std::path::Path;
+use std::sync::Arc;
+use throughput::Throughput;
+
+/// World of the synthetic dashcam that is filmed.
+const SEED: u64 = 301;
+
+fn main() -> anyhow::Result<()> {
+    let arguments = Arguments::parse();
+    let frames = frames(&arguments)?;
+    // The Python path reads the very same files.
+    let folder = tempfile::tempdir().context("a folder for pictures")?;
+    for (number, frame) in frames.iter().enumerate() {
+        let file = folder.path().join(format!("{number:05}.jpg"));
+        std::fs::write(&file, &frame.bytes).with_context(|| file.display().to_string())?;
+    }
+    println!(
+        "{} pictures of {}, {} kB each; {} rounds; {} cores{}.",
+        frames.len(),
+        frames
+            .first()
+            .map_or_else(String::new, |frame| frame.size.to_string()),
+        frames.iter().map(|frame| frame.bytes.len()).sum::<usize>() / frames.len() / 1000,
+        arguments.rounds,
+        std::thread::available_parallelism().map_or(1, usize::from),
+        load_average().map_or_else(String::new, |load| format!(
+            ", load average {load} at the start"
+        )),
+    );
+    if cfg!(debug_assertions) {
+        println!(
+            "This is the development profile; `cargo bench` measures what a release build does."
+        );
+    }
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()?;
+    runtime.block_on(async {
+        let line = Line::open().await?;
+        for model in arguments.models()? {
+            measure(&arguments, &model, &frames, folder.path(), &line).await?;
+        }
+        Ok(())
+    })
+}
+
+/// The pictures of one round, all JPEG.
+fn frames(arguments: &Arguments) -> anyhow::Result<Vec<EncodedPicture>> {
+    let mut source: Box<dyn FrameSource> = match &arguments.pictures {
+        Some(folder) => Box::new(PictureFolder::open(folder, PictureFolder::RATE)?),
+        None => Box::new(Synthetic::open(SEED, Synthetic::RATE)?),
+    };
+    let mut frames = Vec::new();
+    while frames.len() < usize::from(arguments.frames)
+        && let Some(frame) = source.next()?
+    {
+        frames.push(frame);
+    }
+    if frames.is_empty() {
+        bail!("{} has no pictures", source.name());
+    }
+    Ok(frames)
+}
+
+/// Everything about one model. What is compared takes turns, so that a busy moment of the machine meets all alike.
+async fn measure(
+    arguments: &Arguments,
+    model: &Path,
+    frames: &[EncodedPicture],
+    folder: &Path,
+    line: &Line,
+) -> anyhow::Result<()> {
+    let config = DetectorConfig {
+        model: model.to_owned(),
+        threads: arguments.threads(),
+        ..DetectorConfig::default()
+    };
+    let mut path = OurPath::open(&config, line)?;
+    let head = path.network.head().as_str();
+    let mut python = arguments
+        .python
+        .as_ref()
+        .map(|python| PythonPath::start(python, model, head, folder, config.threads))
+        .transpose()?;
+    let detector = DetectorHandle::start(&config).await?;
+    let pictures = decoded(frames)?;
+
+    let (mut ours, mut theirs) = (Samples::default(), Samples::default());
+    let mut throughput = Throughput::default();
+    for frame in frames {
+        // Not counted: buffers grow here.
+        path.frame(frame, &mut Samples::default()).await?;
+    }
+    for _ in 0..arguments.rounds {
+        for frame in frames {
+            path.frame(frame, &mut ours).await?;
+        }
+        if let Some(python) = &mut python {
+            python.round(&mut theirs)?;
+        }
+        throughput.run_loop(&mut path.network, &pictures)?;
+        throughput.run_queue(&detector, &pictures).await?;
+    }
+    detector.stop().await;
+
+    println!(
+        "\n{}: head {head}, input {}, {}, threads: {}; {:.1} objects a frame",
+        name_of(model)?,
+        path.network.input_format().size,
+        detector.provider().as_str(),
+        config.threads,
+        ours.detections(),
+    );
+    table::print(&ours, python.as_ref().map(|_| &theirs));
+    throughput.print();
+    if let Some(python) = &python {
+        println!("Python: {}.", python.versions);
+    }
+    Ok(())
+}
+
+fn decoded(frames: &[EncodedPicture]) -> anyhow::Result<Vec<Arc<Picture>>> {
+    let limits = FrameLimits::default();
+    frames
+        .iter()
+        .map(|frame| {
+            let mut picture = Picture::default();
+            decode(frame, &limits, PixelLayout::Rgb8, None, &mut picture)?;
+            Ok(Arc::new(picture))
+        })
+        .collect()
+}

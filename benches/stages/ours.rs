@@ -1,0 +1,170 @@
+//! A frame's way as the node goes it, on one thread: decoding, letterbox, model, head, policy, message, Zenoh.
+
+use super::samples::{Samples, Stage};
+use albireo::detector::{CameraSlot, DetectorConfig, Model, Network};
+use albireo::frame::{EncodedPicture, Frame, FrameLimits, Picture, PixelLayout, decode};
+use albireo::node::config::ZenohConfig;
+use albireo::node::{AnswerContext, detections_message, session};
+use albireo::policy::{Albireo, AlbireoSettings, Evidence, FrameHead, Need, Outcome, Policy};
+use albireo::wire::Latency;
+use anyhow::{Context, anyhow, bail};
+use std::net::TcpListener;
+use std::time::{Duration, Instant};
+use zenoh::Session;
+use zenoh::bytes::Encoding;
+use zenoh::pubsub::Publisher;
+
+const KEY: &str = "albireo/bench/front/detections";
+
+/// A publisher and, in a session of its own behind a TCP connection, somebody who listens.
+pub struct Line {
+    publisher: Publisher<'static>,
+    /// Open as long as the publisher is in use.
+    _sessions: [Session; 2],
+}
+
+impl Line {
+    pub async fn open() -> anyhow::Result<Self> {
+        let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
+        let endpoint = format!("tcp/127.0.0.1:{port}");
+        let listening = ZenohConfig {
+            listen: vec![endpoint.clone()],
+            ..ZenohConfig::default()
+        };
+        let connecting = ZenohConfig {
+            listen: Vec::new(),
+            connect: vec![endpoint],
+            ..ZenohConfig::default()
+        };
+        let limit = FrameLimits::default().max_payload_bytes;
+        let node = session::open(&listening, limit).await?;
+        let client = session::open(&connecting, limit).await?;
+        let failed = |error: zenoh::Error| anyhow!("Zenoh: {error}");
+        client
+            .declare_subscriber(KEY)
+            .callback(|_| {})
+            .background()
+            .await
+            .map_err(failed)?;
+        let publisher = node.declare_publisher(KEY).await.map_err(failed)?;
+        let start = Instant::now();
+        while !publisher
+            .matching_status()
+            .await
+            .map_err(failed)?
+            .matching()
+        {
+            if start.elapsed() > Duration::from_secs(10) {
+                bail!("no connection over Zenoh on this machine within 10 s");
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+        Ok(Self {
+            publisher,
+            _sessions: [node, client],
+        })
+    }
+}
+
+/// All that one camera's frames pass.
+pub struct OurPath<'a> {
+    pub network: Network,
+    line: &'a Line,
+    class_names: Vec<String>,
+    policy: Albireo,
+    outcome: Outcome,
+    limits: FrameLimits,
+    picture: Picture,
+    frames: u64,
+}
+
+impl<'a> OurPath<'a> {
+    pub fn open(config: &DetectorConfig, line: &'a Line) -> anyhow::Result<Self> {
+        let network = Network::open(config)?;
+        Ok(Self {
+            class_names: network.class_names().to_vec(),
+            network,
+            line,
+            // So low a threshold that every frame is one that the detector sees and that is matched.
+            policy: Albireo::new(AlbireoSettings::paper(), 1e-9)?,
+            outcome: Outcome::default(),
+            limits: FrameLimits::default(),
+            picture: Picture::default(),
+            frames: 0,
+        })
+    }
+
+    /// Takes one picture the whole way.
+    pub async fn frame(
+        &mut self,
+        encoded: &EncodedPicture,
+        samples: &mut Samples,
+    ) -> anyhow::Result<()> {
+        let frame = Frame {
+            sequence: self.frames,
+            time_ns: self.frames * 100_000_000,
+            clip: None,
+            picture: encoded.clone(),
+            received: tokio::time::Instant::now(),
+            payload_bytes: encoded.bytes.len(),
+        };
+        let start = Instant::now();
+        let (layout, picture) = (PixelLayout::Rgb8, &mut self.picture);
+        decode(encoded, &self.limits, layout, None, picture)?;
+        let decoding = start.elapsed();
+
+        let found = self.network.run(CameraSlot(0), &self.picture)?;
+
+        let start = Instant::now();
+        let mut need = self.policy.begin(FrameHead {
+            index: self.frames,
+            step: 1,
+            picture: encoded.size,
+        });
+        while need != Need::Nothing {
+            need = self.policy.answer(match need {
+                Need::Screen => Evidence::Screen { empty: false },
+                _ => Evidence::Detections(&found.detections),
+            });
+        }
+        self.policy.finish(&mut self.outcome);
+        let policy = start.elapsed();
+        if self.outcome.state.is_skipped() {
+            bail!("the policy skipped a frame that was to be matched");
+        }
+
+        let start = Instant::now();
+        let context = AnswerContext {
+            frame: &frame,
+            clip: "bench",
+            knob: None,
+            class_names: &self.class_names,
+            latency: Latency::default(),
+        };
+        let message = detections_message(&self.outcome, &context);
+        let json = serde_json::to_vec(&message).context("the message")?;
+        let written = start.elapsed();
+
+        let start = Instant::now();
+        self.line
+            .publisher
+            .put(json)
+            .encoding(Encoding::APPLICATION_JSON)
+            .await
+            .map_err(|error| anyhow!("Zenoh: {error}"))?;
+        let publication = start.elapsed();
+
+        self.frames += 1;
+        let times = [
+            (Stage::Decode, decoding),
+            (Stage::Letterbox, found.letterbox),
+            (Stage::Model, found.model),
+            (Stage::Head, found.head),
+            (Stage::Policy, policy),
+            (Stage::Message, written),
+            (Stage::Publish, publication),
+        ];
+        samples.add(&times, found.detections.len());
+        Ok(())
+    }
+}

@@ -1,0 +1,104 @@
+//! Times of the stages, and what is made of them.
+
+use std::time::Duration;
+
+/// A part of a frame's way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    Decode,
+    Letterbox,
+    Model,
+    Head,
+    Policy,
+    Message,
+    Publish,
+}
+
+impl Stage {
+    pub const ALL: [Self; 7] = [
+        Self::Decode,
+        Self::Letterbox,
+        Self::Model,
+        Self::Head,
+        Self::Policy,
+        Self::Message,
+        Self::Publish,
+    ];
+
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Decode => "JPEG decoding",
+            Self::Letterbox => "letterbox",
+            Self::Model => "model",
+            Self::Head => "head and suppression",
+            Self::Policy => "policy (matching)",
+            Self::Message => "message (JSON)",
+            Self::Publish => "publication (Zenoh put)",
+        }
+    }
+
+    /// Whether it is neither the model nor the decoding, which is told apart.
+    const fn is_ours(self) -> bool {
+        !matches!(self, Self::Decode | Self::Model)
+    }
+}
+
+/// Milliseconds of every frame, one list a stage.
+#[derive(Default)]
+pub struct Samples {
+    stages: [Vec<f64>; Stage::ALL.len()],
+    ours: Vec<f64>,
+    detections: usize,
+}
+
+impl Samples {
+    /// Takes one frame in: the times of its stages, and how many objects were found in it.
+    pub fn add(&mut self, times: &[(Stage, Duration)], detections: usize) {
+        let mut ours = 0.0;
+        for &(stage, time) in times {
+            let time = time.as_secs_f64() * 1e3;
+            self.add_one(stage, time);
+            if stage.is_ours() {
+                ours += time;
+            }
+        }
+        self.ours.push(ours);
+        self.detections += detections;
+    }
+
+    /// One time of a stage, milliseconds.
+    pub fn add_one(&mut self, stage: Stage, milliseconds: f64) {
+        self.stages[stage as usize].push(milliseconds);
+    }
+
+    /// Median and 95th percentile of a stage; `None` where it was never measured.
+    pub fn of(&self, stage: Stage) -> Option<[f64; 2]> {
+        summary(&self.stages[stage as usize])
+    }
+
+    /// The same of all stages that are ours together, frame by frame.
+    pub fn ours(&self) -> Option<[f64; 2]> {
+        summary(&self.ours)
+    }
+
+    /// Objects found in a frame, on average.
+    pub fn detections(&self) -> f64 {
+        self.detections as f64 / self.ours.len().max(1) as f64
+    }
+}
+
+/// Median and 95th percentile, nearest rank.
+fn summary(values: &[f64]) -> Option<[f64; 2]> {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    let rank = |share: f64| {
+        let rank = (share * sorted.len() as f64).ceil() as usize;
+        sorted.get(rank.saturating_sub(1)).copied()
+    };
+    Some([rank(0.5)?, rank(0.95)?])
+}
+
+/// The middle one; of none, not a number.
+pub fn median(values: &[f64]) -> f64 {
+    summary(values).map_or(f64::NAN, |[median, _]| median)
+}
