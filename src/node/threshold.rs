@@ -3,13 +3,24 @@
 use super::board::CameraBoard;
 use crate::wire::{self, KnobValue, ThresholdMessage, VERSION};
 use std::sync::Arc;
+use tokio::sync::mpsc;
 use zenoh::Session;
+use zenoh::Wait;
 use zenoh::bytes::Encoding;
 use zenoh::pubsub::Subscriber;
 use zenoh::query::{Query, Queryable};
 
 /// Largest threshold message read; a valid one has a few dozen bytes.
 const MAX_MESSAGE_BYTES: usize = 4096;
+
+/// Requests that may wait for the file to be written; a person or a hub sends a few a second at most.
+const WAITING: usize = 64;
+
+/// What came over Zenoh.
+enum Request {
+    Put(Vec<u8>),
+    Query(Query),
+}
 
 /// Serves one camera's threshold until dropped.
 #[derive(Debug)]
@@ -19,7 +30,9 @@ pub struct ThresholdService {
 }
 
 impl ThresholdService {
-    /// Declares the threshold key of `board`'s camera.
+    /// Declares the threshold key of `board`'s camera. Zenoh's own threads only hand requests on: a change
+    /// writes a file, which may take a moment on a slow card. They are answered one after the other, in the
+    /// order in which they came.
     ///
     /// # Errors
     /// When Zenoh refuses the declaration.
@@ -28,20 +41,39 @@ impl ThresholdService {
         key: String,
         board: Arc<CameraBoard>,
     ) -> zenoh::Result<Self> {
-        let changed = Arc::clone(&board);
+        let (requests, mut waiting) = mpsc::channel(WAITING);
+        let puts = requests.clone();
         let subscriber = session
             .declare_subscriber(key.clone())
             .callback(move |sample| {
-                if let Err(reason) = change(&changed, &sample.payload().to_bytes()) {
-                    tracing::warn!(camera = changed.name(), "threshold put refused: {reason}");
+                // Of one that is too long no more than shows it.
+                let payload = sample.payload().to_bytes();
+                let read = payload.len().min(MAX_MESSAGE_BYTES + 1);
+                let put = Request::Put(payload[..read].to_vec());
+                if puts.try_send(put).is_err() {
+                    tracing::warn!("threshold put dropped: too many at once");
                 }
             })
             .await?;
-        let reply_key = key.clone();
         let queryable = session
-            .declare_queryable(key)
-            .callback(move |query| answer(&board, &reply_key, &query))
+            .declare_queryable(key.clone())
+            .callback(move |query| {
+                // One that does not fit goes unanswered, as if nobody were there.
+                if requests.try_send(Request::Query(query)).is_err() {
+                    tracing::warn!("threshold query dropped: too many at once");
+                }
+            })
             .await?;
+        // Ends when both declarations are gone.
+        tokio::spawn(async move {
+            while let Some(request) = waiting.recv().await {
+                let (board, key) = (Arc::clone(&board), key.clone());
+                let served = tokio::task::spawn_blocking(move || serve(&board, &key, request));
+                if let Err(error) = served.await {
+                    tracing::error!(%error, "threshold request failed");
+                }
+            }
+        });
         Ok(Self {
             _queryable: queryable,
             _subscriber: subscriber,
@@ -49,12 +81,22 @@ impl ThresholdService {
     }
 }
 
+fn serve(board: &CameraBoard, key: &str, request: Request) {
+    match request {
+        Request::Put(payload) => {
+            if let Err(reason) = change(board, &payload) {
+                tracing::warn!(camera = board.name(), "threshold put refused: {reason}");
+            }
+        }
+        Request::Query(query) => answer(board, key, &query),
+    }
+}
+
 /// Changes the threshold to what the payload says; the value now in force.
 fn change(board: &CameraBoard, payload: &[u8]) -> Result<KnobValue, String> {
     if payload.len() > MAX_MESSAGE_BYTES {
         return Err(format!(
-            "a threshold message has at most {MAX_MESSAGE_BYTES} bytes, not {}",
-            payload.len()
+            "a threshold message has at most {MAX_MESSAGE_BYTES} bytes; this one has more"
         ));
     }
     // `v` may be left out here, as in a hand-typed put, so the versioned reader does not fit.
@@ -79,7 +121,6 @@ fn answer(board: &CameraBoard, key: &str, query: &Query) {
         Some(payload) if !payload.is_empty() => change(board, &payload.to_bytes()),
         _ => in_force(board),
     };
-    use zenoh::Wait;
     let sent = match result {
         Ok(knob) => match serde_json::to_vec(&ThresholdMessage { v: VERSION, knob }) {
             Ok(reply) => query
