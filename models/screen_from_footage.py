@@ -154,9 +154,9 @@ def main():
     parser.add_argument("--weight", type=float, default=3.0, help="a missed object costs so much more than a false alarm (default: 3)")
     parser.add_argument("--start", default=str(Path(__file__).with_name("screen.onnx")), help="screen to train on from (default: the demonstration's)")
     parser.add_argument("--from-scratch", action="store_true", help="begin with random weights; takes far more footage")
-    parser.add_argument("--epochs", type=int, default=8)
+    parser.add_argument("--epochs", type=int, default=4)
     parser.add_argument("--batch", type=int, default=16)
-    parser.add_argument("--rate", type=float, default=1e-3)
+    parser.add_argument("--rate", type=float, default=3e-4)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     parser.add_argument("--out", default="screen.onnx")
@@ -187,8 +187,10 @@ def main():
     report = {"training": figures(*verdicts_of(arguments.out, training))}
     if validation:
         report["validation"] = figures(*verdicts_of(arguments.out, validation))
+        if not arguments.from_scratch:
+            report["validation, before training"] = figures(*verdicts_of(arguments.start, validation))
     print(json.dumps(report, indent=1))
-    print(f"{arguments.out} written: name it in screen.model")
+    print(f"{arguments.out} written: name it in screen.model if the validation is good enough; if not, add clips")
 
 
 if __name__ == "__main__":

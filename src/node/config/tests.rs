@@ -62,7 +62,9 @@ fn the_shipped_file_is_exactly_the_defaults() {
 /// The key of a line that sets one, also when it is commented out.
 fn key_of(line: &str) -> Option<&str> {
     let (key, _) = line.strip_prefix("# ").unwrap_or(line).split_once(" = ")?;
-    let is_key = |byte: u8| byte.is_ascii_lowercase() || matches!(byte, b'_' | b'.');
+    let is_key = |byte: u8| {
+        byte.is_ascii_lowercase() || byte.is_ascii_digit() || matches!(byte, b'_' | b'.')
+    };
     key.bytes().all(is_key).then_some(key)
 }
 
