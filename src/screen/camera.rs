@@ -28,8 +28,6 @@ pub struct ScreenCounts {
 pub struct CameraScreen {
     kind: Kind,
     run: EmptyRun,
-    /// Whether the agnostic screen has seen the frame in hand.
-    seen: bool,
 }
 
 impl CameraScreen {
@@ -46,7 +44,6 @@ impl CameraScreen {
         Self {
             kind,
             run: EmptyRun::new(config.longest_empty_run),
-            seen: false,
         }
     }
 
@@ -57,7 +54,9 @@ impl CameraScreen {
 
     /// A new frame begins.
     pub fn next_frame(&mut self) {
-        self.seen = false;
+        if let Kind::Agnostic(screen) = &mut self.kind {
+            screen.next_frame();
+        }
     }
 
     /// Whether nothing is in view in `picture`; `None` when it cannot be said.
@@ -70,7 +69,6 @@ impl CameraScreen {
                 verdict.ok().map(|verdict| verdict.empty)
             }
             Kind::Agnostic(screen) => {
-                self.seen = true;
                 Thumbnail::of(picture).map(|thumbnail| screen.empty(thumbnail))
             }
         }?;
@@ -81,12 +79,7 @@ impl CameraScreen {
     pub fn detected(&mut self, picture: &Picture, found_something: bool) {
         self.run.looked();
         if let Kind::Agnostic(screen) = &mut self.kind {
-            if !self.seen
-                && let Some(thumbnail) = Thumbnail::of(picture)
-            {
-                screen.look(thumbnail);
-            }
-            screen.learn(found_something);
+            screen.detected(found_something, || Thumbnail::of(picture));
         }
     }
 

@@ -32,8 +32,18 @@ pub struct PictureEvidence<'a> {
 struct Agnostic {
     screen: AgnosticScreen,
     run: EmptyRun,
-    /// The frame it saw last.
-    seen: Option<usize>,
+    /// The frame in hand.
+    frame: usize,
+}
+
+impl Agnostic {
+    /// Questions come in order of frames, several of one frame perhaps.
+    fn turn_to(&mut self, frame: usize) {
+        if self.frame != frame {
+            self.frame = frame;
+            self.screen.next_frame();
+        }
+    }
 }
 
 impl<'a> PictureEvidence<'a> {
@@ -52,7 +62,7 @@ impl<'a> PictureEvidence<'a> {
                 let agnostic = Agnostic {
                     screen: AgnosticScreen::new(&settings.agnostic, 0),
                     run: EmptyRun::new(settings.longest_empty_run),
-                    seen: None,
+                    frame: 0,
                 };
                 (Some(agnostic), ScreenRule::Nonempty)
             }
@@ -74,12 +84,6 @@ impl<'a> PictureEvidence<'a> {
         wanted
             .filter(|(frame, _)| self.stored.is_occupied(*frame))
             .count()
-    }
-
-    /// What the agnostic screen sees of a frame, where there is that screen.
-    fn thumbnail(&self, frame: usize) -> Option<Thumbnail> {
-        let thumbnail = self.pictured.thumbnails.get(frame)?.clone();
-        thumbnail.filter(|_| self.agnostic.is_some())
     }
 
     /// Milliseconds of each frame: its decision as `records` has it, and the steps it asked for as they were
@@ -110,6 +114,11 @@ impl<'a> PictureEvidence<'a> {
     }
 }
 
+/// What the agnostic screen sees of a frame.
+fn thumbnail(pictured: &PicturedClip, frame: usize) -> Option<Thumbnail> {
+    pictured.thumbnails.get(frame).cloned().flatten()
+}
+
 impl EvidenceSource for PictureEvidence<'_> {
     fn picture(&self) -> PictureSize {
         self.stored.picture()
@@ -123,16 +132,12 @@ impl EvidenceSource for PictureEvidence<'_> {
         if let Some(asked) = self.asked.get_mut(frame) {
             asked.detector = true;
         }
-        let thumbnail = self.thumbnail(frame);
         let found = self.stored.detections(frame)?;
         if let (Some(agnostic), Some(found)) = (&mut self.agnostic, found) {
+            agnostic.turn_to(frame);
             agnostic.run.looked();
-            if agnostic.seen != Some(frame)
-                && let Some(thumbnail) = thumbnail
-            {
-                agnostic.screen.look(thumbnail);
-            }
-            agnostic.screen.learn(!found.is_empty());
+            let thumbnail = || thumbnail(self.pictured, frame);
+            agnostic.screen.detected(!found.is_empty(), thumbnail);
         }
         Ok(found)
     }
@@ -141,11 +146,11 @@ impl EvidenceSource for PictureEvidence<'_> {
         if let Some(asked) = self.asked.get_mut(frame) {
             asked.screen = true;
         }
-        let thumbnail = self.thumbnail(frame);
         let Some(agnostic) = &mut self.agnostic else {
             return self.stored.screen_says_empty(frame);
         };
-        agnostic.seen = Some(frame);
+        agnostic.turn_to(frame);
+        let thumbnail = thumbnail(self.pictured, frame);
         let empty = thumbnail.map(|thumbnail| agnostic.screen.empty(thumbnail));
         Ok(empty.map(|empty| agnostic.run.judge(empty)))
     }

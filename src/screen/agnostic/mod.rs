@@ -100,8 +100,13 @@ impl AgnosticScreen {
         }
     }
 
-    /// Whether nothing is in view. Follow it with [`learn`](Self::learn) when the detector looks at the same
-    /// picture.
+    /// Another frame begins: what was seen of the last one is of no more use.
+    pub fn next_frame(&mut self) {
+        self.in_hand = None;
+    }
+
+    /// Whether nothing is in view. Follow it with [`detected`](Self::detected) when the detector looks at the
+    /// same frame.
     pub fn empty(&mut self, thumbnail: Thumbnail) -> bool {
         let mut in_hand = self.judged(thumbnail);
         let chance = (self.random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
@@ -111,9 +116,17 @@ impl AgnosticScreen {
         empty
     }
 
-    /// Takes a picture of which nothing is asked, only for what the detector will say of it.
-    pub fn look(&mut self, thumbnail: Thumbnail) {
-        self.in_hand = Some(self.judged(thumbnail));
+    /// The detector looked at the frame and did or did not find something. `thumbnail` is asked for when the
+    /// screen itself was not asked about this frame.
+    pub fn detected(
+        &mut self,
+        found_something: bool,
+        thumbnail: impl FnOnce() -> Option<Thumbnail>,
+    ) {
+        if self.in_hand.is_none() {
+            self.in_hand = thumbnail().map(|thumbnail| self.judged(thumbnail));
+        }
+        self.learn(found_something);
     }
 
     fn judged(&self, thumbnail: Thumbnail) -> InHand {
@@ -126,8 +139,8 @@ impl AgnosticScreen {
         }
     }
 
-    /// Takes the detector's verdict on the picture last looked at, once.
-    pub fn learn(&mut self, found_something: bool) {
+    /// Takes the detector's verdict on the picture in hand, once.
+    fn learn(&mut self, found_something: bool) {
         let Some(in_hand) = self.in_hand.take() else {
             return;
         };
