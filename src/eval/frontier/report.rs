@@ -4,8 +4,9 @@
 use super::comparison::{Study, ViewStudy};
 use super::operating_point::OperatingPoint;
 use super::text;
-use crate::eval::report::ReportError;
+use crate::eval::pareto::{self, Choice};
 use crate::eval::report::plot::{Figure, Point};
+use crate::eval::report::{ReportError, ReportFolder};
 use std::path::Path;
 
 /// Names of the figures; further views have none.
@@ -23,28 +24,14 @@ const FIGURES: [&str; 6] = [
 /// # Errors
 /// [`ReportError`] naming the file.
 pub fn write(study: &Study, folder: &Path) -> Result<(), ReportError> {
-    std::fs::create_dir_all(folder).map_err(|source| ReportError::Write {
-        path: folder.to_owned(),
-        source,
-    })?;
-    let write = |name: &str, content: Result<Vec<u8>, String>| {
-        let path = folder.join(name);
-        let content = content.map_err(|reason| ReportError::Format {
-            path: path.clone(),
-            reason,
-        })?;
-        std::fs::write(&path, content).map_err(|source| ReportError::Write { path, source })
-    };
-    write("frontier.md", Ok(text::render(study).into_bytes()))?;
-    write(
-        "frontier.json",
-        serde_json::to_vec_pretty(study).map_err(|error| error.to_string()),
-    )?;
-    write("frontier.csv", rows(study))?;
+    let folder = ReportFolder::make(folder)?;
+    folder.write("frontier.md", Ok(text::render(study).into_bytes()))?;
+    folder.write_json("frontier.json", study)?;
+    folder.write("frontier.csv", rows(study))?;
     for (view, name) in study.views.iter().zip(FIGURES) {
         let figure = figure(view, name);
-        write(&format!("{name}.svg"), figure.svg().map(String::into_bytes))?;
-        write(&format!("{name}.png"), figure.png())?;
+        folder.write(&format!("{name}.svg"), figure.svg().map(String::into_bytes))?;
+        folder.write(&format!("{name}.png"), figure.png())?;
     }
     Ok(())
 }
@@ -139,16 +126,15 @@ fn point(point: &OperatingPoint, setting: String, baseline: bool) -> Point {
 /// Marks the points that no other beats in both skips and accuracy. Points that were brought to the same
 /// skip rate count as equal in it, though the knob meets it to a fraction of a thousandth only.
 fn mark_frontier(points: &mut [Point]) {
-    let tenths = |x: f64| (x * 10.0).round();
-    let all: Vec<(f64, f64)> = points
+    let choices: Vec<_> = points
         .iter()
-        .map(|point| (tenths(point.x), point.y))
+        .map(|point| Choice {
+            cost: -(point.x * 10.0).round(),
+            value: point.y,
+        })
         .collect();
-    for point in points {
-        let own = tenths(point.x);
-        point.on_frontier = !all
-            .iter()
-            .any(|&(x, y)| x >= own && y >= point.y && (x > own || y > point.y));
+    for index in pareto::frontier(&choices) {
+        points[index].on_frontier = true;
     }
 }
 

@@ -49,39 +49,68 @@ pub enum ReportError {
     },
 }
 
+/// The folder that the files of a report go to.
+pub(super) struct ReportFolder<'a>(&'a Path);
+
+impl<'a> ReportFolder<'a> {
+    /// Makes the folder if need be.
+    ///
+    /// # Errors
+    /// [`ReportError::Write`] when it cannot be made.
+    pub(super) fn make(path: &'a Path) -> Result<Self, ReportError> {
+        std::fs::create_dir_all(path).map_err(|source| ReportError::Write {
+            path: path.to_owned(),
+            source,
+        })?;
+        Ok(Self(path))
+    }
+
+    /// Writes a file of that name.
+    ///
+    /// # Errors
+    /// [`ReportError`] naming the file.
+    pub(super) fn write(
+        &self,
+        name: &str,
+        content: Result<Vec<u8>, String>,
+    ) -> Result<(), ReportError> {
+        let path = self.0.join(name);
+        let content = content.map_err(|reason| ReportError::Format {
+            path: path.clone(),
+            reason,
+        })?;
+        std::fs::write(&path, content).map_err(|source| ReportError::Write { path, source })
+    }
+
+    /// Writes `value` as indented JSON.
+    ///
+    /// # Errors
+    /// [`ReportError`] naming the file.
+    pub(super) fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), ReportError> {
+        let json = serde_json::to_vec_pretty(value).map_err(|error| error.to_string());
+        self.write(name, json)
+    }
+}
+
 impl Report {
     /// Writes all files into `folder`, making it if need be.
     ///
     /// # Errors
     /// [`ReportError`] naming the file.
     pub fn write(&self, folder: &Path) -> Result<(), ReportError> {
-        std::fs::create_dir_all(folder).map_err(|source| ReportError::Write {
-            path: folder.to_owned(),
-            source,
-        })?;
-        let write = |name: &str, content: Result<Vec<u8>, String>| {
-            let path = folder.join(name);
-            let content = content.map_err(|reason| ReportError::Format {
-                path: path.clone(),
-                reason,
-            })?;
-            std::fs::write(&path, content).map_err(|source| ReportError::Write { path, source })
-        };
-        write("summary.csv", summary_csv::render(&self.clips))?;
-        write(
-            "report.json",
-            serde_json::to_vec_pretty(self).map_err(|error| error.to_string()),
-        )?;
+        let folder = ReportFolder::make(folder)?;
+        folder.write("summary.csv", summary_csv::render(&self.clips))?;
+        folder.write_json("report.json", self)?;
         let mut shown = Vec::new();
         for figure in plot::figures(self) {
             let svg = figure.svg();
-            write(&format!("{}.png", figure.name), figure.png())?;
-            write(
+            folder.write(&format!("{}.png", figure.name), figure.png())?;
+            folder.write(
                 &format!("{}.svg", figure.name),
                 svg.clone().map(String::into_bytes),
             )?;
             shown.extend(svg.ok().map(|svg| (figure, svg)));
         }
-        write("report.html", Ok(html::render(self, &shown).into_bytes()))
+        folder.write("report.html", Ok(html::render(self, &shown).into_bytes()))
     }
 }
