@@ -3,6 +3,7 @@
 //! The paper's text and the code published with it disagree in places. Each such place is one setting
 //! here, or in the [`LifeCycle`] and [`Association`] it contains; a profile is a value for each.
 
+use super::tracker::check_ranges;
 use crate::kalman::FilterParameters;
 use crate::objects::{Association, GateOrder, LifeCycle, ObjectSettings};
 use serde::{Deserialize, Serialize};
@@ -171,53 +172,46 @@ impl AlbireoSettings {
             ));
         }
         let (association, life_cycle) = (&self.association, &self.life_cycle);
-        for (name, value, least, most) in [
-            ("decay_floor", self.decay_floor, 0.0, 1.0),
-            ("association.iou_gate", association.iou_gate, 0.0, 1.0),
-            (
-                "association.mahalanobis_gate",
-                association.mahalanobis_gate,
-                0.0,
-                1e6,
-            ),
-            ("life_cycle.c_rescue", life_cycle.c_rescue, 0.0, 1.0),
-            (
-                "life_cycle.boundary_margin",
-                life_cycle.boundary_margin,
-                -0.5,
-                10.0,
-            ),
-            (
-                "life_cycle.minimum_side",
-                life_cycle.minimum_side,
-                1e-3,
-                1e3,
-            ),
-        ] {
-            if !(least..=most).contains(&value) {
-                return Err(format!(
-                    "`{name}` is {value}; it must be a number from {least} to {most}"
-                ));
-            }
-        }
-        for (name, value, least, most) in [
-            ("t_max", self.t_max, 1, u32::MAX),
-            ("periodic_cap", self.periodic_cap, 1, u32::MAX),
-            (
-                "life_cycle.hits_to_confirm",
-                life_cycle.hits_to_confirm,
-                1,
-                u32::MAX,
-            ),
-            // Every lost frame of a gap is predicted for every object, so the gap has a limit.
-            ("life_cycle.longest_gap", life_cycle.longest_gap, 0, 10_000),
-        ] {
-            if !(least..=most).contains(&value) {
-                return Err(format!(
-                    "`{name}` is {value}; it must be a whole number from {least} to {most}"
-                ));
-            }
-        }
-        Ok(())
+        check_ranges(
+            "a number",
+            [
+                ("decay_floor", self.decay_floor, 0.0, 1.0),
+                ("association.iou_gate", association.iou_gate, 0.0, 1.0),
+                (
+                    "association.mahalanobis_gate",
+                    association.mahalanobis_gate,
+                    0.0,
+                    1e6,
+                ),
+                ("life_cycle.c_rescue", life_cycle.c_rescue, 0.0, 1.0),
+                (
+                    "life_cycle.boundary_margin",
+                    life_cycle.boundary_margin,
+                    -0.5,
+                    10.0,
+                ),
+                (
+                    "life_cycle.minimum_side",
+                    life_cycle.minimum_side,
+                    1e-3,
+                    1e3,
+                ),
+            ],
+        )?;
+        check_ranges(
+            "a whole number",
+            [
+                ("t_max", self.t_max, 1, u32::MAX),
+                ("periodic_cap", self.periodic_cap, 1, u32::MAX),
+                (
+                    "life_cycle.hits_to_confirm",
+                    life_cycle.hits_to_confirm,
+                    1,
+                    u32::MAX,
+                ),
+                // Every lost frame of a gap is predicted for every object, so the gap has a limit.
+                ("life_cycle.longest_gap", life_cycle.longest_gap, 0, 10_000),
+            ],
+        )
     }
 }

@@ -1,6 +1,7 @@
 //! Every number of the expected-loss policy, the knob aside, with the values that were found on recorded
 //! sequences.
 
+use crate::policy::tracker::check_ranges;
 use serde::{Deserialize, Serialize};
 
 /// The settings of the expected-loss policy. `s = √(w·h)` is the size of a box.
@@ -275,104 +276,96 @@ impl ExpectedLossSettings {
             confidence,
             call,
         } = self;
-        for (name, value, least, most) in [
-            ("motion.center_process", motion.center_process, 0.0, 10.0),
-            ("motion.size_process", motion.size_process, 0.0, 10.0),
-            (
-                "motion.center_measurement",
-                motion.center_measurement,
-                1e-4,
-                10.0,
-            ),
-            (
-                "motion.size_measurement",
-                motion.size_measurement,
-                1e-4,
-                10.0,
-            ),
-            ("motion.center_fading", motion.center_fading, 0.0, 1.0),
-            ("motion.size_fading", motion.size_fading, 0.0, 1.0),
-            ("motion.largest_growth", motion.largest_growth, 0.0, 0.3),
-            (
-                "motion.newcomer_center_velocity",
-                motion.newcomer_center_velocity,
-                0.0,
-                10.0,
-            ),
-            (
-                "motion.newcomer_size_velocity",
-                motion.newcomer_size_velocity,
-                0.0,
-                10.0,
-            ),
-            ("surprise.rate", surprise.rate, 0.0, 1.0),
-            ("surprise.camera_rate", surprise.camera_rate, 0.0, 1.0),
-            (
-                "surprise.largest_innovation",
-                surprise.largest_innovation,
-                1.0,
-                1e6,
-            ),
-            ("surprise.least", surprise.least, 1e-3, 1.0),
-            ("surprise.most", surprise.most, 1.0, 1e3),
-            ("association.iou_gate", association.iou_gate, 0.0, 1.0),
-            (
-                "association.mahalanobis_gate",
-                association.mahalanobis_gate,
-                0.0,
-                1e6,
-            ),
-            ("life.birth_confidence", life.birth_confidence, 0.0, 1.0),
-            ("life.least_visible", life.least_visible, 0.0, 1.0),
-            ("life.velocity_ridge", life.velocity_ridge, 1e-3, 1e6),
-            ("life.velocity_memory", life.velocity_memory, 0.0, 0.9999),
-            ("life.largest_velocity", life.largest_velocity, 0.0, 10.0),
-            ("life.least_side", life.least_side, 0.0, 1e3),
-            ("confidence.rate", confidence.rate, 0.0, 1.0),
-            ("confidence.last", confidence.last, 0.0, 1.0),
-            ("confidence.newcomer", confidence.newcomer, 0.0, 1.0),
-            (
-                "confidence.newcomer_fading",
-                confidence.newcomer_fading,
-                0.0,
-                100.0,
-            ),
-            ("confidence.prediction", confidence.prediction, 0.0, 1.0),
-            ("confidence.miss", confidence.miss, 0.0, 1.0),
-            ("confidence.least", confidence.least, 0.0, 1.0),
-            ("call.miss", call.miss, 0.0, 1.0),
-            ("call.birth", call.birth, 0.0, 100.0),
-            ("call.birth_memory", call.birth_memory, 1.0, 1e6),
-            ("call.birth_prior", call.birth_prior, 0.0, 100.0),
-            ("call.crowd_memory", call.crowd_memory, 1.0, 1e6),
-            ("call.crowd_prior", call.crowd_prior, 0.0, 1e6),
-            ("call.least_crowd", call.least_crowd, 1e-3, 1e6),
-        ] {
-            // Comparisons with NaN are false.
-            if !(least..=most).contains(&value) {
-                return Err(format!(
-                    "`{name}` is {value}; it must be a number from {least} to {most}"
-                ));
-            }
-        }
-        for (name, value, least, most) in [
-            ("life.misses_to_removal", life.misses_to_removal, 1, 1000),
-            // Every frame of a gap is predicted for every object, so the gap has a limit.
-            ("life.longest_blindness", life.longest_blindness, 1, 300),
-            ("life.hits_to_confirm", life.hits_to_confirm, 1, u32::MAX),
-            (
-                "call.longest_pause",
-                call.longest_pause,
-                1,
-                life.longest_blindness,
-            ),
-        ] {
-            if !(least..=most).contains(&value) {
-                return Err(format!(
-                    "`{name}` is {value}; it must be a whole number from {least} to {most}"
-                ));
-            }
-        }
-        Ok(())
+        check_ranges(
+            "a number",
+            [
+                ("motion.center_process", motion.center_process, 0.0, 10.0),
+                ("motion.size_process", motion.size_process, 0.0, 10.0),
+                (
+                    "motion.center_measurement",
+                    motion.center_measurement,
+                    1e-4,
+                    10.0,
+                ),
+                (
+                    "motion.size_measurement",
+                    motion.size_measurement,
+                    1e-4,
+                    10.0,
+                ),
+                ("motion.center_fading", motion.center_fading, 0.0, 1.0),
+                ("motion.size_fading", motion.size_fading, 0.0, 1.0),
+                ("motion.largest_growth", motion.largest_growth, 0.0, 0.3),
+                (
+                    "motion.newcomer_center_velocity",
+                    motion.newcomer_center_velocity,
+                    0.0,
+                    10.0,
+                ),
+                (
+                    "motion.newcomer_size_velocity",
+                    motion.newcomer_size_velocity,
+                    0.0,
+                    10.0,
+                ),
+                ("surprise.rate", surprise.rate, 0.0, 1.0),
+                ("surprise.camera_rate", surprise.camera_rate, 0.0, 1.0),
+                (
+                    "surprise.largest_innovation",
+                    surprise.largest_innovation,
+                    1.0,
+                    1e6,
+                ),
+                ("surprise.least", surprise.least, 1e-3, 1.0),
+                ("surprise.most", surprise.most, 1.0, 1e3),
+                ("association.iou_gate", association.iou_gate, 0.0, 1.0),
+                (
+                    "association.mahalanobis_gate",
+                    association.mahalanobis_gate,
+                    0.0,
+                    1e6,
+                ),
+                ("life.birth_confidence", life.birth_confidence, 0.0, 1.0),
+                ("life.least_visible", life.least_visible, 0.0, 1.0),
+                ("life.velocity_ridge", life.velocity_ridge, 1e-3, 1e6),
+                ("life.velocity_memory", life.velocity_memory, 0.0, 0.9999),
+                ("life.largest_velocity", life.largest_velocity, 0.0, 10.0),
+                ("life.least_side", life.least_side, 0.0, 1e3),
+                ("confidence.rate", confidence.rate, 0.0, 1.0),
+                ("confidence.last", confidence.last, 0.0, 1.0),
+                ("confidence.newcomer", confidence.newcomer, 0.0, 1.0),
+                (
+                    "confidence.newcomer_fading",
+                    confidence.newcomer_fading,
+                    0.0,
+                    100.0,
+                ),
+                ("confidence.prediction", confidence.prediction, 0.0, 1.0),
+                ("confidence.miss", confidence.miss, 0.0, 1.0),
+                ("confidence.least", confidence.least, 0.0, 1.0),
+                ("call.miss", call.miss, 0.0, 1.0),
+                ("call.birth", call.birth, 0.0, 100.0),
+                ("call.birth_memory", call.birth_memory, 1.0, 1e6),
+                ("call.birth_prior", call.birth_prior, 0.0, 100.0),
+                ("call.crowd_memory", call.crowd_memory, 1.0, 1e6),
+                ("call.crowd_prior", call.crowd_prior, 0.0, 1e6),
+                ("call.least_crowd", call.least_crowd, 1e-3, 1e6),
+            ],
+        )?;
+        check_ranges(
+            "a whole number",
+            [
+                ("life.misses_to_removal", life.misses_to_removal, 1, 1000),
+                // Every frame of a gap is predicted for every object, so the gap has a limit.
+                ("life.longest_blindness", life.longest_blindness, 1, 300),
+                ("life.hits_to_confirm", life.hits_to_confirm, 1, u32::MAX),
+                (
+                    "call.longest_pause",
+                    call.longest_pause,
+                    1,
+                    life.longest_blindness,
+                ),
+            ],
+        )
     }
 }
