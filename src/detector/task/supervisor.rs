@@ -19,7 +19,7 @@ use tracing::{error, info, warn};
 pub(super) struct Supervisor<M: Model> {
     settings: TaskSettings,
     factory: Arc<Factory<M>>,
-    shared: Arc<Shared<M::Output>>,
+    shared: Arc<Shared<M::Input, M::Output>>,
     stop: CancellationToken,
     events: mpsc::UnboundedReceiver<(u64, Event)>,
     tell: mpsc::UnboundedSender<(u64, Event)>,
@@ -44,7 +44,7 @@ impl<M: Model> Supervisor<M> {
     pub(super) fn new(
         settings: TaskSettings,
         factory: Arc<Factory<M>>,
-        shared: Arc<Shared<M::Output>>,
+        shared: Arc<Shared<M::Input, M::Output>>,
         stop: CancellationToken,
     ) -> Self {
         let (tell, events) = mpsc::unbounded_channel();
