@@ -4,6 +4,7 @@ mod support;
 
 mod command_line;
 mod compare;
+mod detector_batches;
 mod detector_exports;
 mod detector_models;
 mod detector_session;

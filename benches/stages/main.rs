@@ -10,7 +10,8 @@ mod throughput;
 
 use albireo::detector::{DetectorConfig, DetectorHandle};
 use albireo::footage::{FrameSource, PictureFolder, Synthetic};
-use albireo::frame::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
+use albireo::frame::{EncodedPicture, FrameLimits, InputFormat, Picture, PixelLayout, decode};
+use albireo::screen::decoding_target;
 use anyhow::{Context, bail};
 use arguments::{Arguments, load_average, name_of};
 use clap::Parser;
@@ -103,7 +104,7 @@ async fn measure(
         .map(|python| PythonPath::start(python, model, head, folder, config.threads))
         .transpose()?;
     let detector = DetectorHandle::start(&config).await?;
-    let pictures = decoded(frames)?;
+    let pictures = decoded(frames, path.network.input_format())?;
 
     let (mut ours, mut theirs) = (Samples::default(), Samples::default());
     let mut throughput = Throughput::default();
@@ -120,15 +121,18 @@ async fn measure(
         }
         throughput.run_loop(&mut path.network, &pictures)?;
         throughput.run_queue(&detector, &pictures).await?;
+        throughput.run_camera(&detector, frames, false).await?;
+        throughput.run_camera(&detector, frames, true).await?;
     }
     detector.stop().await;
 
     println!(
-        "\n{}: head {head}, input {}, {}, threads: {}; {:.1} objects a frame",
+        "\n{}: head {head}, input {}, {}, threads: {};\ndecoded to {}; {:.1} objects a frame",
         name_of(model)?,
         path.network.input_format().size,
         detector.provider().as_str(),
         config.threads,
+        path.decoded_size(),
         ours.detections(),
     );
     table::print(&ours, python.as_ref().map(|_| &theirs));
@@ -139,13 +143,20 @@ async fn measure(
     Ok(())
 }
 
-fn decoded(frames: &[EncodedPicture]) -> anyhow::Result<Vec<Arc<Picture>>> {
+fn decoded(frames: &[EncodedPicture], input: InputFormat) -> anyhow::Result<Vec<Arc<Picture>>> {
     let limits = FrameLimits::default();
     frames
         .iter()
         .map(|frame| {
             let mut picture = Picture::default();
-            decode(frame, &limits, PixelLayout::Rgb8, None, &mut picture)?;
+            let target = decoding_target(input, None, frame.size);
+            decode(
+                frame,
+                &limits,
+                PixelLayout::Rgb8,
+                Some(target),
+                &mut picture,
+            )?;
             Ok(Arc::new(picture))
         })
         .collect()

@@ -3,9 +3,11 @@
 use super::samples::{Samples, Stage};
 use albireo::detector::{DetectorConfig, Network};
 use albireo::frame::{EncodedPicture, Frame, FrameLimits, Picture, PixelLayout, decode};
+use albireo::geometry::PictureSize;
 use albireo::node::config::ZenohConfig;
 use albireo::node::{AnswerContext, detections_message, session};
 use albireo::policy::{Albireo, AlbireoSettings, Evidence, FrameHead, Need, Outcome, Policy};
+use albireo::screen::decoding_target;
 use albireo::wire::Latency;
 use anyhow::{Context, anyhow, bail};
 use std::net::TcpListener;
@@ -94,6 +96,11 @@ impl<'a> OurPath<'a> {
         })
     }
 
+    /// The size to which the pictures are decoded.
+    pub fn decoded_size(&self) -> PictureSize {
+        self.picture.size
+    }
+
     /// Takes one picture the whole way.
     pub async fn frame(
         &mut self,
@@ -109,8 +116,9 @@ impl<'a> OurPath<'a> {
             payload_bytes: encoded.bytes.len(),
         };
         let start = Instant::now();
+        let target = decoding_target(self.network.input_format(), None, encoded.size);
         let (layout, picture) = (PixelLayout::Rgb8, &mut self.picture);
-        decode(encoded, &self.limits, layout, None, picture)?;
+        decode(encoded, &self.limits, layout, Some(target), picture)?;
         let decoding = start.elapsed();
 
         let prepared = self.network.preparation().prepare(&self.picture)?;

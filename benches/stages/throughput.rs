@@ -1,11 +1,13 @@
 //! What the queue costs: frames of several cameras through the shared detector, against the same model in a plain
-//! loop.
+//! loop; and what it brings that one camera's next frame is decoded while the model runs.
 
 use super::samples::median;
-use albireo::detector::{CameraSlot, DetectorHandle, Network};
-use albireo::frame::Picture;
+use albireo::detector::{CameraSlot, DetectorHandle, Network, PreparedPicture};
+use albireo::frame::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
+use albireo::screen::decoding_target;
 use std::sync::Arc;
 use std::time::Instant;
+use tokio::task::JoinHandle;
 
 /// Cameras that ask at the same time, so that a picture always waits.
 pub const CAMERAS: usize = 3;
@@ -16,6 +18,8 @@ pub struct Throughput {
     queued: Vec<f64>,
     looped: Vec<f64>,
     model_alone: Vec<f64>,
+    one_after_the_other: Vec<f64>,
+    ahead: Vec<f64>,
 }
 
 impl Throughput {
@@ -69,17 +73,43 @@ impl Throughput {
         Ok(())
     }
 
+    /// All frames of one camera, decoding included: each made ready when its turn has come, or, with `ahead`,
+    /// while the model has the one before.
+    pub async fn run_camera(
+        &mut self,
+        detector: &DetectorHandle,
+        frames: &[EncodedPicture],
+        ahead: bool,
+    ) -> anyhow::Result<()> {
+        let start = Instant::now();
+        let mut next = frames.first().map(|frame| make_ready(detector, frame));
+        for number in 1..=frames.len() {
+            let Some(ready) = next.take() else { break };
+            let ready = ready.await??;
+            let following = || frames.get(number).map(|frame| make_ready(detector, frame));
+            if ahead {
+                next = following();
+            }
+            detector.detect_prepared(CameraSlot(0), ready).await?;
+            if !ahead {
+                next = following();
+            }
+        }
+        let rate = frames.len() as f64 / start.elapsed().as_secs_f64();
+        match ahead {
+            true => self.ahead.push(rate),
+            false => self.one_after_the_other.push(rate),
+        }
+        Ok(())
+    }
+
     /// The lines under the table.
     pub fn print(&self) {
-        let ratio = |base: &[f64]| {
-            let ratios: Vec<_> = self
-                .queued
-                .iter()
-                .zip(base)
-                .map(|(one, of)| one / of)
-                .collect();
+        let ratio_of = |rates: &[f64], base: &[f64]| {
+            let ratios: Vec<_> = rates.iter().zip(base).map(|(one, of)| one / of).collect();
             median(&ratios)
         };
+        let ratio = |base: &[f64]| ratio_of(&self.queued, base);
         println!(
             "Frames queued by {CAMERAS} cameras: {:.1} frames/s, which is {:.3} of the same session with\n\
              letterbox and head in a plain loop ({:.1}), and {:.3} of the session alone ({:.1}).",
@@ -89,5 +119,28 @@ impl Throughput {
             ratio(&self.model_alone),
             median(&self.model_alone),
         );
+        println!(
+            "One camera, decoding included: {:.1} frames/s; with the next frame made ready while\n\
+             the model runs {:.1}, which is {:.3} of that and {:.3} of the session alone.",
+            median(&self.one_after_the_other),
+            median(&self.ahead),
+            ratio_of(&self.ahead, &self.one_after_the_other),
+            ratio_of(&self.ahead, &self.model_alone),
+        );
     }
+}
+
+/// Decodes a frame and prepares it for the detector, on a blocking thread.
+fn make_ready(
+    detector: &DetectorHandle,
+    frame: &EncodedPicture,
+) -> JoinHandle<anyhow::Result<PreparedPicture>> {
+    let (frame, preparation) = (frame.clone(), detector.preparation().clone());
+    tokio::task::spawn_blocking(move || {
+        let (limits, layout) = (FrameLimits::default(), PixelLayout::Rgb8);
+        let target = decoding_target(preparation.format(), None, frame.size);
+        let mut picture = Picture::default();
+        decode(&frame, &limits, layout, Some(target), &mut picture)?;
+        Ok(preparation.prepare(&picture)?)
+    })
 }

@@ -5,6 +5,7 @@ use crate::detector::{ClassNames, DetectorConfig, ExecutionProvider, Found, Head
 use crate::footage::{FrameSource, PictureFolder};
 use crate::frame::{FrameLimits, Picture, PixelLayout, decode};
 use crate::geometry::PictureSize;
+use crate::screen::decoding_target;
 use anyhow::Context;
 use serde::Serialize;
 use std::io::Write;
@@ -129,7 +130,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 &encoded,
                 &FrameLimits::default(),
                 PixelLayout::Rgb8,
-                Some(network.input_format().size),
+                Some(decoding_target(network.input_format(), None, encoded.size)),
                 &mut picture,
             )
             .with_context(|| file.display().to_string())?;

@@ -1,5 +1,7 @@
 //! From an encoded picture to pixels.
 
+#[cfg(feature = "turbojpeg")]
+use super::decode_jpeg_scaled;
 use super::limits::{check_payload, check_picture, check_raw_length, decoded_bytes};
 use super::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode_jpeg,
@@ -14,9 +16,9 @@ const JPEG_QUALITY: u8 = 85;
 
 /// Decodes `picture` into `into`, whose buffer is reused.
 ///
-/// `target`: the size the picture will be scaled to next. A decoder that can scale while decoding may
-/// then deliver fewer pixels, never fewer than `target` in either direction. None of the present ones
-/// can, so [`Picture::size`] equals [`Picture::source_size`]; callers must not rely on that.
+/// `target`: the size the picture will be scaled to next. A JPEG file that is at least twice as large in both
+/// directions is then scaled by a half, a quarter or an eighth while it is decoded, never below `target`, if
+/// the program was built with the feature `turbojpeg`.
 ///
 /// Grey is luma as BT.601 weighs it, full range. Alpha is not looked at. Samples of 16 bits keep their
 /// upper eight.
@@ -31,9 +33,23 @@ pub fn decode(
     target: Option<PictureSize>,
     into: &mut Picture,
 ) -> Result<(), FrameFault> {
-    let _ = target;
     check_payload(picture.bytes.len(), limits)?;
     check_picture(picture.size, limits)?;
+    #[cfg(feature = "turbojpeg")]
+    if let (PictureFormat::Jpeg, Some(target)) = (picture.format, target)
+        && let Some(scale) = decode_jpeg_scaled::Scale::towards(target, picture.size)
+    {
+        let mut is_done = false;
+        contain("JPEG", || {
+            is_done = decode_jpeg_scaled::decode(picture, scale, layout, into)?;
+            Ok(())
+        })?;
+        if is_done {
+            return Ok(());
+        }
+    }
+    #[cfg(not(feature = "turbojpeg"))]
+    let _ = target;
     let length = decoded_bytes(picture.size, layout.channels(), limits)?;
     into.size = picture.size;
     into.source_size = picture.size;

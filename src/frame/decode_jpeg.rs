@@ -1,15 +1,11 @@
 //! JPEG files, by `zune-jpeg`.
 
 use super::header::check_jpeg_is_whole;
-use super::{EncodedPicture, FrameFault, PixelLayout, decode_raw};
+use super::{EncodedPicture, FrameFault, MAX_SCANS, PixelLayout, decode_raw};
 use zune_core::bytestream::ZCursor;
 use zune_core::colorspace::ColorSpace;
 use zune_core::options::DecoderOptions;
 use zune_jpeg::JpegDecoder;
-
-/// Most scans of a progressive file; encoders use about ten. Each costs a pass over the picture, and a
-/// small file can hold many.
-const MAX_SCANS: usize = 32;
 
 /// Decodes into `pixels`, which have the length for `picture.size` and `layout`.
 pub(super) fn decode(
@@ -43,7 +39,7 @@ fn decoder(picture: &EncodedPicture, colors: ColorSpace) -> JpegDecoder<ZCursor<
         .set_strict_mode(true)
         .set_max_width(picture.size.width as usize)
         .set_max_height(picture.size.height as usize)
-        .jpeg_set_max_scans(MAX_SCANS)
+        .jpeg_set_max_scans(MAX_SCANS as usize)
         .jpeg_set_out_colorspace(colors);
     JpegDecoder::new_with_options(ZCursor::new(picture.bytes.as_ref()), options)
 }

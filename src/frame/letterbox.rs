@@ -85,6 +85,13 @@ impl InputFormat {
         }
     }
 
+    /// How large a picture of `source` is in the input, margins not counted: a decoder that scales need not
+    /// deliver more.
+    pub fn fitted(&self, source: PictureSize) -> PictureSize {
+        let (placement, _) = place(source, *self);
+        PictureSize::new(placement.width, placement.height)
+    }
+
     /// What a value of each place is multiplied by and then added, in the order of the network's colours, and
     /// which of red, green and blue stands there.
     fn factors(&self) -> [(usize, f32, f32); 3] {
@@ -187,18 +194,26 @@ impl Letterbox {
     /// When the picture is empty or its buffer does not fit its size.
     pub fn fill(&mut self, picture: &Picture) -> Result<InputMapping, LetterboxError> {
         check(picture)?;
-        let (placement, mapping) = place(picture.size, self.format);
+        // By the size it had before a decoder scaled it, so that scaling moves nothing.
+        let (placement, mapping) = place(picture.source_size, self.format);
         if self.filled != Some(placement) {
             self.fill_margin();
             self.filled = Some(placement);
         }
-        self.resize(picture, placement)?;
-        match (picture.layout, self.format.layout) {
-            (PixelLayout::Rgb8, TensorLayout::Nchw) => self.spread::<3>(placement),
-            (PixelLayout::Gray8, TensorLayout::Nchw) => self.spread::<1>(placement),
-            (PixelLayout::Rgb8, TensorLayout::Nhwc) => self.convert::<3>(placement),
-            (PixelLayout::Gray8, TensorLayout::Nhwc) => self.convert::<1>(placement),
-        }
+        let fits = picture.size == PictureSize::new(placement.width, placement.height);
+        let pixels = if fits {
+            &picture.pixels
+        } else {
+            self.resize(picture, placement)?;
+            &self.resized
+        };
+        let convert = match (picture.layout, self.format.layout) {
+            (PixelLayout::Rgb8, TensorLayout::Nchw) => to_planes::<3>,
+            (PixelLayout::Gray8, TensorLayout::Nchw) => to_planes::<1>,
+            (PixelLayout::Rgb8, TensorLayout::Nhwc) => to_pixels::<3>,
+            (PixelLayout::Gray8, TensorLayout::Nhwc) => to_pixels::<1>,
+        };
+        convert(&self.format, placement, pixels, &mut self.tensor);
         Ok(mapping)
     }
 
@@ -252,50 +267,62 @@ impl Letterbox {
             .resize(&source, &mut target, &options)
             .map_err(|error| refused(error.to_string()))
     }
+}
 
-    /// From interleaved bytes to planes of float32, in one pass.
-    fn spread<const CHANNELS: usize>(&mut self, placement: Placement) {
-        let columns = self.format.size.width as usize;
-        let plane = columns * self.format.size.height as usize;
-        let (width, left) = (placement.width as usize, placement.left as usize);
-        let (first, rest) = self.tensor.split_at_mut(plane);
-        let (second, third) = rest.split_at_mut(plane);
-        let factors = self.format.factors();
-        let source = factors.map(|(color, ..)| color * (CHANNELS - 1) / 2);
-        for (row, pixels) in self.resized.chunks_exact(width * CHANNELS).enumerate() {
-            let start = (placement.top as usize + row) * columns + left;
-            let first = &mut first[start..start + width];
-            let second = &mut second[start..start + width];
-            let third = &mut third[start..start + width];
-            let targets = first.iter_mut().zip(second).zip(third);
-            for (((first, second), third), pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
-                *first = f32::from(pixel[source[0]]) * factors[0].1 + factors[0].2;
-                *second = f32::from(pixel[source[1]]) * factors[1].1 + factors[1].2;
-                *third = f32::from(pixel[source[2]]) * factors[2].1 + factors[2].2;
-            }
+/// From interleaved bytes to planes of float32, in one pass.
+fn to_planes<const CHANNELS: usize>(
+    format: &InputFormat,
+    placement: Placement,
+    pixels: &[u8],
+    tensor: &mut [f32],
+) {
+    let columns = format.size.width as usize;
+    let plane = columns * format.size.height as usize;
+    let (width, left) = (placement.width as usize, placement.left as usize);
+    let (first, rest) = tensor.split_at_mut(plane);
+    let (second, third) = rest.split_at_mut(plane);
+    let factors = format.factors();
+    let source = factors.map(|(color, ..)| color * (CHANNELS - 1) / 2);
+    for (row, pixels) in pixels.chunks_exact(width * CHANNELS).enumerate() {
+        let start = (placement.top as usize + row) * columns + left;
+        let first = &mut first[start..start + width];
+        let second = &mut second[start..start + width];
+        let third = &mut third[start..start + width];
+        let targets = first.iter_mut().zip(second).zip(third);
+        for (((first, second), third), pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
+            *first = f32::from(pixel[source[0]]) * factors[0].1 + factors[0].2;
+            *second = f32::from(pixel[source[1]]) * factors[1].1 + factors[1].2;
+            *third = f32::from(pixel[source[2]]) * factors[2].1 + factors[2].2;
         }
     }
+}
 
-    /// From interleaved bytes to interleaved float32.
-    fn convert<const CHANNELS: usize>(&mut self, placement: Placement) {
-        let columns = self.format.size.width as usize;
-        let (width, left) = (placement.width as usize, placement.left as usize);
-        let factors = self.format.factors();
-        for (row, pixels) in self.resized.chunks_exact(width * CHANNELS).enumerate() {
-            let start = ((placement.top as usize + row) * columns + left) * 3;
-            let targets = self.tensor[start..start + 3 * width].chunks_exact_mut(3);
-            for (target, pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
-                for (target, (color, factor, offset)) in target.iter_mut().zip(factors) {
-                    *target = f32::from(pixel[color * (CHANNELS - 1) / 2]) * factor + offset;
-                }
+/// From interleaved bytes to interleaved float32.
+fn to_pixels<const CHANNELS: usize>(
+    format: &InputFormat,
+    placement: Placement,
+    pixels: &[u8],
+    tensor: &mut [f32],
+) {
+    let columns = format.size.width as usize;
+    let (width, left) = (placement.width as usize, placement.left as usize);
+    let factors = format.factors();
+    for (row, pixels) in pixels.chunks_exact(width * CHANNELS).enumerate() {
+        let start = ((placement.top as usize + row) * columns + left) * 3;
+        let targets = tensor[start..start + 3 * width].chunks_exact_mut(3);
+        for (target, pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
+            for (target, (color, factor, offset)) in target.iter_mut().zip(factors) {
+                *target = f32::from(pixel[color * (CHANNELS - 1) / 2]) * factor + offset;
             }
         }
     }
 }
 
 fn check(picture: &Picture) -> Result<(), LetterboxError> {
-    if picture.size.pixels() == 0 {
-        return Err(LetterboxError::Empty(picture.size));
+    for size in [picture.size, picture.source_size] {
+        if size.pixels() == 0 {
+            return Err(LetterboxError::Empty(size));
+        }
     }
     let expected = picture
         .size

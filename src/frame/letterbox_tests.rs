@@ -134,6 +134,28 @@ fn colour_order_range_and_layout_are_as_asked() {
 }
 
 #[test]
+fn a_picture_scaled_by_the_decoder_lies_where_the_whole_one_would() {
+    let whole = picture(41, 21, PixelLayout::Rgb8);
+    let half = Picture {
+        size: PictureSize::new(21, 11),
+        source_size: whole.size,
+        layout: PixelLayout::Rgb8,
+        pixels: vec![7; 21 * 11 * 3],
+    };
+    for fit in [Fit::TopLeft(114), Fit::Centre(114), Fit::Stretch] {
+        let [mut one, mut other] = [(); 2].map(|()| Letterbox::new(format(32, 32, fit)));
+        assert_eq!(one.fill(&whole).unwrap(), other.fill(&half).unwrap());
+        let margin = |letterbox: &Letterbox| {
+            let values = letterbox.tensor().iter();
+            values.map(|&value| value == 114.0).collect::<Vec<_>>()
+        };
+        let inside = other.tensor().iter().filter(|&&value| value == 7.0).count();
+        assert_eq!(inside, margin(&other).iter().filter(|&&is| !is).count());
+        assert_eq!(inside, 3 * 32 * if fit == Fit::Stretch { 32 } else { 16 });
+    }
+}
+
+#[test]
 fn a_grey_picture_fills_all_three_planes() {
     let picture = picture(40, 20, PixelLayout::Gray8);
     for layout in [TensorLayout::Nchw, TensorLayout::Nhwc] {

@@ -4,6 +4,8 @@ mod attachment;
 mod config;
 mod decode;
 mod decode_jpeg;
+#[cfg(feature = "turbojpeg")]
+mod decode_jpeg_scaled;
 mod decode_png;
 mod decode_raw;
 mod fault;
@@ -26,3 +28,7 @@ pub use picture::{EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use read::{Frame, RawSample, RejectedFrame, read_frame, read_sample};
 pub use ring::{Pushed, RingReceiver, RingSender, frame_ring};
 pub use sequence::{Arrival, MAX_GAP, RESTART_RUN, SequenceTracker, WINDOW};
+
+/// Most scans of a progressive JPEG file; encoders use about ten. Each costs a pass over the picture, and a small
+/// file can hold many.
+const MAX_SCANS: u32 = 32;

@@ -108,6 +108,7 @@ impl Senses {
         };
         self.times.letterbox = Some(prepared.took());
         let start = Instant::now();
+        let input = self.detector.preparation().format();
         let answer = {
             let answer = self.detector.detect_prepared(self.slot, prepared);
             tokio::pin!(answer);
@@ -115,7 +116,9 @@ impl Senses {
                 biased;
                 answer = &mut answer => answer,
                 (picture, need) = next => {
-                    self.ahead = Look::at(need).map(|look| self.workshop.begin(picture, look));
+                    let target = self.screen.decoding_target(input, picture.size);
+                    self.ahead =
+                        Look::at(need).map(|look| self.workshop.begin(picture, target, look));
                     answer.await
                 }
             }
@@ -153,7 +156,9 @@ impl Senses {
         }
         if !self.sight.has(look) {
             let sight = std::mem::take(&mut self.sight);
-            self.sight = self.workshop.look(sight, encoded, look).await?;
+            let input = self.detector.preparation().format();
+            let target = self.screen.decoding_target(input, encoded.size);
+            self.sight = self.workshop.look(sight, encoded, target, look).await?;
         }
         self.times.decode = self.sight.decode;
         Ok(())

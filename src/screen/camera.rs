@@ -4,7 +4,8 @@
 use super::agnostic::{AgnosticScreen, Thumbnail};
 use super::{EmptyRun, ScreenConfig, ScreenHandle, ScreenKind};
 use crate::detector::CameraSlot;
-use crate::frame::Picture;
+use crate::frame::{InputFormat, Picture};
+use crate::geometry::PictureSize;
 use std::sync::Arc;
 
 enum Kind {
@@ -22,6 +23,22 @@ pub struct ScreenCounts {
     pub audited: u64,
     /// Those of them in which the detector found something.
     pub false_empty: u64,
+}
+
+/// The size to which a picture of `source` may be decoded, for a detector and a screen with these inputs: both
+/// look at the same pixels. What the agnostic screen looks at is never missing, so that pictures are the same
+/// whichever screen is asked, in the node and in the evaluation.
+pub fn decoding_target(
+    detector: InputFormat,
+    screen: Option<InputFormat>,
+    source: PictureSize,
+) -> PictureSize {
+    let fitted = [Some(detector), screen].into_iter().flatten();
+    fitted
+        .map(|format| format.fitted(source))
+        .fold(Thumbnail::TARGET, |most, size| {
+            PictureSize::new(most.width.max(size.width), most.height.max(size.height))
+        })
 }
 
 /// One camera's screen.
@@ -50,6 +67,15 @@ impl CameraScreen {
     /// Whether there is nothing to ask.
     pub const fn is_none(&self) -> bool {
         matches!(self.kind, Kind::None)
+    }
+
+    /// The size to which a picture of `source` may be decoded, for this screen and a detector with that input.
+    pub fn decoding_target(&self, detector: InputFormat, source: PictureSize) -> PictureSize {
+        let screen = match &self.kind {
+            Kind::Model(model) => Some(model.input_format()),
+            Kind::None | Kind::Agnostic(_) => None,
+        };
+        decoding_target(detector, screen, source)
     }
 
     /// A new frame begins.

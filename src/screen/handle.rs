@@ -7,7 +7,7 @@ use crate::detector::{
     CameraSlot, DetectorStatus, InferenceError, Preparation, PreparedPicture, StartError,
     prepare_off_thread,
 };
-use crate::frame::Picture;
+use crate::frame::{InputFormat, Picture};
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
@@ -82,6 +82,11 @@ impl ScreenHandle {
             preparation,
             empty_class: config.empty_class,
         }))
+    }
+
+    /// What the model wants to see.
+    pub fn input_format(&self) -> InputFormat {
+        self.preparation.format()
     }
 
     /// Whether nothing is in view in `picture`. Equal outputs count as not empty.

@@ -10,7 +10,7 @@ mod network;
 
 pub use crate::frame::ColorOrder;
 pub use agnostic::{AgnosticCounters, AgnosticScreen, AgnosticSettings, Thumbnail};
-pub use camera::{CameraScreen, ScreenCounts};
+pub use camera::{CameraScreen, ScreenCounts, decoding_target};
 pub use config::{ScreenConfig, ScreenKind};
 pub use empty_run::EmptyRun;
 pub use handle::{ScreenHandle, ScreenVerdict};

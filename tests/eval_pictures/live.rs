@@ -9,7 +9,7 @@ use albireo::eval::source::ScreenRule;
 use albireo::footage::{FrameSource, PictureFolder};
 use albireo::frame::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode, decode_grey_half};
 use albireo::policy::{Evidence, FrameHead, FrameState, GreyPicture, Need, Outcome, Policy};
-use albireo::screen::{ScreenConfig, ScreenHandle};
+use albireo::screen::{ScreenConfig, ScreenHandle, decoding_target};
 use std::sync::Arc;
 
 const CAMERA: CameraSlot = CameraSlot(0);
@@ -32,16 +32,21 @@ impl Node {
         }
     }
 
-    fn picture(encoded: &EncodedPicture) -> Arc<Picture> {
+    fn picture(&self, encoded: &EncodedPicture) -> Arc<Picture> {
         let mut picture = Picture::default();
-        let limits = FrameLimits::default();
-        decode(encoded, &limits, PixelLayout::Rgb8, None, &mut picture).unwrap();
+        let (limits, layout) = (FrameLimits::default(), PixelLayout::Rgb8);
+        let [detector, screen] = [
+            self.detector.preparation().format(),
+            self.screen.input_format(),
+        ];
+        let target = decoding_target(detector, Some(screen), encoded.size);
+        decode(encoded, &limits, layout, Some(target), &mut picture).unwrap();
         Arc::new(picture)
     }
 
     /// What the detector finds, of the evaluated classes under their numbers.
     async fn detect(&self, encoded: &EncodedPicture) -> Vec<Detection> {
-        let found = self.detector.detect(CAMERA, Self::picture(encoded)).await;
+        let found = self.detector.detect(CAMERA, self.picture(encoded)).await;
         let found = found.unwrap().detections.into_iter();
         found
             .filter_map(|detection| {
@@ -70,7 +75,7 @@ impl Node {
             need = match need {
                 Need::Nothing => break,
                 Need::Screen => {
-                    let verdict = self.screen.ask(CAMERA, Self::picture(encoded)).await;
+                    let verdict = self.screen.ask(CAMERA, self.picture(encoded)).await;
                     let empty = verdict.unwrap().empty;
                     policy.answer(Evidence::Screen { empty })
                 }

@@ -78,6 +78,7 @@ fn check(samples: &Samples) {
             1.0,
         ),
         (r#"albireo_detector_runs_total{outcome="completed"}"#, 0.0),
+        ("albireo_detector_batches_total{}", 0.0),
         (r#"albireo_detector_rebuilds_total{outcome="failed"}"#, 0.0),
         (
             r#"albireo_detector_boxes_dropped_total{reason="unknown_class"}"#,

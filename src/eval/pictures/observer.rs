@@ -9,7 +9,7 @@ use crate::eval::data::classes::{Meaning, from_name};
 use crate::frame::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
 };
-use crate::screen::{ScreenConfig, ScreenHandle};
+use crate::screen::{ScreenConfig, ScreenHandle, decoding_target};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::runtime::Runtime;
@@ -129,7 +129,15 @@ impl Observer {
     pub fn look(&mut self, encoded: &EncodedPicture) -> Result<Observation, ObserveError> {
         let start = Instant::now();
         let mut picture = Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
-        decode(encoded, &self.limits, PixelLayout::Rgb8, None, &mut picture)?;
+        let screen = self.screen.as_ref().map(ScreenHandle::input_format);
+        let target = decoding_target(self.detector.preparation().format(), screen, encoded.size);
+        decode(
+            encoded,
+            &self.limits,
+            PixelLayout::Rgb8,
+            Some(target),
+            &mut picture,
+        )?;
         let decode = start.elapsed();
         self.picture = Arc::new(picture);
 

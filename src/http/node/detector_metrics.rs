@@ -13,6 +13,13 @@ pub(super) fn detector(
 ) -> fmt::Result {
     let task = &counters.task;
     let head = &counters.head;
+    family(
+        encoder,
+        "detector_batches",
+        "Runs of the model that ended well: fewer than completed pictures where cameras share a run",
+        MetricType::Counter,
+        |family| family.counter(Vec::new(), task.batches as f64),
+    )?;
     for (name, help, label, counts) in [
         (
             "detector_runs",

@@ -48,13 +48,17 @@ pub(super) struct Family<'a>(MetricEncoder<'a>);
 
 impl Family<'_> {
     pub(super) fn counter(&mut self, labels: Labels<'_>, value: f64) -> fmt::Result {
-        self.0
-            .encode_family(&labels)?
-            .encode_counter::<NoLabelSet, _, u64>(&value, None)
+        // A family of an empty set of labels would print empty braces.
+        if labels.is_empty() {
+            self.0.encode_counter::<NoLabelSet, _, u64>(&value, None)
+        } else {
+            self.0
+                .encode_family(&labels)?
+                .encode_counter::<NoLabelSet, _, u64>(&value, None)
+        }
     }
 
     fn gauge(&mut self, labels: Labels<'_>, value: impl EncodeGaugeValue) -> fmt::Result {
-        // A family of an empty set of labels would print empty braces.
         if labels.is_empty() {
             self.0.encode_gauge(&value)
         } else {

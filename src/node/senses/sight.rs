@@ -4,6 +4,7 @@ use crate::detector::{Preparation, PreparedPicture};
 use crate::frame::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
 };
+use crate::geometry::PictureSize;
 use crate::policy::Need;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -61,6 +62,7 @@ impl Sight {
         &mut self,
         look: Look,
         encoded: &EncodedPicture,
+        target: PictureSize,
         limits: &FrameLimits,
         preparation: &Preparation,
     ) -> Result<(), FrameFault> {
@@ -75,14 +77,15 @@ impl Sight {
                 // Whoever still holds the old picture keeps it, and this one gets a buffer of its own.
                 let mut picture =
                     Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
-                decode(encoded, limits, PixelLayout::Rgb8, None, &mut picture)?;
+                let layout = PixelLayout::Rgb8;
+                decode(encoded, limits, layout, Some(target), &mut picture)?;
                 self.picture = Arc::new(picture);
                 self.decoded = true;
                 self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
             }
             Look::Prepared => {
                 if !self.decoded {
-                    self.add(Look::Picture, encoded, limits, preparation)?;
+                    self.add(Look::Picture, encoded, target, limits, preparation)?;
                 }
                 let prepared = preparation.prepare(&self.picture);
                 self.prepared = Some(prepared.map_err(|error| FrameFault::Undecodable {
@@ -123,20 +126,26 @@ impl Workshop {
         }
     }
 
-    /// Makes of the picture what is missing in `sight`.
+    /// Makes of the picture what is missing in `sight`. It may be decoded to fewer pixels, down to `target`.
     pub(super) async fn look(
         &mut self,
         sight: Sight,
         encoded: &EncodedPicture,
+        target: PictureSize,
         look: Look,
     ) -> Result<Sight, FrameFault> {
-        joined(self.spawn(sight, encoded.clone(), look)).await
+        joined(self.spawn(sight, encoded.clone(), target, look)).await
     }
 
     /// Begins with a picture that is needed later.
-    pub(super) fn begin(&mut self, encoded: EncodedPicture, look: Look) -> Ahead {
+    pub(super) fn begin(
+        &mut self,
+        encoded: EncodedPicture,
+        target: PictureSize,
+        look: Look,
+    ) -> Ahead {
         Ahead {
-            work: self.spawn(Sight::default(), encoded.clone(), look),
+            work: self.spawn(Sight::default(), encoded.clone(), target, look),
             encoded,
         }
     }
@@ -145,6 +154,7 @@ impl Workshop {
         &mut self,
         mut sight: Sight,
         encoded: EncodedPicture,
+        target: PictureSize,
         look: Look,
     ) -> JoinHandle<Result<Sight, FrameFault>> {
         if !(sight.decoded || sight.greyed) {
@@ -152,7 +162,7 @@ impl Workshop {
         }
         let (limits, preparation) = (self.limits, self.preparation.clone());
         tokio::task::spawn_blocking(move || {
-            sight.add(look, &encoded, &limits, &preparation)?;
+            sight.add(look, &encoded, target, &limits, &preparation)?;
             Ok(sight)
         })
     }

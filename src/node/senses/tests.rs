@@ -17,7 +17,7 @@ fn pictures() -> [EncodedPicture; 3] {
         ..DashcamSettings::default()
     })
     .unwrap();
-    [0, 40, 80].map(|index| EncodedPicture {
+    [0, 10, 30].map(|index| EncodedPicture {
         format: crate::frame::PictureFormat::Jpeg,
         bytes: dashcam.frame(index).encode_jpeg(90).unwrap().into(),
         size,

@@ -2,6 +2,7 @@
 //! tiles.
 
 use crate::frame::{Picture, PixelLayout};
+use crate::geometry::PictureSize;
 
 /// Cells of the thumbnail, in a row and in a column.
 const CELLS: [usize; 2] = [64, 36];
@@ -25,6 +26,10 @@ pub(super) type Features = [f32; FEATURES];
 pub struct Thumbnail(pub(super) Box<Features>);
 
 impl Thumbnail {
+    /// Pictures that are larger are only looked at here and there.
+    pub const TARGET: PictureSize =
+        PictureSize::new((CELLS[0] * SAMPLES) as u32, (CELLS[1] * SAMPLES) as u32);
+
     /// That of `picture`; `None` for one that is too small.
     pub fn of(picture: &Picture) -> Option<Self> {
         cells(picture).map(|cells| Self(features(&cells)))
@@ -87,7 +92,6 @@ fn cells(picture: &Picture) -> Option<Vec<f32>> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::geometry::PictureSize;
 
     pub(in crate::screen) fn picture(paint: impl Fn(usize, usize) -> u8) -> Picture {
         let size = PictureSize::new(128, 72);

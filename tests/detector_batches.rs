@@ -1,0 +1,88 @@
+//! Several cameras in one run of the model.
+
+#![allow(clippy::unwrap_used)]
+
+use albireo::detector::{CameraSlot, Detected, DetectorConfig, DetectorHandle};
+use albireo::frame::Picture;
+use albireo::geometry::PictureSize;
+use std::path::Path;
+use std::sync::Arc;
+
+/// A model with an open batch; the score of a car is how red the picture is, that of a traffic light how green.
+fn config(model: &str) -> DetectorConfig {
+    DetectorConfig {
+        model: Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("tests/fixtures/models")
+            .join(model),
+        report_classes: Some(Vec::new()),
+        confidence: 0.3,
+        timeout_ms: 60_000,
+        batch_size: 3,
+        // Far longer than three tasks need to ask: the run begins when the third has.
+        batch_wait_ms: 1000,
+        ..DetectorConfig::default()
+    }
+}
+
+async fn detect(detector: &DetectorHandle, camera: usize, color: [u8; 3]) -> Detected {
+    let mut picture = Picture::black(PictureSize::new(128, 64));
+    for pixel in picture.pixels.chunks_exact_mut(3) {
+        pixel.copy_from_slice(&color);
+    }
+    let answer = detector.detect(CameraSlot(camera), Arc::new(picture)).await;
+    answer.unwrap()
+}
+
+fn confidences(detected: &Detected) -> Vec<(u16, i64)> {
+    let list = detected.detections.iter();
+    list.map(|found| (found.class.0, (found.confidence * 100.0).round() as i64))
+        .collect()
+}
+
+#[tokio::test]
+async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
+    let detector = DetectorHandle::start(&config("yolo_open.onnx"))
+        .await
+        .unwrap();
+    let colors = [[204, 0, 0], [0, 153, 0], [102, 0, 0]];
+    let expected = [vec![(0, 80)], vec![(1, 60)], vec![(0, 40)]];
+    let [one, two, three] = colors;
+    let mut before = detector.counters().task;
+    // The first round makes the cameras known: a batch waits for known cameras only.
+    for round in 0..2 {
+        let together = tokio::join!(
+            detect(&detector, 0, one),
+            detect(&detector, 1, two),
+            detect(&detector, 2, three)
+        );
+        let found = [&together.0, &together.1, &together.2].map(confidences);
+        assert_eq!(found, expected);
+        let after = detector.counters().task;
+        assert_eq!(after.completed - before.completed, 3);
+        if round == 1 {
+            assert_eq!(after.batches - before.batches, 1);
+        }
+        before = after;
+    }
+}
+
+#[tokio::test]
+async fn a_batch_for_a_model_that_takes_one_picture_is_refused_with_what_to_do() {
+    let refused = DetectorHandle::start(&config("demonstration.onnx")).await;
+    let error = refused.err().unwrap().to_string();
+    for part in ["detector.batch_size", "[1, 3, 32, 64]", "dynamic=True"] {
+        assert!(error.contains(part), "{error}");
+    }
+}
+
+#[tokio::test]
+async fn a_batch_that_the_queue_cannot_hold_is_refused() {
+    let mut config = config("yolo_open.onnx");
+    config.queue = 2;
+    let error = DetectorHandle::start(&config).await.err().unwrap();
+    let error = error.to_string();
+    assert!(
+        error.contains("detector.batch_size") && error.contains("to 2"),
+        "{error}"
+    );
+}
