@@ -6,6 +6,8 @@ mod command_line;
 mod compare;
 mod detector_exports;
 mod detector_models;
+mod detector_quantised;
+mod detector_resources;
 mod detector_session;
 mod end_to_end;
 mod eval_agreement;

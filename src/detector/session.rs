@@ -78,9 +78,9 @@ impl OnnxSession {
         provider: ExecutionProvider,
     ) -> Result<Self, StartError> {
         let refused = |reason: String| refusal(&settings.model, provider, reason);
-        let session = build(environment, settings, provider)
-            .map_err(|error| refused(error.message().to_owned()))?;
-        let options = RunOptions::new().map_err(|error| refused(error.message().to_owned()))?;
+        let session =
+            build(environment, settings, provider).map_err(|error| refused(in_words(&error)))?;
+        let options = RunOptions::new().map_err(|error| refused(in_words(&error)))?;
         let signature = Signature {
             inputs: session.inputs().iter().map(spec).collect(),
             outputs: session.outputs().iter().map(spec).collect(),
@@ -127,7 +127,7 @@ impl OnnxSession {
         values: &[f32],
         read: impl FnOnce(&[TensorView<'_>]) -> R,
     ) -> Result<R, ModelError> {
-        let failed = |error: ort::Error| ModelError::Run(error.message().to_owned());
+        let failed = |error: ort::Error| ModelError::Run(in_words(&error));
         let Self {
             session,
             options,
@@ -162,6 +162,29 @@ impl OnnxSession {
             .map(|(shape, values)| TensorView { shape, values })
             .collect();
         Ok(read(&views))
+    }
+}
+
+/// How ONNX Runtime and what it calls say that memory ran out: its arenas on the CPU and on a GPU, C++, CUDA.
+const MEMORY_RAN_OUT: [&str; 5] = [
+    "failed to allocate memory",
+    "smaller than requested bytes",
+    "bad_alloc",
+    "bad allocation",
+    "out of memory",
+];
+
+/// What ONNX Runtime said. That memory ran out is said in plain words first: its own are of arenas.
+fn in_words(error: &ort::Error) -> String {
+    let said = error.message().trim_end();
+    let lower = said.to_lowercase();
+    if MEMORY_RAN_OUT.iter().any(|phrase| lower.contains(phrase)) {
+        format!(
+            "there is not enough memory for it; a smaller model or input size needs less, and on a GPU \
+             detector.gpu.memory_limit_mib may be too low: {said}"
+        )
+    } else {
+        said.to_owned()
     }
 }
 
@@ -231,7 +254,8 @@ fn spec(outlet: &Outlet) -> TensorSpec {
                 TensorElementType::Float32 => ElementType::Float32,
                 TensorElementType::Float16 => ElementType::Float16,
                 TensorElementType::Uint8 => ElementType::Uint8,
-                other => ElementType::Other(other.to_string()),
+                // As ONNX names them: int8, int64, bool.
+                other => ElementType::Other(format!("{other:?}").to_lowercase()),
             };
             (element, shape.to_vec())
         }
