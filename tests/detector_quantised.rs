@@ -4,7 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 use albireo::detection::Detection;
-use albireo::detector::{CameraSlot, DetectorConfig, HeadName, Model, Network};
+use albireo::detector::{DetectorConfig, HeadName, Network};
 use albireo::frame::{Picture, PixelLayout};
 use albireo::synth::{Dashcam, DashcamSettings};
 use std::path::Path;
@@ -101,8 +101,8 @@ fn a_quantised_export_finds_what_the_model_it_was_made_from_finds() {
                 pixels: frame.rgb,
             };
             let [first, second] = [&mut float, &mut quantised].map(|network| {
-                let found = network.run(CameraSlot(0), &picture).unwrap();
-                found.detections
+                let prepared = network.preparation().prepare(&picture).unwrap();
+                network.detect(&prepared).unwrap().detections
             });
             agreement.add(&first, &second);
             agreement.add(&second, &first);

@@ -1,7 +1,7 @@
 //! A frame's way as the node goes it, on one thread: decoding, letterbox, model, head, policy, message, Zenoh.
 
 use super::samples::{Samples, Stage};
-use albireo::detector::{CameraSlot, DetectorConfig, Model, Network};
+use albireo::detector::{DetectorConfig, Network};
 use albireo::frame::{EncodedPicture, Frame, FrameLimits, Picture, PixelLayout, decode};
 use albireo::node::config::ZenohConfig;
 use albireo::node::{AnswerContext, detections_message, session};
@@ -113,7 +113,8 @@ impl<'a> OurPath<'a> {
         decode(encoded, &self.limits, layout, None, picture)?;
         let decoding = start.elapsed();
 
-        let found = self.network.run(CameraSlot(0), &self.picture)?;
+        let prepared = self.network.preparation().prepare(&self.picture)?;
+        let found = self.network.detect(&prepared)?;
 
         let start = Instant::now();
         let mut need = self.policy.begin(FrameHead {

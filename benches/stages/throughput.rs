@@ -2,7 +2,7 @@
 //! loop.
 
 use super::samples::median;
-use albireo::detector::{CameraSlot, DetectorHandle, Model, Network};
+use albireo::detector::{CameraSlot, DetectorHandle, Network};
 use albireo::frame::Picture;
 use std::sync::Arc;
 use std::time::Instant;
@@ -28,7 +28,8 @@ impl Throughput {
         let mut model = 0.0;
         let start = Instant::now();
         for picture in pictures {
-            model += network.run(CameraSlot(0), picture)?.model.as_secs_f64();
+            let prepared = network.preparation().prepare(picture)?;
+            model += network.detect(&prepared)?.model.as_secs_f64();
         }
         let frames = pictures.len() as f64;
         self.looped.push(frames / start.elapsed().as_secs_f64());

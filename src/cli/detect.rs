@@ -1,9 +1,7 @@
 //! `albireo detect`: says what a detector is, and runs it on pictures.
 
 use super::synth::parse_size;
-use crate::detector::{
-    CameraSlot, ClassNames, DetectorConfig, ExecutionProvider, Found, HeadName, Model, Network,
-};
+use crate::detector::{ClassNames, DetectorConfig, ExecutionProvider, Found, HeadName, Network};
 use crate::footage::{FrameSource, PictureFolder};
 use crate::frame::{FrameLimits, Picture, PixelLayout, decode};
 use crate::geometry::PictureSize;
@@ -136,12 +134,16 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
             )
             .with_context(|| file.display().to_string())?;
             let decode_ms = started.elapsed().as_secs_f64() * 1e3;
+            let prepared = network
+                .preparation()
+                .prepare(&picture)
+                .with_context(|| file.display().to_string())?;
             let found = network
-                .run(CameraSlot(0), &picture)
+                .detect(&prepared)
                 .with_context(|| file.display().to_string())?;
             tell(arguments.json, &file, &picture, decode_ms, &found, &names)?;
             if let Some(folder) = &arguments.write_input {
-                write_input(folder, &file, network.input())?;
+                write_input(folder, &file, prepared.values())?;
             }
         }
     }

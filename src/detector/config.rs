@@ -83,6 +83,11 @@ pub struct DetectorConfig {
     pub timeout_ms: u64,
     /// Frames that may wait for the detector, all cameras together.
     pub queue: usize,
+    /// The most frames that one run of the model takes, each of another camera; more than 1 for a model with an
+    /// open batch.
+    pub batch_size: usize,
+    /// How long a frame waits for those of other cameras to share its run, from being asked.
+    pub batch_wait_ms: u64,
     /// The ONNX Runtime library; empty to look at `ORT_DYLIB_PATH`, beside the program, in
     /// `.cache/onnxruntime`, and where the system keeps libraries.
     pub onnxruntime: Option<PathBuf>,
@@ -107,6 +112,8 @@ impl Default for DetectorConfig {
             threads: 0,
             timeout_ms: 2000,
             queue: 8,
+            batch_size: 1,
+            batch_wait_ms: 5,
             onnxruntime: None,
         }
     }
@@ -140,6 +147,13 @@ impl DetectorConfig {
             ("threads", self.threads as u64, 0, 1024),
             ("timeout_ms", self.timeout_ms, 1, LONGEST_TIMEOUT_MS),
             ("queue", self.queue as u64, 1, 4096),
+            (
+                "batch_size",
+                self.batch_size as u64,
+                1,
+                self.queue.clamp(1, 64) as u64,
+            ),
+            ("batch_wait_ms", self.batch_wait_ms, 0, 1000),
         ] {
             let reason = format!("must be from {least} to {most}, not {value}");
             check(key, (least..=most).contains(&value), reason);

@@ -85,9 +85,10 @@ pub enum StartError {
         /// What is wrong with its value and what would be right.
         reason: String,
     },
-    /// The file was replaced by a model with other classes while the program runs.
+    /// The file was replaced by a model with other classes or another input while the program runs.
     #[error(
-        "the model {} has other classes than when the program started; start it again to use the new file",
+        "the model {} has other classes or another input than when the program started; start it again to use \
+         the new file",
         path.display()
     )]
     ModelChanged {
@@ -112,16 +113,10 @@ pub enum StartError {
     },
 }
 
-/// Why one run of a model failed.
+/// Why one run of a model failed: the model or what runs it is at fault.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum ModelError {
-    /// The picture is at fault; the model is as good as before.
-    #[error("{0}")]
-    Picture(String),
-    /// The model or what runs it is at fault.
-    #[error("{0}")]
-    Run(String),
-}
+#[error("{0}")]
+pub struct RunError(pub String);
 
 /// Why a picture was not answered. The frame it belongs to can be answered from prediction.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

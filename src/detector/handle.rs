@@ -1,10 +1,11 @@
 //! What a camera's loop holds of the detector.
 
 use super::network::{HeadCounters, Network};
+use super::preparation::prepare_off_thread;
 use super::task::{InferenceTask, TaskCounters, TaskMeter, TaskSettings};
 use super::{
     CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, HeadCounts, InferenceError,
-    Model, StartError,
+    Preparation, PreparedPicture, StartError,
 };
 use crate::detection::Detection;
 use crate::frame::Picture;
@@ -19,7 +20,7 @@ pub struct Found {
     pub detections: Vec<Detection>,
     /// Resizing and conversion to the model's input tensor.
     pub letterbox: Duration,
-    /// The model alone.
+    /// The model alone; of a batch, that of all its pictures.
     pub model: Duration,
     /// From output tensors to detections.
     pub head: Duration,
@@ -44,13 +45,14 @@ pub struct Detected {
 /// the last handle is dropped.
 #[derive(Clone)]
 pub struct DetectorHandle {
-    task: InferenceTask<Found>,
+    task: InferenceTask<PreparedPicture, Found>,
     facts: Arc<Facts>,
 }
 
 struct Facts {
     model_name: String,
     class_names: Vec<String>,
+    preparation: Preparation,
     head: Arc<HeadCounters>,
 }
 
@@ -88,19 +90,26 @@ impl DetectorHandle {
     pub async fn start(config: &DetectorConfig) -> Result<Self, StartError> {
         config.check()?;
         let head = Arc::new(HeadCounters::default());
-        let settings = TaskSettings::new(
-            "detector",
-            Duration::from_millis(config.timeout_ms),
-            config.queue,
-        );
+        let settings = TaskSettings {
+            batch_size: config.batch_size,
+            batch_wait: Duration::from_millis(config.batch_wait_ms),
+            ..TaskSettings::new(
+                "detector",
+                Duration::from_millis(config.timeout_ms),
+                config.queue,
+            )
+        };
         let model_name = model_name(config);
-        let names = Arc::new(OnceLock::new());
-        let (config, counters, told) = (config.clone(), head.clone(), names.clone());
+        let first: Arc<OnceLock<(Vec<String>, Preparation)>> = Arc::default();
+        let (config, counters, told) = (config.clone(), head.clone(), first.clone());
         let factory = move || {
             let network = Network::open_counting(&config, counters.clone())?;
-            let first: &Vec<String> = told.get_or_init(|| network.class_names().to_vec());
-            if first != network.class_names() {
-                // The numbers of classes that are in use would mean something else.
+            let (names, preparation) = told.get_or_init(|| {
+                let names = network.class_names().to_vec();
+                (names, network.preparation().clone())
+            });
+            if names != network.class_names() || preparation.format() != network.input_format() {
+                // The numbers of classes, or inputs, that are in use would mean something else.
                 return Err(StartError::ModelChanged {
                     path: config.model.clone(),
                 });
@@ -108,50 +117,54 @@ impl DetectorHandle {
             Ok(network)
         };
         let task = InferenceTask::start(settings, factory).await?;
+        let Some((class_names, preparation)) = first.get().cloned() else {
+            return Err(StartError::Thread {
+                task: settings.name,
+                reason: "it told nothing of its model".to_owned(),
+            });
+        };
         Ok(Self {
             task,
             facts: Arc::new(Facts {
                 model_name,
-                class_names: names.get().cloned().unwrap_or_default(),
+                class_names,
+                preparation,
                 head,
             }),
         })
     }
 
-    /// A detector that runs `factory`'s model in place of an ONNX file: a recorded detector, or one made to
-    /// fail. Everything else is as in the real one.
-    ///
-    /// # Errors
-    /// When the first model cannot be made.
-    pub async fn start_with<M: Model<Output = Found>>(
-        settings: TaskSettings,
-        model_name: &str,
-        class_names: Vec<String>,
-        factory: impl Fn() -> Result<M, StartError> + Send + Sync + 'static,
-    ) -> Result<Self, StartError> {
-        Ok(Self {
-            task: InferenceTask::start(settings, factory).await?,
-            facts: Arc::new(Facts {
-                model_name: model_name.to_owned(),
-                class_names,
-                head: Arc::default(),
-            }),
-        })
+    /// Where pictures become the model's input, on any thread, before [`detect_prepared`](Self::detect_prepared).
+    pub fn preparation(&self) -> &Preparation {
+        &self.facts.preparation
     }
 
-    /// Finds the objects in `picture`. Waits for the camera's turn and for the run.
+    /// Finds the objects in `picture`: prepares it on a blocking thread, waits for the camera's turn and for
+    /// the run. After `Ok` the picture is no longer held.
     ///
-    /// The picture is shared, not copied. After `Ok` the detector no longer holds it, and the caller can
-    /// take its buffer back with [`Arc::try_unwrap`]; after a time-out a hanging run may still hold it.
+    /// # Errors
+    /// See [`InferenceError`].
+    pub async fn detect(
+        &self,
+        camera: CameraSlot,
+        picture: Arc<Picture>,
+    ) -> Result<Detected, InferenceError> {
+        let preparation = self.facts.preparation.clone();
+        let prepared = prepare_off_thread(preparation, picture).await?;
+        self.detect_prepared(camera, prepared).await
+    }
+
+    /// Finds the objects in a picture that [`preparation`](Self::preparation) has prepared. Waits for the
+    /// camera's turn and for the run.
     ///
     /// # Errors
     /// See [`InferenceError`]. Whatever the error, the frame can be answered from prediction. A run that
     /// takes too long is answered at the limit, not later; while the session is being rebuilt the answer
     /// comes at once.
-    pub async fn detect(
+    pub async fn detect_prepared(
         &self,
         camera: CameraSlot,
-        picture: Arc<Picture>,
+        picture: PreparedPicture,
     ) -> Result<Detected, InferenceError> {
         let inference = self.task.run(camera, picture).await?;
         let found = inference.output;

@@ -1,8 +1,6 @@
-//! What the task runs: ONNX Runtime behind a trait, so that a recorded or a misbehaving detector can take
-//! its place.
+//! What the task runs: ONNX Runtime behind a trait, so that a misbehaving model can take its place in tests.
 
-use super::{ExecutionProvider, ModelError};
-use crate::frame::Picture;
+use super::{ExecutionProvider, RunError};
 use std::sync::Arc;
 
 /// A camera among those that share a task, by its place in the configuration.
@@ -14,14 +12,17 @@ pub type Interrupter = Arc<dyn Fn() + Send + Sync>;
 
 /// Something that answers pictures, built and used on one thread of its own.
 pub trait Model: 'static {
+    /// A picture as it takes it.
+    type Input: Send + 'static;
     /// What it finds in a picture.
     type Output: Send + 'static;
 
-    /// Answers one picture. Blocks.
+    /// Answers pictures, at least one and at most the batch size of its task: one output for each, in their
+    /// order. Blocks.
     ///
     /// # Errors
-    /// When the run failed. The model is dropped then and built anew, unless the picture was at fault.
-    fn run(&mut self, camera: CameraSlot, picture: &Picture) -> Result<Self::Output, ModelError>;
+    /// When the run failed. The model is dropped then and built anew.
+    fn run(&mut self, pictures: &[Self::Input]) -> Result<Vec<Self::Output>, RunError>;
 
     /// What runs it.
     fn provider(&self) -> ExecutionProvider;

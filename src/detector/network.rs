@@ -1,14 +1,18 @@
-//! The real detector: letterbox, session, head, one after the other on the task's thread.
+//! The real detector: session and head, one after the other on the task's thread, for one picture or several
+//! of the same run.
 
 use super::classes::Classes;
-use super::head::{self, Candidate, Head, Suppression, Unrecognised, keep_best, suppress};
+use super::head::{
+    self, Candidate, Head, Suppression, TensorView, Unrecognised, keep_best, suppress,
+};
 use super::model::Interrupter;
 use super::{
-    CameraSlot, DetectorConfig, ExecutionProvider, Found, HeadName, Model, ModelError, OnnxSession,
-    PictureInput, SessionSettings, Signature, StartError, class_names,
+    DetectorConfig, ExecutionProvider, Found, HeadName, Model, OnnxSession, PictureInput,
+    Preparation, PreparedPicture, RunError, SessionSettings, Signature, StartError, TensorSpec,
+    class_names, shape_text,
 };
 use crate::detection::Detection;
-use crate::frame::{InputFormat, InputMapping, Letterbox, Picture};
+use crate::frame::{InputFormat, InputMapping, Picture};
 use crate::geometry::Corners;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -57,12 +61,16 @@ impl HeadCounters {
     }
 }
 
-/// A model with all that belongs to it, on the caller's thread: from a picture to detections.
+/// A model with all that belongs to it, on the caller's thread: from pictures to detections.
 /// [`DetectorHandle`](super::DetectorHandle) is the same for a service, with a queue and supervision.
 pub struct Network {
     session: OnnxSession,
-    letterbox: Letterbox,
-    format: InputFormat,
+    preparation: Preparation,
+    reader: Reader,
+}
+
+/// Makes detections of the model's output.
+struct Reader {
     head: Box<dyn Head>,
     confidence: f64,
     suppression: Suppression,
@@ -94,6 +102,7 @@ impl Network {
             threads: config.threads,
             onnxruntime: config.onnxruntime.clone(),
         })?;
+        check_batch(config, session.signature())?;
         let head = head_for(config, session.signature())?;
         let names = class_names::read(
             config.class_names.as_ref(),
@@ -101,51 +110,79 @@ impl Network {
             head.as_ref(),
         )?;
         let classes = Classes::new(&names, config)?;
-        let format = head.input_format();
         let mut network = Self {
             session,
-            letterbox: Letterbox::new(format),
-            format,
-            head,
-            confidence: config.confidence,
-            suppression: Suppression {
-                overlap: config.suppression_overlap,
-                per_class: config.suppression_per_class,
-                most: config.most_detections,
+            preparation: Preparation::new(head.input_format()),
+            reader: Reader {
+                head,
+                confidence: config.confidence,
+                suppression: Suppression {
+                    overlap: config.suppression_overlap,
+                    per_class: config.suppression_per_class,
+                    most: config.most_detections,
+                },
+                classes,
+                candidates: Vec::new(),
+                counters: Arc::default(),
             },
-            classes,
-            candidates: Vec::new(),
-            counters: Arc::default(),
         };
-        network.infer().map_err(|error| StartError::WarmUp {
-            path: config.model.clone(),
-            reason: error.to_string(),
-        })?;
+        network
+            .warm_up(config.batch_size)
+            .map_err(|reason| StartError::WarmUp {
+                path: config.model.clone(),
+                reason,
+            })?;
         // Counting begins with the first picture.
-        Ok(Self {
-            counters,
-            ..network
-        })
+        network.reader.counters = counters;
+        Ok(network)
+    }
+
+    /// Runs the model on a black picture, and on a full batch of them: the slow first runs, in which memory is
+    /// laid out and an engine built, are over then.
+    fn warm_up(&mut self, batch_size: usize) -> Result<(), String> {
+        let black = Picture::black(self.input_format().size);
+        let mut pictures = Vec::new();
+        for _ in 0..batch_size.max(1) {
+            let prepared = self.preparation.prepare(&black);
+            pictures.push(prepared.map_err(|error| error.to_string())?);
+        }
+        self.run(&pictures[..1])
+            .map_err(|RunError(reason)| reason)?;
+        if batch_size > 1 {
+            self.run(&pictures).map_err(|RunError(reason)| {
+                format!("{reason} (with detector.batch_size = {batch_size})")
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Finds the objects in one picture.
+    ///
+    /// # Errors
+    /// When the run failed.
+    pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, RunError> {
+        let found = self.run(std::slice::from_ref(picture))?.pop();
+        found.ok_or_else(|| RunError("the model gave no answer".to_owned()))
+    }
+
+    /// Where pictures become the model's input.
+    pub fn preparation(&self) -> &Preparation {
+        &self.preparation
     }
 
     /// The names of the reported classes, by the number they are reported under.
     pub fn class_names(&self) -> &[String] {
-        &self.classes.reported
+        &self.reader.classes.reported
     }
 
     /// The head that reads the model's output.
     pub fn head(&self) -> HeadName {
-        self.head.name()
+        self.reader.head.name()
     }
 
     /// What the model wants to see.
     pub fn input_format(&self) -> InputFormat {
-        self.format
-    }
-
-    /// What the model was given last, before any conversion to its element type.
-    pub fn input(&self) -> &[f32] {
-        self.letterbox.tensor()
+        self.preparation.format()
     }
 
     /// Names, types and shapes of the model's inputs and outputs, and its metadata.
@@ -155,30 +192,26 @@ impl Network {
 
     /// What was found in the model's output and not reported.
     pub fn counts(&self) -> HeadCounts {
-        self.counters.counts()
+        self.reader.counters.counts()
     }
+}
 
-    /// Runs the model on what is in the letterbox and reads its output; returns when the model had ended.
-    fn infer(&mut self) -> Result<Instant, ModelError> {
-        let Self {
-            session,
-            letterbox,
-            format,
-            head,
-            confidence,
-            candidates,
-            counters,
-            ..
-        } = self;
-        candidates.clear();
-        session.run(format.shape(), letterbox.tensor(), |outputs| {
-            let model_ended = Instant::now();
-            let rejected = head
-                .read(outputs, *confidence, candidates)
-                .map_err(ModelError::Run)?;
-            counters.rejected.fetch_add(rejected, Ordering::Relaxed);
-            Ok(model_ended)
-        })?
+impl Reader {
+    /// What is found in the output for one picture.
+    fn read(
+        &mut self,
+        outputs: &[TensorView<'_>],
+        mapping: InputMapping,
+    ) -> Result<Vec<Detection>, RunError> {
+        self.candidates.clear();
+        let rejected = self
+            .head
+            .read(outputs, self.confidence, &mut self.candidates)
+            .map_err(RunError)?;
+        self.counters
+            .rejected
+            .fetch_add(rejected, Ordering::Relaxed);
+        Ok(self.detections(mapping))
     }
 
     /// The candidates that stay, as detections in the source picture.
@@ -209,6 +242,58 @@ impl Network {
         self.counters.add(counts);
         detections
     }
+}
+
+/// Whether the model takes as many pictures at once as are configured.
+fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), StartError> {
+    let is_open = |input: &TensorSpec| input.shape.first() == Some(&-1);
+    if config.batch_size == 1 || signature.inputs.iter().all(is_open) {
+        return Ok(());
+    }
+    Err(StartError::Configuration {
+        key: "detector.batch_size".to_owned(),
+        reason: format!(
+            "is {}, and {} takes one picture at a time ({signature}); export it with an open batch (Ultralytics: \
+             dynamic=True), or leave batch_size at 1",
+            config.batch_size,
+            config.model.display()
+        ),
+    })
+}
+
+/// The outputs of a run of `pictures`, one list for each picture, in which every output has a batch of 1.
+fn of_each<'a>(
+    outputs: &[TensorView<'a>],
+    shapes: &'a [Vec<i64>],
+    pictures: usize,
+) -> Vec<Vec<TensorView<'a>>> {
+    (0..pictures)
+        .map(|picture| {
+            let of_one = outputs.iter().zip(shapes).map(|(output, shape)| {
+                let length = output.values.len() / pictures;
+                TensorView {
+                    shape,
+                    values: &output.values[picture * length..][..length],
+                }
+            });
+            of_one.collect()
+        })
+        .collect()
+}
+
+/// The shapes of the outputs' parts for one picture of `pictures`.
+///
+/// # Errors
+/// When an output has another number of parts, in words.
+fn shapes_of_one(outputs: &[TensorView<'_>], pictures: usize) -> Result<Vec<Vec<i64>>, String> {
+    let shape_of_one = |output: &TensorView<'_>| match output.shape {
+        [batch, rest @ ..] if usize::try_from(*batch) == Ok(pictures) => Ok([&[1], rest].concat()),
+        shape => Err(format!(
+            "the model gave an output of {} for {pictures} pictures",
+            shape_text(shape)
+        )),
+    };
+    outputs.iter().map(shape_of_one).collect()
 }
 
 /// The head for a model: the configured one, or the one it is recognised to need.
@@ -260,23 +345,32 @@ fn detection(candidate: &Candidate, mapping: InputMapping) -> Option<Detection> 
 }
 
 impl Model for Network {
+    type Input = PreparedPicture;
     type Output = Found;
 
-    fn run(&mut self, _camera: CameraSlot, picture: &Picture) -> Result<Found, ModelError> {
+    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Found>, RunError> {
+        let Self {
+            session,
+            preparation,
+            reader,
+        } = self;
         let started = Instant::now();
-        let mapping = self
-            .letterbox
-            .fill(picture)
-            .map_err(|error| ModelError::Picture(error.to_string()))?;
-        let letterboxed = Instant::now();
-        let model_ended = self.infer()?;
-        let detections = self.detections(mapping);
-        Ok(Found {
-            detections,
-            letterbox: letterboxed - started,
-            model: model_ended - letterboxed,
-            head: model_ended.elapsed(),
-        })
+        let inputs: Vec<_> = pictures.iter().map(PreparedPicture::values).collect();
+        session.run(preparation.format().shape(), &inputs, |outputs| {
+            let model = started.elapsed();
+            let shapes = shapes_of_one(outputs, pictures.len()).map_err(RunError)?;
+            let parts = of_each(outputs, &shapes, pictures.len());
+            let read = |(picture, outputs): (&PreparedPicture, Vec<TensorView<'_>>)| {
+                let start = Instant::now();
+                Ok(Found {
+                    detections: reader.read(&outputs, picture.mapping())?,
+                    letterbox: picture.took(),
+                    model,
+                    head: start.elapsed(),
+                })
+            };
+            pictures.iter().zip(parts).map(read).collect()
+        })?
     }
 
     fn provider(&self) -> ExecutionProvider {

@@ -3,7 +3,7 @@
 use super::head::TensorView;
 use super::model::Interrupter;
 use super::{
-    ElementType, ExecutionProvider, GpuConfig, Metadata, ModelError, Signature, StartError,
+    ElementType, ExecutionProvider, GpuConfig, Metadata, RunError, Signature, StartError,
     TensorSpec,
 };
 use super::{onnxruntime, provider};
@@ -40,7 +40,8 @@ pub(crate) struct OnnxSession {
     options: Arc<RunOptions>,
     signature: Signature,
     provider: ExecutionProvider,
-    /// The input in the model's own element type, where that is not float32.
+    /// The pictures of a batch one after the other, in the model's own element type.
+    floats: Vec<f32>,
     halves: Vec<f16>,
     bytes: Vec<u8>,
 }
@@ -91,6 +92,7 @@ impl OnnxSession {
             options: Arc::new(options),
             signature,
             provider,
+            floats: Vec::new(),
             halves: Vec::new(),
             bytes: Vec::new(),
         })
@@ -116,38 +118,54 @@ impl OnnxSession {
         })
     }
 
-    /// Runs the model on one picture, given as float32 in `shape`; converted where the model takes float16 or
-    /// bytes. `read` gets the outputs in the order of the signature.
+    /// Runs the model on `pictures`, each given as float32 in `shape`, which is that of one; converted where
+    /// the model takes float16 or bytes. `read` gets the outputs in the order of the signature.
     ///
     /// # Errors
     /// When ONNX Runtime fails, or an output is neither float32 nor float16.
     pub(crate) fn run<R>(
         &mut self,
-        shape: [i64; 4],
-        values: &[f32],
+        mut shape: [i64; 4],
+        pictures: &[&[f32]],
         read: impl FnOnce(&[TensorView<'_>]) -> R,
-    ) -> Result<R, ModelError> {
-        let failed = |error: ort::Error| ModelError::Run(in_words(&error));
+    ) -> Result<R, RunError> {
+        let failed = |error: ort::Error| RunError(in_words(&error));
         let Self {
             session,
             options,
             signature,
+            floats,
             halves,
             bytes,
             ..
         } = self;
+        shape[0] = i64::try_from(pictures.len()).unwrap_or(i64::MAX);
+        let values = pictures.iter().copied().flatten();
         let input = match signature.inputs.first().map(|input| &input.element) {
             Some(ElementType::Float16) => {
                 halves.clear();
-                halves.extend(values.iter().map(|&value| f16::from_f32(value)));
+                halves.extend(values.map(|&value| f16::from_f32(value)));
                 TensorRef::from_array_view((shape, halves.as_slice())).map(TensorRef::into_dyn)
             }
             Some(ElementType::Uint8) => {
                 bytes.clear();
-                bytes.extend(values.iter().map(|&value| value.round() as u8));
+                bytes.extend(values.map(|&value| value.round() as u8));
                 TensorRef::from_array_view((shape, bytes.as_slice())).map(TensorRef::into_dyn)
             }
-            _ => TensorRef::from_array_view((shape, values)).map(TensorRef::into_dyn),
+            _ => {
+                // A single picture is taken where it is.
+                let values = match pictures {
+                    [one] => one,
+                    several => {
+                        floats.clear();
+                        several
+                            .iter()
+                            .for_each(|values| floats.extend_from_slice(values));
+                        floats.as_slice()
+                    }
+                };
+                TensorRef::from_array_view((shape, values)).map(TensorRef::into_dyn)
+            }
         }
         .map_err(failed)?;
         let outputs = session

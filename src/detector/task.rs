@@ -1,5 +1,5 @@
 //! The task: one model on a thread of its own, shared by all cameras through a bounded queue that is fair
-//! between them, and rebuilt when a run fails, panics or takes too long.
+//! between them, one picture a run or several, and rebuilt when a run fails, panics or takes too long.
 
 mod counters;
 mod shared;
@@ -12,8 +12,7 @@ pub use counters::{TaskCounters, TaskMeter};
 pub use shared::Inference;
 
 use super::{CameraSlot, DetectorStatus, InferenceError, Model, StartError};
-use crate::frame::Picture;
-use shared::{Job, Shared};
+use shared::{Batching, Job, Shared};
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -34,6 +33,10 @@ pub struct TaskSettings {
     pub timeout: Duration,
     /// Pictures that may wait, all cameras together; at least 1 is used. Each camera has at most one.
     pub queue: usize,
+    /// The most pictures of a run, each of another camera; at least 1 is used.
+    pub batch_size: usize,
+    /// How long a picture waits for those of other cameras to share its run, from being asked.
+    pub batch_wait: Duration,
     /// From the first failure to the first attempt to build a new model. Doubles with each failure until a
     /// run ends well.
     pub first_pause: Duration,
@@ -44,12 +47,15 @@ pub struct TaskSettings {
 }
 
 impl TaskSettings {
-    /// A task of that name, limit and queue, with pauses from 0.1 s to 30 s and at most 4 abandoned threads.
+    /// A task of that name, limit and queue, one picture a run, with pauses from 0.1 s to 30 s and at most 4
+    /// abandoned threads.
     pub const fn new(name: &'static str, timeout: Duration, queue: usize) -> Self {
         Self {
             name,
             timeout,
             queue,
+            batch_size: 1,
+            batch_wait: Duration::ZERO,
             first_pause: Duration::from_millis(100),
             longest_pause: Duration::from_secs(30),
             most_abandoned: 4,
@@ -58,11 +64,11 @@ impl TaskSettings {
 }
 
 /// A handle to a running task. It stops when its last handle is dropped.
-pub struct InferenceTask<T> {
-    inner: Arc<Inner<T>>,
+pub struct InferenceTask<I, T> {
+    inner: Arc<Inner<I, T>>,
 }
 
-impl<T> Clone for InferenceTask<T> {
+impl<I, T> Clone for InferenceTask<I, T> {
     fn clone(&self) -> Self {
         Self {
             inner: self.inner.clone(),
@@ -70,8 +76,8 @@ impl<T> Clone for InferenceTask<T> {
     }
 }
 
-struct Inner<T> {
-    shared: Arc<Shared<T>>,
+struct Inner<I, T> {
+    shared: Arc<Shared<I, T>>,
     /// One place a camera: a second picture of the same camera waits for it.
     cameras: Mutex<HashMap<CameraSlot, Arc<Semaphore>>>,
     /// The places of all.
@@ -80,30 +86,33 @@ struct Inner<T> {
     stopped: watch::Receiver<bool>,
 }
 
-impl<T> Inner<T> {
+impl<I, T> Inner<I, T> {
     fn stop(&self) {
         self.shared.stop();
         self.stop.cancel();
     }
 }
 
-impl<T> Drop for Inner<T> {
+impl<I, T> Drop for Inner<I, T> {
     fn drop(&mut self) {
         self.stop();
     }
 }
 
-impl<T: Send + 'static> InferenceTask<T> {
+impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
     /// Builds the first model on its thread and waits for it. Needs a tokio runtime with timers.
     ///
     /// # Errors
     /// When the first model cannot be built. Later failures are retried, counted and told by
     /// [`status`](Self::status).
-    pub async fn start<M: Model<Output = T>>(
+    pub async fn start<M: Model<Input = I, Output = T>>(
         settings: TaskSettings,
         factory: impl Fn() -> Result<M, StartError> + Send + Sync + 'static,
     ) -> Result<Self, StartError> {
-        let shared = Arc::new(Shared::new());
+        let shared = Arc::new(Shared::new(Batching {
+            size: settings.batch_size.max(1),
+            wait: settings.batch_wait,
+        }));
         let stop = CancellationToken::new();
         let (started, has_started) = oneshot::channel();
         let (tell_stopped, stopped) = watch::channel(false);
@@ -130,15 +139,15 @@ impl<T: Send + 'static> InferenceTask<T> {
 
     /// Has `picture` answered. Waits for its turn and for the run.
     ///
-    /// The picture is shared, not copied. When this returns `Ok` or [`InferenceError::Failed`] the task no
-    /// longer holds it and its buffer can be reused; after a time-out a hanging run may still hold it.
+    /// When this returns `Ok` or [`InferenceError::Failed`] the task no longer holds it; after a time-out a
+    /// hanging run may still hold it.
     ///
     /// # Errors
     /// See [`InferenceError`]; a run that takes too long is answered at the limit, not later.
     pub async fn run(
         &self,
         camera: CameraSlot,
-        picture: Arc<Picture>,
+        picture: I,
     ) -> Result<Inference<T>, InferenceError> {
         let asked = Instant::now();
         let shared = &self.inner.shared;

@@ -113,6 +113,19 @@ pub struct Picture {
     pub pixels: Vec<u8>,
 }
 
+impl Picture {
+    /// A black picture.
+    pub fn black(size: PictureSize) -> Self {
+        let layout = PixelLayout::Rgb8;
+        Self {
+            size,
+            source_size: size,
+            layout,
+            pixels: vec![0; size.width as usize * size.height as usize * layout.channels()],
+        }
+    }
+}
+
 impl Default for Picture {
     fn default() -> Self {
         Self {

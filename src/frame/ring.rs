@@ -46,6 +46,9 @@ struct Ring<T> {
 struct State<T> {
     items: VecDeque<T>,
     closed: bool,
+    /// Whether an item was pushed out since the last one was taken, and before that.
+    overrun: bool,
+    overrun_before: bool,
 }
 
 /// A ring of `capacity` items (at least 1).
@@ -56,6 +59,8 @@ pub fn frame_ring<T>(delivery: Delivery, capacity: usize) -> (RingSender<T>, Rin
         state: Mutex::new(State {
             items: VecDeque::new(),
             closed: false,
+            overrun: false,
+            overrun_before: false,
         }),
         senders: AtomicUsize::new(1),
         filled: Notify::new(),
@@ -84,6 +89,7 @@ impl<T> Ring<T> {
             return Err(item);
         };
         state.items.push_back(item);
+        state.overrun |= replaced.is_some();
         self.filled.notify_one();
         Ok(replaced.map_or(Pushed::Queued, Pushed::Replaced))
     }
@@ -161,6 +167,7 @@ impl<T> RingReceiver<T> {
             {
                 let mut state = self.0.state();
                 if let Some(item) = state.items.pop_front() {
+                    state.overrun_before = std::mem::take(&mut state.overrun);
                     drop(state);
                     self.0.drained.notify_waiters();
                     self.0.drained_for_threads.notify_all();
@@ -171,6 +178,28 @@ impl<T> RingReceiver<T> {
                 }
             }
             // There is one receiver, so a permit kept from before is at worst one extra look.
+            self.0.filled.notified().await;
+        }
+    }
+
+    /// Looks at the item that will be taken next and leaves it where it is; waits for one. `None` once the
+    /// ring is closed and empty; and when an item was pushed out lately, for what is seen now would then
+    /// hardly be the one that is taken.
+    pub async fn peek<R>(&self, look: impl Fn(&T) -> R) -> Option<R> {
+        loop {
+            {
+                let state = self.0.state();
+                if state.overrun || state.overrun_before {
+                    return None;
+                }
+                if let Some(item) = state.items.front() {
+                    return Some(look(item));
+                }
+                if state.closed {
+                    return None;
+                }
+            }
+            // A permit taken here is not missed: `next` looks before it waits.
             self.0.filled.notified().await;
         }
     }
@@ -208,6 +237,31 @@ mod tests {
         assert_eq!(receiver.waiting(), 2);
         assert_eq!(receiver.next().await, Some(3));
         assert_eq!(receiver.next().await, Some(4));
+    }
+
+    #[tokio::test]
+    async fn the_next_item_can_be_looked_at_and_is_still_taken() {
+        let (sender, mut receiver) = frame_ring(Delivery::Newest, 2);
+        let (seen, _) = tokio::join!(receiver.peek(|&item| item), sender.push(1));
+        assert_eq!(seen, Some(1));
+        assert_eq!(receiver.next().await, Some(1));
+        sender.close();
+        assert_eq!(receiver.peek(|&item| item).await, None);
+    }
+
+    #[tokio::test]
+    async fn nothing_is_looked_at_while_items_are_pushed_out() {
+        let (sender, mut receiver) = frame_ring(Delivery::Newest, 1);
+        assert_eq!(sender.push(1).await, Pushed::Queued);
+        assert_eq!(sender.push(2).await, Pushed::Replaced(1));
+        assert_eq!(receiver.peek(|&item| item).await, None);
+        assert_eq!(receiver.next().await, Some(2));
+        assert_eq!(sender.push(3).await, Pushed::Queued);
+        // The receiver was too slow for item 1, and may be for this one.
+        assert_eq!(receiver.peek(|&item| item).await, None);
+        assert_eq!(receiver.next().await, Some(3));
+        assert_eq!(sender.push(4).await, Pushed::Queued);
+        assert_eq!(receiver.peek(|&item| item).await, Some(4));
     }
 
     #[tokio::test]

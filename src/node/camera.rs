@@ -7,9 +7,10 @@ use super::intake::{DropKind, DropLedger, Incoming};
 use super::report::ClipDesk;
 use super::senses::Senses;
 use crate::clip::{FrameArrival, FrameResult};
-use crate::frame::{FrameFault, RingReceiver};
+use crate::frame::{EncodedPicture, FrameFault, RingReceiver};
 use crate::policy::{Evidence, FrameHead, GreyPicture, Need, Outcome, Policy};
 use crate::wire::{KnobValue, Latency};
+use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -210,7 +211,8 @@ impl Camera {
                     })
                 }
                 Need::Detections => {
-                    detected = self.senses.detect(picture).await?;
+                    let next = next_need(&self.ring, incoming, &*self.policy, head);
+                    detected = self.senses.detect(picture, next).await?;
                     match &detected {
                         Some(detected) => Evidence::Detections(&detected.detections),
                         None => Evidence::Unavailable,
@@ -222,6 +224,36 @@ impl Camera {
             timed(start);
         }
         Ok(policy_time)
+    }
+}
+
+/// The picture of the frame after `present` and what it will need, once it waits in the ring; for ever, when it
+/// may need nothing or there is another frame than the one foreseen. A predicted frame is never decoded.
+fn next_need(
+    ring: &RingReceiver<Incoming>,
+    present: &Incoming,
+    policy: &dyn Policy,
+    head: FrameHead,
+) -> impl Future<Output = (EncodedPicture, Need)> + Send {
+    let need = policy.foresee(FrameHead {
+        index: head.index + 1,
+        step: 1,
+        ..head
+    });
+    async move {
+        if need != Need::Nothing {
+            let follows = |next: &Incoming| {
+                let foreseen = !next.restarted
+                    && next.index == present.index + 1
+                    && next.frame.clip == present.frame.clip
+                    && next.frame.picture.size == present.frame.picture.size;
+                foreseen.then(|| next.frame.picture.clone())
+            };
+            if let Some(Some(picture)) = ring.peek(follows).await {
+                return (picture, need);
+            }
+        }
+        std::future::pending().await
     }
 }
 

@@ -1,30 +1,38 @@
 //! Gets a policy the evidence it asks for: decodes the picture when the first need of pixels comes, asks
-//! the screen and the detector, and keeps the times. A frame that needs nothing touches nothing here.
+//! the screen and the detector, and keeps the times. A frame that needs nothing touches nothing here. While
+//! the detector is at work, the next frame's picture can be made ready if it is sure to be needed.
+
+mod sight;
+#[cfg(test)]
+mod tests;
 
 use crate::detector::{CameraSlot, Detected, DetectorHandle};
-use crate::frame::{
-    EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
-};
+use crate::frame::{EncodedPicture, FrameFault, FrameLimits, Picture};
+use crate::policy::Need;
 use crate::screen::{CameraScreen, ScreenCounts};
-use std::sync::Arc;
+use sight::{Ahead, Look, Sight, Workshop};
+use std::future::Future;
 use std::time::Duration;
 use tokio::time::Instant;
 
 /// Where the time of one frame went.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Times {
-    /// Decoding the picture.
+    /// Decoding the picture, also when that was done while the detector looked at the frame before.
     pub decode: Option<Duration>,
     /// The empty-scene screen.
     pub screen: Option<Duration>,
+    /// Resizing the picture to the detector's input; done ahead like decoding.
+    pub letterbox: Option<Duration>,
     /// When the detector was asked and when it had answered, waiting included.
     pub detector_span: Option<(Instant, Instant)>,
 }
 
 impl Times {
-    /// The detector's time, waiting included.
+    /// The detector's time, letterbox and waiting included.
     pub fn detector(&self) -> Option<Duration> {
-        self.detector_span.map(|(start, end)| end - start)
+        self.detector_span
+            .map(|(start, end)| self.letterbox.unwrap_or_default() + (end - start))
     }
 }
 
@@ -33,11 +41,11 @@ pub struct Senses {
     detector: DetectorHandle,
     screen: CameraScreen,
     slot: CameraSlot,
-    limits: FrameLimits,
-    /// The decoded picture of the frame in hand; its buffer serves all frames.
-    picture: Arc<Picture>,
-    decoded: bool,
-    grey: Picture,
+    workshop: Workshop,
+    /// What has been made of the picture of the frame in hand.
+    sight: Sight,
+    /// What is being made of the next one.
+    ahead: Option<Ahead>,
     /// Times of the frame in hand.
     pub times: Times,
 }
@@ -51,20 +59,19 @@ impl Senses {
         limits: FrameLimits,
     ) -> Self {
         Self {
+            workshop: Workshop::new(limits, detector.preparation().clone()),
             detector,
             screen,
             slot,
-            limits,
-            picture: Arc::default(),
-            decoded: false,
-            grey: Picture::default(),
+            sight: Sight::default(),
+            ahead: None,
             times: Times::default(),
         }
     }
 
     /// Forgets the last frame's picture and times.
     pub fn next_frame(&mut self) {
-        self.decoded = false;
+        self.workshop.take_back(std::mem::take(&mut self.sight));
         self.screen.next_frame();
         self.times = Times::default();
     }
@@ -78,33 +85,47 @@ impl Senses {
         if self.screen.is_none() {
             return Ok(None);
         }
-        self.decode(encoded).await?;
+        self.look(encoded, Look::Picture).await?;
         let start = Instant::now();
-        let empty = self.screen.ask(self.slot, &self.picture).await;
+        let empty = self.screen.ask(self.slot, &self.sight.picture).await;
         self.times.screen = Some(start.elapsed());
         Ok(empty)
     }
 
-    /// What the detector finds; `None` when it cannot be had for this frame.
+    /// What the detector finds; `None` when it cannot be had for this frame. `next` is the next frame's
+    /// picture and what it will need: when it comes before the detector's answer, it is made ready meanwhile.
     ///
     /// # Errors
     /// [`FrameFault`] when the picture cannot be decoded.
     pub async fn detect(
         &mut self,
         encoded: &EncodedPicture,
+        next: impl Future<Output = (EncodedPicture, Need)>,
     ) -> Result<Option<Detected>, FrameFault> {
-        self.decode(encoded).await?;
+        self.look(encoded, Look::Prepared).await?;
+        let Some(prepared) = self.sight.prepared.take() else {
+            return Ok(None);
+        };
+        self.times.letterbox = Some(prepared.took());
         let start = Instant::now();
-        let answer = self
-            .detector
-            .detect(self.slot, Arc::clone(&self.picture))
-            .await;
+        let answer = {
+            let answer = self.detector.detect_prepared(self.slot, prepared);
+            tokio::pin!(answer);
+            tokio::select! {
+                biased;
+                answer = &mut answer => answer,
+                (picture, need) = next => {
+                    self.ahead = Look::at(need).map(|look| self.workshop.begin(picture, look));
+                    answer.await
+                }
+            }
+        };
         self.times.detector_span = Some((start, Instant::now()));
         // The detector counts and logs its failures itself.
         let detected = answer.ok();
         if let Some(detected) = &detected {
             self.screen
-                .detected(&self.picture, !detected.detections.is_empty());
+                .detected(&self.sight.picture, !detected.detections.is_empty());
         }
         Ok(detected)
     }
@@ -119,46 +140,22 @@ impl Senses {
     /// # Errors
     /// [`FrameFault`] when the picture cannot be decoded.
     pub async fn grey(&mut self, encoded: &EncodedPicture) -> Result<&Picture, FrameFault> {
-        let start = Instant::now();
-        let (encoded, limits) = (encoded.clone(), self.limits);
-        let mut grey = std::mem::take(&mut self.grey);
-        self.grey = off_thread(move || {
-            decode_grey_half(&encoded, &limits, &mut grey)?;
-            Ok(grey)
-        })
-        .await?;
-        self.times.decode = Some(self.times.decode.unwrap_or_default() + start.elapsed());
-        Ok(&self.grey)
+        self.look(encoded, Look::Grey).await?;
+        Ok(&self.sight.grey)
     }
 
-    /// Decodes the picture unless that is done. Screen and detector share the pixels.
-    async fn decode(&mut self, encoded: &EncodedPicture) -> Result<(), FrameFault> {
-        if self.decoded {
-            return Ok(());
+    /// Makes of the picture what is needed, unless that is done. Screen and detector share the pixels.
+    async fn look(&mut self, encoded: &EncodedPicture, look: Look) -> Result<(), FrameFault> {
+        if let Some(ahead) = self.ahead.take()
+            && ahead.is_of(encoded)
+        {
+            self.sight = ahead.sight().await?;
         }
-        let start = Instant::now();
-        let (encoded, limits) = (encoded.clone(), self.limits);
-        // The detector's thread may still hold the last picture after a time-out: then take a new buffer.
-        let mut picture = Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
-        self.picture = off_thread(move || {
-            decode(&encoded, &limits, PixelLayout::Rgb8, None, &mut picture)?;
-            Ok(Arc::new(picture))
-        })
-        .await?;
-        self.decoded = true;
-        self.times.decode = Some(start.elapsed());
+        if !self.sight.has(look) {
+            let sight = std::mem::take(&mut self.sight);
+            self.sight = self.workshop.look(sight, encoded, look).await?;
+        }
+        self.times.decode = self.sight.decode;
         Ok(())
-    }
-}
-
-/// Runs work that takes milliseconds on the blocking threads. A panic in it is a fault of the picture.
-async fn off_thread<T: Send + 'static>(
-    work: impl FnOnce() -> Result<T, FrameFault> + Send + 'static,
-) -> Result<T, FrameFault> {
-    match tokio::task::spawn_blocking(work).await {
-        Ok(result) => result,
-        Err(error) => Err(FrameFault::Undecodable {
-            reason: format!("the decoder failed: {error}"),
-        }),
     }
 }

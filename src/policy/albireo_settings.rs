@@ -95,6 +95,11 @@ impl AlbireoSettings {
         }
     }
 
+    /// Whether an object with uncertainty `tau` needs no detector under the threshold `u`.
+    pub(super) fn is_certain(&self, tau: f64, u: f64) -> bool {
+        tau < u || (self.skip_at_equality && tau == u)
+    }
+
     /// The paper's text, and the published code where the paper is silent.
     pub fn paper() -> Self {
         let reference = Self::reference();

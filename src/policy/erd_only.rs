@@ -82,6 +82,10 @@ impl Policy for ErdOnly {
         }
     }
 
+    fn foresee(&self, _: FrameHead) -> Need {
+        Need::Screen
+    }
+
     fn finish(&mut self, outcome: &mut Outcome) {
         let (state, degraded) = match self.progress {
             Progress::Decided(state) => (state, false),

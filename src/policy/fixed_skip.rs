@@ -112,9 +112,12 @@ impl FixedSkip {
     /// `index`, which may be one itself. So a due frame that was lost makes the next one due, and so does
     /// a detector that failed; an index that starts anew is due as well.
     fn is_due(&self, index: u64) -> bool {
-        let period = |index: u64| (index as f64 / self.n).floor();
         self.last_answered
-            .is_none_or(|last| period(last) != period(index))
+            .is_none_or(|last| self.period(last) != self.period(index))
+    }
+
+    fn period(&self, index: u64) -> f64 {
+        (index as f64 / self.n).floor()
     }
 }
 
@@ -162,6 +165,15 @@ impl Policy for FixedSkip {
             self.progress = Progress::Decided(FrameState::I);
         }
         Need::Nothing
+    }
+
+    fn foresee(&self, next: FrameHead) -> Need {
+        // Should the detector fail on this frame, the next one is due all the more.
+        if self.period(self.index) == self.period(next.index) {
+            Need::Nothing
+        } else {
+            Need::Detections
+        }
     }
 
     fn finish(&mut self, outcome: &mut Outcome) {

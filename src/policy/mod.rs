@@ -370,6 +370,14 @@ pub trait Policy: Send {
     /// Takes the evidence asked for and says what is needed next.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need;
 
+    /// What the frame `next` will need, asked while this one awaits detections: so that its picture can be made
+    /// ready meanwhile. [`Need::Nothing`] unless it is certain to need its picture, whatever the detections
+    /// say; then what it will probably need first.
+    fn foresee(&self, next: FrameHead) -> Need {
+        let _ = next;
+        Need::Nothing
+    }
+
     /// Ends the frame: writes its state and boxes over `outcome`.
     fn finish(&mut self, outcome: &mut Outcome);
 

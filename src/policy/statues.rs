@@ -170,6 +170,10 @@ impl Policy for Statues {
         }
     }
 
+    fn foresee(&self, _: FrameHead) -> Need {
+        Need::GreyPicture
+    }
+
     fn finish(&mut self, outcome: &mut Outcome) {
         let (state, degraded) = match self.progress {
             Progress::Decided(state) => (state, false),

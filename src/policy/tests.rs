@@ -55,6 +55,16 @@ fn detections(found: &[(f64, f64, bool)]) -> Vec<Detection> {
 
 /// Plays one frame; returns its outcome unless it was given up, and how often the detector answered.
 fn play(policy: &mut dyn Policy, index: u64, event: &Event) -> (Option<Outcome>, usize) {
+    let (outcome, answered, _) = play_foreseeing(policy, index, event);
+    (outcome, answered)
+}
+
+/// The same, with what the policy foresaw of the next frame while it awaited detections.
+fn play_foreseeing(
+    policy: &mut dyn Policy,
+    index: u64,
+    event: &Event,
+) -> (Option<Outcome>, usize, Option<Need>) {
     let picture = match event.small_picture {
         true => PictureSize::new(64, 36),
         false => PICTURE,
@@ -63,14 +73,23 @@ fn play(policy: &mut dyn Policy, index: u64, event: &Event) -> (Option<Outcome>,
     let grey = [event.grey.unwrap_or_default(); 128];
     let mut answers = 0;
     let mut answered = 0;
-    let mut need = policy.begin(FrameHead {
+    let head = FrameHead {
         index,
         step: event.step,
         picture,
-    });
+    };
+    let mut foreseen = None;
+    let mut need = policy.begin(head);
     while need != Need::Nothing {
+        if need == Need::Detections {
+            foreseen = Some(policy.foresee(FrameHead {
+                index: index + 1,
+                step: 1,
+                picture,
+            }));
+        }
         if event.given_up == Some(answers) {
-            return (None, answered);
+            return (None, answered, foreseen);
         }
         let evidence = match need {
             Need::Nothing => None,
@@ -90,7 +109,7 @@ fn play(policy: &mut dyn Policy, index: u64, event: &Event) -> (Option<Outcome>,
     }
     let mut outcome = Outcome::default();
     policy.finish(&mut outcome);
-    (Some(outcome), answered)
+    (Some(outcome), answered, foreseen)
 }
 
 fn check(name: &str, outcome: &Outcome, answered: usize) {
@@ -145,6 +164,78 @@ proptest! {
                 }
             }
         }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn a_frame_foreseen_to_need_its_picture_needs_it(script in events(), u in prop_oneof![
+        Just(1e-6), 1e-4..1e-3,
+    ]) {
+        for name in known_policies() {
+            for profile in [Profile::Paper, Profile::Reference] {
+                let config = PolicyConfig {
+                    name: name.to_owned(),
+                    profile,
+                    u,
+                    ..PolicyConfig::default()
+                };
+                let mut policy = config.build().unwrap();
+                let mut index = 0;
+                for event in &script {
+                    index += u64::from(event.step);
+                    let (_, _, foreseen) = play_foreseeing(&mut *policy, index, event);
+                    if foreseen.is_none_or(|need| need == Need::Nothing) {
+                        continue;
+                    }
+                    index += 1;
+                    let picture = match event.small_picture {
+                        true => PictureSize::new(64, 36),
+                        false => PICTURE,
+                    };
+                    let next = FrameHead { index, step: 1, picture };
+                    prop_assert_ne!(policy.begin(next), Need::Nothing, "{} u={}", name, u);
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn a_policy_that_can_foresee_does_where_it_is_certain_and_only_there() {
+    let found = [(0.3, 0.9, false), (0.7, 0.8, false)];
+    let event = Event {
+        step: 1,
+        given_up: None,
+        small_picture: false,
+        screen: Some(false),
+        grey: Some(200),
+        detections: Some(found.to_vec()),
+        reset: false,
+    };
+    for (asked, foreseen) in [
+        ("vanilla", Need::Detections),
+        ("erd-only", Need::Screen),
+        ("statues", Need::GreyPicture),
+        ("albireo:1e-6", Need::Detections),
+        ("albireo:1e-2", Need::Nothing),
+        ("fixed-skip:1", Need::Detections),
+        ("fixed-skip:2", Need::Nothing),
+        ("expected-loss", Need::Nothing),
+    ] {
+        let mut config = PolicyConfig::default();
+        config.select(asked).unwrap();
+        let mut policy = config.build().unwrap();
+        let seen: Vec<_> = (0..20)
+            .filter_map(|index| play_foreseeing(&mut *policy, index, &event).2)
+            .collect();
+        assert!(!seen.is_empty(), "{asked}");
+        assert!(
+            seen.iter().all(|&need| need == foreseen),
+            "{asked}: {seen:?}"
+        );
     }
 }
 

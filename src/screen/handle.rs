@@ -3,10 +3,13 @@
 use super::network::Network;
 use super::{Logits, ScreenConfig, ScreenKind};
 use crate::detector::task::{InferenceTask, TaskCounters, TaskSettings};
-use crate::detector::{CameraSlot, DetectorStatus, InferenceError, Model, StartError};
+use crate::detector::{
+    CameraSlot, DetectorStatus, InferenceError, Preparation, PreparedPicture, StartError,
+    prepare_off_thread,
+};
 use crate::frame::Picture;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -29,7 +32,8 @@ pub struct ScreenVerdict {
 /// The screen as a camera's loop sees it: cheap to clone, shared by all cameras.
 #[derive(Clone)]
 pub struct ScreenHandle {
-    task: InferenceTask<Logits>,
+    task: InferenceTask<PreparedPicture, Logits>,
+    preparation: Preparation,
     empty_class: usize,
 }
 
@@ -50,27 +54,34 @@ impl ScreenHandle {
         else {
             return Ok(None);
         };
-        let library = onnxruntime.map(Path::to_owned);
-        let settings = config.clone();
-        let factory = move || Network::open(&model, &settings, library.clone());
-        Self::start_with(config, factory).await.map(Some)
-    }
-
-    /// A screen that runs `factory`'s model in place of an ONNX file.
-    ///
-    /// # Errors
-    /// When the configuration cannot be, or the first model cannot be made.
-    pub async fn start_with<M: Model<Output = Logits>>(
-        config: &ScreenConfig,
-        factory: impl Fn() -> Result<M, StartError> + Send + Sync + 'static,
-    ) -> Result<Self, StartError> {
         config.check()?;
+        let library = onnxruntime.map(Path::to_owned);
+        let first: Arc<OnceLock<Preparation>> = Arc::default();
+        let (told, its_config) = (first.clone(), config.clone());
+        let factory = move || {
+            let network = Network::open(&model, &its_config, library.clone())?;
+            let preparation = told.get_or_init(|| network.preparation().clone());
+            if preparation.format() != network.preparation().format() {
+                return Err(StartError::ModelChanged {
+                    path: model.clone(),
+                });
+            }
+            Ok(network)
+        };
         let timeout = Duration::from_millis(config.timeout_ms);
         let settings = TaskSettings::new("screen", timeout, QUEUE);
-        Ok(Self {
-            task: InferenceTask::start(settings, factory).await?,
+        let task = InferenceTask::start(settings, factory).await?;
+        let Some(preparation) = first.get().cloned() else {
+            return Err(StartError::Thread {
+                task: settings.name,
+                reason: "it told nothing of its model".to_owned(),
+            });
+        };
+        Ok(Some(Self {
+            task,
+            preparation,
             empty_class: config.empty_class,
-        })
+        }))
     }
 
     /// Whether nothing is in view in `picture`. Equal outputs count as not empty.
@@ -82,13 +93,15 @@ impl ScreenHandle {
         camera: CameraSlot,
         picture: Arc<Picture>,
     ) -> Result<ScreenVerdict, InferenceError> {
-        let inference = self.task.run(camera, picture).await?;
+        let prepared = prepare_off_thread(self.preparation.clone(), picture).await?;
+        let letterbox = prepared.took();
+        let inference = self.task.run(camera, prepared).await?;
         let logits = inference.output;
         Ok(ScreenVerdict {
             empty: logits[self.empty_class] > logits[1 - self.empty_class],
             logits,
             queue_ms: inference.queued.as_secs_f64() * 1e3,
-            run_ms: inference.took.as_secs_f64() * 1e3,
+            run_ms: (letterbox + inference.took).as_secs_f64() * 1e3,
         })
     }
 

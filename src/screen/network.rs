@@ -2,10 +2,10 @@
 
 use super::ScreenConfig;
 use crate::detector::{
-    CameraSlot, ExecutionProvider, GpuConfig, Interrupter, Model, ModelError, OnnxSession,
-    PictureInput, SessionSettings, Signature, StartError,
+    ExecutionProvider, GpuConfig, Interrupter, Model, OnnxSession, PictureInput, Preparation,
+    PreparedPicture, RunError, SessionSettings, Signature, StartError,
 };
-use crate::frame::{Fit, InputFormat, Letterbox, Picture, ValueRange};
+use crate::frame::{Fit, InputFormat, Picture, ValueRange};
 use std::path::{Path, PathBuf};
 
 /// The two outputs of the network, before any normalisation.
@@ -17,8 +17,7 @@ const EXPECTED: &str =
 
 pub(super) struct Network {
     session: OnnxSession,
-    format: InputFormat,
-    letterbox: Letterbox,
+    preparation: Preparation,
 }
 
 impl Network {
@@ -57,25 +56,34 @@ impl Network {
         };
         let mut network = Self {
             session,
-            format,
-            letterbox: Letterbox::new(format),
+            preparation: Preparation::new(format),
         };
-        network.infer().map_err(|error| StartError::WarmUp {
+        let warm_up = |reason: String| StartError::WarmUp {
             path: model.to_owned(),
-            reason: error.to_string(),
-        })?;
+            reason,
+        };
+        let black = network.preparation.prepare(&Picture::black(format.size));
+        let black = black.map_err(|error| warm_up(error.to_string()))?;
+        network
+            .infer(&black)
+            .map_err(|RunError(reason)| warm_up(reason))?;
         Ok(network)
     }
 
-    fn infer(&mut self) -> Result<Logits, ModelError> {
-        let input = self.letterbox.tensor();
-        self.session.run(self.format.shape(), input, |outputs| {
+    /// Where pictures become the network's input.
+    pub(super) fn preparation(&self) -> &Preparation {
+        &self.preparation
+    }
+
+    fn infer(&mut self, picture: &PreparedPicture) -> Result<Logits, RunError> {
+        let shape = self.preparation.format().shape();
+        self.session.run(shape, &[picture.values()], |outputs| {
             let values = outputs.first().map(|output| output.values);
             match values {
                 Some(&[first, second]) if first.is_finite() && second.is_finite() => {
                     Ok([first, second])
                 }
-                _ => Err(ModelError::Run(format!(
+                _ => Err(RunError(format!(
                     "the screen gave {} instead of two finite numbers",
                     values.map_or_else(|| "nothing".to_owned(), |values| format!("{values:?}"))
                 ))),
@@ -93,13 +101,11 @@ fn picture_input(signature: &Signature) -> Result<PictureInput, String> {
 }
 
 impl Model for Network {
+    type Input = PreparedPicture;
     type Output = Logits;
 
-    fn run(&mut self, _camera: CameraSlot, picture: &Picture) -> Result<Logits, ModelError> {
-        self.letterbox
-            .fill(picture)
-            .map_err(|error| ModelError::Picture(error.to_string()))?;
-        self.infer()
+    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Logits>, RunError> {
+        pictures.iter().map(|picture| self.infer(picture)).collect()
     }
 
     fn provider(&self) -> ExecutionProvider {

@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 #[derive(Debug, Default)]
 pub struct Counters {
     pub(super) completed: AtomicU64,
-    pub(super) bad_pictures: AtomicU64,
+    pub(super) batches: AtomicU64,
     pub(super) timed_out: AtomicU64,
     pub(super) failed: AtomicU64,
     pub(super) panicked: AtomicU64,
@@ -21,10 +21,10 @@ pub struct Counters {
 /// What a task has counted since it started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TaskCounters {
-    /// Runs that ended well.
+    /// Pictures that were answered.
     pub completed: u64,
-    /// Pictures that could not be used; the session is as good as before.
-    pub bad_pictures: u64,
+    /// Runs that ended well; fewer than the pictures where several shared a run.
+    pub batches: u64,
     /// Runs that took longer than the limit.
     pub timed_out: u64,
     /// Runs that ended with an error.
@@ -56,14 +56,18 @@ impl TaskMeter {
 
 impl Counters {
     pub(super) fn add(counter: &AtomicU64) {
-        counter.fetch_add(1, Ordering::Relaxed);
+        Self::add_many(counter, 1);
+    }
+
+    pub(super) fn add_many(counter: &AtomicU64, number: usize) {
+        counter.fetch_add(number as u64, Ordering::Relaxed);
     }
 
     pub(super) fn snapshot(&self) -> TaskCounters {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
         TaskCounters {
             completed: read(&self.completed),
-            bad_pictures: read(&self.bad_pictures),
+            batches: read(&self.batches),
             timed_out: read(&self.timed_out),
             failed: read(&self.failed),
             panicked: read(&self.panicked),

@@ -2,14 +2,13 @@
 
 use super::counters::Counters;
 use crate::detector::{CameraSlot, DetectorStatus, ExecutionProvider, InferenceError};
-use crate::frame::Picture;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound::{Excluded, Unbounded};
-use std::sync::atomic::AtomicU64;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tokio::runtime::Handle;
 use tokio::sync::{Notify, OwnedSemaphorePermit, oneshot, watch};
-use tokio::time::Instant;
+use tokio::time::{Instant, sleep_until};
 
 /// An answered picture.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,25 +24,33 @@ pub struct Inference<T> {
 pub(super) type Answer<T> = Result<Inference<T>, InferenceError>;
 
 /// A picture that waits for its run.
-pub(super) struct Job<T> {
-    pub(super) picture: Arc<Picture>,
+pub(super) struct Job<I, T> {
+    pub(super) picture: I,
     pub(super) asked: Instant,
     pub(super) reply: oneshot::Sender<Answer<T>>,
     /// The place it takes in the queue, given back when its run starts.
     pub(super) places: [OwnedSemaphorePermit; 2],
 }
 
-/// A picture handed to the worker.
-pub(super) struct Assignment {
-    pub(super) camera: CameraSlot,
-    pub(super) picture: Arc<Picture>,
-    pub(super) queued: Duration,
+/// How pictures of several cameras share a run.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Batching {
+    /// The most pictures of a run.
+    pub(super) size: usize,
+    /// How long a picture waits for others, from being asked.
+    pub(super) wait: Duration,
+}
+
+/// What is handed to the worker for one run.
+pub(super) struct Assignment<I> {
+    pub(super) pictures: Vec<I>,
     pub(super) started: Instant,
 }
 
 struct Running<T> {
     started: Instant,
-    reply: oneshot::Sender<Answer<T>>,
+    /// Who asked, and how long each picture waited.
+    replies: Vec<(oneshot::Sender<Answer<T>>, Duration)>,
 }
 
 enum Phase {
@@ -52,39 +59,47 @@ enum Phase {
     Stopped,
 }
 
-struct State<T> {
+struct State<I, T> {
     phase: Phase,
     /// Which worker may take pictures. A worker that finds another number here has been given up.
     generation: u64,
     /// At most one picture a camera.
-    waiting: BTreeMap<CameraSlot, Job<T>>,
+    waiting: BTreeMap<CameraSlot, Job<I, T>>,
+    /// Cameras that have ever asked: a batch cannot have more pictures.
+    cameras: BTreeSet<CameraSlot>,
     last_served: Option<CameraSlot>,
     running: Option<Running<T>>,
     provider: ExecutionProvider,
 }
 
-pub(super) struct Shared<T> {
-    state: Mutex<State<T>>,
+pub(super) struct Shared<I, T> {
+    batching: Batching,
+    state: Mutex<State<I, T>>,
     /// Wakes the worker: a picture has come, or it must leave.
     work: Condvar,
+    /// The same for a worker that waits for a batch to fill.
+    batch_grew: Notify,
     /// Wakes the supervisor: a run has started.
     pub(super) run_started: Notify,
     pub(super) counters: Arc<Counters>,
     pub(super) status: watch::Sender<DetectorStatus>,
 }
 
-impl<T> Shared<T> {
-    pub(super) fn new() -> Self {
+impl<I, T> Shared<I, T> {
+    pub(super) fn new(batching: Batching) -> Self {
         Self {
+            batching,
             state: Mutex::new(State {
                 phase: Phase::Degraded("it is starting".to_owned()),
                 generation: 0,
                 waiting: BTreeMap::new(),
+                cameras: BTreeSet::new(),
                 last_served: None,
                 running: None,
                 provider: ExecutionProvider::Cpu,
             }),
             work: Condvar::new(),
+            batch_grew: Notify::new(),
             run_started: Notify::new(),
             counters: Arc::default(),
             status: watch::Sender::new(DetectorStatus::Starting),
@@ -97,7 +112,7 @@ impl<T> Shared<T> {
         self.lock().waiting.len()
     }
 
-    fn lock(&self) -> MutexGuard<'_, State<T>> {
+    fn lock(&self) -> MutexGuard<'_, State<I, T>> {
         // Nothing that runs under this lock can leave the state half changed.
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -110,80 +125,82 @@ impl<T> Shared<T> {
     }
 
     /// Puts a picture into its camera's place, which the caller has made sure is free.
-    pub(super) fn push(&self, camera: CameraSlot, job: Job<T>) -> Result<(), InferenceError> {
+    pub(super) fn push(&self, camera: CameraSlot, job: Job<I, T>) -> Result<(), InferenceError> {
         let mut state = self.lock();
         if let Err(refusal) = state.phase.accepts() {
             Counters::add(&self.counters.refused);
             return Err(refusal);
         }
         state.waiting.insert(camera, job);
+        state.cameras.insert(camera);
         drop(state);
-        self.work.notify_all();
+        self.wake_worker();
         Ok(())
     }
 
-    /// Blocks until worker `generation` has a picture to run; `None` when it is to leave.
-    pub(super) fn next(&self, generation: u64) -> Option<Assignment> {
+    fn wake_worker(&self) {
+        self.work.notify_all();
+        self.batch_grew.notify_one();
+    }
+
+    /// Blocks until worker `generation` has pictures to run; `None` when it is to leave. `runtime` keeps the
+    /// time that a batch may take to fill.
+    pub(super) fn next(&self, generation: u64, runtime: &Handle) -> Option<Assignment<I>> {
         let mut state = self.lock();
         loop {
             if state.generation != generation || matches!(state.phase, Phase::Stopped) {
                 return None;
             }
-            match state.take_next() {
-                Some((_, job)) if job.reply.is_closed() => {
-                    Counters::add(&self.counters.cancelled);
-                }
-                Some((camera, job)) => {
-                    let started = Instant::now();
-                    let Job {
-                        picture,
-                        asked,
-                        reply,
-                        places,
-                    } = job;
-                    state.running = Some(Running { started, reply });
-                    drop(state);
-                    drop(places);
-                    self.run_started.notify_one();
-                    return Some(Assignment {
-                        camera,
-                        picture,
-                        queued: started.saturating_duration_since(asked),
-                        started,
-                    });
-                }
+            let gone = state.forget_the_gone();
+            Counters::add_many(&self.counters.cancelled, gone);
+            let now = Instant::now();
+            match state.complete_at(self.batching) {
                 None => {
                     state = self
                         .work
                         .wait(state)
                         .unwrap_or_else(PoisonError::into_inner);
                 }
+                Some(time) if time > now => {
+                    drop(state);
+                    runtime.block_on(async {
+                        tokio::select! {
+                            () = self.batch_grew.notified() => {}
+                            () = sleep_until(time) => {}
+                        }
+                    });
+                    state = self.lock();
+                }
+                Some(_) => {
+                    let (assignment, places) = state.take_batch(self.batching.size, now);
+                    drop(state);
+                    drop(places);
+                    self.run_started.notify_one();
+                    return Some(assignment);
+                }
             }
         }
     }
 
-    /// Answers the run of worker `generation` with success; `false` when the run had been given up.
-    pub(super) fn complete(&self, generation: u64, inference: Inference<T>) -> bool {
-        self.answer(generation, Ok(inference), &self.counters.completed)
-    }
-
-    /// Answers the run of worker `generation` with an error that is the picture's own; `false` when the run
-    /// had been given up.
-    pub(super) fn reject(&self, generation: u64, error: InferenceError) -> bool {
-        self.answer(generation, Err(error), &self.counters.bad_pictures)
-    }
-
-    fn answer(&self, generation: u64, answer: Answer<T>, counter: &AtomicU64) -> bool {
+    /// Answers the run of worker `generation` with success, picture by picture; `false` when the run had been
+    /// given up.
+    pub(super) fn complete(&self, generation: u64, outputs: Vec<T>, took: Duration) -> bool {
         let mut state = self.lock();
         if state.generation != generation {
             return false;
         }
         let running = state.running.take();
         drop(state);
-        Counters::add(counter);
-        if let Some(running) = running {
+        Counters::add_many(&self.counters.completed, outputs.len());
+        Counters::add(&self.counters.batches);
+        let replies = running.map_or_else(Vec::new, |running| running.replies);
+        for ((reply, queued), output) in replies.into_iter().zip(outputs) {
             // The asker may have gone; that is its right.
-            let _ = running.reply.send(answer);
+            let _ = reply.send(Ok(Inference {
+                output,
+                queued,
+                took,
+            }));
         }
         true
     }
@@ -229,7 +246,12 @@ impl<T> Shared<T> {
         late
     }
 
-    fn give_up(&self, mut state: MutexGuard<'_, State<T>>, error: InferenceError, reason: String) {
+    fn give_up(
+        &self,
+        mut state: MutexGuard<'_, State<I, T>>,
+        error: InferenceError,
+        reason: String,
+    ) {
         state.generation += 1;
         let stopped = matches!(state.phase, Phase::Stopped);
         if !stopped {
@@ -246,14 +268,14 @@ impl<T> Shared<T> {
                 provider,
             });
         }
-        self.work.notify_all();
-        if let Some(running) = running {
-            let _ = running.reply.send(Err(error));
+        self.wake_worker();
+        for (reply, _) in running.map_or_else(Vec::new, |running| running.replies) {
+            let _ = reply.send(Err(error.clone()));
         }
         self.turn_away(waiting, &InferenceError::Unavailable(reason));
     }
 
-    fn turn_away(&self, waiting: BTreeMap<CameraSlot, Job<T>>, error: &InferenceError) {
+    fn turn_away(&self, waiting: BTreeMap<CameraSlot, Job<I, T>>, error: &InferenceError) {
         for (_, job) in waiting {
             Counters::add(&self.counters.refused);
             let _ = job.reply.send(Err(error.clone()));
@@ -298,7 +320,7 @@ impl<T> Shared<T> {
         state.phase = Phase::Stopped;
         let waiting = std::mem::take(&mut state.waiting);
         drop(state);
-        self.work.notify_all();
+        self.wake_worker();
         self.turn_away(waiting, &InferenceError::Stopped);
     }
 }
@@ -313,15 +335,54 @@ impl Phase {
     }
 }
 
-impl<T> State<T> {
+impl<I, T> State<I, T> {
+    /// Drops the pictures whose askers have gone; says how many.
+    fn forget_the_gone(&mut self) -> usize {
+        let before = self.waiting.len();
+        self.waiting.retain(|_, job| !job.reply.is_closed());
+        before - self.waiting.len()
+    }
+
+    /// When the pictures that wait may be run: at once, or when the first of them has waited for others long
+    /// enough. `None` without any.
+    fn complete_at(&self, batching: Batching) -> Option<Instant> {
+        let first = self.waiting.values().map(|job| job.asked).min()?;
+        let full = batching.size.min(self.cameras.len());
+        let complete = self.waiting.len() >= full;
+        Some(if complete {
+            first
+        } else {
+            first + batching.wait
+        })
+    }
+
+    /// Up to `size` pictures, now in hand, and their places in the queue.
+    fn take_batch(
+        &mut self,
+        size: usize,
+        started: Instant,
+    ) -> (Assignment<I>, Vec<[OwnedSemaphorePermit; 2]>) {
+        let (mut pictures, mut replies, mut given_back) = (Vec::new(), Vec::new(), Vec::new());
+        while pictures.len() < size
+            && let Some(job) = self.take_next()
+        {
+            let queued = started.saturating_duration_since(job.asked);
+            pictures.push(job.picture);
+            replies.push((job.reply, queued));
+            given_back.push(job.places);
+        }
+        self.running = Some(Running { started, replies });
+        (Assignment { pictures, started }, given_back)
+    }
+
     /// The picture of the next camera round the circle.
-    fn take_next(&mut self) -> Option<(CameraSlot, Job<T>)> {
+    fn take_next(&mut self) -> Option<Job<I, T>> {
         let camera = self
             .last_served
             .and_then(|last| self.waiting.range((Excluded(last), Unbounded)).next())
             .or_else(|| self.waiting.iter().next())
             .map(|(&camera, _)| camera)?;
         self.last_served = Some(camera);
-        self.waiting.remove(&camera).map(|job| (camera, job))
+        self.waiting.remove(&camera)
     }
 }

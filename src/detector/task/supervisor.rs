@@ -23,7 +23,7 @@ const STILL_BUILDING: Duration = Duration::from_secs(10);
 pub(super) struct Supervisor<M: Model> {
     settings: TaskSettings,
     factory: Arc<Factory<M>>,
-    shared: Arc<Shared<M::Output>>,
+    shared: Arc<Shared<M::Input, M::Output>>,
     stop: CancellationToken,
     events: mpsc::UnboundedReceiver<(u64, Event)>,
     tell: mpsc::UnboundedSender<(u64, Event)>,
@@ -48,7 +48,7 @@ impl<M: Model> Supervisor<M> {
     pub(super) fn new(
         settings: TaskSettings,
         factory: Arc<Factory<M>>,
-        shared: Arc<Shared<M::Output>>,
+        shared: Arc<Shared<M::Input, M::Output>>,
         stop: CancellationToken,
     ) -> Self {
         let (tell, events) = mpsc::unbounded_channel();

@@ -4,7 +4,7 @@
 mod building;
 
 use super::*;
-use crate::detector::{ExecutionProvider, Interrupter, ModelError};
+use crate::detector::{ExecutionProvider, Interrupter, RunError};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc as blocking;
 use tokio::sync::mpsc;
@@ -15,31 +15,36 @@ const TIMEOUT: Duration = Duration::from_secs(2);
 /// What the scripted model does with its next picture.
 enum Step {
     Answer,
-    RejectPicture,
+    AnswerTooFew,
     Fail,
     Panic,
 }
 
-/// A model that tells when a run starts and then waits to be told how it ends.
+/// What the scripted model takes for a picture: which camera's, and something that is shared.
+type Scene = (CameraSlot, Arc<()>);
+
+/// A model that tells when a run starts and of which cameras, and then waits to be told how it ends.
 struct Scripted {
-    started: mpsc::UnboundedSender<CameraSlot>,
+    started: mpsc::UnboundedSender<Vec<CameraSlot>>,
     steps: Arc<Mutex<blocking::Receiver<Step>>>,
     ended: mpsc::UnboundedSender<()>,
     interrupted: Arc<AtomicUsize>,
 }
 
 impl Model for Scripted {
+    type Input = Scene;
     type Output = CameraSlot;
 
-    fn run(&mut self, camera: CameraSlot, _picture: &Picture) -> Result<CameraSlot, ModelError> {
-        self.started.send(camera).ok();
+    fn run(&mut self, pictures: &[Scene]) -> Result<Vec<CameraSlot>, RunError> {
+        let cameras: Vec<_> = pictures.iter().map(|(camera, _)| *camera).collect();
+        self.started.send(cameras.clone()).ok();
         let step = self.steps.lock().unwrap().recv();
         match step {
-            Ok(Step::Answer) => Ok(camera),
-            Ok(Step::RejectPicture) => Err(ModelError::Picture("scripted blot".to_owned())),
-            Ok(Step::Fail) => Err(ModelError::Run("scripted failure".to_owned())),
+            Ok(Step::Answer) => Ok(cameras),
+            Ok(Step::AnswerTooFew) => Ok(cameras[1..].to_vec()),
+            Ok(Step::Fail) => Err(RunError("scripted failure".to_owned())),
             Ok(Step::Panic) => panic!("scripted panic"),
-            Err(_) => Err(ModelError::Run("the test is over".to_owned())),
+            Err(_) => Err(RunError("the test is over".to_owned())),
         }
     }
 
@@ -63,8 +68,8 @@ impl Drop for Scripted {
 
 /// A task with scripted models, and the test's ends of their lines.
 struct Stage {
-    task: InferenceTask<CameraSlot>,
-    started: mpsc::UnboundedReceiver<CameraSlot>,
+    task: InferenceTask<Scene, CameraSlot>,
+    started: mpsc::UnboundedReceiver<Vec<CameraSlot>>,
     ended: mpsc::UnboundedReceiver<()>,
     /// How the next runs end, whichever model they are on; a model takes the next step as it waits.
     steps: blocking::Sender<Step>,
@@ -129,14 +134,23 @@ type Asked = tokio::task::JoinHandle<Result<Inference<CameraSlot>, InferenceErro
 
 impl Stage {
     fn ask(&self, camera: usize) -> Asked {
-        let task = self.task.clone();
-        tokio::spawn(async move { task.run(CameraSlot(camera), Arc::default()).await })
+        let (task, camera) = (self.task.clone(), CameraSlot(camera));
+        tokio::spawn(async move { task.run(camera, (camera, Arc::default())).await })
+    }
+
+    /// The cameras of the next run.
+    async fn next_run(&mut self) -> Vec<usize> {
+        let cameras = self.started.recv().await.unwrap();
+        cameras
+            .into_iter()
+            .map(|CameraSlot(camera)| camera)
+            .collect()
     }
 
     /// Asks and waits until the model has the picture.
     async fn begin(&mut self, camera: usize) -> Asked {
         let asked = self.ask(camera);
-        assert_eq!(self.started.recv().await, Some(CameraSlot(camera)));
+        assert_eq!(self.next_run().await, [camera]);
         asked
     }
 
@@ -196,7 +210,7 @@ async fn cameras_take_turns_however_much_one_of_them_asks() {
     for waiting in [3, 3, 3, 3, 2, 1, 1, 1, 1, 1] {
         stage.until_waiting(waiting).await;
         stage.end(Step::Answer);
-        order.push(stage.started.recv().await.unwrap().0);
+        order.extend(stage.next_run().await);
     }
     stage.end(Step::Answer);
     assert_eq!(order, [1, 2, 0, 1, 2, 0, 0, 0, 0, 0]);
@@ -300,6 +314,7 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
         counters,
         TaskCounters {
             completed: 1,
+            batches: 1,
             failed: 1,
             panicked: 1,
             rebuilds: 2,
@@ -309,21 +324,109 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_bad_picture_is_counted_and_costs_the_session_nothing() {
+async fn a_model_that_does_not_answer_every_picture_counts_as_failed() {
     let mut stage = stage(settings()).await;
-    let bad = stage.begin(0).await;
-    stage.end(Step::RejectPicture);
-    let error = bad.await.unwrap().unwrap_err();
-    assert_eq!(
-        error,
-        InferenceError::BadPicture("scripted blot".to_owned())
-    );
-    let good = stage.begin(0).await;
+    let failing = stage.begin(0).await;
+    stage.end(Step::AnswerTooFew);
+    let error = failing.await.unwrap().unwrap_err().to_string();
+    assert!(error.contains("answered 0 of 1"), "{error}");
+    assert_eq!(stage.task.counters().failed, 1);
+}
+
+const BATCH_WAIT: Duration = Duration::from_millis(10);
+
+fn in_threes() -> TaskSettings {
+    TaskSettings {
+        batch_size: 3,
+        batch_wait: BATCH_WAIT,
+        ..settings()
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn pictures_that_wait_share_a_run_and_each_gets_its_own_answer() {
+    let mut stage = stage(in_threes()).await;
+    // Nobody else has ever asked, so there is nobody to wait for.
+    let first = stage.begin(0).await;
+    let asked: Vec<_> = (1..5).map(|camera| stage.ask(camera)).collect();
+    stage.until_waiting(4).await;
     stage.end(Step::Answer);
-    good.await.unwrap().unwrap();
+    first.await.unwrap().unwrap();
+    assert_eq!(stage.next_run().await, [1, 2, 3]);
+    stage.end(Step::Answer);
+    // Of five cameras two more could join; they do not.
+    pass(BATCH_WAIT).await;
+    assert_eq!(stage.next_run().await, [4]);
+    stage.end(Step::Answer);
+    for (camera, answer) in (1..).zip(asked) {
+        assert_eq!(answer.await.unwrap().unwrap().output, CameraSlot(camera));
+    }
     let counters = stage.task.counters();
-    assert_eq!((counters.bad_pictures, counters.completed), (1, 1));
-    assert_eq!((counters.failed, counters.rebuilds), (0, 0));
+    assert_eq!((counters.completed, counters.batches), (5, 3));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_picture_waits_for_others_so_long_and_no_longer() {
+    let mut stage = stage(in_threes()).await;
+    for camera in [0, 1] {
+        // Camera 1 is the second that ever asks: it waits for camera 0.
+        let asked = stage.ask(camera);
+        if camera == 1 {
+            stage.until_waiting(1).await;
+            pass(BATCH_WAIT - Duration::from_millis(1)).await;
+            assert!(stage.started.try_recv().is_err());
+            pass(Duration::from_millis(1)).await;
+        }
+        assert_eq!(stage.next_run().await, [camera]);
+        stage.end(Step::Answer);
+        let queued = asked.await.unwrap().unwrap().queued;
+        assert_eq!(
+            queued,
+            if camera == 1 {
+                BATCH_WAIT
+            } else {
+                Duration::ZERO
+            }
+        );
+    }
+    // Complete before the time is over.
+    let one = stage.ask(1);
+    stage.until_waiting(1).await;
+    pass(BATCH_WAIT / 2).await;
+    let other = stage.ask(0);
+    assert_eq!(stage.next_run().await, [0, 1]);
+    stage.end(Step::Answer);
+    assert_eq!(one.await.unwrap().unwrap().queued, BATCH_WAIT / 2);
+    assert_eq!(other.await.unwrap().unwrap().queued, Duration::ZERO);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_batch_that_fails_or_hangs_is_answered_to_all_who_share_it() {
+    let mut stage = stage(in_threes()).await;
+    let first = stage.begin(0).await;
+    let asked = [1, 2, 3].map(|camera| stage.ask(camera));
+    stage.until_waiting(3).await;
+    stage.end(Step::Answer);
+    first.await.unwrap().unwrap();
+    assert_eq!(stage.next_run().await, [1, 2, 3]);
+    pass(TIMEOUT).await;
+    for answer in asked {
+        let error = answer.await.unwrap().unwrap_err();
+        assert_eq!(error, InferenceError::TimedOut { timeout_ms: 2000 });
+    }
+    assert_eq!(stage.task.counters().timed_out, 1);
+}
+
+#[tokio::test(start_paused = true)]
+async fn stopping_ends_the_wait_for_a_batch() {
+    let mut stage = stage(in_threes()).await;
+    let first = stage.begin(0).await;
+    stage.end(Step::Answer);
+    first.await.unwrap().unwrap();
+    let waiting = stage.ask(1);
+    stage.until_waiting(1).await;
+    stage.task.stop().await;
+    assert_eq!(waiting.await.unwrap().unwrap_err(), InferenceError::Stopped);
 }
 
 #[tokio::test(start_paused = true)]
@@ -482,13 +585,10 @@ async fn a_picture_whose_asker_has_gone_is_not_run() {
 async fn the_picture_belongs_to_the_asker_again_after_the_answer() {
     let mut stage = stage(settings()).await;
     stage.end(Step::Answer);
-    let picture: Arc<Picture> = Arc::default();
-    stage
-        .task
-        .run(CameraSlot(0), picture.clone())
-        .await
-        .unwrap();
-    assert!(Arc::try_unwrap(picture).is_ok());
+    let (camera, shared) = (CameraSlot(0), Arc::default());
+    let scene = (camera, Arc::clone(&shared));
+    stage.task.run(camera, scene).await.unwrap();
+    assert!(Arc::try_unwrap(shared).is_ok());
     stage.started.recv().await.unwrap();
 }
 

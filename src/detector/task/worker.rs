@@ -1,9 +1,9 @@
 //! The thread a model lives on.
 
 use super::Factory;
-use super::shared::{Inference, Shared};
+use super::shared::Shared;
 use crate::detector::model::{Interrupter, Model};
-use crate::detector::{ExecutionProvider, InferenceError, ModelError, StartError};
+use crate::detector::{ExecutionProvider, InferenceError, RunError, StartError};
 use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -30,7 +30,7 @@ pub(super) fn spawn<M: Model>(
     task: &'static str,
     generation: u64,
     factory: Arc<Factory<M>>,
-    shared: Arc<Shared<M::Output>>,
+    shared: Arc<Shared<M::Input, M::Output>>,
     events: mpsc::UnboundedSender<(u64, Event)>,
 ) -> std::io::Result<()> {
     let runtime = Handle::current();
@@ -47,7 +47,7 @@ pub(super) fn spawn<M: Model>(
                         provider: model.provider(),
                         interrupter: model.interrupter(),
                     });
-                    if let Some(failure) = work(&mut model, generation, &shared) {
+                    if let Some(failure) = work(&mut model, generation, &shared, &runtime) {
                         telling.tell(Event::RunFailed(failure));
                     }
                 }
@@ -86,33 +86,29 @@ fn build<M: Model>(task: &'static str, factory: &Factory<M>) -> Result<M, StartE
 }
 
 /// Runs pictures until told to leave, or until a run fails: then says why.
-fn work<M: Model>(model: &mut M, generation: u64, shared: &Shared<M::Output>) -> Option<String> {
-    while let Some(assignment) = shared.next(generation) {
-        let result = catch_unwind(AssertUnwindSafe(|| {
-            model.run(assignment.camera, &assignment.picture)
-        }));
-        // Before the answer goes out, so that the asker finds itself the only owner and can reuse the
-        // buffer.
-        drop(assignment.picture);
+fn work<M: Model>(
+    model: &mut M,
+    generation: u64,
+    shared: &Shared<M::Input, M::Output>,
+    runtime: &Handle,
+) -> Option<String> {
+    while let Some(assignment) = shared.next(generation, runtime) {
+        let asked = assignment.pictures.len();
+        let result = catch_unwind(AssertUnwindSafe(|| model.run(&assignment.pictures)));
+        // Before the answer goes out, so that the asker can use the buffers again.
+        drop(assignment.pictures);
         let error = match result {
-            Ok(Ok(output)) => {
-                let inference = Inference {
-                    output,
-                    queued: assignment.queued,
-                    took: assignment.started.elapsed(),
-                };
-                if shared.complete(generation, inference) {
+            Ok(Ok(outputs)) if outputs.len() == asked => {
+                if shared.complete(generation, outputs, assignment.started.elapsed()) {
                     continue;
                 }
                 return None;
             }
-            Ok(Err(ModelError::Picture(reason))) => {
-                if shared.reject(generation, InferenceError::BadPicture(reason)) {
-                    continue;
-                }
-                return None;
-            }
-            Ok(Err(ModelError::Run(reason))) => InferenceError::Failed(reason),
+            Ok(Ok(outputs)) => InferenceError::Failed(format!(
+                "the model answered {} of {asked} pictures",
+                outputs.len()
+            )),
+            Ok(Err(RunError(reason))) => InferenceError::Failed(reason),
             Err(panic) => InferenceError::Panicked(message(&*panic)),
         };
         let reason = error.to_string();

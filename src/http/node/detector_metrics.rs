@@ -20,7 +20,6 @@ pub(super) fn detector(
             "outcome",
             &[
                 ("completed", task.completed),
-                ("bad_picture", task.bad_pictures),
                 ("timed_out", task.timed_out),
                 ("failed", task.failed),
                 ("panicked", task.panicked),
