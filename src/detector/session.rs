@@ -2,6 +2,7 @@
 
 use super::head::TensorView;
 use super::model::Interrupter;
+use super::sessions::{Entry, SESSIONS};
 use super::{
     ElementType, ExecutionProvider, GpuConfig, Metadata, RunError, Signature, StartError,
     TensorSpec,
@@ -44,6 +45,8 @@ pub(crate) struct OnnxSession {
     floats: Vec<f32>,
     halves: Vec<f16>,
     bytes: Vec<u8>,
+    /// The last field: the session is gone when this goes.
+    _entry: Entry<'static>,
 }
 
 impl OnnxSession {
@@ -78,10 +81,8 @@ impl OnnxSession {
         settings: &SessionSettings,
         provider: ExecutionProvider,
     ) -> Result<Self, StartError> {
-        let refused = |reason: String| refusal(&settings.model, provider, reason);
-        let session =
-            build(environment, settings, provider).map_err(|error| refused(in_words(&error)))?;
-        let options = RunOptions::new().map_err(|error| refused(in_words(&error)))?;
+        let (session, options, entry) = build(environment, settings, provider)
+            .map_err(|error| refusal(&settings.model, provider, in_words(&error)))?;
         let signature = Signature {
             inputs: session.inputs().iter().map(spec).collect(),
             outputs: session.outputs().iter().map(spec).collect(),
@@ -89,12 +90,13 @@ impl OnnxSession {
         };
         Ok(Self {
             session,
-            options: Arc::new(options),
+            options,
             signature,
             provider,
             floats: Vec::new(),
             halves: Vec::new(),
             bytes: Vec::new(),
+            _entry: entry,
         })
     }
 
@@ -111,11 +113,7 @@ impl OnnxSession {
     /// Asks a run in progress to end at the next node of the graph.
     pub(crate) fn interrupter(&self) -> Interrupter {
         let options = self.options.clone();
-        Arc::new(move || {
-            if let Err(error) = options.terminate() {
-                warn!(%error, "a run could not be asked to end");
-            }
-        })
+        Arc::new(move || terminate(&options))
     }
 
     /// Runs the model on `pictures`, each given as float32 in `shape`, which is that of one; converted where
@@ -228,11 +226,17 @@ fn metadata(session: &Session) -> Metadata {
     )
 }
 
+fn terminate(options: &RunOptions) {
+    if let Err(error) = options.terminate() {
+        warn!(%error, "a run could not be asked to end");
+    }
+}
+
 fn build(
     environment: &Environment,
     settings: &SessionSettings,
     provider: ExecutionProvider,
-) -> ort::Result<Session> {
+) -> ort::Result<(Session, Arc<RunOptions>, Entry<'static>)> {
     let threads = match settings.threads {
         0 => std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1)),
         threads => threads,
@@ -247,7 +251,18 @@ fn build(
     if !registrations.is_empty() {
         builder = builder.with_execution_providers(registrations)?;
     }
-    builder.commit_from_file(&settings.model)
+    let (options, canceler) = (Arc::new(RunOptions::new()?), builder.canceler());
+    let entry = SESSIONS.enter({
+        let options = options.clone();
+        Arc::new(move || {
+            if let Err(error) = canceler.cancel() {
+                warn!(%error, "a model could not be asked to load no further");
+            }
+            terminate(&options);
+        })
+    });
+    let session = builder.commit_from_file(&settings.model)?;
+    Ok((session, options, entry))
 }
 
 /// A device that is missing shows only when the session is made, so with any other provider than the CPU the
