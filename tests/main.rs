@@ -7,6 +7,8 @@ mod compare;
 mod detector_batches;
 mod detector_exports;
 mod detector_models;
+mod detector_quantised;
+mod detector_resources;
 mod detector_session;
 mod end_to_end;
 mod eval_agreement;

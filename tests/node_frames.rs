@@ -56,7 +56,8 @@ impl Bench {
         let shutdown = CancellationToken::new();
         let prepared = PreparedNode::new(config).unwrap();
         let board = Arc::clone(prepared.board());
-        let node: Node = prepared.start(config, shutdown.clone()).await.unwrap();
+        let node = prepared.start(config, shutdown.clone()).await.unwrap();
+        let node: Node = node.unwrap();
         let session = connect(&node.endpoints().await).await;
         let (sender, detections) = unbounded_channel();
         session

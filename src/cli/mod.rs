@@ -12,6 +12,7 @@ pub mod replay;
 mod signals;
 pub mod synth;
 
+use crate::detector::end_all_sessions;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -113,6 +114,10 @@ fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()
     // A thread that waits for a file that never answers (a power monitor whose bus hangs) must not keep the
     // program alive.
     runtime.shutdown_timeout(STRAGGLERS);
+    // Nor may one that computes be left alone: the program's end would pull ONNX Runtime from under it.
+    if !end_all_sessions(STRAGGLERS) {
+        tracing::warn!("a model that is being loaded or run could not be interrupted");
+    }
     ended
 }
 

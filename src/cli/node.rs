@@ -83,7 +83,8 @@ pub(super) async fn run_prepared(
     let node = async {
         let node = prepared.start(config, shutdown.clone()).await;
         let ended = match node {
-            Ok(node) => {
+            Ok(None) => Ok(()),
+            Ok(Some(node)) => {
                 let zenoh = node.endpoints().await;
                 tracing::info!(?zenoh, cameras = config.cameras.len(), "ready");
                 node.stopped().await;

@@ -48,6 +48,10 @@ fn log(level: LogLevel, category: &str, _id: &str, location: &str, message: &str
     match level {
         LogLevel::Verbose | LogLevel::Info => {}
         LogLevel::Warning => warn!(target: "onnxruntime", category, location, "{message}"),
+        // It was asked to end (`Interrupter`), and ended.
+        LogLevel::Error if message.contains("due to terminate flag") => {
+            debug!(target: "onnxruntime", category, location, "{message}");
+        }
         LogLevel::Error | LogLevel::Fatal => {
             error!(target: "onnxruntime", category, location, "{message}");
         }

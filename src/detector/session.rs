@@ -2,6 +2,7 @@
 
 use super::head::TensorView;
 use super::model::Interrupter;
+use super::sessions::{Entry, SESSIONS};
 use super::{
     ElementType, ExecutionProvider, GpuConfig, Metadata, RunError, Signature, StartError,
     TensorSpec,
@@ -44,6 +45,8 @@ pub(crate) struct OnnxSession {
     floats: Vec<f32>,
     halves: Vec<f16>,
     bytes: Vec<u8>,
+    /// The last field: the session is gone when this goes.
+    _entry: Entry<'static>,
 }
 
 impl OnnxSession {
@@ -78,10 +81,8 @@ impl OnnxSession {
         settings: &SessionSettings,
         provider: ExecutionProvider,
     ) -> Result<Self, StartError> {
-        let refused = |reason: String| refusal(&settings.model, provider, reason);
-        let session = build(environment, settings, provider)
-            .map_err(|error| refused(error.message().to_owned()))?;
-        let options = RunOptions::new().map_err(|error| refused(error.message().to_owned()))?;
+        let (session, options, entry) = build(environment, settings, provider)
+            .map_err(|error| refusal(&settings.model, provider, in_words(&error)))?;
         let signature = Signature {
             inputs: session.inputs().iter().map(spec).collect(),
             outputs: session.outputs().iter().map(spec).collect(),
@@ -89,12 +90,13 @@ impl OnnxSession {
         };
         Ok(Self {
             session,
-            options: Arc::new(options),
+            options,
             signature,
             provider,
             floats: Vec::new(),
             halves: Vec::new(),
             bytes: Vec::new(),
+            _entry: entry,
         })
     }
 
@@ -111,11 +113,7 @@ impl OnnxSession {
     /// Asks a run in progress to end at the next node of the graph.
     pub(crate) fn interrupter(&self) -> Interrupter {
         let options = self.options.clone();
-        Arc::new(move || {
-            if let Err(error) = options.terminate() {
-                warn!(%error, "a run could not be asked to end");
-            }
-        })
+        Arc::new(move || terminate(&options))
     }
 
     /// Runs the model on `pictures`, each given as float32 in `shape`, which is that of one; converted where
@@ -129,7 +127,7 @@ impl OnnxSession {
         pictures: &[&[f32]],
         read: impl FnOnce(&[TensorView<'_>]) -> R,
     ) -> Result<R, RunError> {
-        let failed = |error: ort::Error| RunError(error.message().to_owned());
+        let failed = |error: ort::Error| RunError(in_words(&error));
         let Self {
             session,
             options,
@@ -183,6 +181,29 @@ impl OnnxSession {
     }
 }
 
+/// How ONNX Runtime and what it calls say that memory ran out: its arenas on the CPU and on a GPU, C++, CUDA.
+const MEMORY_RAN_OUT: [&str; 5] = [
+    "failed to allocate memory",
+    "smaller than requested bytes",
+    "bad_alloc",
+    "bad allocation",
+    "out of memory",
+];
+
+/// What ONNX Runtime said. That memory ran out is said in plain words first: its own are of arenas.
+fn in_words(error: &ort::Error) -> String {
+    let said = error.message().trim_end();
+    let lower = said.to_lowercase();
+    if MEMORY_RAN_OUT.iter().any(|phrase| lower.contains(phrase)) {
+        format!(
+            "there is not enough memory for it; a smaller model or input size needs less, and on a GPU \
+             detector.gpu.memory_limit_mib may be too low: {said}"
+        )
+    } else {
+        said.to_owned()
+    }
+}
+
 /// Shape and elements of an output, float16 widened.
 fn elements(output: &DynValue) -> ort::Result<(&[i64], Cow<'_, [f32]>)> {
     if let Ok((shape, halves)) = output.try_extract_tensor::<f16>() {
@@ -205,11 +226,17 @@ fn metadata(session: &Session) -> Metadata {
     )
 }
 
+fn terminate(options: &RunOptions) {
+    if let Err(error) = options.terminate() {
+        warn!(%error, "a run could not be asked to end");
+    }
+}
+
 fn build(
     environment: &Environment,
     settings: &SessionSettings,
     provider: ExecutionProvider,
-) -> ort::Result<Session> {
+) -> ort::Result<(Session, Arc<RunOptions>, Entry<'static>)> {
     let threads = match settings.threads {
         0 => std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1)),
         threads => threads,
@@ -224,7 +251,18 @@ fn build(
     if !registrations.is_empty() {
         builder = builder.with_execution_providers(registrations)?;
     }
-    builder.commit_from_file(&settings.model)
+    let (options, canceler) = (Arc::new(RunOptions::new()?), builder.canceler());
+    let entry = SESSIONS.enter({
+        let options = options.clone();
+        Arc::new(move || {
+            if let Err(error) = canceler.cancel() {
+                warn!(%error, "a model could not be asked to load no further");
+            }
+            terminate(&options);
+        })
+    });
+    let session = builder.commit_from_file(&settings.model)?;
+    Ok((session, options, entry))
 }
 
 /// A device that is missing shows only when the session is made, so with any other provider than the CPU the
@@ -249,7 +287,8 @@ fn spec(outlet: &Outlet) -> TensorSpec {
                 TensorElementType::Float32 => ElementType::Float32,
                 TensorElementType::Float16 => ElementType::Float16,
                 TensorElementType::Uint8 => ElementType::Uint8,
-                other => ElementType::Other(other.to_string()),
+                // As ONNX names them: int8, int64, bool.
+                other => ElementType::Other(format!("{other:?}").to_lowercase()),
             };
             (element, shape.to_vec())
         }

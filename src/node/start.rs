@@ -79,11 +79,27 @@ impl PreparedNode {
     }
 
     /// Starts the node and returns when its cameras can be heard. It runs until `shutdown` is cancelled;
-    /// then call [`Node::stopped`].
+    /// then call [`Node::stopped`]. `None` when `shutdown` is cancelled before: a model may take minutes to
+    /// load, or for ever.
     ///
     /// # Errors
     /// When a part cannot start: the message says which, and what to do.
     pub async fn start(
+        self,
+        config: &NodeConfig,
+        shutdown: CancellationToken,
+    ) -> anyhow::Result<Option<Node>> {
+        tokio::select! {
+            biased;
+            node = self.start_parts(config, shutdown.clone()) => node.map(Some),
+            () = shutdown.cancelled() => {
+                tracing::info!("stopped before the node was ready");
+                Ok(None)
+            }
+        }
+    }
+
+    async fn start_parts(
         self,
         config: &NodeConfig,
         shutdown: CancellationToken,
@@ -95,8 +111,10 @@ impl PreparedNode {
         let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
         let session = session::open(&config.zenoh, config.frame.max_payload_bytes).await?;
         let sampling = CancellationToken::new();
+        let unless_started = sampling.clone().drop_guard();
         let keep = 2 * Duration::try_from_secs_f64(config.clip.window_s).unwrap_or_default();
-        let (power, _) = power::start(&config.power, keep, sampling.clone()).await?;
+        let (power, _) = power::start(&config.power, keep, sampling).await?;
+        tracing::info!(model = %config.detector.model.display(), "loading the detector");
         let detector = DetectorHandle::start(&config.detector)
             .await
             .context("[detector]")?;
@@ -147,7 +165,7 @@ impl PreparedNode {
             detector,
             screen,
             working,
-            sampling,
+            sampling: unless_started.disarm(),
             alive,
             intakes,
             _thresholds: thresholds,

@@ -6,8 +6,10 @@ classes, sizes and scores come out, the last layer of each branch is scaled: ove
 outputs get a chosen mean and spread. The weights stay random; what is compared is arithmetic, not accuracy.
 """
 
+import json
 import pathlib
 
+import cv2
 import numpy
 import onnxruntime
 import torch
@@ -76,6 +78,8 @@ class Ultralytics:
 
     side = 640
     exported = None
+    # What PyTorch computes is what was exported.
+    faithful = True
 
     def __init__(self, name, end_to_end):
         torch.manual_seed(SEED)
@@ -102,7 +106,7 @@ class Ultralytics:
             for level in classes:
                 spread(level[-1], inputs[level[-1]], -6.0, 9.0)
 
-    def export(self, folder):
+    def export(self, folder, **more):
         file = self.model.export(
             format="onnx",
             imgsz=self.side,
@@ -110,6 +114,7 @@ class Ultralytics:
             simplify=False,
             device="cpu",
             nms=False if self.end_to_end else None,
+            **more,
         )
         target = pathlib.Path(folder) / f"{self.name}.onnx"
         pathlib.Path(file).replace(target)
@@ -163,11 +168,40 @@ class Ultralytics:
             return [self.model.predictor.model(torch.from_numpy(tensor)[None])[0].numpy()]
 
 
+class Quantised(Ultralytics):
+    """yolo26n in int8, as its vendor's exporter quantises it."""
+
+    # Rounding to 256 levels moves the boxes of a random network anywhere: only the export is compared.
+    faithful = False
+
+    def __init__(self):
+        super().__init__("yolo26n", True)
+        self.name = "yolo26n-int8"
+
+    def calibrate(self, pictures):
+        super().calibrate(pictures)
+        self.pictures = pictures
+
+    def export(self, folder):
+        """Quantised over the pictures it was calibrated with."""
+        data = pathlib.Path(folder).resolve() / "int8"
+        for kind in ("images", "labels"):
+            (data / kind).mkdir(parents=True, exist_ok=True)
+        for number, picture in enumerate(self.pictures):
+            cv2.imwrite(str(data / f"images/{number}.png"), picture)
+            # The reader of data sets wants an object in each; which one does not matter.
+            (data / f"labels/{number}.txt").write_text("0 0.5 0.5 0.1 0.1\n")
+        listing = {"path": str(data), "train": "images", "val": "images", "names": self.model.names}
+        (data / "data.yaml").write_text(json.dumps(listing))
+        return super().export(folder, quantize=8, data=str(data / "data.yaml"))
+
+
 class RfDetr:
     """RF-DETR Nano."""
 
     side = 384
     exported = None
+    faithful = True
     name = "rfdetr-nano"
 
     def __init__(self):
@@ -226,5 +260,6 @@ def networks():
         Ultralytics("yolo11n", None),
         Ultralytics("yolo26n", True),
         Ultralytics("yolo26n", False),
+        Quantised(),
         RfDetr(),
     ]

@@ -129,6 +129,7 @@ impl Player {
         let board = Arc::clone(prepared.board());
         let stop = shutdown.child_token();
         let node = prepared.start(&config, stop.clone()).await?;
+        let node = node.context("stopped")?;
         let endpoints = node.endpoints().await;
         let stopped = tokio::spawn(node.stopped());
         let played = tokio::select! {

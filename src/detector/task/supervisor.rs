@@ -16,6 +16,10 @@ use tokio::time::{Instant, sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 use tracing::{error, info, warn};
 
+/// When it is first said that a model is still being built; then after twice that time, and so on. There is no
+/// limit: TensorRT builds engines for minutes.
+const STILL_BUILDING: Duration = Duration::from_secs(10);
+
 pub(super) struct Supervisor<M: Model> {
     settings: TaskSettings,
     factory: Arc<Factory<M>>,
@@ -149,11 +153,22 @@ impl<M: Model> Supervisor<M> {
         }
         self.alive = true;
         let stop = self.stop.clone();
+        let begun = Instant::now();
+        let mut patience = STILL_BUILDING;
         loop {
             let event = tokio::select! {
                 biased;
                 () = stop.cancelled() => return None,
                 event = self.next_event() => event,
+                () = sleep_until(begun + patience) => {
+                    warn!(
+                        task = self.settings.name,
+                        seconds = patience.as_secs(),
+                        "the model is still being loaded and run for the first time"
+                    );
+                    patience *= 2;
+                    continue;
+                }
             };
             match event {
                 Some(Event::Built {

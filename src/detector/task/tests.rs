@@ -1,6 +1,8 @@
 //! The task with models that wait, fail, panic and hang. Time stands still in these tests and is moved by
 //! hand, so none depends on how fast the machine is.
 
+mod building;
+
 use super::*;
 use crate::detector::{ExecutionProvider, Interrupter, RunError};
 use std::sync::atomic::{AtomicUsize, Ordering};

@@ -1,0 +1,93 @@
+//! A model that takes long to build, or for ever.
+
+use super::*;
+use std::io;
+use tracing_subscriber::fmt::MakeWriter;
+
+/// Keeps what is logged.
+#[derive(Clone, Default)]
+struct Log(Arc<Mutex<Vec<u8>>>);
+
+impl io::Write for Log {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap().extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+impl MakeWriter<'_> for Log {
+    type Writer = Self;
+
+    fn make_writer(&self) -> Self {
+        self.clone()
+    }
+}
+
+impl Log {
+    /// The seconds after which it was said that the model is still being built.
+    fn said_after(&self) -> Vec<u64> {
+        let log = String::from_utf8(self.0.lock().unwrap().clone()).unwrap();
+        log.lines()
+            .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap())
+            .filter(|entry| {
+                let message = entry["message"].as_str().unwrap();
+                message.contains("still being loaded")
+            })
+            .map(|entry| {
+                assert_eq!(
+                    (&entry["task"], &entry["level"]),
+                    (&"scripted".into(), &"WARN".into())
+                );
+                entry["seconds"].as_u64().unwrap()
+            })
+            .collect()
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_model_that_takes_long_to_build_is_spoken_of_now_and_then_and_waited_for() {
+    let _held = hold_time();
+    let log = Log::default();
+    let subscriber = tracing_subscriber::fmt()
+        .json()
+        .flatten_event(true)
+        .with_writer(log.clone())
+        .finish();
+    let _logging = tracing::subscriber::set_default(subscriber);
+    let (building, mut is_building) = mpsc::unbounded_channel();
+    let (go_on, may_go_on) = blocking::channel::<()>();
+    let may_go_on = Mutex::new(may_go_on);
+    let starting = tokio::spawn(InferenceTask::start(
+        settings(),
+        move || -> Result<Scripted, _> {
+            building.send(()).unwrap();
+            may_go_on.lock().unwrap().recv().unwrap();
+            Err(StartError::WarmUp {
+                path: "scripted.onnx".into(),
+                reason: "scripted end".to_owned(),
+            })
+        },
+    ));
+    is_building.recv().await.unwrap();
+    settle().await;
+    for (seconds, expected) in [
+        (9, &[][..]),
+        (1, &[10]),
+        (9, &[10]),
+        (1, &[10, 20]),
+        (20, &[10, 20, 40]),
+        (39, &[10, 20, 40]),
+        (1, &[10, 20, 40, 80]),
+    ] {
+        pass(Duration::from_secs(seconds)).await;
+        assert_eq!(log.said_after(), expected);
+    }
+    assert!(!starting.is_finished());
+    go_on.send(()).unwrap();
+    let error = starting.await.unwrap().err().unwrap();
+    assert!(error.to_string().contains("scripted end"), "{error}");
+}
