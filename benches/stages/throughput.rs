@@ -18,6 +18,7 @@ pub struct Throughput {
     queued: Vec<f64>,
     looped: Vec<f64>,
     model_alone: Vec<f64>,
+    model_queued: Vec<f64>,
     one_after_the_other: Vec<f64>,
     ahead: Vec<f64>,
 }
@@ -58,16 +59,19 @@ impl Throughput {
                     .cloned()
                     .collect();
                 tokio::spawn(async move {
+                    let mut model = 0.0;
                     for picture in own {
-                        detector.detect(CameraSlot(camera), picture).await?;
+                        model += detector.detect(CameraSlot(camera), picture).await?.model_ms;
                     }
-                    anyhow::Ok(())
+                    anyhow::Ok(model)
                 })
             })
             .collect();
+        let mut model = 0.0;
         for camera in cameras {
-            camera.await??;
+            model += camera.await?? / 1e3;
         }
+        self.model_queued.push(pictures.len() as f64 / model);
         let frames = pictures.len() as f64;
         self.queued.push(frames / start.elapsed().as_secs_f64());
         Ok(())
@@ -118,6 +122,10 @@ impl Throughput {
             median(&self.looped),
             ratio(&self.model_alone),
             median(&self.model_alone),
+        );
+        println!(
+            "(While it is queued for, the model itself runs at {:.3} of its speed alone.)",
+            ratio_of(&self.model_queued, &self.model_alone),
         );
         println!(
             "One camera, decoding included: {:.1} frames/s; with the next frame made ready while\n\
