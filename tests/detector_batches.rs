@@ -2,35 +2,25 @@
 
 #![allow(clippy::unwrap_used)]
 
+use super::support::detectors;
 use albireo::detector::{CameraSlot, Detected, DetectorConfig, DetectorHandle};
-use albireo::frame::Picture;
-use albireo::geometry::PictureSize;
-use std::path::Path;
-use std::sync::Arc;
 
 /// A model with an open batch; the score of a car is how red the picture is, that of a traffic light how green.
 fn config(model: &str) -> DetectorConfig {
     DetectorConfig {
-        model: Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("tests/fixtures/models")
-            .join(model),
         report_classes: Some(Vec::new()),
         confidence: 0.3,
         timeout_ms: 60_000,
         batch_size: 3,
         // Far longer than three tasks need to ask: the run begins when the third has.
         batch_wait_ms: 1000,
-        ..DetectorConfig::default()
+        ..detectors::config(model)
     }
 }
 
 async fn detect(detector: &DetectorHandle, camera: usize, color: [u8; 3]) -> Detected {
-    let mut picture = Picture::black(PictureSize::new(128, 64));
-    for pixel in picture.pixels.chunks_exact_mut(3) {
-        pixel.copy_from_slice(&color);
-    }
-    let answer = detector.detect(CameraSlot(camera), Arc::new(picture)).await;
-    answer.unwrap()
+    let picture = detectors::one_colour(color);
+    detector.detect(CameraSlot(camera), picture).await.unwrap()
 }
 
 fn confidences(detected: &Detected) -> Vec<(u16, i64)> {

@@ -2,30 +2,15 @@
 
 #![allow(clippy::panic, clippy::unwrap_used)]
 
+use super::support::detectors::{PICTURE, config, one_colour};
 use albireo::detector::{
     CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle, DetectorStatus, HeadName,
     InferenceError, Network,
 };
-use albireo::frame::{Picture, PixelLayout};
 use albireo::geometry::PictureSize;
-use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 const CAMERA: CameraSlot = CameraSlot(0);
 const NAMES: [&str; 2] = ["car", "traffic light"];
-
-fn model(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/fixtures/models")
-        .join(name)
-}
-
-fn config(name: &str) -> DetectorConfig {
-    DetectorConfig {
-        model: model(name),
-        ..DetectorConfig::default()
-    }
-}
 
 /// The same with both classes named and reported.
 fn named(name: &str) -> DetectorConfig {
@@ -37,23 +22,12 @@ fn named(name: &str) -> DetectorConfig {
     }
 }
 
-/// A picture of one colour.
-fn picture(width: u32, height: u32, color: [u8; 3]) -> Arc<Picture> {
-    let size = PictureSize::new(width, height);
-    Arc::new(Picture {
-        size,
-        source_size: size,
-        layout: PixelLayout::Rgb8,
-        pixels: color.repeat(size.pixels() as usize),
-    })
-}
-
 async fn started(config: &DetectorConfig) -> DetectorHandle {
     DetectorHandle::start(config).await.unwrap()
 }
 
 async fn detected(detector: &DetectorHandle, color: [u8; 3]) -> Detected {
-    let answer = detector.detect(CAMERA, picture(128, 64, color)).await;
+    let answer = detector.detect(CAMERA, one_colour(color)).await;
     answer.unwrap()
 }
 
@@ -68,9 +42,7 @@ fn assert_the_box(found: &Detected, class: u16, confidence: f64) {
         (detection.confidence - confidence).abs() < 2e-3,
         "{detection:?}"
     );
-    let corners = detection
-        .bounding_box
-        .pixel_corners(PictureSize::new(128, 64));
+    let corners = detection.bounding_box.pixel_corners(PICTURE);
     for (found, expected) in [
         (corners.x1, 16.0),
         (corners.y1, 8.0),
@@ -174,7 +146,7 @@ async fn more_boxes_than_the_cap_are_counted_and_the_cap_holds() {
 async fn a_model_that_changes_its_output_shape_fails_that_frame_and_works_on_the_next() {
     let detector = started(&config("changing.onnx")).await;
     assert!(detected(&detector, [51, 0, 0]).await.detections.is_empty());
-    let red = picture(128, 64, [230, 0, 0]);
+    let red = one_colour([230, 0, 0]);
     let error = detector.detect(CAMERA, red).await.unwrap_err();
     assert!(
         matches!(&error, InferenceError::Failed(reason) if reason.contains("[1, 7, 42]")),

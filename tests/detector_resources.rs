@@ -2,44 +2,17 @@
 
 #![allow(clippy::panic, clippy::unwrap_used)]
 
+use super::support::detectors::{config, model, one_colour};
 use super::support::{PATIENCE, albireo};
 use albireo::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus, InferenceError,
 };
-use albireo::frame::{Picture, PixelLayout};
-use albireo::geometry::PictureSize;
-use std::path::{Path, PathBuf};
 use std::process::Stdio;
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::time::timeout;
 
 const CAMERA: CameraSlot = CameraSlot(0);
-
-fn model(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/fixtures/models")
-        .join(name)
-}
-
-fn config(name: &str) -> DetectorConfig {
-    DetectorConfig {
-        model: model(name),
-        ..DetectorConfig::default()
-    }
-}
-
-/// A picture of one colour, twice the size of the fixtures' input.
-fn picture(color: [u8; 3]) -> Arc<Picture> {
-    let size = PictureSize::new(128, 64);
-    Arc::new(Picture {
-        size,
-        source_size: size,
-        layout: PixelLayout::Rgb8,
-        pixels: color.repeat(size.pixels() as usize),
-    })
-}
 
 #[tokio::test]
 async fn a_run_without_enough_memory_is_counted_and_the_next_picture_is_answered() {
@@ -49,11 +22,11 @@ async fn a_run_without_enough_memory_is_counted_and_the_next_picture_is_answered
     })
     .await
     .unwrap();
-    let dark = picture([102, 0, 0]);
+    let dark = one_colour([102, 0, 0]);
     let answer = detector.detect(CAMERA, dark.clone()).await.unwrap();
     assert_eq!(answer.detections.len(), 1);
     let error = detector
-        .detect(CAMERA, picture([255, 0, 0]))
+        .detect(CAMERA, one_colour([255, 0, 0]))
         .await
         .unwrap_err();
     assert!(matches!(error, InferenceError::Failed(_)), "{error}");

@@ -3,46 +3,22 @@
 
 #![allow(clippy::panic)]
 
+use super::support::detectors::{PICTURE, config, model, one_colour};
 use albireo::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus, ExecutionProvider, HeadName,
 };
-use albireo::frame::{ColorOrder, Picture, PixelLayout};
+use albireo::frame::ColorOrder;
 use albireo::geometry::{Corners, PictureSize};
 use albireo::screen::{ScreenConfig, ScreenHandle};
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 const CAMERA: CameraSlot = CameraSlot(0);
-
-fn model(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("tests/fixtures/models")
-        .join(name)
-}
-
-fn config(name: &str) -> DetectorConfig {
-    DetectorConfig {
-        model: model(name),
-        ..DetectorConfig::default()
-    }
-}
 
 async fn refusal(config: DetectorConfig) -> String {
     match DetectorHandle::start(&config).await {
         Ok(_) => panic!("{config:?} was accepted"),
         Err(error) => error.to_string(),
     }
-}
-
-/// A 128x64 picture of one colour: twice the size of the fixtures' input.
-fn one_colour(red: u8, green: u8, blue: u8) -> Arc<Picture> {
-    let size = PictureSize::new(128, 64);
-    Arc::new(Picture {
-        size,
-        source_size: size,
-        layout: PixelLayout::Rgb8,
-        pixels: [red, green, blue].repeat(128 * 64),
-    })
 }
 
 #[tokio::test]
@@ -55,7 +31,7 @@ async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
     assert_eq!(detector.provider(), ExecutionProvider::Cpu);
     // Its class scores are the means of the planes: here green, the second.
     let answer = detector
-        .detect(CAMERA, one_colour(51, 204, 0))
+        .detect(CAMERA, one_colour([51, 204, 0]))
         .await
         .unwrap();
     let [detection] = answer.detections.as_slice() else {
@@ -63,9 +39,7 @@ async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
     };
     assert_eq!(usize::from(detection.class.0), 1);
     assert!((detection.confidence - 0.8).abs() < 1e-5);
-    let found = detection
-        .bounding_box
-        .pixel_corners(PictureSize::new(128, 64));
+    let found = detection.bounding_box.pixel_corners(PICTURE);
     let expected = Corners {
         x1: 16.0,
         y1: 8.0,
@@ -85,7 +59,7 @@ async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
     }
     // Nothing is bright enough here.
     let answer = detector
-        .detect(CAMERA, one_colour(100, 100, 100))
+        .detect(CAMERA, one_colour([100, 100, 100]))
         .await
         .unwrap();
     assert!(answer.detections.is_empty());
@@ -99,7 +73,7 @@ async fn only_the_classes_to_report_are_reported() {
         report_classes: Some(names.iter().map(|&name| name.to_owned()).collect()),
         ..config("demonstration.onnx")
     };
-    let picture = one_colour(51, 204, 0);
+    let picture = one_colour([51, 204, 0]);
     for (names, expected) in [(["rider"], 1), (["car"], 0)] {
         let detector = DetectorHandle::start(&only(&names)).await.unwrap();
         let answer = detector.detect(CAMERA, picture.clone()).await.unwrap();
@@ -200,7 +174,10 @@ async fn numbers_that_are_none_are_counted_and_reported_as_nothing() {
     let detector = DetectorHandle::start(&config("not_a_number.onnx"))
         .await
         .unwrap();
-    let answer = detector.detect(CAMERA, one_colour(9, 9, 9)).await.unwrap();
+    let answer = detector
+        .detect(CAMERA, one_colour([9, 9, 9]))
+        .await
+        .unwrap();
     assert!(answer.detections.is_empty());
     assert_eq!(detector.counters().head.rejected, 1);
     assert_eq!(detector.counters().task.failed, 0);
@@ -211,7 +188,7 @@ async fn a_picture_with_too_few_bytes_fails_alone() {
     let detector = DetectorHandle::start(&config("demonstration.onnx"))
         .await
         .unwrap();
-    let mut short = Arc::unwrap_or_clone(one_colour(51, 204, 0));
+    let mut short = Arc::unwrap_or_clone(one_colour([51, 204, 0]));
     short.pixels.pop();
     let error = detector.detect(CAMERA, Arc::new(short)).await.unwrap_err();
     assert!(error.to_string().contains("24575"), "{error}");
@@ -220,7 +197,7 @@ async fn a_picture_with_too_few_bytes_fails_alone() {
         DetectorStatus::Ready { .. }
     ));
     let answer = detector
-        .detect(CAMERA, one_colour(51, 204, 0))
+        .detect(CAMERA, one_colour([51, 204, 0]))
         .await
         .unwrap();
     assert_eq!(answer.detections.len(), 1);
@@ -235,7 +212,7 @@ async fn the_screen_says_empty_as_its_class_and_colour_order_have_it() {
         empty_class,
         ..ScreenConfig::default()
     };
-    let red = one_colour(255, 0, 0);
+    let red = one_colour([255, 0, 0]);
     for (color_order, empty_class, empty) in [
         (ColorOrder::Rgb, 0, false),
         (ColorOrder::Rgb, 1, true),

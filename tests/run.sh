@@ -11,20 +11,9 @@ export ORT_DYLIB_PATH="${ORT_DYLIB_PATH:-$(ls "$PWD"/.cache/onnxruntime/libonnxr
 export ALBIREO_PYTHON="${ALBIREO_PYTHON:-$PWD/.cache/python/bin/python}"
 
 # With the feature turbojpeg where it can be built; its tests are named scaled_…
+read -ra options <<< "--locked $(bash tests/features.sh)"
 skipped=0
-options=(--locked)
-needed=(cmake)
-[ "$(uname -m)" = x86_64 ] && needed+=(nasm)
-missing=()
-for command in "${needed[@]}"; do
-    command -v "$command" > /dev/null || missing+=("$command")
-done
-if [ ${#missing[@]} -eq 0 ]; then
-    options+=(--features turbojpeg)
-else
-    echo "no ${missing[*]}: the tests of the feature turbojpeg are skipped"
-    skipped=$(grep -rhc 'fn scaled_' src | awk '{ n += $1 } END { print n }')
-fi
+[ ${#options[@]} -eq 1 ] && skipped=$(grep -rhc 'fn scaled_' src | awk '{ n += $1 } END { print n }')
 
 cargo test "${options[@]}" --no-run || { echo "0 passed, 1 failed, 0 skipped"; exit 1; }
 

@@ -87,13 +87,12 @@ pub enum StartError {
     },
     /// The file was replaced by a model with other classes or another input while the program runs.
     #[error(
-        "the model {} has other classes or another input than when the program started; start it again to use \
-         the new file",
-        path.display()
+        "the model of the {task} has other classes or another input than when the program started; start the program \
+         again to use the new file"
     )]
     ModelChanged {
-        /// The ONNX file.
-        path: PathBuf,
+        /// Which task.
+        task: &'static str,
     },
     /// The model was loaded and its first run failed.
     #[error("the first run of the model {} failed: {reason}", path.display())]

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::detection::Detection;
 use crate::frame::Picture;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -100,35 +100,15 @@ impl DetectorHandle {
             )
         };
         let model_name = model_name(config);
-        let first: Arc<OnceLock<(Vec<String>, Preparation)>> = Arc::default();
-        let (config, counters, told) = (config.clone(), head.clone(), first.clone());
-        let factory = move || {
-            let network = Network::open_counting(&config, counters.clone())?;
-            let (names, preparation) = told.get_or_init(|| {
-                let names = network.class_names().to_vec();
-                (names, network.preparation().clone())
-            });
-            if names != network.class_names() || preparation.format() != network.input_format() {
-                // The numbers of classes, or inputs, that are in use would mean something else.
-                return Err(StartError::ModelChanged {
-                    path: config.model.clone(),
-                });
-            }
-            Ok(network)
-        };
-        let task = InferenceTask::start(settings, factory).await?;
-        let Some((class_names, preparation)) = first.get().cloned() else {
-            return Err(StartError::Thread {
-                task: settings.name,
-                reason: "it told nothing of its model".to_owned(),
-            });
-        };
+        let (config, counters) = (config.clone(), head.clone());
+        let factory = move || Network::open_counting(&config, counters.clone());
+        let (task, (class_names, input)) = InferenceTask::start(settings, factory).await?;
         Ok(Self {
             task,
             facts: Arc::new(Facts {
                 model_name,
                 class_names,
-                preparation,
+                preparation: Preparation::new(input),
                 head,
             }),
         })

@@ -16,6 +16,11 @@ pub trait Model: 'static {
     type Input: Send + 'static;
     /// What it finds in a picture.
     type Output: Send + 'static;
+    /// What its users rely on as long as the program runs: a model built anew must have the same.
+    type Facts: Clone + PartialEq + Send + Sync + 'static;
+
+    /// What its users rely on.
+    fn facts(&self) -> Self::Facts;
 
     /// Answers pictures, at least one and at most the batch size of its task: one output for each, in their
     /// order. Blocks.

@@ -347,6 +347,12 @@ fn detection(candidate: &Candidate, mapping: InputMapping) -> Option<Detection> 
 impl Model for Network {
     type Input = PreparedPicture;
     type Output = Found;
+    /// The class names, whose numbers are in use, and the input that pictures are prepared for.
+    type Facts = (Vec<String>, InputFormat);
+
+    fn facts(&self) -> Self::Facts {
+        (self.class_names().to_vec(), self.input_format())
+    }
 
     fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Found>, RunError> {
         let Self {

@@ -14,7 +14,7 @@ pub use shared::Inference;
 use super::{CameraSlot, DetectorStatus, InferenceError, Model, StartError};
 use shared::{Batching, Job, Shared};
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 use supervisor::Supervisor;
 use tokio::sync::{Semaphore, oneshot, watch};
@@ -100,7 +100,8 @@ impl<I, T> Drop for Inner<I, T> {
 }
 
 impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
-    /// Builds the first model on its thread and waits for it. Needs a tokio runtime with timers.
+    /// Builds the first model on its thread and waits for it; also says what its users may rely on. Needs a tokio
+    /// runtime with timers.
     ///
     /// # Errors
     /// When the first model cannot be built. Later failures are retried, counted and told by
@@ -108,7 +109,7 @@ impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
     pub async fn start<M: Model<Input = I, Output = T>>(
         settings: TaskSettings,
         factory: impl Fn() -> Result<M, StartError> + Send + Sync + 'static,
-    ) -> Result<Self, StartError> {
+    ) -> Result<(Self, M::Facts), StartError> {
         let shared = Arc::new(Shared::new(Batching {
             size: settings.batch_size.max(1),
             wait: settings.batch_wait,
@@ -125,16 +126,27 @@ impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
             stop: stop.clone(),
             stopped,
         });
-        let factory: Arc<Factory<M>> = Arc::new(factory);
+        let first: Arc<OnceLock<M::Facts>> = Arc::default();
+        let facts = first.clone();
+        let factory: Arc<Factory<M>> = Arc::new(move || {
+            let model = factory()?;
+            if *facts.get_or_init(|| model.facts()) == model.facts() {
+                Ok(model)
+            } else {
+                Err(StartError::ModelChanged {
+                    task: settings.name,
+                })
+            }
+        });
         let supervisor = Supervisor::new(settings, factory, shared, stop);
         tokio::spawn(supervisor.run(started, tell_stopped));
-        has_started.await.unwrap_or_else(|_| {
-            Err(StartError::Thread {
-                task: settings.name,
-                reason: "its supervisor ended".to_owned(),
-            })
-        })?;
-        Ok(Self { inner })
+        let failed = || StartError::Thread {
+            task: settings.name,
+            reason: "its supervisor ended".to_owned(),
+        };
+        has_started.await.unwrap_or_else(|_| Err(failed()))?;
+        let facts = first.get().cloned().ok_or_else(failed)?;
+        Ok((Self { inner }, facts))
     }
 
     /// Has `picture` answered. Waits for its turn and for the run.

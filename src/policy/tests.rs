@@ -131,37 +131,42 @@ fn check(name: &str, outcome: &Outcome, answered: usize) {
     }
 }
 
+/// Every policy under every profile, with the threshold `u` where it has that.
+fn all_policies(u: f64) -> impl Iterator<Item = PolicyConfig> {
+    known_policies().flat_map(move |name| {
+        [Profile::Paper, Profile::Reference].map(|profile| PolicyConfig {
+            name: name.to_owned(),
+            profile,
+            u,
+            ..PolicyConfig::default()
+        })
+    })
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(64))]
 
     #[test]
     fn gaps_failures_and_hostile_numbers_leave_every_policy_coherent(script in events()) {
-        for name in known_policies() {
-            for profile in [Profile::Paper, Profile::Reference] {
-                let config = PolicyConfig {
-                    name: name.to_owned(),
-                    profile,
-                    ..PolicyConfig::default()
-                };
-                let mut policy = config.build().unwrap();
-                let mut index = 0;
-                for event in &script {
-                    if event.reset {
-                        policy.reset();
-                    }
-                    index += u64::from(event.step);
-                    let (outcome, answered) = play(&mut *policy, index, event);
-                    if let Some(outcome) = outcome {
-                        check(name, &outcome, answered);
-                    }
+        for config in all_policies(PolicyConfig::default().u) {
+            let mut policy = config.build().unwrap();
+            let mut index = 0;
+            for event in &script {
+                if event.reset {
+                    policy.reset();
                 }
-                // After a reset a policy decides as a new one.
-                policy.reset();
-                let mut fresh = config.build().unwrap();
-                for (index, event) in (0u64..).zip(&script) {
-                    let again = play(&mut *policy, index, event);
-                    prop_assert_eq!(again, play(&mut *fresh, index, event), "{}", name);
+                index += u64::from(event.step);
+                let (outcome, answered) = play(&mut *policy, index, event);
+                if let Some(outcome) = outcome {
+                    check(&config.name, &outcome, answered);
                 }
+            }
+            // After a reset a policy decides as a new one.
+            policy.reset();
+            let mut fresh = config.build().unwrap();
+            for (index, event) in (0u64..).zip(&script) {
+                let again = play(&mut *policy, index, event);
+                prop_assert_eq!(again, play(&mut *fresh, index, event), "{}", config.name);
             }
         }
     }
@@ -174,30 +179,22 @@ proptest! {
     fn a_frame_foreseen_to_need_its_picture_needs_it(script in events(), u in prop_oneof![
         Just(1e-6), 1e-4..1e-3,
     ]) {
-        for name in known_policies() {
-            for profile in [Profile::Paper, Profile::Reference] {
-                let config = PolicyConfig {
-                    name: name.to_owned(),
-                    profile,
-                    u,
-                    ..PolicyConfig::default()
-                };
-                let mut policy = config.build().unwrap();
-                let mut index = 0;
-                for event in &script {
-                    index += u64::from(event.step);
-                    let (_, _, foreseen) = play_foreseeing(&mut *policy, index, event);
-                    if foreseen.is_none_or(|need| need == Need::Nothing) {
-                        continue;
-                    }
-                    index += 1;
-                    let picture = match event.small_picture {
-                        true => PictureSize::new(64, 36),
-                        false => PICTURE,
-                    };
-                    let next = FrameHead { index, step: 1, picture };
-                    prop_assert_ne!(policy.begin(next), Need::Nothing, "{} u={}", name, u);
+        for config in all_policies(u) {
+            let mut policy = config.build().unwrap();
+            let mut index = 0;
+            for event in &script {
+                index += u64::from(event.step);
+                let (_, _, foreseen) = play_foreseeing(&mut *policy, index, event);
+                if foreseen.is_none_or(|need| need == Need::Nothing) {
+                    continue;
                 }
+                index += 1;
+                let picture = match event.small_picture {
+                    true => PictureSize::new(64, 36),
+                    false => PICTURE,
+                };
+                let next = FrameHead { index, step: 1, picture };
+                prop_assert_ne!(policy.begin(next), Need::Nothing, "{} u={}", config.name, u);
             }
         }
     }

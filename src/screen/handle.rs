@@ -9,7 +9,7 @@ use crate::detector::{
 };
 use crate::frame::{InputFormat, Picture};
 use std::path::Path;
-use std::sync::{Arc, OnceLock};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 
@@ -56,30 +56,14 @@ impl ScreenHandle {
         };
         config.check()?;
         let library = onnxruntime.map(Path::to_owned);
-        let first: Arc<OnceLock<Preparation>> = Arc::default();
-        let (told, its_config) = (first.clone(), config.clone());
-        let factory = move || {
-            let network = Network::open(&model, &its_config, library.clone())?;
-            let preparation = told.get_or_init(|| network.preparation().clone());
-            if preparation.format() != network.preparation().format() {
-                return Err(StartError::ModelChanged {
-                    path: model.clone(),
-                });
-            }
-            Ok(network)
-        };
+        let its_config = config.clone();
+        let factory = move || Network::open(&model, &its_config, library.clone());
         let timeout = Duration::from_millis(config.timeout_ms);
         let settings = TaskSettings::new("screen", timeout, QUEUE);
-        let task = InferenceTask::start(settings, factory).await?;
-        let Some(preparation) = first.get().cloned() else {
-            return Err(StartError::Thread {
-                task: settings.name,
-                reason: "it told nothing of its model".to_owned(),
-            });
-        };
+        let (task, input) = InferenceTask::start(settings, factory).await?;
         Ok(Some(Self {
             task,
-            preparation,
+            preparation: Preparation::new(input),
             empty_class: config.empty_class,
         }))
     }

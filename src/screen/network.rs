@@ -70,11 +70,6 @@ impl Network {
         Ok(network)
     }
 
-    /// Where pictures become the network's input.
-    pub(super) fn preparation(&self) -> &Preparation {
-        &self.preparation
-    }
-
     fn infer(&mut self, picture: &PreparedPicture) -> Result<Logits, RunError> {
         let shape = self.preparation.format().shape();
         self.session.run(shape, &[picture.values()], |outputs| {
@@ -103,6 +98,12 @@ fn picture_input(signature: &Signature) -> Result<PictureInput, String> {
 impl Model for Network {
     type Input = PreparedPicture;
     type Output = Logits;
+    /// The input that pictures are prepared for.
+    type Facts = InputFormat;
+
+    fn facts(&self) -> InputFormat {
+        self.preparation.format()
+    }
 
     fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Logits>, RunError> {
         pictures.iter().map(|picture| self.infer(picture)).collect()

@@ -29,11 +29,17 @@ struct Scripted {
     steps: Arc<Mutex<blocking::Receiver<Step>>>,
     ended: mpsc::UnboundedSender<()>,
     interrupted: Arc<AtomicUsize>,
+    facts: usize,
 }
 
 impl Model for Scripted {
     type Input = Scene;
     type Output = CameraSlot;
+    type Facts = usize;
+
+    fn facts(&self) -> usize {
+        self.facts
+    }
 
     fn run(&mut self, pictures: &[Scene]) -> Result<Vec<CameraSlot>, RunError> {
         let cameras: Vec<_> = pictures.iter().map(|(camera, _)| *camera).collect();
@@ -76,6 +82,8 @@ struct Stage {
     interrupted: Arc<AtomicUsize>,
     /// Attempts to build that are to fail.
     failing_builds: Arc<AtomicUsize>,
+    /// The facts of models built from now on.
+    facts: Arc<AtomicUsize>,
     _held: blocking::Sender<()>,
 }
 
@@ -96,6 +104,8 @@ async fn stage(settings: TaskSettings) -> Stage {
     let interrupted = Arc::new(AtomicUsize::new(0));
     let failing_builds = Arc::new(AtomicUsize::new(0));
     let (interrupts, failing) = (interrupted.clone(), failing_builds.clone());
+    let facts = Arc::new(AtomicUsize::new(7));
+    let their_facts = facts.clone();
     let factory = move || {
         let fails = failing
             .fetch_update(Ordering::SeqCst, Ordering::SeqCst, |left| {
@@ -113,15 +123,17 @@ async fn stage(settings: TaskSettings) -> Stage {
             steps: script.clone(),
             ended: tell_ended.clone(),
             interrupted: interrupts.clone(),
+            facts: their_facts.load(Ordering::SeqCst),
         })
     };
     Stage {
-        task: InferenceTask::start(settings, factory).await.unwrap(),
+        task: InferenceTask::start(settings, factory).await.unwrap().0,
         started,
         ended,
         steps,
         interrupted,
         failing_builds,
+        facts,
         _held: held,
     }
 }
@@ -486,6 +498,27 @@ async fn a_session_that_cannot_be_rebuilt_is_tried_again_and_the_status_says_why
     pass(Duration::from_millis(400)).await;
     stage.until_ready().await;
     assert_eq!(stage.task.counters().rebuilds, 3);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_model_built_anew_with_other_facts_is_refused_until_the_old_ones_are_back() {
+    let mut stage = stage(settings()).await;
+    stage.facts.store(8, Ordering::SeqCst);
+    let failing = stage.begin(0).await;
+    stage.end(Step::Fail);
+    failing.await.unwrap().unwrap_err();
+    stage.ended.recv().await.unwrap();
+    pass(Duration::from_millis(100)).await;
+    stage
+        .until_counted(|counters| counters.rebuilds_failed == 1)
+        .await;
+    settle().await;
+    let reason = stage.until_degraded().await;
+    assert!(reason.contains("than when the program started"), "{reason}");
+    stage.facts.store(7, Ordering::SeqCst);
+    pass(Duration::from_millis(200)).await;
+    stage.until_ready().await;
+    assert_eq!(stage.task.counters().rebuilds, 2);
 }
 
 #[tokio::test(start_paused = true)]

@@ -1,0 +1,34 @@
+//! The tiny models of tests/fixtures/models, and pictures for them.
+
+use albireo::detector::DetectorConfig;
+use albireo::frame::Picture;
+use albireo::geometry::PictureSize;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Twice the size of the models' input.
+pub const PICTURE: PictureSize = PictureSize::new(128, 64);
+
+/// A model's file.
+pub fn model(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("tests/fixtures/models")
+        .join(name)
+}
+
+/// A detector with that model and nothing else configured.
+pub fn config(name: &str) -> DetectorConfig {
+    DetectorConfig {
+        model: model(name),
+        ..DetectorConfig::default()
+    }
+}
+
+/// A picture of one colour.
+pub fn one_colour(color: [u8; 3]) -> Arc<Picture> {
+    let mut picture = Picture::black(PICTURE);
+    for pixel in picture.pixels.chunks_exact_mut(3) {
+        pixel.copy_from_slice(&color);
+    }
+    Arc::new(picture)
+}
