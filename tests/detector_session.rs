@@ -8,7 +8,7 @@ use albireo::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus, ExecutionProvider, HeadName,
 };
 use albireo::frame::ColorOrder;
-use albireo::geometry::{Corners, PictureSize};
+use albireo::geometry::Corners;
 use albireo::screen::{ScreenConfig, ScreenHandle};
 use std::sync::Arc;
 
