@@ -1,7 +1,8 @@
 //! What a camera's loop holds of the detector.
 
-use super::network::{HeadCounters, Network};
+use super::network::Network;
 use super::preparation::prepare_off_thread;
+use super::reader::HeadCounters;
 use super::task::{InferenceTask, TaskCounters, TaskMeter, TaskSettings};
 use super::{
     CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, HeadCounts, InferenceError,

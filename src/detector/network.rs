@@ -2,64 +2,17 @@
 //! of the same run.
 
 use super::classes::Classes;
-use super::head::{
-    self, Candidate, Head, Suppression, TensorView, Unrecognised, keep_best, suppress,
-};
+use super::head::{self, Head, TensorView, Unrecognised};
 use super::model::Interrupter;
+use super::reader::{HeadCounters, HeadCounts, Parts, Reader};
 use super::{
     DetectorConfig, ExecutionProvider, Found, HeadName, Model, OnnxSession, PictureInput,
     Preparation, PreparedPicture, RunError, SessionSettings, Signature, StartError, TensorSpec,
-    class_names, shape_text,
+    class_names,
 };
-use crate::detection::Detection;
-use crate::frame::{InputFormat, InputMapping, Picture};
-use crate::geometry::Corners;
+use crate::frame::{InputFormat, Picture};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
-
-/// What was found in the model's output and not reported.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct HeadCounts {
-    /// Rows with numbers that are not finite or not possible.
-    pub rejected: u64,
-    /// Boxes outside the picture.
-    pub outside: u64,
-    /// Boxes of a class whose number the model has no name for.
-    pub unknown_class: u64,
-    /// Boxes beyond [`MOST_CANDIDATES`](super::head::MOST_CANDIDATES) or the configured most detections; at
-    /// least one a frame where there were any.
-    pub over_limit: u64,
-}
-
-/// The same while it is being counted; outlives the session.
-#[derive(Debug, Default)]
-pub(super) struct HeadCounters {
-    rejected: AtomicU64,
-    outside: AtomicU64,
-    unknown_class: AtomicU64,
-    over_limit: AtomicU64,
-}
-
-impl HeadCounters {
-    pub(super) fn counts(&self) -> HeadCounts {
-        HeadCounts {
-            rejected: self.rejected.load(Ordering::Relaxed),
-            outside: self.outside.load(Ordering::Relaxed),
-            unknown_class: self.unknown_class.load(Ordering::Relaxed),
-            over_limit: self.over_limit.load(Ordering::Relaxed),
-        }
-    }
-
-    fn add(&self, counts: HeadCounts) {
-        self.rejected.fetch_add(counts.rejected, Ordering::Relaxed);
-        self.outside.fetch_add(counts.outside, Ordering::Relaxed);
-        self.unknown_class
-            .fetch_add(counts.unknown_class, Ordering::Relaxed);
-        self.over_limit
-            .fetch_add(counts.over_limit, Ordering::Relaxed);
-    }
-}
 
 /// A model with all that belongs to it, on the caller's thread: from pictures to detections.
 /// [`DetectorHandle`](super::DetectorHandle) is the same for a service, with a queue and supervision.
@@ -67,16 +20,6 @@ pub struct Network {
     session: OnnxSession,
     preparation: Preparation,
     reader: Reader,
-}
-
-/// Makes detections of the model's output.
-struct Reader {
-    head: Box<dyn Head>,
-    confidence: f64,
-    suppression: Suppression,
-    classes: Classes,
-    candidates: Vec<Candidate>,
-    counters: Arc<HeadCounters>,
 }
 
 impl Network {
@@ -113,18 +56,7 @@ impl Network {
         let mut network = Self {
             session,
             preparation: Preparation::new(head.input_format()),
-            reader: Reader {
-                head,
-                confidence: config.confidence,
-                suppression: Suppression {
-                    overlap: config.suppression_overlap,
-                    per_class: config.suppression_per_class,
-                    most: config.most_detections,
-                },
-                classes,
-                candidates: Vec::new(),
-                counters: Arc::default(),
-            },
+            reader: Reader::new(head, classes, config),
         };
         network
             .warm_up(config.batch_size)
@@ -133,7 +65,7 @@ impl Network {
                 reason,
             })?;
         // Counting begins with the first picture.
-        network.reader.counters = counters;
+        network.reader.count_into(counters);
         Ok(network)
     }
 
@@ -172,12 +104,12 @@ impl Network {
 
     /// The names of the reported classes, by the number they are reported under.
     pub fn class_names(&self) -> &[String] {
-        &self.reader.classes.reported
+        self.reader.class_names()
     }
 
     /// The head that reads the model's output.
     pub fn head(&self) -> HeadName {
-        self.reader.head.name()
+        self.reader.head().name()
     }
 
     /// What the model wants to see.
@@ -192,55 +124,7 @@ impl Network {
 
     /// What was found in the model's output and not reported.
     pub fn counts(&self) -> HeadCounts {
-        self.reader.counters.counts()
-    }
-}
-
-impl Reader {
-    /// What is found in the output for one picture.
-    fn read(
-        &mut self,
-        outputs: &[TensorView<'_>],
-        mapping: InputMapping,
-    ) -> Result<Vec<Detection>, RunError> {
-        self.candidates.clear();
-        let rejected = self
-            .head
-            .read(outputs, self.confidence, &mut self.candidates)
-            .map_err(RunError)?;
-        self.counters
-            .rejected
-            .fetch_add(rejected, Ordering::Relaxed);
-        Ok(self.detections(mapping))
-    }
-
-    /// The candidates that stay, as detections in the source picture.
-    fn detections(&mut self, mapping: InputMapping) -> Vec<Detection> {
-        let mut counts = HeadCounts::default();
-        let classes = &self.classes;
-        self.candidates.retain_mut(|candidate| {
-            let Some(reported) = classes.reported_as(candidate.class) else {
-                counts.unknown_class += 1;
-                return false;
-            };
-            if let Some(class) = reported {
-                candidate.class = class;
-            }
-            reported.is_some()
-        });
-        counts.over_limit = if self.head.overlaps() {
-            suppress(&mut self.candidates, self.suppression)
-        } else {
-            keep_best(&mut self.candidates, self.suppression.most)
-        };
-        let detections: Vec<_> = self
-            .candidates
-            .iter()
-            .filter_map(|candidate| detection(candidate, mapping))
-            .collect();
-        counts.outside = (self.candidates.len() - detections.len()) as u64;
-        self.counters.add(counts);
-        detections
+        self.reader.counts()
     }
 }
 
@@ -259,41 +143,6 @@ fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), Sta
             config.model.display()
         ),
     })
-}
-
-/// The outputs of a run of `pictures`, one list for each picture, in which every output has a batch of 1.
-fn of_each<'a>(
-    outputs: &[TensorView<'a>],
-    shapes: &'a [Vec<i64>],
-    pictures: usize,
-) -> Vec<Vec<TensorView<'a>>> {
-    (0..pictures)
-        .map(|picture| {
-            let of_one = outputs.iter().zip(shapes).map(|(output, shape)| {
-                let length = output.values.len() / pictures;
-                TensorView {
-                    shape,
-                    values: &output.values[picture * length..][..length],
-                }
-            });
-            of_one.collect()
-        })
-        .collect()
-}
-
-/// The shapes of the outputs' parts for one picture of `pictures`.
-///
-/// # Errors
-/// When an output has another number of parts, in words.
-fn shapes_of_one(outputs: &[TensorView<'_>], pictures: usize) -> Result<Vec<Vec<i64>>, String> {
-    let shape_of_one = |output: &TensorView<'_>| match output.shape {
-        [batch, rest @ ..] if usize::try_from(*batch) == Ok(pictures) => Ok([&[1], rest].concat()),
-        shape => Err(format!(
-            "the model gave an output of {} for {pictures} pictures",
-            shape_text(shape)
-        )),
-    };
-    outputs.iter().map(shape_of_one).collect()
 }
 
 /// The head for a model: the configured one, or the one it is recognised to need.
@@ -328,22 +177,6 @@ fn head_for(config: &DetectorConfig, signature: &Signature) -> Result<Box<dyn He
         .map_err(|misfit| does_not_fit(name, misfit.expected, misfit.reason))
 }
 
-/// The candidate clipped to the source picture; `None` when nothing of it is inside.
-fn detection(candidate: &Candidate, mapping: InputMapping) -> Option<Detection> {
-    let corners = mapping.to_source(candidate.corners).corners();
-    let clipped = Corners {
-        x1: corners.x1.clamp(0.0, 1.0),
-        y1: corners.y1.clamp(0.0, 1.0),
-        x2: corners.x2.clamp(0.0, 1.0),
-        y2: corners.y2.clamp(0.0, 1.0),
-    };
-    (clipped.area() > 0.0).then(|| Detection {
-        bounding_box: clipped.normalise(crate::geometry::PictureSize::new(1, 1)),
-        class: candidate.class,
-        confidence: f64::from(candidate.confidence),
-    })
-}
-
 impl Model for Network {
     type Input = PreparedPicture;
     type Output = Found;
@@ -364,18 +197,22 @@ impl Model for Network {
         let inputs: Vec<_> = pictures.iter().map(PreparedPicture::values).collect();
         session.run(preparation.format().shape(), &inputs, |outputs| {
             let model = started.elapsed();
-            let shapes = shapes_of_one(outputs, pictures.len()).map_err(RunError)?;
-            let parts = of_each(outputs, &shapes, pictures.len());
-            let read = |(picture, outputs): (&PreparedPicture, Vec<TensorView<'_>>)| {
+            let mut read = |picture: &PreparedPicture, outputs: &[TensorView<'_>]| {
                 let start = Instant::now();
                 Ok(Found {
-                    detections: reader.read(&outputs, picture.mapping())?,
+                    detections: reader.read(outputs, picture.mapping())?,
                     letterbox: picture.took(),
                     model,
                     head: start.elapsed(),
                 })
             };
-            pictures.iter().zip(parts).map(read).collect()
+            if let [picture] = pictures {
+                return Ok(vec![read(picture, outputs)?]);
+            }
+            let parts = Parts::of(outputs, pictures.len())?;
+            let each = pictures.iter().enumerate();
+            each.map(|(number, picture)| read(picture, &parts.get(outputs, number)))
+                .collect()
         })?
     }
 

@@ -2,6 +2,7 @@
 //! between them, one picture a run or several, and rebuilt when a run fails, panics or takes too long.
 
 mod counters;
+mod queue;
 mod shared;
 mod supervisor;
 #[cfg(test)]
@@ -12,7 +13,8 @@ pub use counters::{TaskCounters, TaskMeter};
 pub use shared::Inference;
 
 use super::{CameraSlot, DetectorStatus, InferenceError, Model, StartError};
-use shared::{Batching, Job, Shared};
+use queue::{Batching, Job};
+use shared::Shared;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::Duration;

@@ -112,15 +112,17 @@ impl Senses {
         let answer = {
             let answer = self.detector.detect_prepared(self.slot, prepared);
             tokio::pin!(answer);
+            // A frame that waits already is begun with before the detector is asked: that is only a word to
+            // another thread.
             tokio::select! {
                 biased;
-                answer = &mut answer => answer,
                 (picture, need) = next => {
                     let target = self.screen.decoding_target(input, picture.size);
                     self.ahead =
                         Look::at(need).map(|look| self.workshop.begin(picture, target, look));
                     answer.await
                 }
+                answer = &mut answer => answer,
             }
         };
         self.times.detector_span = Some((start, Instant::now()));

@@ -1,13 +1,12 @@
 //! What the askers, the worker thread and the supervisor share: the pictures that wait, and the run in hand.
 
 use super::counters::Counters;
+use super::queue::{Batching, Job, Queue};
 use crate::detector::{CameraSlot, DetectorStatus, ExecutionProvider, InferenceError};
-use std::collections::{BTreeMap, BTreeSet};
-use std::ops::Bound::{Excluded, Unbounded};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::runtime::Handle;
-use tokio::sync::{Notify, OwnedSemaphorePermit, oneshot, watch};
+use tokio::sync::{Notify, oneshot, watch};
 use tokio::time::{Instant, sleep_until};
 
 /// An answered picture.
@@ -22,24 +21,6 @@ pub struct Inference<T> {
 }
 
 pub(super) type Answer<T> = Result<Inference<T>, InferenceError>;
-
-/// A picture that waits for its run.
-pub(super) struct Job<I, T> {
-    pub(super) picture: I,
-    pub(super) asked: Instant,
-    pub(super) reply: oneshot::Sender<Answer<T>>,
-    /// The place it takes in the queue, given back when its run starts.
-    pub(super) places: [OwnedSemaphorePermit; 2],
-}
-
-/// How pictures of several cameras share a run.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Batching {
-    /// The most pictures of a run.
-    pub(super) size: usize,
-    /// How long a picture waits for others, from being asked.
-    pub(super) wait: Duration,
-}
 
 /// What is handed to the worker for one run.
 pub(super) struct Assignment<I> {
@@ -63,17 +44,12 @@ struct State<I, T> {
     phase: Phase,
     /// Which worker may take pictures. A worker that finds another number here has been given up.
     generation: u64,
-    /// At most one picture a camera.
-    waiting: BTreeMap<CameraSlot, Job<I, T>>,
-    /// Cameras that have ever asked: a batch cannot have more pictures.
-    cameras: BTreeSet<CameraSlot>,
-    last_served: Option<CameraSlot>,
+    queue: Queue<I, Answer<T>>,
     running: Option<Running<T>>,
     provider: ExecutionProvider,
 }
 
 pub(super) struct Shared<I, T> {
-    batching: Batching,
     state: Mutex<State<I, T>>,
     /// Wakes the worker: a picture has come, or it must leave.
     work: Condvar,
@@ -88,13 +64,10 @@ pub(super) struct Shared<I, T> {
 impl<I, T> Shared<I, T> {
     pub(super) fn new(batching: Batching) -> Self {
         Self {
-            batching,
             state: Mutex::new(State {
                 phase: Phase::Degraded("it is starting".to_owned()),
                 generation: 0,
-                waiting: BTreeMap::new(),
-                cameras: BTreeSet::new(),
-                last_served: None,
+                queue: Queue::new(batching),
                 running: None,
                 provider: ExecutionProvider::Cpu,
             }),
@@ -109,7 +82,7 @@ impl<I, T> Shared<I, T> {
     /// How many pictures wait.
     #[cfg(test)]
     pub(super) fn waiting(&self) -> usize {
-        self.lock().waiting.len()
+        self.lock().queue.waiting()
     }
 
     fn lock(&self) -> MutexGuard<'_, State<I, T>> {
@@ -125,14 +98,17 @@ impl<I, T> Shared<I, T> {
     }
 
     /// Puts a picture into its camera's place, which the caller has made sure is free.
-    pub(super) fn push(&self, camera: CameraSlot, job: Job<I, T>) -> Result<(), InferenceError> {
+    pub(super) fn push(
+        &self,
+        camera: CameraSlot,
+        job: Job<I, Answer<T>>,
+    ) -> Result<(), InferenceError> {
         let mut state = self.lock();
         if let Err(refusal) = state.phase.accepts() {
             Counters::add(&self.counters.refused);
             return Err(refusal);
         }
-        state.waiting.insert(camera, job);
-        state.cameras.insert(camera);
+        state.queue.push(camera, job);
         drop(state);
         self.wake_worker();
         Ok(())
@@ -151,10 +127,10 @@ impl<I, T> Shared<I, T> {
             if state.generation != generation || matches!(state.phase, Phase::Stopped) {
                 return None;
             }
-            let gone = state.forget_the_gone();
+            let gone = state.queue.forget_the_gone();
             Counters::add_many(&self.counters.cancelled, gone);
             let now = Instant::now();
-            match state.complete_at(self.batching) {
+            match state.queue.batch_complete_at() {
                 None => {
                     state = self
                         .work
@@ -172,11 +148,24 @@ impl<I, T> Shared<I, T> {
                     state = self.lock();
                 }
                 Some(_) => {
-                    let (assignment, places) = state.take_batch(self.batching.size, now);
+                    let (mut pictures, mut replies, mut places) =
+                        (Vec::new(), Vec::new(), Vec::new());
+                    for job in state.queue.take_batch() {
+                        pictures.push(job.picture);
+                        replies.push((job.reply, now.saturating_duration_since(job.asked)));
+                        places.push(job.places);
+                    }
+                    state.running = Some(Running {
+                        started: now,
+                        replies,
+                    });
                     drop(state);
                     drop(places);
                     self.run_started.notify_one();
-                    return Some(assignment);
+                    return Some(Assignment {
+                        pictures,
+                        started: now,
+                    });
                 }
             }
         }
@@ -259,7 +248,7 @@ impl<I, T> Shared<I, T> {
         }
         let provider = state.provider;
         let running = state.running.take();
-        let waiting = std::mem::take(&mut state.waiting);
+        let waiting = state.queue.take_all();
         drop(state);
         // Readiness tells first, so that whoever gets the error finds it there.
         if !stopped {
@@ -275,8 +264,8 @@ impl<I, T> Shared<I, T> {
         self.turn_away(waiting, &InferenceError::Unavailable(reason));
     }
 
-    fn turn_away(&self, waiting: BTreeMap<CameraSlot, Job<I, T>>, error: &InferenceError) {
-        for (_, job) in waiting {
+    fn turn_away(&self, waiting: Vec<Job<I, Answer<T>>>, error: &InferenceError) {
+        for job in waiting {
             Counters::add(&self.counters.refused);
             let _ = job.reply.send(Err(error.clone()));
         }
@@ -318,7 +307,7 @@ impl<I, T> Shared<I, T> {
     pub(super) fn stop(&self) {
         let mut state = self.lock();
         state.phase = Phase::Stopped;
-        let waiting = std::mem::take(&mut state.waiting);
+        let waiting = state.queue.take_all();
         drop(state);
         self.wake_worker();
         self.turn_away(waiting, &InferenceError::Stopped);
@@ -332,57 +321,5 @@ impl Phase {
             Self::Degraded(reason) => Err(InferenceError::Unavailable(reason.clone())),
             Self::Stopped => Err(InferenceError::Stopped),
         }
-    }
-}
-
-impl<I, T> State<I, T> {
-    /// Drops the pictures whose askers have gone; says how many.
-    fn forget_the_gone(&mut self) -> usize {
-        let before = self.waiting.len();
-        self.waiting.retain(|_, job| !job.reply.is_closed());
-        before - self.waiting.len()
-    }
-
-    /// When the pictures that wait may be run: at once, or when the first of them has waited for others long
-    /// enough. `None` without any.
-    fn complete_at(&self, batching: Batching) -> Option<Instant> {
-        let first = self.waiting.values().map(|job| job.asked).min()?;
-        let full = batching.size.min(self.cameras.len());
-        let complete = self.waiting.len() >= full;
-        Some(if complete {
-            first
-        } else {
-            first + batching.wait
-        })
-    }
-
-    /// Up to `size` pictures, now in hand, and their places in the queue.
-    fn take_batch(
-        &mut self,
-        size: usize,
-        started: Instant,
-    ) -> (Assignment<I>, Vec<[OwnedSemaphorePermit; 2]>) {
-        let (mut pictures, mut replies, mut given_back) = (Vec::new(), Vec::new(), Vec::new());
-        while pictures.len() < size
-            && let Some(job) = self.take_next()
-        {
-            let queued = started.saturating_duration_since(job.asked);
-            pictures.push(job.picture);
-            replies.push((job.reply, queued));
-            given_back.push(job.places);
-        }
-        self.running = Some(Running { started, replies });
-        (Assignment { pictures, started }, given_back)
-    }
-
-    /// The picture of the next camera round the circle.
-    fn take_next(&mut self) -> Option<Job<I, T>> {
-        let camera = self
-            .last_served
-            .and_then(|last| self.waiting.range((Excluded(last), Unbounded)).next())
-            .or_else(|| self.waiting.iter().next())
-            .map(|(&camera, _)| camera)?;
-        self.last_served = Some(camera);
-        self.waiting.remove(&camera)
     }
 }
