@@ -7,10 +7,11 @@ use crate::frame::{FrameLimits, Picture, PixelLayout, decode};
 use crate::geometry::PictureSize;
 use crate::screen::decoding_target;
 use anyhow::Context;
+use indicatif::ProgressBar;
 use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 const EXAMPLES: &str = "\
 Examples:
@@ -97,7 +98,13 @@ struct Detected<'a> {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let mut network = Network::open(&configuration(arguments))?;
+    // Seconds for a large model, minutes for TensorRT.
+    let loading =
+        ProgressBar::new_spinner().with_message(format!("loading {}", arguments.model.display()));
+    loading.enable_steady_tick(Duration::from_millis(100));
+    let network = Network::open(&configuration(arguments));
+    loading.finish_and_clear();
+    let mut network = network?;
     let names = network.class_names().to_vec();
     let facts = ModelFacts {
         model: &arguments.model,
@@ -165,7 +172,13 @@ fn configuration(arguments: &Arguments) -> DetectorConfig {
         confidence: arguments.confidence,
         suppression_overlap: arguments.overlap,
         most_detections: arguments.most,
-        providers: vec![arguments.provider],
+        providers: match arguments.provider {
+            // CUDA runs what TensorRT cannot.
+            ExecutionProvider::TensorRt => {
+                vec![ExecutionProvider::TensorRt, ExecutionProvider::Cuda]
+            }
+            provider => vec![provider],
+        },
         threads: arguments.threads,
         ..DetectorConfig::default()
     }

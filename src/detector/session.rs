@@ -192,7 +192,8 @@ const MEMORY_RAN_OUT: [&str; 5] = [
 
 /// What ONNX Runtime said. That memory ran out is said in plain words first: its own are of arenas.
 fn in_words(error: &ort::Error) -> String {
-    let said = error.message().trim_end();
+    // A sentence of ours goes on after it.
+    let said = error.message().trim_end().trim_end_matches('.');
     let lower = said.to_lowercase();
     if MEMORY_RAN_OUT.iter().any(|phrase| lower.contains(phrase)) {
         format!(
