@@ -8,6 +8,9 @@ use tiny_skia::{
     SpreadMode, Transform,
 };
 
+/// Shapes no wider or no higher than this, pixels, are not drawn by tiny-skia (its `SCALAR_NEARLY_ZERO`).
+const FLAT: f32 = 1.0 / 4096.0;
+
 /// What is known of one object after the picture is complete.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Silhouette {
@@ -229,6 +232,12 @@ impl Canvas {
             self.builder = Some(PathBuilder::new());
             return;
         };
+        // A shape so flat has no inside; tiny-skia would leave it out too, with a warning.
+        let bounds = path.bounds();
+        if bounds.width().min(bounds.height()) <= FLAT {
+            self.builder = Some(path.clear());
+            return;
+        }
         self.pixmap
             .fill_path(&path, paint, FillRule::Winding, Transform::identity(), None);
         self.builder = Some(path.clear());
