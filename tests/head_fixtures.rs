@@ -94,7 +94,7 @@ fn assert_head(name: &str, expected_head: HeadName, least_boxes: usize) {
         let mut candidates = Vec::new();
         let rejected = head.read(&views, case.confidence, &mut candidates).unwrap();
         assert_eq!(rejected, 0);
-        if head.overlaps() {
+        if head.overlaps {
             let settings = Suppression {
                 overlap: case.overlap,
                 per_class: case.per_class,

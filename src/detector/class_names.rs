@@ -1,6 +1,5 @@
 //! The names of a model's classes: given, in its metadata, or the list that belongs to its head.
 
-use super::head::Head;
 use super::{ClassNames, HeadName, Metadata, StartError};
 use crate::detection::BDD100K_CLASSES;
 
@@ -105,14 +104,16 @@ fn coco_categories() -> Vec<String> {
 }
 
 /// The names of the model's classes: those that were given, else those of its metadata, else the list that
-/// belongs to its head. An empty name is a class that does not occur.
+/// belongs to its head. `classes` is how many the outputs speak of, where they tell. An empty name is a class that
+/// does not occur.
 ///
 /// # Errors
 /// When there are none, too few or too many, or they cannot be read.
 pub(super) fn read(
     given: Option<&ClassNames>,
     metadata: &Metadata,
-    head: &dyn Head,
+    head: HeadName,
+    classes: Option<usize>,
 ) -> Result<Vec<String>, StartError> {
     let wrong = |reason: String| StartError::Configuration {
         key: "detector.class_names".to_owned(),
@@ -137,11 +138,11 @@ pub(super) fn read(
             (names, "its metadata".to_owned())
         }
     };
-    let names = match (names, head.classes()) {
+    let names = match (names, classes) {
         (Some(names), Some(classes)) => {
             let count = names.len();
             // Models of the DETR family may end with a class for "no object".
-            if count != classes && !(head.name() == HeadName::Detr && count + 1 == classes) {
+            if count != classes && !(head == HeadName::Detr && count + 1 == classes) {
                 return Err(wrong(format!(
                     "the model has {classes} classes, and {source} has {count} names"
                 )));
@@ -149,7 +150,7 @@ pub(super) fn read(
             names
         }
         (Some(names), None) => names,
-        (None, classes) => own_list(head.name(), classes).ok_or_else(|| {
+        (None, classes) => own_list(head, classes).ok_or_else(|| {
             let classes = classes.map_or_else(String::new, |classes| format!("{classes} "));
             wrong(format!(
                 "the model does not name its {classes}classes; give a file with one name a line, or a list"
@@ -190,36 +191,7 @@ fn lines(text: &str) -> Result<Vec<String>, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::detector::head::{Candidate, TensorView};
-    use crate::frame::InputFormat;
     use std::io::Write;
-
-    /// A head with that name and number of classes.
-    #[derive(Debug)]
-    struct Fake(HeadName, Option<usize>);
-
-    impl Head for Fake {
-        fn name(&self) -> HeadName {
-            self.0
-        }
-
-        fn classes(&self) -> Option<usize> {
-            self.1
-        }
-
-        fn input_format(&self) -> InputFormat {
-            unreachable!()
-        }
-
-        fn read(
-            &self,
-            _: &[TensorView<'_>],
-            _: f64,
-            _: &mut Vec<Candidate>,
-        ) -> Result<u64, String> {
-            unreachable!()
-        }
-    }
 
     fn metadata(names: &str) -> Metadata {
         Metadata::new([("names".to_owned(), names.to_owned())])
@@ -236,7 +208,7 @@ mod tests {
     fn without_names_the_list_that_belongs_to_the_head_is_taken_if_it_is_as_long() {
         use HeadName::{Demonstration, Detr, EndToEnd, Yolo, Yolox};
         let none = Metadata::default();
-        let names = |head, classes| read(None, &none, &Fake(head, classes));
+        let names = |head, classes| read(None, &none, head, classes);
         assert_eq!(names(Yolox, Some(80)).unwrap()[2], "car");
         assert_eq!(names(Yolo, Some(80)).unwrap().len(), 80);
         assert_eq!(names(Demonstration, Some(7)).unwrap(), BDD100K_CLASSES);
@@ -258,12 +230,15 @@ mod tests {
 
     #[test]
     fn what_is_given_comes_before_the_metadata_and_these_before_the_own_list() {
-        let head = Fake(HeadName::Yolo, Some(2));
+        let (head, classes) = (HeadName::Yolo, Some(2));
         let metadata = metadata("{0: 'car', 1: 'bus'}");
-        assert_eq!(read(None, &metadata, &head).unwrap(), ["car", "bus"]);
+        assert_eq!(
+            read(None, &metadata, head, classes).unwrap(),
+            ["car", "bus"]
+        );
         let list = ClassNames::List(vec!["Auto".to_owned(), "Bus".to_owned()]);
         assert_eq!(
-            read(Some(&list), &metadata, &head).unwrap(),
+            read(Some(&list), &metadata, head, classes).unwrap(),
             ["Auto", "Bus"]
         );
     }
@@ -271,7 +246,7 @@ mod tests {
     #[test]
     fn the_number_of_names_must_be_that_of_the_classes() {
         let metadata = metadata("{0: 'car', 1: 'bus'}");
-        let error = read(None, &metadata, &Fake(HeadName::Yolo, Some(3)))
+        let error = read(None, &metadata, HeadName::Yolo, Some(3))
             .unwrap_err()
             .to_string();
         assert!(
@@ -279,15 +254,15 @@ mod tests {
             "{error}"
         );
         // The third is "no object".
-        assert!(read(None, &metadata, &Fake(HeadName::Detr, Some(3))).is_ok());
-        assert!(read(None, &metadata, &Fake(HeadName::EndToEnd, None)).is_ok());
+        assert!(read(None, &metadata, HeadName::Detr, Some(3)).is_ok());
+        assert!(read(None, &metadata, HeadName::EndToEnd, None).is_ok());
     }
 
     #[test]
     fn a_file_has_one_name_a_line_with_either_line_end() {
         let (_file, names) = file_with("car\r\ntraffic light\n\n");
-        let head = Fake(HeadName::Yolo, Some(2));
-        let read = read(Some(&names), &Metadata::default(), &head).unwrap();
+        let (head, classes) = (HeadName::Yolo, Some(2));
+        let read = read(Some(&names), &Metadata::default(), head, classes).unwrap();
         assert_eq!(read, ["car", "traffic light"]);
     }
 
@@ -295,8 +270,8 @@ mod tests {
     fn a_gap_or_an_empty_file_is_an_error_that_names_the_file() {
         for text in ["", "car\n\nbus\n"] {
             let (file, names) = file_with(text);
-            let head = Fake(HeadName::Yolo, Some(3));
-            let error = read(Some(&names), &Metadata::default(), &head)
+            let (head, classes) = (HeadName::Yolo, Some(3));
+            let error = read(Some(&names), &Metadata::default(), head, classes)
                 .unwrap_err()
                 .to_string();
             assert!(error.contains("detector.class_names"), "{error}");
@@ -309,11 +284,11 @@ mod tests {
 
     #[test]
     fn names_in_the_metadata_that_cannot_be_read_are_an_error_unless_others_are_given() {
-        let head = Fake(HeadName::Yolo, Some(1));
+        let (head, classes) = (HeadName::Yolo, Some(1));
         let broken = metadata("{0: car}");
-        let error = read(None, &broken, &head).unwrap_err().to_string();
+        let error = read(None, &broken, head, classes).unwrap_err().to_string();
         assert!(error.contains("metadata"), "{error}");
         let list = ClassNames::List(vec!["car".to_owned()]);
-        assert!(read(Some(&list), &broken, &head).is_ok());
+        assert!(read(Some(&list), &broken, head, classes).is_ok());
     }
 }

@@ -50,12 +50,13 @@ impl Network {
         let names = class_names::read(
             config.class_names.as_ref(),
             &session.signature().metadata,
-            head.as_ref(),
+            head.name,
+            head.classes,
         )?;
         let classes = Classes::new(&names, config)?;
         let mut network = Self {
             session,
-            preparation: Preparation::new(head.input_format()),
+            preparation: Preparation::new(head.input_format),
             reader: Reader::new(head, classes, config),
         };
         network
@@ -72,10 +73,12 @@ impl Network {
     /// Runs the model on a black picture, and on a full batch of them: the slow first runs, in which memory is
     /// laid out and an engine built, are over then.
     fn warm_up(&mut self, batch_size: usize) -> Result<(), String> {
+        // Its buffers are not kept: a batch of them may be large, and whoever prepares the pictures has their own.
+        let preparation = Preparation::new(self.input_format());
         let black = Picture::black(self.input_format().size);
         let mut pictures = Vec::new();
         for _ in 0..batch_size.max(1) {
-            let prepared = self.preparation.prepare(&black);
+            let prepared = preparation.prepare(&black);
             pictures.push(prepared.map_err(|error| error.to_string())?);
         }
         self.run(&pictures[..1])
@@ -109,7 +112,7 @@ impl Network {
 
     /// The head that reads the model's output.
     pub fn head(&self) -> HeadName {
-        self.reader.head().name()
+        self.reader.head_name()
     }
 
     /// What the model wants to see.
@@ -146,7 +149,7 @@ fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), Sta
 }
 
 /// The head for a model: the configured one, or the one it is recognised to need.
-fn head_for(config: &DetectorConfig, signature: &Signature) -> Result<Box<dyn Head>, StartError> {
+fn head_for(config: &DetectorConfig, signature: &Signature) -> Result<Head, StartError> {
     let does_not_fit =
         |name: HeadName, expected: String, reason: String| StartError::ModelDoesNotFit {
             path: config.model.clone(),

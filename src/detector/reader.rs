@@ -2,7 +2,7 @@
 
 use super::classes::Classes;
 use super::head::{Candidate, Head, Suppression, TensorView, keep_best, suppress};
-use super::{DetectorConfig, RunError, shape_text};
+use super::{DetectorConfig, HeadName, RunError, shape_text};
 use crate::detection::Detection;
 use crate::frame::InputMapping;
 use crate::geometry::Corners;
@@ -54,7 +54,7 @@ impl HeadCounters {
 
 /// Makes detections of the model's output.
 pub(super) struct Reader {
-    head: Box<dyn Head>,
+    head: Head,
     confidence: f64,
     suppression: Suppression,
     classes: Classes,
@@ -65,7 +65,7 @@ pub(super) struct Reader {
 impl Reader {
     /// For a model with that head and those classes. Counts for itself until it is given
     /// [`counters`](Self::count_into).
-    pub(super) fn new(head: Box<dyn Head>, classes: Classes, config: &DetectorConfig) -> Self {
+    pub(super) fn new(head: Head, classes: Classes, config: &DetectorConfig) -> Self {
         Self {
             head,
             confidence: config.confidence,
@@ -85,8 +85,8 @@ impl Reader {
         self.counters = counters;
     }
 
-    pub(super) fn head(&self) -> &dyn Head {
-        &*self.head
+    pub(super) fn head_name(&self) -> HeadName {
+        self.head.name
     }
 
     /// The names of the reported classes, by the number they are reported under.
@@ -113,15 +113,15 @@ impl Reader {
             .head
             .read(outputs, self.confidence, &mut self.candidates)
             .map_err(RunError)?;
-        self.counters
-            .rejected
-            .fetch_add(rejected, Ordering::Relaxed);
-        Ok(self.detections(mapping))
+        Ok(self.detections(mapping, rejected))
     }
 
-    /// The candidates that stay, as detections in the source picture.
-    fn detections(&mut self, mapping: InputMapping) -> Vec<Detection> {
-        let mut counts = HeadCounts::default();
+    /// The candidates that stay, as detections in the source picture; counts what does not, with the `rejected`.
+    fn detections(&mut self, mapping: InputMapping, rejected: u64) -> Vec<Detection> {
+        let mut counts = HeadCounts {
+            rejected,
+            ..HeadCounts::default()
+        };
         let classes = &self.classes;
         self.candidates.retain_mut(|candidate| {
             let Some(reported) = classes.reported_as(candidate.class) else {
@@ -133,7 +133,7 @@ impl Reader {
             }
             reported.is_some()
         });
-        counts.over_limit = if self.head.overlaps() {
+        counts.over_limit = if self.head.overlaps {
             suppress(&mut self.candidates, self.suppression)
         } else {
             keep_best(&mut self.candidates, self.suppression.most)

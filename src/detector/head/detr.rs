@@ -5,18 +5,19 @@
 
 use super::reading::{around, candidate, count, elements, format, misfit};
 use super::suppression::keep_best;
-use super::{Candidate, Head, Misfit, TensorView};
+use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
 use crate::detection::ClassId;
 use crate::detector::{HeadName, PictureInput, Signature, TensorSpec};
-use crate::frame::{ColorOrder, Fit, InputFormat, ValueRange};
+use crate::frame::{ColorOrder, Fit, ValueRange};
+use crate::geometry::PictureSize;
 
 /// Names of the outputs with boxes and logits: of RF-DETR's exporter, and of the Transformers library.
 const NAMES: [[&str; 2]; 2] = [["dets", "labels"], ["pred_boxes", "logits"]];
 
-/// The head bound to a model.
-#[derive(Clone, Debug)]
-pub(super) struct Detr {
-    input: PictureInput,
+/// What reading it takes.
+#[derive(Debug)]
+struct Detr {
+    size: PictureSize,
     /// Places of boxes and logits among the outputs.
     boxes: usize,
     logits: usize,
@@ -25,67 +26,51 @@ pub(super) struct Detr {
     classes: usize,
 }
 
-impl Detr {
-    pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Self, Misfit> {
-        let misfit = misfit(HeadName::Detr);
-        let ((boxes, dets), (logits, labels)) = NAMES
-            .iter()
-            .find_map(|[boxes, logits]| {
-                Some((
-                    signature.output(boxes).ok()?,
-                    signature.output(logits).ok()?,
-                ))
-            })
-            .ok_or_else(|| misfit("it has no such outputs".to_owned()))?;
-        let sides = |output: &TensorSpec| match *output.shape.as_slice() {
-            [1 | -1, queries, last] if queries == -1 || queries > 0 => Some((queries, count(last))),
-            _ => None,
-        };
-        match (sides(dets), sides(labels)) {
-            (Some((queries, 4)), Some((same, classes)))
-                if queries == same && (1..=usize::from(u16::MAX)).contains(&classes) =>
-            {
-                Ok(Self {
-                    input,
+pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
+    let misfit = misfit(HeadName::Detr);
+    let ((boxes, dets), (logits, labels)) = NAMES
+        .iter()
+        .find_map(|[boxes, logits]| {
+            Some((
+                signature.output(boxes).ok()?,
+                signature.output(logits).ok()?,
+            ))
+        })
+        .ok_or_else(|| misfit("it has no such outputs".to_owned()))?;
+    let sides = |output: &TensorSpec| match *output.shape.as_slice() {
+        [1 | -1, queries, last] if queries == -1 || queries > 0 => Some((queries, count(last))),
+        _ => None,
+    };
+    match (sides(dets), sides(labels)) {
+        (Some((queries, 4)), Some((same, classes)))
+            if queries == same && (1..=usize::from(u16::MAX)).contains(&classes) =>
+        {
+            let (fit, range) = (Fit::Stretch, ValueRange::ImageNet);
+            Ok(Head {
+                name: HeadName::Detr,
+                classes: Some(classes),
+                input_format: format(input, fit, ColorOrder::Rgb, range),
+                overlaps: false,
+                reader: Box::new(Detr {
+                    size: input.size,
                     boxes,
                     logits,
                     queries,
                     classes,
-                })
-            }
-            _ => Err(misfit("its outputs have other shapes".to_owned())),
+                }),
+            })
         }
-    }
-
-    /// Whether the outputs are named as RF-DETR names them, so that scores and colours are known to be its.
-    pub(super) fn is_named(signature: &Signature) -> bool {
-        let [boxes, logits] = NAMES[0];
-        signature.output(boxes).is_ok() && signature.output(logits).is_ok()
+        _ => Err(misfit("its outputs have other shapes".to_owned())),
     }
 }
 
-impl Head for Detr {
-    fn name(&self) -> HeadName {
-        HeadName::Detr
-    }
+/// Whether the outputs are named as RF-DETR names them, so that scores and colours are known to be its.
+pub(super) fn is_named(signature: &Signature) -> bool {
+    let [boxes, logits] = NAMES[0];
+    signature.output(boxes).is_ok() && signature.output(logits).is_ok()
+}
 
-    fn classes(&self) -> Option<usize> {
-        Some(self.classes)
-    }
-
-    fn input_format(&self) -> InputFormat {
-        format(
-            self.input,
-            Fit::Stretch,
-            ColorOrder::Rgb,
-            ValueRange::ImageNet,
-        )
-    }
-
-    fn overlaps(&self) -> bool {
-        false
-    }
-
+impl ReadOutputs for Detr {
     fn read(
         &self,
         outputs: &[TensorView<'_>],
@@ -102,10 +87,7 @@ impl Head for Detr {
         let boxes = elements(boxes, &[1, self.queries, 4])?;
         let queries = boxes.len() / 4;
         let logits = elements(logits, &[1, queries as i64, self.classes as i64])?;
-        let (width, height) = (
-            f64::from(self.input.size.width),
-            f64::from(self.input.size.height),
-        );
+        let (width, height) = (f64::from(self.size.width), f64::from(self.size.height));
         let least = logit(confidence);
         let mut rejected = 0;
         let mut found = Vec::new();

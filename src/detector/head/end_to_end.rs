@@ -1,59 +1,41 @@
 //! The head of models that end with finished boxes (YOLO26, YOLOv10, and exports with suppression inside): one
 //! output `[1, boxes, 6]`, each row x1, y1, x2, y2 in input pixels, score, class. Nothing is left to suppress.
 
-use super::reading::{candidate, count, format, is_score, misfit, only};
-use super::{Candidate, Head, Misfit, TensorView};
+use super::reading::{candidate, corners, count, format, is_score, misfit, only};
+use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
 use crate::detection::ClassId;
 use crate::detector::{HeadName, PictureInput, Signature};
-use crate::frame::{ColorOrder, Fit, InputFormat, ValueRange};
-use crate::geometry::Corners;
+use crate::frame::{ColorOrder, Fit, ValueRange};
 
 /// Box, score and class.
 const ROW: usize = 6;
 
-/// The head bound to a model.
-#[derive(Clone, Debug)]
-pub(super) struct EndToEnd {
-    input: PictureInput,
+/// What reading it takes.
+#[derive(Debug)]
+struct EndToEnd {
     /// -1 where it depends on the picture.
     boxes: i64,
 }
 
-impl EndToEnd {
-    pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Self, Misfit> {
-        let misfit = misfit(HeadName::EndToEnd);
-        let output = signature.only_output().map_err(&misfit)?;
-        match *output.shape.as_slice() {
-            [1 | -1, boxes, row] if count(row) == ROW && (boxes == -1 || boxes > 0) => {
-                Ok(Self { input, boxes })
-            }
-            _ => Err(misfit("its output has another shape".to_owned())),
+pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
+    let misfit = misfit(HeadName::EndToEnd);
+    let output = signature.only_output().map_err(&misfit)?;
+    match *output.shape.as_slice() {
+        [1 | -1, boxes, row] if count(row) == ROW && (boxes == -1 || boxes > 0) => {
+            let (fit, range) = (Fit::Centre(114), ValueRange::ToOne);
+            Ok(Head {
+                name: HeadName::EndToEnd,
+                classes: None,
+                input_format: format(input, fit, ColorOrder::Rgb, range),
+                overlaps: false,
+                reader: Box::new(EndToEnd { boxes }),
+            })
         }
+        _ => Err(misfit("its output has another shape".to_owned())),
     }
 }
 
-impl Head for EndToEnd {
-    fn name(&self) -> HeadName {
-        HeadName::EndToEnd
-    }
-
-    fn classes(&self) -> Option<usize> {
-        None
-    }
-
-    fn input_format(&self) -> InputFormat {
-        format(
-            self.input,
-            Fit::Centre(114),
-            ColorOrder::Rgb,
-            ValueRange::ToOne,
-        )
-    }
-
-    fn overlaps(&self) -> bool {
-        false
-    }
-
+impl ReadOutputs for EndToEnd {
     fn read(
         &self,
         outputs: &[TensorView<'_>],
@@ -68,12 +50,7 @@ impl Head for EndToEnd {
             if is_score(score) && f64::from(score) < confidence {
                 continue;
             }
-            let corners = Corners {
-                x1: f64::from(row[0]),
-                y1: f64::from(row[1]),
-                x2: f64::from(row[2]),
-                y2: f64::from(row[3]),
-            };
+            let corners = corners(row);
             let found = class_number(class).and_then(|class| candidate(corners, class, score));
             match found {
                 Some(candidate) => candidates.push(candidate),

@@ -2,66 +2,61 @@
 //! pixels; the channels are objectness, four numbers of the box, and the class scores. Overlaps are ours to suppress.
 
 use super::reading::{around, candidate, count, format, is_score, misfit, only};
-use super::{Candidate, Head, Misfit, TensorView};
+use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
 use crate::detection::ClassId;
 use crate::detector::{HeadName, PictureInput, Signature};
-use crate::frame::{ColorOrder, Fit, InputFormat, ValueRange};
+use crate::frame::{ColorOrder, Fit, ValueRange};
+use crate::geometry::PictureSize;
 
 /// Objectness and box, before the class scores.
 const BEFORE_CLASSES: usize = 5;
 const STRIDE: u32 = 16;
 
-/// The head bound to a model.
-#[derive(Clone, Debug)]
-pub(super) struct FastestDet {
-    input: PictureInput,
+/// What reading it takes.
+#[derive(Debug)]
+struct FastestDet {
+    size: PictureSize,
     classes: usize,
 }
 
-impl FastestDet {
-    pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Self, Misfit> {
-        let misfit = misfit(HeadName::FastestDet);
-        let (width, height) = (input.size.width / STRIDE, input.size.height / STRIDE);
-        let output = signature.only_output().map_err(&misfit)?;
-        match *output.shape.as_slice() {
-            [1 | -1, channels, rows, columns]
-                if count(channels) > BEFORE_CLASSES
-                    && count(channels) - BEFORE_CLASSES <= usize::from(u16::MAX)
-                    && [rows, columns] == [i64::from(height), i64::from(width)]
-                    && rows * columns > 0 =>
-            {
-                Ok(Self {
-                    input,
-                    classes: count(channels) - BEFORE_CLASSES,
-                })
-            }
-            _ => Err(misfit(format!(
-                "its output has another shape than [1, 5 + classes, {height}, {width}]"
-            ))),
+pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
+    let misfit = misfit(HeadName::FastestDet);
+    let (width, height) = (input.size.width / STRIDE, input.size.height / STRIDE);
+    let output = signature.only_output().map_err(&misfit)?;
+    match *output.shape.as_slice() {
+        [1 | -1, channels, rows, columns]
+            if count(channels) > BEFORE_CLASSES
+                && count(channels) - BEFORE_CLASSES <= usize::from(u16::MAX)
+                && [rows, columns] == [i64::from(height), i64::from(width)]
+                && rows * columns > 0 =>
+        {
+            let classes = count(channels) - BEFORE_CLASSES;
+            let (fit, range) = (Fit::Stretch, ValueRange::ToOne);
+            Ok(Head {
+                name: HeadName::FastestDet,
+                classes: Some(classes),
+                input_format: format(input, fit, ColorOrder::Bgr, range),
+                overlaps: true,
+                reader: Box::new(FastestDet {
+                    size: input.size,
+                    classes,
+                }),
+            })
         }
+        _ => Err(misfit(format!(
+            "its output has another shape than [1, 5 + classes, {height}, {width}]"
+        ))),
     }
 }
 
-impl Head for FastestDet {
-    fn name(&self) -> HeadName {
-        HeadName::FastestDet
-    }
-
-    fn classes(&self) -> Option<usize> {
-        Some(self.classes)
-    }
-
-    fn input_format(&self) -> InputFormat {
-        format(self.input, Fit::Stretch, ColorOrder::Bgr, ValueRange::ToOne)
-    }
-
+impl ReadOutputs for FastestDet {
     fn read(
         &self,
         outputs: &[TensorView<'_>],
         confidence: f64,
         candidates: &mut Vec<Candidate>,
     ) -> Result<u64, String> {
-        let size = self.input.size;
+        let size = self.size;
         let (columns, rows) = (
             (size.width / STRIDE) as usize,
             (size.height / STRIDE) as usize,

@@ -49,26 +49,37 @@ pub struct Misfit {
 }
 
 /// A head bound to a model that fits it.
-pub trait Head: std::fmt::Debug {
+#[derive(Debug)]
+pub struct Head {
     /// Which head it is.
-    fn name(&self) -> HeadName;
-
+    pub name: HeadName,
     /// How many classes the outputs' shapes speak of; `None` when they do not tell.
-    fn classes(&self) -> Option<usize>;
-
+    pub classes: Option<usize>,
     /// What the model wants to see.
-    fn input_format(&self) -> InputFormat;
-
+    pub input_format: InputFormat,
     /// Whether one object may come as several overlapping boxes, which are ours to suppress.
-    fn overlaps(&self) -> bool {
-        true
-    }
+    pub overlaps: bool,
+    reader: Box<dyn ReadOutputs>,
+}
 
+impl Head {
     /// Appends to `candidates` what has at least `confidence`, in input pixels, overlaps not suppressed.
     /// Returns how many rows were rejected because a number in them is not finite or not possible.
     ///
     /// # Errors
     /// When the outputs are not of the shape the model announced, in words.
+    pub fn read(
+        &self,
+        outputs: &[TensorView<'_>],
+        confidence: f64,
+        candidates: &mut Vec<Candidate>,
+    ) -> Result<u64, String> {
+        self.reader.read(outputs, confidence, candidates)
+    }
+}
+
+/// What differs from head to head: [`Head::read`] for one kind of outputs.
+trait ReadOutputs: std::fmt::Debug {
     fn read(
         &self,
         outputs: &[TensorView<'_>],
@@ -82,27 +93,19 @@ pub trait Head: std::fmt::Debug {
 ///
 /// # Errors
 /// When the model is not one that this head reads.
-pub fn bind(
-    name: HeadName,
-    signature: &Signature,
-    input: PictureInput,
-) -> Result<Box<dyn Head>, Misfit> {
+pub fn bind(name: HeadName, signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
     match name {
         HeadName::Auto => Err(Misfit {
             expected: "a head".to_owned(),
             reason: "the model was not recognised before".to_owned(),
         }),
-        HeadName::Yolo => yolo::Yolo::bind(signature, input).map(boxed),
-        HeadName::EndToEnd => end_to_end::EndToEnd::bind(signature, input).map(boxed),
-        HeadName::Detr => detr::Detr::bind(signature, input).map(boxed),
-        HeadName::Yolox => yolox::Yolox::bind(signature, input).map(boxed),
-        HeadName::FastestDet => fastestdet::FastestDet::bind(signature, input).map(boxed),
-        HeadName::Demonstration => demonstration::Demonstration::bind(signature, input).map(boxed),
+        HeadName::Yolo => yolo::bind(signature, input),
+        HeadName::EndToEnd => end_to_end::bind(signature, input),
+        HeadName::Detr => detr::bind(signature, input),
+        HeadName::Yolox => yolox::bind(signature, input),
+        HeadName::FastestDet => fastestdet::bind(signature, input),
+        HeadName::Demonstration => demonstration::bind(signature, input),
     }
-}
-
-fn boxed<H: Head + 'static>(head: H) -> Box<dyn Head> {
-    Box::new(head)
 }
 
 #[cfg(test)]

@@ -110,6 +110,16 @@ pub(super) fn best_class(scores: &[f32]) -> Option<(ClassId, f32)> {
     (!scores.is_empty()).then_some((ClassId(class), best.1.clamp(0.0, 1.0)))
 }
 
+/// The corners that a row begins with: x1, y1, x2, y2.
+pub(super) fn corners(row: &[f32]) -> Corners {
+    Corners {
+        x1: f64::from(row[0]),
+        y1: f64::from(row[1]),
+        x2: f64::from(row[2]),
+        y2: f64::from(row[3]),
+    }
+}
+
 /// The corners of a box with this centre and these sides.
 pub(super) fn around(center_x: f64, center_y: f64, width: f64, height: f64) -> Corners {
     Corners {

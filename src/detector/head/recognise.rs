@@ -1,6 +1,6 @@
 //! Which head a model needs: from its metadata when an exporter has said it, else from names and shapes.
 
-use super::detr::Detr;
+use super::detr;
 use super::reading::{STRIDES, can_be, cells};
 use super::{Misfit, bind};
 use crate::detector::{HeadName, PictureInput, Signature};
@@ -116,7 +116,7 @@ fn looks_like(head: HeadName, signature: &Signature, input: PictureInput) -> Res
         HeadName::EndToEnd if dimension(1) > MOST_BOXES => {
             Err(format!("it has {} boxes", dimension(1)))
         }
-        HeadName::Detr if !Detr::is_named(signature) => {
+        HeadName::Detr if !detr::is_named(signature) => {
             Err("its outputs have other names, so its scores and colours are not known".to_owned())
         }
         _ => Ok(()),

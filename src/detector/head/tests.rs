@@ -38,7 +38,7 @@ fn with_metadata(signature: Signature, entries: &[(&str, &str)]) -> Signature {
     }
 }
 
-fn bound(name: HeadName, input: &[i64], outputs: &[(&str, &[i64])]) -> Box<dyn Head> {
+fn bound(name: HeadName, input: &[i64], outputs: &[(&str, &[i64])]) -> Head {
     let signature = signature(input, outputs);
     bind(name, &signature, signature.picture_input(None).unwrap()).unwrap()
 }
@@ -48,7 +48,7 @@ type Shapes = Vec<Vec<i64>>;
 
 /// The smallest head of each kind, with the outputs' shapes. All have two classes but the end-to-end head,
 /// which does not know, and an input of 64x32.
-fn heads() -> Vec<(Box<dyn Head>, Shapes)> {
+fn heads() -> Vec<(Head, Shapes)> {
     let input = [1, 3, 32, 64];
     let one = |name, shape: &[i64]| {
         let head = bound(name, &input, &[("output", shape)]);
@@ -71,7 +71,7 @@ fn heads() -> Vec<(Box<dyn Head>, Shapes)> {
     ]
 }
 
-fn read(head: &dyn Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
+fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
     let views: Vec<_> = outputs
         .iter()
         .map(|&(shape, values)| TensorView { shape, values })
@@ -137,7 +137,7 @@ fn yolo_reads_columns_of_centre_size_and_scores() {
             (74, [10.0, 20.0, f32::INFINITY, 8.0, 0.6, 0.1]),
         ],
     );
-    let (rejected, found) = read(head.as_ref(), &[(&[1, 6, 8400], &output)]);
+    let (rejected, found) = read(&head, &[(&[1, 6, 8400], &output)]);
     assert_eq!(rejected, 5);
     assert_candidates(
         &found,
@@ -169,11 +169,11 @@ fn end_to_end_reads_corners_score_and_class() {
             (8, [1.0, 2.0, 30.0, 20.0, f32::NAN, 0.0]),
         ],
     );
-    let (rejected, found) = read(head.as_ref(), &[(&[1, 300, 6], &output)]);
+    let (rejected, found) = read(&head, &[(&[1, 300, 6], &output)]);
     assert_eq!(rejected, 6);
     let corners = [1.0, 2.0, 30.0, 20.0];
     assert_candidates(&found, &[(corners, 79, 0.9), (corners, 0, 0.8)]);
-    assert!(!head.overlaps());
+    assert!(!head.overlaps);
 }
 
 #[test]
@@ -186,7 +186,7 @@ fn an_open_number_of_boxes_may_change_from_frame_to_frame() {
     for boxes in [0, 1, 7] {
         let output = vec![0.0; boxes * 6];
         let shape = [1, boxes as i64, 6];
-        assert_eq!(read(head.as_ref(), &[(&shape, &output)]), (0, vec![]));
+        assert_eq!(read(&head, &[(&shape, &output)]), (0, vec![]));
     }
 }
 
@@ -197,10 +197,7 @@ fn detr_takes_pairs_of_query_and_class_by_sigmoid() {
     let boxes = [0.5, 0.5, 0.5, 0.5, 0.25, 0.5, 0.5, 1.0, 0.1, 0.1, 0.1, 0.1];
     // The first query has both classes, the last is too unsure.
     let logits = [2.0, 0.5, -3.0, 1.0, -0.1, -5.0];
-    let (rejected, found) = read(
-        head.as_ref(),
-        &[(&[1, 3, 4], &boxes), (&[1, 3, 2], &logits)],
-    );
+    let (rejected, found) = read(&head, &[(&[1, 3, 4], &boxes), (&[1, 3, 2], &logits)]);
     assert_eq!(rejected, 0);
     let score = |logit: f32| 1.0 / (1.0 + (-logit).exp());
     assert_candidates(
@@ -211,8 +208,8 @@ fn detr_takes_pairs_of_query_and_class_by_sigmoid() {
             ([50.0, 25.0, 150.0, 75.0], 1, score(0.5)),
         ],
     );
-    assert_eq!(head.input_format().fit, Fit::Stretch);
-    assert_eq!(head.input_format().value_range, ValueRange::ImageNet);
+    assert_eq!(head.input_format.fit, Fit::Stretch);
+    assert_eq!(head.input_format.value_range, ValueRange::ImageNet);
 }
 
 #[test]
@@ -223,14 +220,14 @@ fn detr_keeps_as_many_pairs_as_there_are_queries_and_counts_queries_that_are_not
     let logits = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
     let boxes = [whole, whole].concat();
     let shapes: [&[i64]; 2] = [&[1, 2, 4], &[1, 2, 3]];
-    let (_, found) = read(head.as_ref(), &[(shapes[0], &boxes), (shapes[1], &logits)]);
+    let (_, found) = read(&head, &[(shapes[0], &boxes), (shapes[1], &logits)]);
     let classes: Vec<_> = found.iter().map(|found| found.class.0).collect();
     assert_eq!(classes, [2, 1]);
     let broken = [1.0, f32::NAN, 3.0, 4.0, 5.0, 6.0];
-    let (rejected, found) = read(head.as_ref(), &[(shapes[0], &boxes), (shapes[1], &broken)]);
+    let (rejected, found) = read(&head, &[(shapes[0], &boxes), (shapes[1], &broken)]);
     assert_eq!((rejected, found.len()), (1, 2));
     let boxes = [[0.5, 0.5, f32::NAN, 1.0], whole].concat();
-    let (rejected, found) = read(head.as_ref(), &[(shapes[0], &boxes), (shapes[1], &logits)]);
+    let (rejected, found) = read(&head, &[(shapes[0], &boxes), (shapes[1], &logits)]);
     assert_eq!((rejected, found.len()), (1, 2));
 }
 
@@ -252,7 +249,7 @@ fn fastestdet_decodes_its_cells_by_channel() {
             (4, [0.9, 0.0, 0.0, 0.0, 0.0, 0.9, f32::NAN]),
         ],
     );
-    let (rejected, found) = read(head.as_ref(), &[(&[1, 7, 2, 4], &output)]);
+    let (rejected, found) = read(&head, &[(&[1, 7, 2, 4], &output)]);
     assert_eq!(rejected, 2);
     let score = 0.9_f32.powf(0.6) * 0.8_f32.powf(0.4);
     assert_candidates(&found, &[([24.0, 8.0, 40.0, 24.0], 1, score)]);
@@ -276,7 +273,7 @@ fn yolox_decodes_the_cells_of_all_three_strides() {
         ],
     );
     let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
-    let (rejected, found) = read(head.as_ref(), &[(&[1, 42, 7], &output)]);
+    let (rejected, found) = read(&head, &[(&[1, 42, 7], &output)]);
     assert_eq!(rejected, 0);
     assert_candidates(
         &found,
@@ -311,7 +308,7 @@ fn yolox_rejects_and_counts_what_is_not_a_number_or_not_possible() {
         ],
     );
     let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
-    let (rejected, found) = read(head.as_ref(), &[(&[1, 42, 7], &output)]);
+    let (rejected, found) = read(&head, &[(&[1, 42, 7], &output)]);
     assert_eq!((rejected, found.len()), (8, 1));
 }
 
@@ -331,7 +328,7 @@ fn the_demonstration_head_reads_corners_and_the_best_class() {
             (3, [f32::NAN; 7]),
         ],
     );
-    let (rejected, found) = read(head.as_ref(), &[(&[1, 4, 7], &output)]);
+    let (rejected, found) = read(&head, &[(&[1, 4, 7], &output)]);
     assert_eq!(rejected, 2);
     assert_candidates(&found, &[([10.0, 20.0, 110.0, 80.0], 2, 0.8)]);
 }
@@ -397,7 +394,7 @@ proptest! {
                 })
                 .collect();
             let rejected = head.read(&views, confidence, &mut candidates).unwrap();
-            let rows = if head.name() == HeadName::Detr { 8 } else { 42 };
+            let rows = if head.name == HeadName::Detr { 8 } else { 42 };
             prop_assert!(rejected as usize + candidates.len() <= rows);
             for Candidate { corners, confidence: score, class } in candidates {
                 let Corners { x1, y1, x2, y2 } = corners;
@@ -405,7 +402,7 @@ proptest! {
                 prop_assert!([x1, y1, x2, y2].iter().all(|side| side.is_finite()));
                 prop_assert!((0.0..=1.0).contains(&score));
                 prop_assert!(f64::from(score) >= confidence - 1e-6, "{score} {confidence}");
-                let known = head.classes().is_none_or(|classes| usize::from(class.0) < classes);
+                let known = head.classes.is_none_or(|classes| usize::from(class.0) < classes);
                 prop_assert!(known);
             }
         }

@@ -3,10 +3,10 @@
 //! then one score a class; there is no objectness. Overlaps are ours to suppress.
 
 use super::reading::{around, candidate, count, format, is_score, misfit, only};
-use super::{Candidate, Head, Misfit, TensorView};
+use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
 use crate::detection::ClassId;
 use crate::detector::{HeadName, PictureInput, Signature};
-use crate::frame::{ColorOrder, Fit, InputFormat, ValueRange};
+use crate::frame::{ColorOrder, Fit, ValueRange};
 
 /// The box, before the class scores.
 const BEFORE_CLASSES: usize = 4;
@@ -15,54 +15,38 @@ const BEFORE_CLASSES: usize = 4;
 /// best so far stay in the processor's cache.
 const BLOCK: usize = 64;
 
-/// The head bound to a model.
-#[derive(Clone, Debug)]
-pub(super) struct Yolo {
-    input: PictureInput,
+/// What reading it takes.
+#[derive(Debug)]
+struct Yolo {
     classes: usize,
     /// -1 where the model leaves it open.
     anchors: i64,
 }
 
-impl Yolo {
-    pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Self, Misfit> {
-        let misfit = misfit(HeadName::Yolo);
-        let output = signature.only_output().map_err(&misfit)?;
-        match *output.shape.as_slice() {
-            [1 | -1, rows, anchors]
-                if count(rows) > BEFORE_CLASSES
-                    && count(rows) - BEFORE_CLASSES <= usize::from(u16::MAX)
-                    && (anchors == -1 || anchors > 0) =>
-            {
-                Ok(Self {
-                    input,
-                    classes: count(rows) - BEFORE_CLASSES,
-                    anchors,
-                })
-            }
-            _ => Err(misfit("its output has another shape".to_owned())),
+pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
+    let misfit = misfit(HeadName::Yolo);
+    let output = signature.only_output().map_err(&misfit)?;
+    match *output.shape.as_slice() {
+        [1 | -1, rows, anchors]
+            if count(rows) > BEFORE_CLASSES
+                && count(rows) - BEFORE_CLASSES <= usize::from(u16::MAX)
+                && (anchors == -1 || anchors > 0) =>
+        {
+            let classes = count(rows) - BEFORE_CLASSES;
+            let (fit, range) = (Fit::Centre(114), ValueRange::ToOne);
+            Ok(Head {
+                name: HeadName::Yolo,
+                classes: Some(classes),
+                input_format: format(input, fit, ColorOrder::Rgb, range),
+                overlaps: true,
+                reader: Box::new(Yolo { classes, anchors }),
+            })
         }
+        _ => Err(misfit("its output has another shape".to_owned())),
     }
 }
 
-impl Head for Yolo {
-    fn name(&self) -> HeadName {
-        HeadName::Yolo
-    }
-
-    fn classes(&self) -> Option<usize> {
-        Some(self.classes)
-    }
-
-    fn input_format(&self) -> InputFormat {
-        format(
-            self.input,
-            Fit::Centre(114),
-            ColorOrder::Rgb,
-            ValueRange::ToOne,
-        )
-    }
-
+impl ReadOutputs for Yolo {
     fn read(
         &self,
         outputs: &[TensorView<'_>],

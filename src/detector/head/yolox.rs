@@ -4,67 +4,56 @@
 use super::reading::{
     STRIDES, around, best_class, can_be, candidate, cells, count, format, misfit, only,
 };
-use super::{Candidate, Head, Misfit, TensorView};
+use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
 use crate::detector::{HeadName, PictureInput, Signature};
-use crate::frame::{ColorOrder, Fit, InputFormat, ValueRange};
+use crate::frame::{ColorOrder, Fit, ValueRange};
+use crate::geometry::PictureSize;
 
 /// Box and objectness, before the class scores.
 const BEFORE_CLASSES: usize = 5;
 
-/// The head bound to a model.
-#[derive(Clone, Debug)]
-pub(super) struct Yolox {
-    input: PictureInput,
+/// What reading it takes.
+#[derive(Debug)]
+struct Yolox {
+    size: PictureSize,
     row: usize,
 }
 
-impl Yolox {
-    pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Self, Misfit> {
-        let misfit = misfit(HeadName::Yolox);
-        let size = input.size;
-        if !size.width.is_multiple_of(32) || !size.height.is_multiple_of(32) {
-            let reason = format!("its input of {size} has a side that is no multiple of 32");
-            return Err(misfit(reason));
+pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
+    let misfit = misfit(HeadName::Yolox);
+    let size = input.size;
+    if !size.width.is_multiple_of(32) || !size.height.is_multiple_of(32) {
+        let reason = format!("its input of {size} has a side that is no multiple of 32");
+        return Err(misfit(reason));
+    }
+    let cells = cells(size, &STRIDES);
+    let output = signature.only_output().map_err(&misfit)?;
+    match *output.shape.as_slice() {
+        [1 | -1, rows, row] if can_be(rows, cells) && count(row) > BEFORE_CLASSES => {
+            let row = count(row);
+            let (fit, range) = (Fit::TopLeft(114), ValueRange::To255);
+            Ok(Head {
+                name: HeadName::Yolox,
+                classes: Some(row - BEFORE_CLASSES),
+                input_format: format(input, fit, ColorOrder::Bgr, range),
+                overlaps: true,
+                reader: Box::new(Yolox { size, row }),
+            })
         }
-        let cells = cells(size, &STRIDES);
-        let output = signature.only_output().map_err(&misfit)?;
-        match *output.shape.as_slice() {
-            [1 | -1, rows, row] if can_be(rows, cells) && count(row) > BEFORE_CLASSES => Ok(Self {
-                input,
-                row: count(row),
-            }),
-            _ => Err(misfit(format!(
-                "its output has another shape than [1, {cells}, 5 + classes]"
-            ))),
-        }
+        _ => Err(misfit(format!(
+            "its output has another shape than [1, {cells}, 5 + classes]"
+        ))),
     }
 }
 
-impl Head for Yolox {
-    fn name(&self) -> HeadName {
-        HeadName::Yolox
-    }
-
-    fn classes(&self) -> Option<usize> {
-        Some(self.row - BEFORE_CLASSES)
-    }
-
-    fn input_format(&self) -> InputFormat {
-        format(
-            self.input,
-            Fit::TopLeft(114),
-            ColorOrder::Bgr,
-            ValueRange::To255,
-        )
-    }
-
+impl ReadOutputs for Yolox {
     fn read(
         &self,
         outputs: &[TensorView<'_>],
         confidence: f64,
         candidates: &mut Vec<Candidate>,
     ) -> Result<u64, String> {
-        let size = self.input.size;
+        let size = self.size;
         let cells = cells(size, &STRIDES) as i64;
         let values = only(outputs, &[1, cells, self.row as i64])?;
         let mut rejected = 0;

@@ -9,7 +9,7 @@ fn bytes_and_colours_last_are_asked_for_as_the_model_takes_them() {
     let mut model = signature(&[1, 320, 640, 3], &[("output0", &[1, 84, 4200])]);
     model.inputs[0].element = ElementType::Uint8;
     let input = model.picture_input(None).unwrap();
-    let format = bind(HeadName::Yolo, &model, input).unwrap().input_format();
+    let format = bind(HeadName::Yolo, &model, input).unwrap().input_format;
     assert_eq!(format.size, PictureSize::new(640, 320));
     assert_eq!(format.layout, TensorLayout::Nhwc);
     assert_eq!(format.value_range, ValueRange::To255);
