@@ -2,36 +2,21 @@
 
 #![allow(clippy::expect_used)]
 
+use super::support::shared;
 use albireo::detector::{CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle};
 use albireo::frame::{ColorOrder, Picture, PixelLayout};
 use albireo::geometry::PictureSize;
 use albireo::screen::{ScreenConfig, ScreenHandle};
-use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::Arc;
 
 const CAMERA: CameraSlot = CameraSlot(0);
 
-/// The folder with models and clips.
-fn shared() -> PathBuf {
-    let folder = std::env::var_os("ALBIREO_SHARED").map_or_else(
-        || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
-        PathBuf::from,
-    );
-    assert!(
-        folder.is_dir(),
-        "this test reads {}, which is not there: name the folder in ALBIREO_SHARED, or skip the tests \
-         named shared_",
-        folder.display()
-    );
-    folder
-}
-
 /// Frame `number` (from 0) of a clip of `size`, decoded by ffmpeg.
 fn frame(clip: &str, number: u32, size: PictureSize) -> Arc<Picture> {
     let output = Command::new("ffmpeg")
         .args(["-v", "error", "-i"])
-        .arg(shared().join("media").join(clip))
+        .arg(shared(&format!("media/{clip}")))
         .args(["-vf", &format!("select=eq(n\\,{number})")])
         .args(["-frames:v", "1", "-f", "rawvideo", "-pix_fmt", "rgb24", "-"])
         .output()
@@ -91,7 +76,7 @@ fn assert_found(
 async fn shared_yolox_finds_the_two_cars_of_its_readme() {
     let size = PictureSize::new(720, 576);
     let detector = DetectorHandle::start(&DetectorConfig {
-        model: shared().join("models/yolox_nano_416.onnx"),
+        model: shared("models/yolox_nano_416.onnx"),
         ..DetectorConfig::default()
     })
     .await
@@ -111,8 +96,8 @@ async fn shared_yolox_finds_the_two_cars_of_its_readme() {
 async fn shared_fastestdet_finds_the_two_cars_of_its_readme() {
     let size = PictureSize::new(720, 576);
     let detector = DetectorHandle::start(&DetectorConfig {
-        model: shared().join("models/fastestdet_352.onnx"),
-        class_names: Some(ClassNames::File(shared().join("models/coco80.txt"))),
+        model: shared("models/fastestdet_352.onnx"),
+        class_names: Some(ClassNames::File(shared("models/coco80.txt"))),
         // As its README has it: below, it finds what is not there.
         confidence: 0.6,
         ..DetectorConfig::default()
@@ -133,7 +118,7 @@ async fn shared_the_upstream_screen_gives_the_logits_of_its_readme() {
     let size = PictureSize::new(768, 432);
     let screen = ScreenHandle::start(
         &ScreenConfig {
-            model: Some(shared().join("models/erd_upstream.onnx")),
+            model: Some(shared("models/erd_upstream.onnx")),
             color_order: ColorOrder::Bgr,
             ..ScreenConfig::default()
         },

@@ -144,20 +144,23 @@ async fn measure(
 }
 
 fn decoded(frames: &[EncodedPicture], input: InputFormat) -> anyhow::Result<Vec<Arc<Picture>>> {
-    let limits = FrameLimits::default();
     frames
         .iter()
         .map(|frame| {
             let mut picture = Picture::default();
-            let target = decoding_target(input, None, frame.size);
-            decode(
-                frame,
-                &limits,
-                PixelLayout::Rgb8,
-                Some(target),
-                &mut picture,
-            )?;
+            decode_for(input, frame, &mut picture)?;
             Ok(Arc::new(picture))
         })
         .collect()
+}
+
+/// Decodes `frame` as the node does for a detector with that input, without a screen.
+fn decode_for(
+    input: InputFormat,
+    frame: &EncodedPicture,
+    into: &mut Picture,
+) -> anyhow::Result<()> {
+    let (limits, layout) = (FrameLimits::default(), PixelLayout::Rgb8);
+    let target = decoding_target(input, None, frame.size);
+    Ok(decode(frame, &limits, layout, Some(target), into)?)
 }

@@ -1,13 +1,13 @@
 //! A frame's way as the node goes it, on one thread: decoding, letterbox, model, head, policy, message, Zenoh.
 
+use super::decode_for;
 use super::samples::{Samples, Stage};
 use albireo::detector::{DetectorConfig, Network};
-use albireo::frame::{EncodedPicture, Frame, FrameLimits, Picture, PixelLayout, decode};
+use albireo::frame::{EncodedPicture, Frame, FrameLimits, Picture};
 use albireo::geometry::PictureSize;
 use albireo::node::config::ZenohConfig;
 use albireo::node::{AnswerContext, detections_message, session};
 use albireo::policy::{Albireo, AlbireoSettings, Evidence, FrameHead, Need, Outcome, Policy};
-use albireo::screen::decoding_target;
 use albireo::wire::Latency;
 use anyhow::{Context, anyhow, bail};
 use std::net::TcpListener;
@@ -75,7 +75,6 @@ pub struct OurPath<'a> {
     class_names: Vec<String>,
     policy: Albireo,
     outcome: Outcome,
-    limits: FrameLimits,
     picture: Picture,
     frames: u64,
 }
@@ -90,7 +89,6 @@ impl<'a> OurPath<'a> {
             // So low a threshold that every frame is one that the detector sees and that is matched.
             policy: Albireo::new(AlbireoSettings::paper(), 1e-9)?,
             outcome: Outcome::default(),
-            limits: FrameLimits::default(),
             picture: Picture::default(),
             frames: 0,
         })
@@ -116,9 +114,7 @@ impl<'a> OurPath<'a> {
             payload_bytes: encoded.bytes.len(),
         };
         let start = Instant::now();
-        let target = decoding_target(self.network.input_format(), None, encoded.size);
-        let (layout, picture) = (PixelLayout::Rgb8, &mut self.picture);
-        decode(encoded, &self.limits, layout, Some(target), picture)?;
+        decode_for(self.network.input_format(), encoded, &mut self.picture)?;
         let decoding = start.elapsed();
 
         let prepared = self.network.preparation().prepare(&self.picture)?;

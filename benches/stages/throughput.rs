@@ -1,10 +1,10 @@
 //! What the queue costs: frames of several cameras through the shared detector, against the same model in a plain
 //! loop; and what it brings that one camera's next frame is decoded while the model runs.
 
+use super::decode_for;
 use super::samples::median;
 use albireo::detector::{CameraSlot, DetectorHandle, Network, PreparedPicture};
-use albireo::frame::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
-use albireo::screen::decoding_target;
+use albireo::frame::{EncodedPicture, Picture};
 use std::sync::Arc;
 use std::time::Instant;
 use tokio::task::JoinHandle;
@@ -145,10 +145,8 @@ fn make_ready(
 ) -> JoinHandle<anyhow::Result<PreparedPicture>> {
     let (frame, preparation) = (frame.clone(), detector.preparation().clone());
     tokio::task::spawn_blocking(move || {
-        let (limits, layout) = (FrameLimits::default(), PixelLayout::Rgb8);
-        let target = decoding_target(preparation.format(), None, frame.size);
         let mut picture = Picture::default();
-        decode(&frame, &limits, layout, Some(target), &mut picture)?;
+        decode_for(preparation.format(), &frame, &mut picture)?;
         Ok(preparation.prepare(&picture)?)
     })
 }

@@ -39,12 +39,8 @@ pub fn decode(
     if let (PictureFormat::Jpeg, Some(target)) = (picture.format, target)
         && let Some(scale) = decode_jpeg_scaled::Scale::towards(target, picture.size)
     {
-        let mut is_done = false;
-        contain("JPEG", || {
-            is_done = decode_jpeg_scaled::decode(picture, scale, layout, into)?;
-            Ok(())
-        })?;
-        if is_done {
+        let decode = || decode_jpeg_scaled::decode(picture, scale, layout, into);
+        if contain("JPEG", decode)? {
             return Ok(());
         }
     }
@@ -71,10 +67,10 @@ pub fn decode(
 
 /// Turns a panic of a third-party decoder into a fault: they are fed bytes from the network, and a bug
 /// that one odd picture finds must not end the service. What the closure leaves behind is pixels only.
-fn contain(
+fn contain<T>(
     decoder: &str,
-    decode: impl FnOnce() -> Result<(), FrameFault>,
-) -> Result<(), FrameFault> {
+    decode: impl FnOnce() -> Result<T, FrameFault>,
+) -> Result<T, FrameFault> {
     catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| {
         Err(FrameFault::undecodable(format!(
             "the {decoder} decoder gave up on the picture in an unforeseen way"

@@ -17,7 +17,7 @@ const EXPECTED: &str =
 
 pub(super) struct Network {
     session: OnnxSession,
-    preparation: Preparation,
+    format: InputFormat,
 }
 
 impl Network {
@@ -54,15 +54,12 @@ impl Network {
             },
             layout: input.layout,
         };
-        let mut network = Self {
-            session,
-            preparation: Preparation::new(format),
-        };
+        let mut network = Self { session, format };
         let warm_up = |reason: String| StartError::WarmUp {
             path: model.to_owned(),
             reason,
         };
-        let black = network.preparation.prepare(&Picture::black(format.size));
+        let black = Preparation::new(format).prepare(&Picture::black(format.size));
         let black = black.map_err(|error| warm_up(error.to_string()))?;
         network
             .infer(&black)
@@ -71,7 +68,7 @@ impl Network {
     }
 
     fn infer(&mut self, picture: &PreparedPicture) -> Result<Logits, RunError> {
-        let shape = self.preparation.format().shape();
+        let shape = self.format.shape();
         self.session.run(shape, &[picture.values()], |outputs| {
             let values = outputs.first().map(|output| output.values);
             match values {
@@ -102,7 +99,7 @@ impl Model for Network {
     type Facts = InputFormat;
 
     fn facts(&self) -> InputFormat {
-        self.preparation.format()
+        self.format
     }
 
     fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Logits>, RunError> {

@@ -49,6 +49,11 @@ pub(super) struct Sight {
 }
 
 impl Sight {
+    /// Whether nothing has been made of the picture yet.
+    fn is_empty(&self) -> bool {
+        !(self.decoded || self.greyed)
+    }
+
     /// Whether nothing more has to be done for `look`.
     pub(super) fn has(&self, look: Look) -> bool {
         match look {
@@ -116,8 +121,8 @@ impl Workshop {
 
     /// Takes the buffers of a frame that is done.
     pub(super) fn take_back(&mut self, sight: Sight) {
-        // What was decoded ahead and is not there yet has buffers of its own.
-        if sight.decoded || sight.greyed {
+        // Without anything, the buffers are elsewhere: spare, or with what is made ready ahead.
+        if !sight.is_empty() {
             self.spare = Sight {
                 picture: sight.picture,
                 grey: sight.grey,
@@ -157,7 +162,7 @@ impl Workshop {
         target: PictureSize,
         look: Look,
     ) -> JoinHandle<Result<Sight, FrameFault>> {
-        if !(sight.decoded || sight.greyed) {
+        if sight.is_empty() {
             sight = std::mem::take(&mut self.spare);
         }
         let (limits, preparation) = (self.limits, self.preparation.clone());
