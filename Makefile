@@ -23,8 +23,8 @@ test: onnxruntime python debian ## fetch what the tests need and run them all
 
 lint: ## formatting and clippy, as the continuous integration does
 	cargo fmt --check
-	cargo clippy --locked --all-targets -- -D warnings
-	cargo clippy --locked --all-targets $$(bash tests/features.sh) -- -D warnings
+	cargo clippy --locked --workspace --all-targets -- -D warnings
+	cargo clippy --locked --workspace --all-targets $$(bash tests/features.sh) -- -D warnings
 
 bench: onnxruntime ## the benches, optimised (takes a while the first time)
 	cargo bench --locked

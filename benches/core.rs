@@ -3,9 +3,9 @@
 
 #![allow(clippy::expect_used)]
 
-use albireo::detection::{ClassId, Detection};
-use albireo::geometry::{BoundingBox, PictureSize};
-use albireo::policy::{
+use albireo_core::detection::{ClassId, Detection};
+use albireo_core::geometry::{BoundingBox, PictureSize};
+use albireo_core::policy::{
     Albireo, AlbireoSettings, Evidence, ExpectedLoss, ExpectedLossSettings, FrameHead, Need,
     Outcome, Policy, Profile, Trigger,
 };

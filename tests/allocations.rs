@@ -3,9 +3,9 @@
 
 #![allow(clippy::unwrap_used)]
 
-use albireo::detection::{ClassId, Detection};
-use albireo::geometry::{BoundingBox, PictureSize};
-use albireo::policy::{
+use albireo_core::detection::{ClassId, Detection};
+use albireo_core::geometry::{BoundingBox, PictureSize};
+use albireo_core::policy::{
     Evidence, FrameHead, FrameState, GreyPicture, Need, Outcome, Policy, PolicyConfig, Profile,
 };
 use std::collections::BTreeMap;

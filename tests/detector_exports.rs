@@ -3,11 +3,11 @@
 #![allow(clippy::panic, clippy::unwrap_used)]
 
 use super::support::detectors::{PICTURE, config, one_colour};
-use albireo::detector::{
-    CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle, DetectorStatus, HeadName,
-    InferenceError, Network,
+use albireo_core::geometry::PictureSize;
+use albireo_node::detector::{
+    CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle, DetectorNetwork,
+    DetectorStatus, HeadName, InferenceError,
 };
-use albireo::geometry::PictureSize;
 
 const CAMERA: CameraSlot = CameraSlot(0);
 const NAMES: [&str; 2] = ["car", "traffic light"];
@@ -62,7 +62,7 @@ async fn refusal(config: DetectorConfig) -> String {
 
 #[tokio::test]
 async fn an_export_with_open_batch_and_size_is_run_at_the_size_of_its_metadata() {
-    let network = Network::open(&config("yolo_open.onnx")).unwrap();
+    let network = DetectorNetwork::open(&config("yolo_open.onnx")).unwrap();
     assert_eq!(network.head(), HeadName::Yolo);
     assert_eq!(network.input_format().size, PictureSize::new(64, 32));
     let all = DetectorConfig {
@@ -76,7 +76,7 @@ async fn an_export_with_open_batch_and_size_is_run_at_the_size_of_its_metadata()
         input_size: Some([128, 64]),
         ..config("yolo_open.onnx")
     };
-    let size = Network::open(&wider).unwrap().input_format().size;
+    let size = DetectorNetwork::open(&wider).unwrap().input_format().size;
     assert_eq!(size, PictureSize::new(128, 64));
 }
 

@@ -3,10 +3,10 @@
 #![allow(clippy::expect_used)]
 
 use super::support::shared;
-use albireo::detector::{CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle};
-use albireo::frame::{ColorOrder, Picture, PixelLayout};
-use albireo::geometry::PictureSize;
-use albireo::screen::{ScreenConfig, ScreenHandle};
+use albireo_core::geometry::PictureSize;
+use albireo_node::detector::{CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle};
+use albireo_node::frame::{ColorOrder, Picture, PixelLayout};
+use albireo_node::screen::{ScreenConfig, ScreenHandle};
 use std::process::Command;
 use std::sync::Arc;
 

@@ -4,12 +4,12 @@
 #![allow(clippy::panic)]
 
 use super::support::detectors::{PICTURE, config, model, one_colour};
-use albireo::detector::{
+use albireo_core::geometry::Corners;
+use albireo_node::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus, ExecutionProvider, HeadName,
 };
-use albireo::frame::ColorOrder;
-use albireo::geometry::Corners;
-use albireo::screen::{ScreenConfig, ScreenHandle};
+use albireo_node::frame::ColorOrder;
+use albireo_node::screen::{ScreenConfig, ScreenHandle};
 use std::sync::Arc;
 
 const CAMERA: CameraSlot = CameraSlot(0);

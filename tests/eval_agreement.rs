@@ -3,19 +3,19 @@
 #![allow(clippy::expect_used)]
 
 use crate::support::shared;
-use albireo::eval::average_precision::{Accuracy, Classes, Interpolation, ScoredBox, accuracy};
-use albireo::eval::data::{Clip, recorded};
-use albireo::eval::replay::Scoring;
-use albireo::eval::run::{Settings, run_stored};
-use albireo::eval::scoring::{decayed_confidence, score_object};
-use albireo::eval::source::ScreenRule;
-use albireo::eval::spec::{Common, resolve};
-use albireo::eval::trace;
-use albireo::policy::Profile;
+use albireo_core::policy::Profile;
+use albireo_eval::average_precision::{Accuracy, Classes, Interpolation, ScoredBox, accuracy};
+use albireo_eval::data::{Clip, recorded};
+use albireo_eval::replay::Scoring;
+use albireo_eval::run::{Settings, run_stored};
+use albireo_eval::scoring::{decayed_confidence, score_object};
+use albireo_eval::source::ScreenRule;
+use albireo_eval::spec::{Common, resolve};
+use albireo_eval::trace;
 use std::collections::HashMap;
 
 /// `summary.csv` of the published code: figures by sequence, policy and column.
-pub fn golden_summary() -> HashMap<(String, String), HashMap<String, f64>> {
+pub(crate) fn golden_summary() -> HashMap<(String, String), HashMap<String, f64>> {
     let mut reader =
         csv::Reader::from_path(shared("golden/summary.csv")).expect("the summary is there");
     let headers = reader.headers().expect("it has a header").clone();

@@ -4,12 +4,12 @@
 #![allow(clippy::expect_used)]
 
 use crate::support::{python, shared};
-use albireo::detection::ClassId;
-use albireo::eval::average_precision::{
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::Corners;
+use albireo_eval::average_precision::{
     Accuracy, Classes, Interpolation, ScoredBox, TruthBox, accuracy,
 };
-use albireo::eval::data::recorded;
-use albireo::geometry::Corners;
+use albireo_eval::data::recorded;
 use rand_core::{RngCore, SeedableRng};
 use serde_json::{Value, json};
 use std::io::Write;

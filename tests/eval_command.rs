@@ -1,8 +1,8 @@
 //! `albireo eval` as a user runs it: what it prints, what it writes, and what it says to bad input.
 #![allow(clippy::expect_used, clippy::panic)]
 
-use albireo::eval::trace;
-use albireo::policy::FrameState;
+use albireo_core::policy::FrameState;
+use albireo_eval::trace;
 use std::path::Path;
 use std::process::{Command, Output};
 use tempfile::TempDir;

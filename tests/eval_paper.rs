@@ -2,10 +2,10 @@
 #![allow(clippy::expect_used, clippy::panic)]
 
 use crate::support::shared;
-use albireo::eval::energy_fit;
-use albireo::eval::energy_model::EnergyModel;
-use albireo::eval::paper::table;
-use albireo::eval::published::{self, PublishedRow};
+use albireo_eval::energy_fit;
+use albireo_eval::energy_model::EnergyModel;
+use albireo_eval::paper::table;
+use albireo_eval::published::{self, PublishedRow};
 use std::path::Path;
 
 fn rows() -> Vec<PublishedRow> {
@@ -108,7 +108,7 @@ fn shared_the_papers_edp_is_not_its_own_definitions() {
     assert_rounds("frame time, Vanilla", vanilla.by_frame_time, 41300.0, 0);
     assert_rounds("frame time, Albireo", albireo.by_frame_time, 31540.0, 0);
     assert_rounds("frame time, change", change.by_frame_time * 100.0, -23.6, 1);
-    let text = albireo::eval::paper_text::render("thor", &table);
+    let text = albireo_eval::paper_text::render("thor", &table);
     assert!(
         text.contains("the saving is 22.62 %, not 24.89 %"),
         "{text}"

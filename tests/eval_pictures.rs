@@ -6,25 +6,25 @@ mod bad_input;
 mod live;
 
 use crate::support::shared;
-use albireo::detection::ClassId;
-use albireo::detector::{DetectorConfig, HeadName};
-use albireo::eval::average_precision::{Classes, Interpolation};
-use albireo::eval::data::{Clip, LoadReport, StoredDetection, recorded};
-use albireo::eval::pictures::{
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::{Corners, PictureSize};
+use albireo_core::policy::Profile;
+use albireo_eval::average_precision::{Classes, Interpolation};
+use albireo_eval::data::{Clip, LoadReport, StoredDetection, recorded};
+use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
+use albireo_eval::pictures::{
     LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes, against_vanilla, collect,
     looks_at_pixels, run_pictured,
 };
-use albireo::eval::replay::Scoring;
-use albireo::eval::result::{ClipResult, Provenance};
-use albireo::eval::run::{Settings, run_stored};
-use albireo::eval::source::ScreenRule;
-use albireo::eval::spec::{Common, PolicySpec, resolve};
-use albireo::eval::trace;
-use albireo::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
-use albireo::frame::ColorOrder;
-use albireo::geometry::{Corners, PictureSize};
-use albireo::policy::Profile;
-use albireo::screen::ScreenConfig;
+use albireo_eval::replay::Scoring;
+use albireo_eval::result::{ClipResult, Provenance};
+use albireo_eval::run::{Settings, run_stored};
+use albireo_eval::source::ScreenRule;
+use albireo_eval::spec::{Common, PolicySpec, resolve};
+use albireo_eval::trace;
+use albireo_node::detector::{DetectorConfig, HeadName};
+use albireo_node::frame::ColorOrder;
+use albireo_node::screen::ScreenConfig;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

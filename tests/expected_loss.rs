@@ -2,8 +2,8 @@
 #![allow(clippy::expect_used)]
 
 use crate::support::shared;
-use albireo::eval::data::recorded;
-use albireo::eval::frontier::{Candidate, View, ViewedClip};
+use albireo_eval::data::recorded;
+use albireo_eval::frontier::{Candidate, View, ViewedClip};
 
 fn looked_at(view: &View) -> Vec<ViewedClip> {
     let clips = recorded::read(&shared("data/recorded")).expect("the recordings");

@@ -2,11 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use albireo::frame::{
+use albireo_core::geometry::PictureSize;
+use albireo_node::frame::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode,
     decode_grey_half, to_jpeg,
 };
-use albireo::geometry::PictureSize;
 use bytes::Bytes;
 use png::{BitDepth, ColorType};
 use proptest::prelude::*;

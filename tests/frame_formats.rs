@@ -2,11 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use albireo::frame::{
+use albireo_core::geometry::PictureSize;
+use albireo_node::frame::{
     Frame, FrameLimits, PayloadFormat, PictureFormat, RawSample, RejectedFrame, read_frame,
 };
-use albireo::geometry::PictureSize;
-use albireo::wire::DroppedFrames;
+use albireo_wire::DroppedFrames;
 use bytes::Bytes;
 use serde_json::Value;
 use std::path::PathBuf;

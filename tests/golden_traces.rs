@@ -5,8 +5,8 @@
 
 #![allow(clippy::unwrap_used, clippy::panic)]
 
-use albireo::geometry::PictureSize;
-use albireo::policy::{FrameState, Outcome};
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::{FrameState, Outcome};
 use replay::{Screen, compare, compare_excerpt, decide, reference};
 use shared_data::{sequences, summary};
 use std::collections::BTreeMap;

@@ -2,12 +2,12 @@
 
 #![allow(clippy::expect_used, clippy::unwrap_used)]
 
-use albireo::detector::head::{self, Suppression, TensorView, keep_best, suppress};
-use albireo::detector::{ElementType, HeadName, Metadata, Signature, TensorSpec};
-use albireo::frame::{
+use albireo_core::geometry::PictureSize;
+use albireo_node::detector::head::{self, Suppression, TensorView, keep_best, suppress};
+use albireo_node::detector::{ElementType, HeadName, Metadata, Signature, TensorSpec};
+use albireo_node::frame::{
     ColorOrder, Fit, InputFormat, Letterbox, Picture, PixelLayout, TensorLayout, ValueRange,
 };
-use albireo::geometry::PictureSize;
 use flate2::read::GzDecoder;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;

@@ -3,12 +3,12 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use albireo::geometry::PictureSize;
-use albireo::node::board::Board;
-use albireo::node::config::{CameraConfig, NodeConfig};
-use albireo::node::{Node, PreparedNode};
-use albireo::synth::{Dashcam, DashcamSettings};
-use albireo::wire::{ClipReport, DetectionsMessage, FrameAttachment, VERSION};
+use albireo_core::geometry::PictureSize;
+use albireo_node::board::Board;
+use albireo_node::config::{CameraConfig, NodeConfig};
+use albireo_node::{Node, PreparedNode};
+use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_wire::{ClipReport, DetectionsMessage, FrameAttachment, VERSION};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -36,7 +36,7 @@ fn configuration() -> NodeConfig {
     config.detector.timeout_ms = 60_000;
     config.policy.name = "vanilla".to_owned();
     config.cameras = vec![CameraConfig {
-        delivery: albireo::frame::Delivery::Every,
+        delivery: albireo_node::frame::Delivery::Every,
         ..CameraConfig::named(CAMERA)
     }];
     config
@@ -254,7 +254,7 @@ async fn a_predicted_frame_is_never_decoded() {
             message = bench.detections.recv() => message.unwrap(),
             () = dropped_one(&bench.board) => break,
         };
-        if message.state == albireo::policy::FrameState::P {
+        if message.state == albireo_core::policy::FrameState::P {
             predicted += 1;
             assert_eq!(message.latency_ms.decode, None);
         }
@@ -349,7 +349,7 @@ async fn the_open_clip_is_published_when_the_node_stops() {
     bench.stop().await;
     let last = timeout(LONG, reports.recv()).await.unwrap().unwrap();
     assert_eq!((last.clip.as_str(), last.frames), ("b", 2));
-    assert_eq!(last.ended_by, albireo::wire::ClipEnd::Shutdown);
+    assert_eq!(last.ended_by, albireo_wire::ClipEnd::Shutdown);
     assert_eq!(last.states.frames(), last.frames);
     assert_eq!(last.provider, "cpu");
 }
@@ -400,7 +400,7 @@ async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
     let mut config = configuration();
     config.cameras.push(CameraConfig {
         key: Some("camera/image_raw/compressed".to_owned()),
-        format: albireo::frame::PayloadFormat::Ros2CompressedImage,
+        format: albireo_node::frame::PayloadFormat::Ros2CompressedImage,
         ..CameraConfig::named("ros")
     });
     let mut bench = Bench::start(&config).await;

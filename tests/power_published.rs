@@ -5,9 +5,9 @@
 #![allow(clippy::unwrap_used)]
 
 use crate::support::shared;
-use albireo::clip::energy_of;
-use albireo::power::SpanEnergy;
-use albireo::wire::{DomainEnergy, EnergyQuality, FrameStates};
+use albireo_node::clip::energy_of;
+use albireo_node::power::SpanEnergy;
+use albireo_wire::{DomainEnergy, EnergyQuality, FrameStates};
 use serde::Deserialize;
 use std::time::Duration;
 

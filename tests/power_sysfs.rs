@@ -3,8 +3,8 @@
 
 #![allow(clippy::unwrap_used)]
 
-use albireo::power::{self, Domain, PowerConfig, PowerHandle, PowerSource, SpanEnergy};
-use albireo::wire::EnergyQuality;
+use albireo_node::power::{self, Domain, PowerConfig, PowerHandle, PowerSource, SpanEnergy};
+use albireo_wire::EnergyQuality;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 use tokio::time::Instant;

@@ -3,8 +3,10 @@
 
 #![allow(clippy::unwrap_used)]
 
-use albireo::power::{self, Meter, MeterError, PowerConfig, PowerHandle, PowerSource, Tegrastats};
-use albireo::wire::EnergyQuality;
+use albireo_node::power::{
+    self, Meter, MeterError, PowerConfig, PowerHandle, PowerSource, Tegrastats,
+};
+use albireo_wire::EnergyQuality;
 use serde_json::{Value, json};
 use std::path::Path;
 use std::time::Duration;

@@ -5,10 +5,10 @@
 use albireo::cli::replay::{
     self, Ffmpeg, FrameSource, ReplayArguments, Sent, Video, VideoEncoding,
 };
-use albireo::frame::{
+use albireo_core::geometry::PictureSize;
+use albireo_node::frame::{
     Delivery, Frame, FrameLimits, PayloadFormat, RingReceiver, frame_ring, read_sample,
 };
-use albireo::geometry::PictureSize;
 use clap::Parser;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -11,9 +11,9 @@ export ORT_DYLIB_PATH="${ORT_DYLIB_PATH:-$(ls "$PWD"/.cache/onnxruntime/libonnxr
 export ALBIREO_PYTHON="${ALBIREO_PYTHON:-$PWD/.cache/python/bin/python}"
 
 # With the feature turbojpeg where it can be built; its tests are named scaled_…
-read -ra options <<< "--locked $(bash tests/features.sh)"
+read -ra options <<< "--locked --workspace $(bash tests/features.sh)"
 skipped=0
-[ ${#options[@]} -eq 1 ] && skipped=$(grep -rhc 'fn scaled_' src | awk '{ n += $1 } END { print n }')
+[ ${#options[@]} -eq 2 ] && skipped=$(grep -rhc 'fn scaled_' crates | awk '{ n += $1 } END { print n }')
 
 cargo test "${options[@]}" --no-run || { echo "0 passed, 1 failed, 0 skipped"; exit 1; }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 /// Time of each stage between a JPEG picture and published detections, on this machine.
 #[derive(clap::Parser)]
 #[command(name = "cargo bench --bench stages --")]
-pub struct Arguments {
+pub(crate) struct Arguments {
     /// ONNX file of a detector; may be given several times. Without it the demonstration detector, and
     /// `yolox_nano_416.onnx` where $ALBIREO_SHARED (default ../shared) has it.
     #[arg(long = "model", value_name = "FILE")]
@@ -33,7 +33,7 @@ pub struct Arguments {
 
 impl Arguments {
     /// The detectors to measure.
-    pub fn models(&self) -> anyhow::Result<Vec<PathBuf>> {
+    pub(crate) fn models(&self) -> anyhow::Result<Vec<PathBuf>> {
         if !self.models.is_empty() {
             return Ok(self.models.clone());
         }
@@ -52,7 +52,7 @@ impl Arguments {
     }
 
     /// Threads of ONNX Runtime, never 0.
-    pub fn threads(&self) -> usize {
+    pub(crate) fn threads(&self) -> usize {
         match self.threads {
             0 => std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1)),
             threads => threads,
@@ -61,13 +61,13 @@ impl Arguments {
 }
 
 /// The machine's load of the last minute, where it tells.
-pub fn load_average() -> Option<String> {
+pub(crate) fn load_average() -> Option<String> {
     let text = std::fs::read_to_string("/proc/loadavg").ok()?;
     text.split_whitespace().next().map(ToOwned::to_owned)
 }
 
 /// A file's name for headings.
-pub fn name_of(path: &Path) -> anyhow::Result<String> {
+pub(crate) fn name_of(path: &Path) -> anyhow::Result<String> {
     let name = path.file_name().context("the model has no file name")?;
     Ok(name.to_string_lossy().into_owned())
 }

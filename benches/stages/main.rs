@@ -8,10 +8,10 @@ mod samples;
 mod table;
 mod throughput;
 
-use albireo::detector::{DetectorConfig, DetectorHandle};
-use albireo::footage::{FrameSource, PictureFolder, Synthetic};
-use albireo::frame::{EncodedPicture, FrameLimits, InputFormat, Picture, PixelLayout, decode};
-use albireo::screen::decoding_target;
+use albireo_eval::footage::{FrameSource, PictureFolder, Synthetic};
+use albireo_node::detector::{DetectorConfig, DetectorHandle};
+use albireo_node::frame::{EncodedPicture, FrameLimits, InputFormat, Picture, PixelLayout, decode};
+use albireo_node::screen::decoding_target;
 use anyhow::{Context, bail};
 use arguments::{Arguments, load_average, name_of};
 use clap::Parser;

@@ -2,13 +2,14 @@
 
 use super::decode_for;
 use super::samples::{Samples, Stage};
-use albireo::detector::{DetectorConfig, Network};
-use albireo::frame::{EncodedPicture, Frame, FrameLimits, Picture};
-use albireo::geometry::PictureSize;
-use albireo::node::config::ZenohConfig;
-use albireo::node::{AnswerContext, detections_message, session};
-use albireo::policy::{Albireo, AlbireoSettings, Evidence, FrameHead, Need, Outcome, Policy};
-use albireo::wire::Latency;
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::{Albireo, AlbireoSettings, Evidence, FrameHead, Need, Outcome, Policy};
+use albireo_node::answer::{AnswerContext, detections_message};
+use albireo_node::detector::{DetectorConfig, DetectorNetwork};
+use albireo_node::frame::{EncodedPicture, Frame, FrameLimits, Picture};
+use albireo_service::config::ZenohConfig;
+use albireo_service::session;
+use albireo_wire::Latency;
 use anyhow::{Context, anyhow, bail};
 use std::net::TcpListener;
 use std::time::{Duration, Instant};
@@ -19,14 +20,14 @@ use zenoh::pubsub::Publisher;
 const KEY: &str = "albireo/bench/front/detections";
 
 /// A publisher and, in a session of its own behind a TCP connection, somebody who listens.
-pub struct Line {
+pub(crate) struct Line {
     publisher: Publisher<'static>,
     /// Open as long as the publisher is in use.
     _sessions: [Session; 2],
 }
 
 impl Line {
-    pub async fn open() -> anyhow::Result<Self> {
+    pub(crate) async fn open() -> anyhow::Result<Self> {
         let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
         let endpoint = format!("tcp/127.0.0.1:{port}");
         let listening = ZenohConfig {
@@ -69,8 +70,8 @@ impl Line {
 }
 
 /// All that one camera's frames pass.
-pub struct OurPath<'a> {
-    pub network: Network,
+pub(crate) struct OurPath<'a> {
+    pub network: DetectorNetwork,
     line: &'a Line,
     class_names: Vec<String>,
     policy: Albireo,
@@ -80,8 +81,8 @@ pub struct OurPath<'a> {
 }
 
 impl<'a> OurPath<'a> {
-    pub fn open(config: &DetectorConfig, line: &'a Line) -> anyhow::Result<Self> {
-        let network = Network::open(config)?;
+    pub(crate) fn open(config: &DetectorConfig, line: &'a Line) -> anyhow::Result<Self> {
+        let network = DetectorNetwork::open(config)?;
         Ok(Self {
             class_names: network.class_names().to_vec(),
             network,
@@ -95,12 +96,12 @@ impl<'a> OurPath<'a> {
     }
 
     /// The size to which the pictures are decoded.
-    pub fn decoded_size(&self) -> PictureSize {
+    pub(crate) fn decoded_size(&self) -> PictureSize {
         self.picture.size
     }
 
     /// Takes one picture the whole way.
-    pub async fn frame(
+    pub(crate) async fn frame(
         &mut self,
         encoded: &EncodedPicture,
         samples: &mut Samples,

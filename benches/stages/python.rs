@@ -19,7 +19,7 @@ struct Round {
 }
 
 /// The script at work.
-pub struct PythonPath {
+pub(crate) struct PythonPath {
     child: Child,
     orders: Option<ChildStdin>,
     answers: Lines<BufReader<ChildStdout>>,
@@ -29,7 +29,7 @@ pub struct PythonPath {
 
 impl PythonPath {
     /// Starts the script with the pictures in `folder`. Returns when its model is loaded and warm.
-    pub fn start(
+    pub(crate) fn start(
         python: &Path,
         model: &Path,
         head: &str,
@@ -58,7 +58,7 @@ impl PythonPath {
     }
 
     /// All pictures once.
-    pub fn round(&mut self, samples: &mut Samples) -> anyhow::Result<()> {
+    pub(crate) fn round(&mut self, samples: &mut Samples) -> anyhow::Result<()> {
         let Some(orders) = &mut self.orders else {
             bail!("{SCRIPT} has ended");
         };

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 /// A part of a frame's way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stage {
+pub(crate) enum Stage {
     Decode,
     Letterbox,
     Model,
@@ -15,7 +15,7 @@ pub enum Stage {
 }
 
 impl Stage {
-    pub const ALL: [Self; 7] = [
+    pub(crate) const ALL: [Self; 7] = [
         Self::Decode,
         Self::Letterbox,
         Self::Model,
@@ -25,7 +25,7 @@ impl Stage {
         Self::Publish,
     ];
 
-    pub const fn title(self) -> &'static str {
+    pub(crate) const fn title(self) -> &'static str {
         match self {
             Self::Decode => "JPEG decoding",
             Self::Letterbox => "letterbox",
@@ -45,7 +45,7 @@ impl Stage {
 
 /// Milliseconds of every frame, one list a stage.
 #[derive(Default)]
-pub struct Samples {
+pub(crate) struct Samples {
     stages: [Vec<f64>; Stage::ALL.len()],
     ours: Vec<f64>,
     detections: usize,
@@ -53,7 +53,7 @@ pub struct Samples {
 
 impl Samples {
     /// Takes one frame in: the times of its stages, and how many objects were found in it.
-    pub fn add(&mut self, times: &[(Stage, Duration)], detections: usize) {
+    pub(crate) fn add(&mut self, times: &[(Stage, Duration)], detections: usize) {
         let mut ours = 0.0;
         for &(stage, time) in times {
             let time = time.as_secs_f64() * 1e3;
@@ -67,22 +67,22 @@ impl Samples {
     }
 
     /// One time of a stage, milliseconds.
-    pub fn add_one(&mut self, stage: Stage, milliseconds: f64) {
+    pub(crate) fn add_one(&mut self, stage: Stage, milliseconds: f64) {
         self.stages[stage as usize].push(milliseconds);
     }
 
     /// Median and 95th percentile of a stage; `None` where it was never measured.
-    pub fn of(&self, stage: Stage) -> Option<[f64; 2]> {
+    pub(crate) fn of(&self, stage: Stage) -> Option<[f64; 2]> {
         summary(&self.stages[stage as usize])
     }
 
     /// The same of all stages that are ours together, frame by frame.
-    pub fn ours(&self) -> Option<[f64; 2]> {
+    pub(crate) fn ours(&self) -> Option<[f64; 2]> {
         summary(&self.ours)
     }
 
     /// Objects found in a frame, on average.
-    pub fn detections(&self) -> f64 {
+    pub(crate) fn detections(&self) -> f64 {
         self.detections as f64 / self.ours.len().max(1) as f64
     }
 }
@@ -99,6 +99,6 @@ fn summary(values: &[f64]) -> Option<[f64; 2]> {
 }
 
 /// The middle one; of none, not a number.
-pub fn median(values: &[f64]) -> f64 {
+pub(crate) fn median(values: &[f64]) -> f64 {
     summary(values).map_or(f64::NAN, |[median, _]| median)
 }

@@ -6,7 +6,7 @@ use super::samples::{Samples, Stage};
 const MODEL_MS: f64 = 10.0;
 
 /// Prints a line a stage, and what is ours together.
-pub fn print(ours: &Samples, python: Option<&Samples>) {
+pub(crate) fn print(ours: &Samples, python: Option<&Samples>) {
     let model = ours.of(Stage::Model);
     let line = |title: &str, times: Option<[f64; 2]>, theirs: Option<[f64; 2]>, share: bool| {
         let Some([median, late]) = times else { return };

@@ -3,18 +3,18 @@
 
 use super::decode_for;
 use super::samples::median;
-use albireo::detector::{CameraSlot, DetectorHandle, Network, PreparedPicture};
-use albireo::frame::{EncodedPicture, Picture};
+use albireo_node::detector::{CameraSlot, DetectorHandle, DetectorNetwork, PreparedPicture};
+use albireo_node::frame::{EncodedPicture, Picture};
 use std::sync::Arc;
 use std::time::Instant;
 use tokio::task::JoinHandle;
 
 /// Cameras that ask at the same time, so that a picture always waits.
-pub const CAMERAS: usize = 3;
+pub(crate) const CAMERAS: usize = 3;
 
 /// Frames per second of each round.
 #[derive(Default)]
-pub struct Throughput {
+pub(crate) struct Throughput {
     queued: Vec<f64>,
     looped: Vec<f64>,
     model_alone: Vec<f64>,
@@ -25,9 +25,9 @@ pub struct Throughput {
 
 impl Throughput {
     /// The pictures once through the plain loop.
-    pub fn run_loop(
+    pub(crate) fn run_loop(
         &mut self,
-        network: &mut Network,
+        network: &mut DetectorNetwork,
         pictures: &[Arc<Picture>],
     ) -> anyhow::Result<()> {
         let mut model = 0.0;
@@ -43,7 +43,7 @@ impl Throughput {
     }
 
     /// The pictures once through the queue, dealt out to the cameras.
-    pub async fn run_queue(
+    pub(crate) async fn run_queue(
         &mut self,
         detector: &DetectorHandle,
         pictures: &[Arc<Picture>],
@@ -79,7 +79,7 @@ impl Throughput {
 
     /// All frames of one camera, decoding included: each made ready when its turn has come, or, with `ahead`,
     /// while the model has the one before.
-    pub async fn run_camera(
+    pub(crate) async fn run_camera(
         &mut self,
         detector: &DetectorHandle,
         frames: &[EncodedPicture],
@@ -108,7 +108,7 @@ impl Throughput {
     }
 
     /// The lines under the table.
-    pub fn print(&self) {
+    pub(crate) fn print(&self) {
         let ratio_of = |rates: &[f64], base: &[f64]| {
             let ratios: Vec<_> = rates.iter().zip(base).map(|(one, of)| one / of).collect();
             median(&ratios)

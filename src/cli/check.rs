@@ -1,6 +1,6 @@
 //! `albireo check`: says what is wrong with a configuration file.
 
-use crate::node::config::NodeConfig;
+use albireo_node::config::NodeConfig;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
@@ -20,7 +20,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let config = NodeConfig::load(Some(&arguments.file))?;
+    let config: NodeConfig = albireo_service::config::load(Some(&arguments.file))?;
     println!(
         "{} can be used: node `{}`, {} camera{}",
         arguments.file.display(),

@@ -3,16 +3,16 @@
 mod clip;
 mod play;
 
-use super::{logging, signals};
-use crate::detector::HeadName;
-use crate::eval::compare::{
+use albireo_eval::compare::{
     Boxes, ClassNumbers, Comparison, Playing, Run, Turn, Variant, agreement, render, schedule,
     summarise, variants, write,
 };
-use crate::eval::spec::BASELINE;
-use crate::footage::SourceName;
-use crate::node::config::NodeConfig;
-use crate::power::{self, PowerSource};
+use albireo_eval::footage::SourceName;
+use albireo_eval::spec::BASELINE;
+use albireo_node::config::NodeConfig;
+use albireo_node::detector::HeadName;
+use albireo_node::power::{self, PowerSource};
+use albireo_service::{logging, signals};
 use anyhow::{Context, bail, ensure};
 use clip::LoadedClip;
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
@@ -132,7 +132,10 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     eprintln!("Reading the clip …");
     let source = arguments
         .clip
-        .open(arguments.rate, crate::footage::VideoEncoding::default())
+        .open(
+            arguments.rate,
+            albireo_eval::footage::VideoEncoding::default(),
+        )
         .await
         .context("--clip")?;
     let clip = LoadedClip::read(source, arguments.seconds).await?;
@@ -180,7 +183,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 
 /// The node's configuration and what is compared, checked before anything starts.
 fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> {
-    let mut config = NodeConfig::load(arguments.config.as_deref())?;
+    let mut config: NodeConfig = albireo_service::config::load(arguments.config.as_deref())?;
     if let Some(model) = &arguments.model {
         config.detector.model.clone_from(model);
         config.screen.model = None;
@@ -204,7 +207,7 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> 
     if let Some(screen) = &arguments.screen_model {
         config.screen.model = Some(screen.clone());
     }
-    if config.log.level == crate::node::config::LogConfig::default().level {
+    if config.log.level == albireo_service::config::LogConfig::default().level {
         // Dropped frames are told in the table.
         config.log.level = "warn,albireo::node::intake=error".to_owned();
     }
@@ -241,8 +244,8 @@ async fn choose_meter(config: &NodeConfig) -> anyhow::Result<Chosen> {
         config.source = source;
     }
     let name = match quality {
-        crate::wire::EnergyQuality::Measured => format!("{name} (measured)"),
-        crate::wire::EnergyQuality::Estimated => "no meter, estimated".to_owned(),
+        albireo_wire::EnergyQuality::Measured => format!("{name} (measured)"),
+        albireo_wire::EnergyQuality::Estimated => "no meter, estimated".to_owned(),
         _ => "no meter".to_owned(),
     };
     Ok(Chosen { config, name })

@@ -2,14 +2,14 @@
 
 mod show;
 
-use super::node::run_prepared;
 use super::replay::{
     PublishOptions, Rate, SourceName, VideoEncoding, declare_frame_publisher, open_session,
     publish, wait_for_subscriber,
 };
-use super::{logging, signals};
-use crate::node::PreparedNode;
-use crate::node::config::{CameraConfig, LogConfig, NodeConfig};
+use albireo_node::config::{CameraConfig, NodeConfig};
+use albireo_node::{PreparedNode, run_prepared};
+use albireo_service::config::{Configuration, LogConfig};
+use albireo_service::{logging, signals};
 use anyhow::{Context, bail};
 use show::Show;
 use std::path::PathBuf;
@@ -137,7 +137,7 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
             config.detector.model.display()
         );
     }
-    if let Some(problem) = config.problems().into_iter().next() {
+    if let Some(problem) = config.findings().into_iter().next() {
         bail!("{problem}");
     }
     Ok(config)

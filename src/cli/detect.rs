@@ -1,11 +1,13 @@
 //! `albireo detect`: says what a detector is, and runs it on pictures.
 
 use super::synth::parse_size;
-use crate::detector::{ClassNames, DetectorConfig, ExecutionProvider, Found, HeadName, Network};
-use crate::footage::{FrameSource, PictureFolder};
-use crate::frame::{FrameLimits, Picture, PixelLayout, decode};
-use crate::geometry::PictureSize;
-use crate::screen::decoding_target;
+use albireo_core::geometry::PictureSize;
+use albireo_eval::footage::{FrameSource, PictureFolder};
+use albireo_node::detector::{
+    ClassNames, DetectorConfig, DetectorNetwork, ExecutionProvider, Found, HeadName,
+};
+use albireo_node::frame::{FrameLimits, Picture, PixelLayout, decode};
+use albireo_node::screen::decoding_target;
 use anyhow::Context;
 use indicatif::ProgressBar;
 use serde::Serialize;
@@ -102,7 +104,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let loading =
         ProgressBar::new_spinner().with_message(format!("loading {}", arguments.model.display()));
     loading.enable_steady_tick(Duration::from_millis(100));
-    let network = Network::open(&configuration(arguments));
+    let network = DetectorNetwork::open(&configuration(arguments));
     loading.finish_and_clear();
     let mut network = network?;
     let names = network.class_names().to_vec();

@@ -1,7 +1,7 @@
 //! `albireo power`: which power sources work on this machine, their rails, and watts now.
 
-use crate::node::config::NodeConfig;
-use crate::power::{SourceSurvey, survey};
+use albireo_node::config::NodeConfig;
+use albireo_node::power::{SourceSurvey, survey};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -27,7 +27,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let config = NodeConfig::load(arguments.config.as_deref())?;
+    let config: NodeConfig = albireo_service::config::load(arguments.config.as_deref())?;
     let found = survey(&config.power);
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&found)?);
@@ -86,8 +86,8 @@ fn watts(watts: Option<f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::power::RailNow;
-    use crate::wire::EnergyQuality;
+    use albireo_node::power::RailNow;
+    use albireo_wire::EnergyQuality;
 
     fn source(name: &'static str) -> SourceSurvey {
         SourceSurvey {

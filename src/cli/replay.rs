@@ -3,13 +3,13 @@
 mod publish;
 mod session;
 
-pub use crate::footage::{
+pub use albireo_eval::footage::{
     Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Synthetic, Video, VideoEncoding,
 };
 pub use publish::{OutgoingFrame, PublishOptions, Rate, Sent, declare_frame_publisher, publish};
 pub use session::{DEFAULT_ENDPOINT, flush, open_session, wait_for_subscriber};
 
-use crate::wire::NodeKeys;
+use albireo_wire::NodeKeys;
 use anyhow::{Context, anyhow};
 use clap::Args;
 use indicatif::{HumanBytes, ProgressBar, ProgressStyle};

@@ -4,9 +4,9 @@
 //! the start of the world of that seed), and `ground_truth.jsonl`: one JSON object a line and frame,
 //! [`FrameLine`]. The scripts in `models/` train on it.
 
-use crate::detection::BDD100K_CLASSES;
-use crate::geometry::PictureSize;
-use crate::synth::{Dashcam, DashcamSettings, GroundTruthBox, SyntheticFrame};
+use albireo_core::detection::BDD100K_CLASSES;
+use albireo_core::geometry::PictureSize;
+use albireo_synth::{Dashcam, DashcamSettings, GroundTruthBox, SyntheticFrame};
 use anyhow::{Context, Result, bail};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;

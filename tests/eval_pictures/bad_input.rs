@@ -1,12 +1,12 @@
 //! What cannot be evaluated is refused with what was wrong, where, and what to do.
 
 use super::{albireo, by_hand, fixture_detector, model, write_pictures};
-use albireo::eval::data::LoadReport;
-use albireo::eval::pictures::{GroundTruth, Observer, PassSettings, TruthFormat, collect};
-use albireo::footage::FrameSource;
-use albireo::frame::EncodedPicture;
-use albireo::geometry::PictureSize;
-use albireo::screen::ScreenConfig;
+use albireo_core::geometry::PictureSize;
+use albireo_eval::data::LoadReport;
+use albireo_eval::footage::FrameSource;
+use albireo_eval::pictures::{GroundTruth, Observer, PassSettings, TruthFormat, collect};
+use albireo_node::frame::EncodedPicture;
+use albireo_node::screen::ScreenConfig;
 use std::path::Path;
 use std::process::Command;
 
@@ -181,7 +181,7 @@ fn ground_truth_for_pictures_of_another_size_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     let mut clip = by_hand(3).clip;
     clip.truth = Some(vec![Vec::new(); 3]);
-    albireo::eval::data::recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
+    albireo_eval::data::recorded::write(folder.path(), std::slice::from_ref(&clip)).unwrap();
     let mut truth = GroundTruth::new(vec![folder.path().to_owned()], TruthFormat::Recorded);
     let mut report = LoadReport::default();
     assert!(truth.of(&clip, false, &mut report).unwrap().is_some());

@@ -1,15 +1,17 @@
 //! The node's way: a policy that asks detector and screen itself, only when it needs to.
 
 use super::{NO_PIXELS, fixture_detector, fixture_screen, look, settings, specs, write_pictures};
-use albireo::detection::Detection;
-use albireo::detector::{CameraSlot, DetectorConfig, DetectorHandle};
-use albireo::eval::data::classes::{Meaning, from_name};
-use albireo::eval::pictures::{PicturedClip, run_pictured};
-use albireo::eval::source::ScreenRule;
-use albireo::footage::{FrameSource, PictureFolder};
-use albireo::frame::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode, decode_grey_half};
-use albireo::policy::{Evidence, FrameHead, FrameState, GreyPicture, Need, Outcome, Policy};
-use albireo::screen::{ScreenConfig, ScreenHandle, decoding_target};
+use albireo_core::detection::Detection;
+use albireo_core::policy::{Evidence, FrameHead, FrameState, GreyPicture, Need, Outcome, Policy};
+use albireo_eval::data::classes::{Meaning, from_name};
+use albireo_eval::footage::{FrameSource, PictureFolder};
+use albireo_eval::pictures::{PicturedClip, run_pictured};
+use albireo_eval::source::ScreenRule;
+use albireo_node::detector::{CameraSlot, DetectorConfig, DetectorHandle};
+use albireo_node::frame::{
+    EncodedPicture, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
+};
+use albireo_node::screen::{ScreenConfig, ScreenHandle, decoding_target};
 use std::sync::Arc;
 
 const CAMERA: CameraSlot = CameraSlot(0);
@@ -100,7 +102,7 @@ impl Node {
 
 /// The node's detections on the same pictures are the pass's, and every policy that asks for itself decides
 /// as its replay does.
-pub fn assert_live_alike(
+pub(crate) fn assert_live_alike(
     source: &mut dyn FrameSource,
     detector: &DetectorConfig,
     screen: &ScreenConfig,

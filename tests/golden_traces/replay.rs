@@ -1,8 +1,8 @@
 //! Replays recorded detections through a policy and compares every frame with a golden trace.
 
-use albireo::detection::{ClassId, Detection};
-use albireo::geometry::{BoundingBox, Corners, PictureSize};
-use albireo::policy::{
+use albireo_core::detection::{ClassId, Detection};
+use albireo_core::geometry::{BoundingBox, Corners, PictureSize};
+use albireo_core::policy::{
     Albireo, BoxSource, Evidence, FrameHead, Need, ObjectRecord, Outcome, Policy, PolicyConfig,
     Profile,
 };
@@ -48,15 +48,15 @@ struct ExcerptFrame {
 
 /// What the empty-scene screen of a trace says.
 #[derive(Clone, Copy)]
-pub enum Screen {
+pub(crate) enum Screen {
     NeverEmpty,
     EmptyWithoutDetections,
 }
 
 /// Detections by frame, in file order.
-pub type Recorded = BTreeMap<u64, Vec<Detection>>;
+pub(crate) type Recorded = BTreeMap<u64, Vec<Detection>>;
 
-pub fn read_detections(csv: &str, picture: PictureSize) -> Recorded {
+pub(crate) fn read_detections(csv: &str, picture: PictureSize) -> Recorded {
     let mut recorded = Recorded::new();
     for line in csv.lines().skip(1) {
         let fields: Vec<f64> = line.split(',').map(|f| f.parse().unwrap()).collect();
@@ -75,7 +75,7 @@ pub fn read_detections(csv: &str, picture: PictureSize) -> Recorded {
 }
 
 /// The policy `asked` for, `NAME[:ARGUMENT]`, in the profile of the published code.
-pub fn reference(asked: &str) -> Box<dyn Policy> {
+pub(crate) fn reference(asked: &str) -> Box<dyn Policy> {
     let mut config = PolicyConfig {
         profile: Profile::Reference,
         ..PolicyConfig::default()
@@ -85,7 +85,7 @@ pub fn reference(asked: &str) -> Box<dyn Policy> {
 }
 
 /// Decides on one frame of a sequence without gaps.
-pub fn decide(
+pub(crate) fn decide(
     policy: &mut dyn Policy,
     index: u64,
     screen: Screen,
@@ -115,7 +115,7 @@ pub fn decide(
 }
 
 /// Replays `recorded` and compares every frame of `golden`. Returns the number of frames compared.
-pub fn compare(
+pub(crate) fn compare(
     what: &str,
     asked: &str,
     screen: Screen,
@@ -180,7 +180,7 @@ fn compare_object(at: &str, found: &ObjectRecord, expected: &GoldenObject) {
         found.hits,
         found.since_update,
         found.since_infer,
-        found.rescues,
+        found.misses,
     ];
     let expected_counters = [
         expected.hits,
@@ -207,7 +207,7 @@ fn close(found: f64, expected: f64, at: &str, what: &str) {
 }
 
 /// Replays an excerpt, whose lines carry the detections.
-pub fn compare_excerpt(lines: &str, asked: &str, screen: Screen, picture: PictureSize) {
+pub(crate) fn compare_excerpt(lines: &str, asked: &str, screen: Screen, picture: PictureSize) {
     let mut recorded = Recorded::new();
     for line in lines.lines() {
         let frame: ExcerptFrame = serde_json::from_str(line).unwrap();

@@ -2,14 +2,14 @@
 
 use super::replay::{Recorded, read_detections};
 use crate::support::shared;
-use albireo::geometry::PictureSize;
+use albireo_core::geometry::PictureSize;
 use serde::Deserialize;
 use std::io::Read;
 use std::path::Path;
 
 /// A recorded sequence.
 #[derive(Deserialize)]
-pub struct Sequence {
+pub(crate) struct Sequence {
     pub name: String,
     width: u32,
     height: u32,
@@ -22,17 +22,17 @@ struct Sequences {
 }
 
 impl Sequence {
-    pub fn picture(&self) -> PictureSize {
+    pub(crate) fn picture(&self) -> PictureSize {
         PictureSize::new(self.width, self.height)
     }
 
-    pub fn detections(&self) -> Recorded {
+    pub(crate) fn detections(&self) -> Recorded {
         let path = format!("data/recorded/detections/{}.csv", self.name);
         read_detections(&read_to_string(&shared(&path)), self.picture())
     }
 
     /// The golden trace of the policy that goes by the name `folder`.
-    pub fn golden(&self, folder: &str) -> String {
+    pub(crate) fn golden(&self, folder: &str) -> String {
         let path = shared(&format!("golden/{folder}/{}.jsonl.gz", self.name));
         let file = std::fs::File::open(&path)
             .unwrap_or_else(|error| panic!("{}: {error}", path.display()));
@@ -45,7 +45,7 @@ impl Sequence {
 }
 
 /// All 21 of them.
-pub fn sequences() -> Vec<Sequence> {
+pub(crate) fn sequences() -> Vec<Sequence> {
     let list = read_to_string(&shared("data/recorded/sequences.json"));
     let sequences = serde_json::from_str::<Sequences>(&list).unwrap().sequences;
     assert_eq!(sequences.len(), 21);
@@ -53,7 +53,7 @@ pub fn sequences() -> Vec<Sequence> {
 }
 
 /// A row of `golden/summary.csv`, as far as it is about frame states.
-pub struct SummaryRow {
+pub(crate) struct SummaryRow {
     pub sequence: String,
     /// The name of the policy there: `ctd-0.50`, `albireo-u3e-4-erd-nonempty`.
     pub policy: String,
@@ -65,7 +65,7 @@ pub struct SummaryRow {
 }
 
 /// `golden/summary.csv`.
-pub fn summary() -> Vec<SummaryRow> {
+pub(crate) fn summary() -> Vec<SummaryRow> {
     let text = read_to_string(&shared("golden/summary.csv"));
     let mut lines = text.lines();
     let header: Vec<_> = lines.next().unwrap().split(',').collect();

@@ -1,7 +1,8 @@
 use super::served::{KNOB, Served, board, problem};
-use albireo::frame::FrameLimits;
-use albireo::http::{self, HttpError, NodeView};
-use albireo::node::config::{HttpConfig, Token};
+use albireo_node::frame::FrameLimits;
+use albireo_node::http::{NodeView, router};
+use albireo_service::config::{HttpConfig, Token};
+use albireo_service::http::{self, HttpError};
 use reqwest::{Method, StatusCode};
 use std::path::PathBuf;
 use tokio::net::TcpListener;
@@ -87,7 +88,9 @@ async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
     let shutdown = CancellationToken::new();
     // Already over: a service that is not refused ends at once.
     shutdown.cancel();
-    http::run(&config, listener, view, shutdown).await.err()
+    http::run(&config, router(view, shutdown.clone()), listener, shutdown)
+        .await
+        .err()
 }
 
 #[tokio::test]

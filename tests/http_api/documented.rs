@@ -1,9 +1,9 @@
 use super::served::{KNOB, Served, clip, frame};
-use albireo::frame::{EncodedPicture, PictureFormat};
-use albireo::geometry::PictureSize;
-use albireo::node::board::LatestFrame;
-use albireo::node::config::HttpConfig;
-use albireo::policy::FrameState;
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::FrameState;
+use albireo_node::board::LatestFrame;
+use albireo_node::frame::{EncodedPicture, PictureFormat};
+use albireo_service::config::HttpConfig;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use tokio::process::Command;
@@ -74,7 +74,7 @@ async fn the_document_has_every_route_and_each_is_there() {
     }
     assert_eq!(
         document,
-        serde_json::to_value(albireo::http::node_openapi()).unwrap()
+        serde_json::to_value(albireo_node::http::openapi()).unwrap()
     );
 }
 
@@ -90,7 +90,7 @@ async fn every_reference_in_the_document_leads_somewhere() {
             _ => {}
         }
     }
-    let document = serde_json::to_value(albireo::http::node_openapi()).unwrap();
+    let document = serde_json::to_value(albireo_node::http::openapi()).unwrap();
     let mut found = Vec::new();
     references(&document, &mut found);
     assert!(found.len() > 20, "{found:?}");

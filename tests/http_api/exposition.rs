@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Samples by name and labels: `name{a="b",c="d"}`, labels in the order written.
-pub type Samples = BTreeMap<String, f64>;
+pub(crate) type Samples = BTreeMap<String, f64>;
 
 #[derive(Default)]
 struct Family {
@@ -69,7 +69,7 @@ fn number(text: &str) -> f64 {
 }
 
 /// Reads a document; panics with what is wrong with it.
-pub fn read(text: &str, open_metrics: bool) -> Samples {
+pub(crate) fn read(text: &str, open_metrics: bool) -> Samples {
     assert!(text.ends_with('\n'), "the last line has no end");
     let body = if open_metrics {
         text.strip_suffix("# EOF\n")

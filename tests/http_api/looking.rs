@@ -1,11 +1,11 @@
 use super::served::{Served, clip, frame, problem};
-use albireo::detector::{DetectorStatus, ExecutionProvider};
-use albireo::frame::{EncodedPicture, PictureFormat};
-use albireo::geometry::PictureSize;
-use albireo::node::board::LatestFrame;
-use albireo::node::config::HttpConfig;
-use albireo::policy::FrameState;
-use albireo::wire::DroppedFrames;
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::FrameState;
+use albireo_node::board::LatestFrame;
+use albireo_node::detector::{DetectorStatus, ExecutionProvider};
+use albireo_node::frame::{EncodedPicture, PictureFormat};
+use albireo_service::config::HttpConfig;
+use albireo_wire::DroppedFrames;
 use reqwest::{Method, StatusCode};
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};

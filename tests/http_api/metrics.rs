@@ -1,9 +1,9 @@
 use super::exposition::{Samples, read};
 use super::served::{Served, clip, frame};
-use albireo::node::board::PowerNow;
-use albireo::policy::FrameState;
-use albireo::power::MeterCost;
-use albireo::wire::{DomainWatts, DroppedFrames, EnergyQuality};
+use albireo_core::policy::FrameState;
+use albireo_node::board::PowerSnapshot;
+use albireo_node::power::MeterCost;
+use albireo_wire::{DomainWatts, DroppedFrames, EnergyQuality};
 use reqwest::Method;
 use std::io::Write;
 use std::process::{Command, Stdio};
@@ -29,7 +29,7 @@ async fn filled() -> Served {
         ..DroppedFrames::default()
     });
     node.board.record_clip(clip("front", 0));
-    node.board.set_power(PowerNow {
+    node.board.set_power(PowerSnapshot {
         source: "estimate".to_owned(),
         quality: EnergyQuality::Estimated,
         watts: vec![DomainWatts {

@@ -1,12 +1,14 @@
 //! A node's interface on a free port, over a board that the test writes.
 
-use albireo::detector::{DetectorStatus, ExecutionProvider};
-use albireo::frame::FrameLimits;
-use albireo::http::{self, HttpError, NodeView};
-use albireo::node::board::{Board, BoardSetup, CameraSetup, DetectorFacts};
-use albireo::node::config::HttpConfig;
-use albireo::policy::{BoxSource, FrameState, Knob, ObjectId};
-use albireo::wire::{
+use albireo_core::detection::ObjectId;
+use albireo_core::policy::{BoxSource, FrameState, Knob};
+use albireo_node::board::{Board, BoardSetup, CameraSetup, DetectorFacts};
+use albireo_node::detector::{DetectorStatus, ExecutionProvider};
+use albireo_node::frame::FrameLimits;
+use albireo_node::http::{NodeView, router};
+use albireo_service::config::HttpConfig;
+use albireo_service::http::{self, HttpError};
+use albireo_wire::{
     BoxMessage, ClipEnd, ClipEnergy, ClipReport, DetectionsMessage, DomainEnergy, DroppedFrames,
     EnergyQuality, FrameStates, KnobChange, KnobValue, Latency, Percentiles,
 };
@@ -20,7 +22,7 @@ use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
-pub const KNOB: Knob = Knob {
+pub(crate) const KNOB: Knob = Knob {
     name: "u",
     meaning: "The detector is skipped while every uncertainty is below it.",
     minimum: 1e-9,
@@ -29,7 +31,7 @@ pub const KNOB: Knob = Knob {
 };
 
 /// A served node.
-pub struct Served {
+pub(crate) struct Served {
     pub board: Arc<Board>,
     pub detector: watch::Sender<DetectorStatus>,
     pub address: SocketAddr,
@@ -39,7 +41,7 @@ pub struct Served {
 }
 
 /// A board with the cameras `front` and `rear`.
-pub fn board(
+pub(crate) fn board(
     knob: Option<Knob>,
     state_dir: Option<PathBuf>,
 ) -> (Arc<Board>, watch::Sender<DetectorStatus>) {
@@ -66,11 +68,11 @@ pub fn board(
 
 impl Served {
     /// With the default settings.
-    pub async fn start() -> Self {
+    pub(crate) async fn start() -> Self {
         Self::with(HttpConfig::default(), Some(KNOB)).await
     }
 
-    pub async fn with(config: HttpConfig, knob: Option<Knob>) -> Self {
+    pub(crate) async fn with(config: HttpConfig, knob: Option<Knob>) -> Self {
         let (board, detector) = board(knob, None);
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
@@ -80,7 +82,9 @@ impl Served {
             limits: FrameLimits::default(),
         };
         let stop = shutdown.clone();
-        let task = tokio::spawn(async move { http::run(&config, listener, view, stop).await });
+        let task = tokio::spawn(async move {
+            http::run(&config, router(view, stop.clone()), listener, stop).await
+        });
         Self {
             board,
             detector,
@@ -91,23 +95,23 @@ impl Served {
         }
     }
 
-    pub fn request(&self, method: Method, path: &str) -> RequestBuilder {
+    pub(crate) fn request(&self, method: Method, path: &str) -> RequestBuilder {
         self.client
             .request(method, format!("http://{}{path}", self.address))
     }
 
-    pub async fn get(&self, path: &str) -> Response {
+    pub(crate) async fn get(&self, path: &str) -> Response {
         self.request(Method::GET, path).send().await.unwrap()
     }
 
     /// The JSON of a successful answer.
-    pub async fn json(&self, path: &str) -> Value {
+    pub(crate) async fn json(&self, path: &str) -> Value {
         let response = self.get(path).await;
         assert_eq!(response.status(), StatusCode::OK, "{path}");
         response.json().await.unwrap()
     }
 
-    pub async fn put(&self, path: &str, body: impl Into<reqwest::Body>) -> Response {
+    pub(crate) async fn put(&self, path: &str, body: impl Into<reqwest::Body>) -> Response {
         self.request(Method::PUT, path)
             .header("content-type", "application/json")
             .body(body)
@@ -116,7 +120,7 @@ impl Served {
             .unwrap()
     }
 
-    pub fn ready(&self) {
+    pub(crate) fn ready(&self) {
         self.detector.send_replace(DetectorStatus::Ready {
             provider: ExecutionProvider::Cpu,
         });
@@ -130,7 +134,7 @@ impl Drop for Served {
 }
 
 /// The problem document of an error answer, checked to be one.
-pub async fn problem(response: Response, status: u16) -> Value {
+pub(crate) async fn problem(response: Response, status: u16) -> Value {
     assert_eq!(response.status().as_u16(), status, "{}", response.url());
     assert_eq!(
         response.headers()["content-type"],
@@ -153,7 +157,7 @@ pub async fn problem(response: Response, status: u16) -> Value {
     problem
 }
 
-pub fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
+pub(crate) fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
     Arc::new(DetectionsMessage {
         v: 1,
         seq,
@@ -181,7 +185,7 @@ pub fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
     })
 }
 
-pub fn clip(camera: &str, report: u64) -> ClipReport {
+pub(crate) fn clip(camera: &str, report: u64) -> ClipReport {
     ClipReport {
         v: 1,
         node: "car-7".to_owned(),

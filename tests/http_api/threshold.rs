@@ -1,5 +1,5 @@
 use super::served::{KNOB, Served, board, problem};
-use albireo::node::config::HttpConfig;
+use albireo_service::config::HttpConfig;
 use reqwest::{Method, StatusCode};
 use serde_json::json;
 
@@ -163,14 +163,20 @@ async fn a_change_that_is_kept_is_said_to_survive() {
     // The same routes over a board with a state directory.
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     node.address = listener.local_addr().unwrap();
-    let view = albireo::http::NodeView {
+    let view = albireo_node::http::NodeView {
         board,
-        limits: albireo::frame::FrameLimits::default(),
+        limits: albireo_node::frame::FrameLimits::default(),
     };
     let stop = node.shutdown.clone();
-    tokio::spawn(
-        async move { albireo::http::run(&HttpConfig::default(), listener, view, stop).await },
-    );
+    tokio::spawn(async move {
+        albireo_service::http::run(
+            &HttpConfig::default(),
+            albireo_node::http::router(view, stop.clone()),
+            listener,
+            stop,
+        )
+        .await
+    });
     let response = node.put("/api/v1/threshold", r#"{"u": 7e-4}"#).await;
     let all: serde_json::Value = response.json().await.unwrap();
     assert_eq!(all["survives_restart"], true);

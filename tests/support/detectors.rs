@@ -1,23 +1,23 @@
 //! The tiny models of tests/fixtures/models, and pictures for them.
 
-use albireo::detector::DetectorConfig;
-use albireo::frame::Picture;
-use albireo::geometry::PictureSize;
+use albireo_core::geometry::PictureSize;
+use albireo_node::detector::DetectorConfig;
+use albireo_node::frame::Picture;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Twice the size of the models' input.
-pub const PICTURE: PictureSize = PictureSize::new(128, 64);
+pub(crate) const PICTURE: PictureSize = PictureSize::new(128, 64);
 
 /// A model's file.
-pub fn model(name: &str) -> PathBuf {
+pub(crate) fn model(name: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/fixtures/models")
         .join(name)
 }
 
 /// A detector with that model and nothing else configured.
-pub fn config(name: &str) -> DetectorConfig {
+pub(crate) fn config(name: &str) -> DetectorConfig {
     DetectorConfig {
         model: model(name),
         ..DetectorConfig::default()
@@ -25,7 +25,7 @@ pub fn config(name: &str) -> DetectorConfig {
 }
 
 /// A picture of one colour.
-pub fn one_colour(color: [u8; 3]) -> Arc<Picture> {
+pub(crate) fn one_colour(color: [u8; 3]) -> Arc<Picture> {
     let mut picture = Picture::black(PICTURE);
     for pixel in picture.pixels.chunks_exact_mut(3) {
         pixel.copy_from_slice(&color);

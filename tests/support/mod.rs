@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-pub mod detectors;
+pub(crate) mod detectors;
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -14,10 +14,10 @@ use tokio::process::{Child, ChildStdin, ChildStdout, Command};
 use tokio::time::timeout;
 
 /// The longest any single thing may take on a busy machine before a test gives up on it.
-pub const PATIENCE: Duration = Duration::from_secs(120);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
 
 /// A file of the shared recordings, clips and models.
-pub fn shared(path: &str) -> PathBuf {
+pub(crate) fn shared(path: &str) -> PathBuf {
     let folder = std::env::var_os("ALBIREO_SHARED").map_or_else(
         || Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared"),
         PathBuf::from,
@@ -32,13 +32,13 @@ pub fn shared(path: &str) -> PathBuf {
 }
 
 /// The Python of the independent clients, as `make python` sets it up.
-pub fn python() -> String {
+pub(crate) fn python() -> String {
     std::env::var("ALBIREO_PYTHON")
         .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into())
 }
 
 /// A port nobody listens on at this moment.
-pub fn free_port() -> u16 {
+pub(crate) fn free_port() -> u16 {
     std::net::TcpListener::bind("127.0.0.1:0")
         .and_then(|listener| listener.local_addr())
         .expect("the loopback interface has a free port")
@@ -46,7 +46,7 @@ pub fn free_port() -> u16 {
 }
 
 /// The program itself, with a clean environment for its configuration.
-pub fn albireo() -> Command {
+pub(crate) fn albireo() -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_albireo"));
     command
         .current_dir(env!("CARGO_MANIFEST_DIR"))
@@ -56,7 +56,7 @@ pub fn albireo() -> Command {
 }
 
 /// A stand-in for `nvpmodel` in `folder` that says the board is in mode `MODE_30W`.
-pub fn fake_nvpmodel(folder: &Path) -> PathBuf {
+pub(crate) fn fake_nvpmodel(folder: &Path) -> PathBuf {
     let program = folder.join("nvpmodel");
     let fake = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/fake_nvpmodel");
     std::os::unix::fs::symlink(fake, &program).expect("the stand-in is linked");
@@ -66,7 +66,7 @@ pub fn fake_nvpmodel(folder: &Path) -> PathBuf {
 }
 
 /// `albireo node`, running.
-pub struct Node {
+pub(crate) struct Node {
     child: Child,
     /// Its folder: configuration, state.
     pub folder: tempfile::TempDir,
@@ -79,12 +79,12 @@ pub struct Node {
 
 impl Node {
     /// Starts a node with `settings` (TOML) added to addresses of its own, and waits until it is ready.
-    pub async fn start(settings: &str) -> Self {
+    pub(crate) async fn start(settings: &str) -> Self {
         Self::start_in(tempfile::tempdir().expect("a temporary folder"), settings).await
     }
 
     /// As [`Self::start`], with the folder of an earlier node.
-    pub async fn start_in(folder: tempfile::TempDir, settings: &str) -> Self {
+    pub(crate) async fn start_in(folder: tempfile::TempDir, settings: &str) -> Self {
         let zenoh = format!("tcp/127.0.0.1:{}", free_port());
         let file = folder.path().join("node.toml");
         let addresses = format!(
@@ -133,7 +133,7 @@ impl Node {
     }
 
     /// Sends the signal a service manager sends.
-    pub fn terminate(&self) {
+    pub(crate) fn terminate(&self) {
         let id = self.child.id().expect("the node runs").to_string();
         let status = std::process::Command::new("kill")
             .args(["-TERM", &id])
@@ -143,7 +143,7 @@ impl Node {
     }
 
     /// Terminates the node; how it ended, how long that took, its log, and its folder.
-    pub async fn stop(mut self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
+    pub(crate) async fn stop(mut self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
         let start = std::time::Instant::now();
         self.terminate();
         let status = timeout(PATIENCE, self.child.wait())
@@ -171,7 +171,7 @@ async fn http_address<R: AsyncRead + Unpin>(lines: &mut Lines<BufReader<R>>) -> 
 }
 
 /// The independent client: Eclipse Zenoh's Python binding.
-pub struct Client {
+pub(crate) struct Client {
     child: Child,
     stdin: Option<ChildStdin>,
     lines: Lines<BufReader<ChildStdout>>,
@@ -179,7 +179,7 @@ pub struct Client {
 
 impl Client {
     /// Subscribes to `key` at `endpoint` and waits until the subscription stands.
-    pub async fn listen(endpoint: &str, key: &str, history: bool) -> Self {
+    pub(crate) async fn listen(endpoint: &str, key: &str, history: bool) -> Self {
         let python = std::env::var("ALBIREO_PYTHON").unwrap_or_else(|_| {
             concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into()
         });
@@ -216,7 +216,7 @@ impl Client {
     }
 
     /// The next message: its key and itself. `None` once the client has ended.
-    pub async fn next(&mut self) -> Option<(String, Value)> {
+    pub(crate) async fn next(&mut self) -> Option<(String, Value)> {
         let line = self.line().await?;
         let mut entry: Value = serde_json::from_str(&line).expect("a JSON line");
         let key = entry["key"].as_str().expect("a key").to_owned();
@@ -224,7 +224,7 @@ impl Client {
     }
 
     /// Ends the client and gives what it still had to say.
-    pub async fn finish(mut self) -> Vec<(String, Value)> {
+    pub(crate) async fn finish(mut self) -> Vec<(String, Value)> {
         drop(self.stdin.take());
         let mut rest = Vec::new();
         while let Some(message) = self.next().await {

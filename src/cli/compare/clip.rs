@@ -1,8 +1,8 @@
 //! A clip in memory: read and encoded once, so that no run pays for it.
 
-use crate::footage::FrameSource;
-use crate::frame::EncodedPicture;
-use crate::geometry::PictureSize;
+use albireo_core::geometry::PictureSize;
+use albireo_eval::footage::FrameSource;
+use albireo_node::frame::EncodedPicture;
 use anyhow::{Context, bail};
 use std::sync::Arc;
 
@@ -118,7 +118,7 @@ impl FrameSource for InMemory {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::footage::Synthetic;
+    use albireo_eval::footage::Synthetic;
 
     #[tokio::test]
     async fn a_clip_is_as_long_as_asked_for_and_plays_again_from_its_start() {

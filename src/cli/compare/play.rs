@@ -6,13 +6,14 @@ use crate::cli::replay::{
     PublishOptions, Rate, declare_frame_publisher, flush, open_session, publish,
     wait_for_subscriber,
 };
-use crate::eval::compare::{Boxes, ClassNumbers};
-use crate::frame::Delivery;
-use crate::node::PreparedNode;
-use crate::node::board::{Board, CameraBoard};
-use crate::node::config::{CameraConfig, NodeConfig, ZenohConfig};
-use crate::policy::PolicyConfig;
-use crate::wire::{ClipReport, DetectionsMessage, read};
+use albireo_core::policy::PolicyConfig;
+use albireo_eval::compare::{Boxes, ClassNumbers};
+use albireo_node::PreparedNode;
+use albireo_node::board::{Board, CameraBoard};
+use albireo_node::config::{CameraConfig, NodeConfig};
+use albireo_node::frame::Delivery;
+use albireo_service::config::{Configuration, ZenohConfig};
+use albireo_wire::{ClipReport, DetectionsMessage, read};
 use anyhow::{Context, anyhow, bail};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -101,7 +102,7 @@ impl Player {
         // are kept for twice the window.
         config.clip.silence_s = 3600.0;
         config.clip.window_s = 3600.0;
-        match config.problems().into_iter().next() {
+        match config.findings().into_iter().next() {
             Some(problem) => bail!("{problem}"),
             None => Ok(config),
         }

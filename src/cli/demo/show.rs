@@ -1,8 +1,8 @@
 //! What the demonstration prints: an address, a live line, a line for every clip, a summary.
 
-use crate::node::board::{Board, Event};
-use crate::node::config::NodeConfig;
-use crate::wire::{ClipReport, DetectionsMessage, EnergyQuality, FrameStates};
+use albireo_node::board::{Board, Event};
+use albireo_node::config::NodeConfig;
+use albireo_wire::{ClipReport, DetectionsMessage, EnergyQuality, FrameStates};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::BTreeMap;
 use std::net::SocketAddr;

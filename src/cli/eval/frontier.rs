@@ -1,8 +1,8 @@
 //! `albireo eval frontier` and `leave-one-out`: expected-loss at equal skip rates, and how its settings
 //! generalise.
 
-use crate::eval::data::recorded;
-use crate::eval::frontier::{
+use albireo_eval::data::recorded;
+use albireo_eval::frontier::{
     LeaveOneOut, Study, Variation, View, leave_one_out, render, render_leave_one_out, study, write,
 };
 use anyhow::Context;
@@ -12,7 +12,7 @@ use std::path::PathBuf;
 
 /// The options.
 #[derive(Debug, Args)]
-pub struct FrontierArguments {
+pub(super) struct FrontierArguments {
     /// Recorded detections with ground truth: a folder with sequences.json, detections/ and groundtruth/.
     folder: PathBuf,
     /// Detections below this confidence are not shown to the policies; may be given several times.
@@ -25,7 +25,7 @@ pub struct FrontierArguments {
 
 /// The options.
 #[derive(Debug, Args)]
-pub struct LeaveOneOutArguments {
+pub(super) struct LeaveOneOutArguments {
     /// Recorded detections with ground truth: a folder with sequences.json, detections/ and groundtruth/.
     folder: PathBuf,
     /// A setting of `[policy.expected_loss]` and the values to try, for instance
@@ -44,7 +44,7 @@ pub struct LeaveOneOutArguments {
 ///
 /// # Errors
 /// A sentence with what was wrong, where, and what to do.
-pub fn run_leave_one_out(arguments: &LeaveOneOutArguments) -> anyhow::Result<()> {
+pub(super) fn run_leave_one_out(arguments: &LeaveOneOutArguments) -> anyhow::Result<()> {
     let clips = recorded::read(&arguments.folder)?.only_with_detections(&arguments.folder)?;
     let view = if arguments.half_rate {
         View::half_rate(arguments.confidence)
@@ -84,7 +84,7 @@ fn progress(steps: usize, what: &str) -> anyhow::Result<ProgressBar> {
 ///
 /// # Errors
 /// A sentence with what was wrong, where, and what to do.
-pub fn run(arguments: &FrontierArguments) -> anyhow::Result<()> {
+pub(super) fn run(arguments: &FrontierArguments) -> anyhow::Result<()> {
     for confidence in &arguments.confidence {
         anyhow::ensure!(
             (0.0..=1.0).contains(confidence),

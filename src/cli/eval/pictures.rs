@@ -3,24 +3,24 @@
 
 use super::{RunArguments, listed, policies, projected_power, settings};
 use crate::cli::synth::{Seeds, parse_seeds, parse_size};
-use crate::detector::{ClassNames, DetectorConfig, ExecutionProvider, HeadName};
-use crate::eval::data::{Clip, LoadReport, recorded};
-use crate::eval::pictures::{
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::FrameState;
+use albireo_eval::data::{Clip, LoadReport, recorded};
+use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
+use albireo_eval::pictures::{
     DashcamClip, GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes,
     TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
 };
-use crate::eval::report::Report;
-use crate::eval::result::{ClipResult, Spread};
-use crate::eval::run::Settings;
-use crate::eval::source::ScreenRule;
-use crate::eval::spec::PolicySpec;
-use crate::eval::{summary, table};
-use crate::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
-use crate::frame::ColorOrder;
-use crate::geometry::PictureSize;
-use crate::policy::FrameState;
-use crate::screen::ScreenConfig;
-use crate::synth::DashcamSettings;
+use albireo_eval::report::Report;
+use albireo_eval::result::{ClipResult, Spread};
+use albireo_eval::run::Settings;
+use albireo_eval::source::ScreenRule;
+use albireo_eval::spec::PolicySpec;
+use albireo_eval::{summary, table};
+use albireo_node::detector::{ClassNames, DetectorConfig, ExecutionProvider, HeadName};
+use albireo_node::frame::ColorOrder;
+use albireo_node::screen::ScreenConfig;
+use albireo_synth::DashcamSettings;
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -31,7 +31,7 @@ const TIMEOUT_MS: u64 = 60_000;
 
 /// Arguments of `albireo eval video`.
 #[derive(Debug, Args)]
-pub struct VideoArguments {
+pub(super) struct VideoArguments {
     /// Video files; each is a clip, named after its file. Needs ffmpeg.
     #[arg(required = true)]
     files: Vec<String>,
@@ -48,7 +48,7 @@ pub struct VideoArguments {
 
 /// Arguments of `albireo eval pictures`.
 #[derive(Debug, Args)]
-pub struct FolderArguments {
+pub(super) struct FolderArguments {
     /// Folders of JPEG and PNG files in order of their names; each is a clip, named after its folder.
     #[arg(required = true)]
     folders: Vec<PathBuf>,
@@ -65,7 +65,7 @@ pub struct FolderArguments {
 
 /// Arguments of `albireo eval synth`.
 #[derive(Debug, Args)]
-pub struct SynthArguments {
+pub(super) struct SynthArguments {
     /// Worlds to film: numbers and ranges, such as `7` or `1-40,90`.
     #[arg(long, default_value = "1-5", value_parser = parse_seeds)]
     seeds: Seeds,
@@ -132,7 +132,7 @@ struct PassArguments {
 }
 
 /// Runs `albireo eval video`.
-pub fn videos(arguments: &VideoArguments) -> anyhow::Result<()> {
+pub(super) fn videos(arguments: &VideoArguments) -> anyhow::Result<()> {
     for file in &arguments.files {
         ensure!(
             file.contains("://") || Path::new(file).is_file(),
@@ -142,7 +142,7 @@ pub fn videos(arguments: &VideoArguments) -> anyhow::Result<()> {
     let names = arguments
         .files
         .iter()
-        .map(|file| crate::footage::clip_name(Path::new(file)))
+        .map(|file| albireo_eval::footage::clip_name(Path::new(file)))
         .collect();
     let mut evaluation =
         Evaluation::start(&arguments.pass, &arguments.run, &arguments.truth, names)?;
@@ -154,7 +154,7 @@ pub fn videos(arguments: &VideoArguments) -> anyhow::Result<()> {
 }
 
 /// Runs `albireo eval pictures`.
-pub fn folders(arguments: &FolderArguments) -> anyhow::Result<()> {
+pub(super) fn folders(arguments: &FolderArguments) -> anyhow::Result<()> {
     let rate = arguments.frame_rate;
     ensure!(
         rate > 0.0 && rate <= 1000.0,
@@ -183,7 +183,7 @@ pub fn folders(arguments: &FolderArguments) -> anyhow::Result<()> {
 }
 
 /// Runs `albireo eval synth`.
-pub fn synthetic(arguments: &SynthArguments) -> anyhow::Result<()> {
+pub(super) fn synthetic(arguments: &SynthArguments) -> anyhow::Result<()> {
     let no_files = TruthArguments {
         ground_truth: Vec::new(),
         truth_format: None,

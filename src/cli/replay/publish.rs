@@ -1,8 +1,8 @@
 //! Plays a source on a frame key: when each frame is due, its number, its time and its clip.
 
-use crate::footage::{FrameSource, Stopper};
-use crate::frame::{EncodedPicture, PictureFormat};
-use crate::wire::{FrameAttachment, VERSION};
+use albireo_eval::footage::{FrameSource, Stopper};
+use albireo_node::frame::{EncodedPicture, PictureFormat};
+use albireo_wire::{FrameAttachment, VERSION};
 use anyhow::{Context, anyhow, bail};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};

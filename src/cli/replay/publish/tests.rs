@@ -1,7 +1,7 @@
 //! Pacing and clips under paused time.
 
 use super::*;
-use crate::geometry::PictureSize;
+use albireo_core::geometry::PictureSize;
 use bytes::Bytes;
 use std::sync::Mutex;
 

@@ -1,0 +1,19 @@
+//! The Kalman filter of one object: a box that moves with constant acceleration and whose size changes
+//! with constant velocity, in normalised coordinates; its uncertainty τ and its distance to a detection.
+//!
+//! [`Filter`] is what runs. [`dense`] is the same filter as a textbook prints it, with full matrices:
+//! slower, easier to read, and the measure of the first.
+
+#[cfg(test)]
+mod dense;
+mod filter;
+mod parameters;
+
+pub use filter::Filter;
+pub use filter::Gauge;
+pub use parameters::FilterParameters;
+pub use parameters::{Deviations, MeasurementNoise, MotionModel};
+pub use parameters::{FilterModel, MeasurementUnit};
+
+#[cfg(test)]
+mod tests;

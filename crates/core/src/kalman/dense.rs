@@ -1,0 +1,134 @@
+//! The filter as a textbook prints it: full matrices, no structure used. Not for the live path: it is
+//! what [`Filter`](super::Filter) is tested against, and the one to read first.
+//!
+//! State `x`, covariance `P`; one frame is the unit of time.
+//!
+//! - predict: `x ← F x`, `P ← F P Fᵀ + Q`
+//! - update with a measured box `z`: `S = H P Hᵀ + R`, `K = P Hᵀ S⁻¹`, `x ← x + K (z − H x)`,
+//!   `P ← (I − K H) P`
+//! - uncertainty: `τ = trace(H P Hᵀ)`
+
+use super::{Deviations, FilterModel};
+use crate::geometry::BoundingBox;
+use nalgebra::{SMatrix, SVector};
+
+/// A filter of `N` dimensions: 10 over `[cx, cy, w, h, vx, vy, vw, vh, ax, ay]`, or 8 without the
+/// accelerations.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct DenseFilter<const N: usize> {
+    /// x.
+    pub mean: SVector<f64, N>,
+    /// P.
+    pub covariance: SMatrix<f64, N, N>,
+    /// F.
+    pub transition: SMatrix<f64, N, N>,
+    /// Q.
+    pub process_noise: SMatrix<f64, N, N>,
+    /// H: picks cx, cy, w and h.
+    pub observation: SMatrix<f64, 4, N>,
+    /// R.
+    pub measurement_noise: SMatrix<f64, 4, 4>,
+}
+
+impl DenseFilter<10> {
+    /// The paper's filter: constant acceleration of the centre, constant velocity of the size.
+    pub(crate) fn constant_acceleration(model: &FilterModel, bounding_box: BoundingBox) -> Self {
+        let mut filter = Self::with_velocities(model, bounding_box);
+        for axis in 0..2 {
+            filter.transition[(axis, 8 + axis)] = 0.5;
+            filter.transition[(4 + axis, 8 + axis)] = 1.0;
+            filter.process_noise[(8 + axis, 8 + axis)] = model.process.acceleration;
+            filter.covariance[(8 + axis, 8 + axis)] = model.initial.acceleration;
+        }
+        filter
+    }
+}
+
+impl DenseFilter<8> {
+    /// The ablation's filter: constant velocity of centre and size. See
+    /// [`MotionModel::ConstantVelocity`](super::MotionModel::ConstantVelocity) for what the paper says
+    /// of it.
+    pub(crate) fn constant_velocity(model: &FilterModel, bounding_box: BoundingBox) -> Self {
+        Self::with_velocities(model, bounding_box)
+    }
+}
+
+impl<const N: usize> DenseFilter<N> {
+    /// The first eight components, which both filters share; any further ones stand still and are
+    /// certain.
+    fn with_velocities(model: &FilterModel, bounding_box: BoundingBox) -> Self {
+        let diagonal = |d: &Deviations| {
+            let mut full = SMatrix::<f64, N, N>::zeros();
+            for axis in 0..2 {
+                full[(axis, axis)] = d.center;
+                full[(2 + axis, 2 + axis)] = d.size;
+                full[(4 + axis, 4 + axis)] = d.center_velocity;
+                full[(6 + axis, 6 + axis)] = d.size_velocity;
+            }
+            full
+        };
+        let mut transition = SMatrix::<f64, N, N>::identity();
+        for component in 0..4 {
+            transition[(component, 4 + component)] = 1.0;
+        }
+        let mut observation = SMatrix::<f64, 4, N>::zeros();
+        for component in 0..4 {
+            observation[(component, component)] = 1.0;
+        }
+        let mut mean = SVector::<f64, N>::zeros();
+        mean.fixed_rows_mut::<4>(0)
+            .copy_from(&measurement(bounding_box));
+        Self {
+            mean,
+            covariance: diagonal(&model.initial),
+            transition,
+            process_noise: diagonal(&model.process),
+            observation,
+            measurement_noise: SMatrix::identity() * model.measurement,
+        }
+    }
+
+    /// Advances by one frame.
+    pub(crate) fn predict(&mut self) {
+        self.mean = self.transition * self.mean;
+        self.covariance =
+            self.transition * self.covariance * self.transition.transpose() + self.process_noise;
+    }
+
+    /// Takes a measured box. `None`, with nothing changed, if S cannot be inverted, which happens only
+    /// without measurement noise.
+    pub(crate) fn update(&mut self, measured: BoundingBox) -> Option<()> {
+        let inverse = self.innovation_covariance().try_inverse()?;
+        let gain = self.covariance * self.observation.transpose() * inverse;
+        self.mean += gain * (measurement(measured) - self.observation * self.mean);
+        self.covariance =
+            (SMatrix::<f64, N, N>::identity() - gain * self.observation) * self.covariance;
+        Some(())
+    }
+
+    /// τ.
+    pub(crate) fn tau(&self) -> f64 {
+        (self.observation * self.covariance * self.observation.transpose()).trace()
+    }
+
+    /// Squared Mahalanobis distance of a measured box; `None` if S cannot be inverted.
+    pub(crate) fn squared_distance(&self, measured: BoundingBox) -> Option<f64> {
+        let innovation = measurement(measured) - self.observation * self.mean;
+        let inverse = self.innovation_covariance().try_inverse()?;
+        Some((innovation.transpose() * inverse * innovation)[0])
+    }
+
+    /// S.
+    fn innovation_covariance(&self) -> SMatrix<f64, 4, 4> {
+        self.observation * self.covariance * self.observation.transpose() + self.measurement_noise
+    }
+}
+
+fn measurement(bounding_box: BoundingBox) -> SVector<f64, 4> {
+    SVector::from([
+        bounding_box.center_x,
+        bounding_box.center_y,
+        bounding_box.width,
+        bounding_box.height,
+    ])
+}

@@ -1,0 +1,179 @@
+//! The numbers of the filter, and what they come to for a picture of a given size.
+
+use crate::geometry::PictureSize;
+use serde::{Deserialize, Serialize};
+
+/// Standard deviations of the components of the state, per frame, in normalised coordinates. Both axes
+/// share them: that is what lets the filter keep one covariance for both.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Deviations {
+    /// Of the centre.
+    pub center: f64,
+    /// Of the width and the height.
+    pub size: f64,
+    /// Of the centre's velocity.
+    pub center_velocity: f64,
+    /// Of the velocity of width and height.
+    pub size_velocity: f64,
+    /// Of the centre's acceleration.
+    pub acceleration: f64,
+}
+
+/// How the centre is taken to move. The size always changes with constant velocity.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MotionModel {
+    /// Ten dimensions: the centre has an acceleration (the paper's filter).
+    #[default]
+    ConstantAcceleration,
+    /// Eight dimensions: the centre has no acceleration (the paper's ablation). The paper says that the
+    /// ablation's filter has eight dimensions, and not what its noise is; the published code does not
+    /// contain it. Taken here: the same noise on the components that remain. Ten dimensions whose
+    /// acceleration starts at zero with zero variance and gets no process noise are exactly this
+    /// filter, for the acceleration then stays zero and correlates with nothing.
+    ConstantVelocity,
+}
+
+/// What a measurement's standard deviation is counted in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MeasurementUnit {
+    /// Pixels, divided by the longer side of the picture after both sides are rounded up to a multiple
+    /// of 32 (published code). The noise, and with it τ, then depends on the picture's size.
+    PaddedPixels,
+    /// Shares of the picture, whatever its size.
+    Normalised,
+}
+
+/// Noise of a measured box, the same on all four components.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MeasurementNoise {
+    /// Standard deviation, in `unit`.
+    pub deviation: f64,
+    /// What it is counted in.
+    pub unit: MeasurementUnit,
+}
+
+impl MeasurementNoise {
+    /// The variance, in normalised coordinates, in a picture of `size`.
+    pub fn variance(self, size: PictureSize) -> f64 {
+        let deviation = match self.unit {
+            MeasurementUnit::Normalised => self.deviation,
+            MeasurementUnit::PaddedPixels => {
+                let padded = |side: u32| u64::from(side.max(1)).next_multiple_of(32);
+                self.deviation / padded(size.width).max(padded(size.height)) as f64
+            }
+        };
+        deviation * deviation
+    }
+}
+
+/// All numbers of the filter. The defaults are those of the published code; the paper gives none of
+/// them ("fixed implementation parameters").
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FilterParameters {
+    /// How the centre moves.
+    pub motion: MotionModel,
+    /// Process noise Q added by each predicted frame.
+    pub process: Deviations,
+    /// Covariance P of a new object.
+    pub initial: Deviations,
+    /// Measurement noise R.
+    pub measurement: MeasurementNoise,
+}
+
+impl Default for FilterParameters {
+    fn default() -> Self {
+        Self {
+            motion: MotionModel::ConstantAcceleration,
+            process: Deviations {
+                center: 0.003,
+                size: 0.002,
+                center_velocity: 0.002,
+                size_velocity: 0.002,
+                acceleration: 0.001,
+            },
+            initial: Deviations {
+                center: 0.01,
+                size: 0.005,
+                center_velocity: 0.005,
+                size_velocity: 0.005,
+                acceleration: 0.001,
+            },
+            measurement: MeasurementNoise {
+                deviation: 5.0,
+                unit: MeasurementUnit::PaddedPixels,
+            },
+        }
+    }
+}
+
+impl FilterParameters {
+    /// The name and value of the first number that no filter can have: negative, not finite, or zero
+    /// where a zero would make the filter divide by zero. `None` when all can be used.
+    pub(crate) fn first_impossible(&self) -> Option<(&'static str, f64)> {
+        let Deviations {
+            center,
+            size,
+            center_velocity,
+            size_velocity,
+            acceleration,
+        } = self.process;
+        let initial = self.initial;
+        let may_be_zero = [
+            ("process.center", center),
+            ("process.size", size),
+            ("process.center_velocity", center_velocity),
+            ("process.size_velocity", size_velocity),
+            ("process.acceleration", acceleration),
+            ("initial.center", initial.center),
+            ("initial.size", initial.size),
+            ("initial.center_velocity", initial.center_velocity),
+            ("initial.size_velocity", initial.size_velocity),
+            ("initial.acceleration", initial.acceleration),
+        ];
+        let measurement = ("measurement.deviation", self.measurement.deviation);
+        // A deviation above 1000 pictures is nonsense, and squares of squares must stay finite.
+        let usable = |value: f64| (0.0..=1e3).contains(&value);
+        may_be_zero
+            .into_iter()
+            .find(|(_, value)| !usable(*value))
+            .or_else(|| (!(1e-9..=1e5).contains(&measurement.1)).then_some(measurement))
+    }
+}
+
+/// [`FilterParameters`] squared and brought to one picture size: what [`Filter`](super::Filter) computes
+/// with.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FilterModel {
+    /// Variances of the process noise Q.
+    pub process: Deviations,
+    /// Variances of a new object.
+    pub initial: Deviations,
+    /// Variance of each component of a measurement.
+    pub measurement: f64,
+}
+
+impl FilterModel {
+    /// The model for pictures of `size`.
+    pub fn new(parameters: &FilterParameters, size: PictureSize) -> Self {
+        let variances = |deviations: Deviations| Deviations {
+            center: deviations.center.powi(2),
+            size: deviations.size.powi(2),
+            center_velocity: deviations.center_velocity.powi(2),
+            size_velocity: deviations.size_velocity.powi(2),
+            acceleration: match parameters.motion {
+                MotionModel::ConstantAcceleration => deviations.acceleration.powi(2),
+                MotionModel::ConstantVelocity => 0.0,
+            },
+        };
+        Self {
+            process: variances(parameters.process),
+            initial: variances(parameters.initial),
+            measurement: parameters.measurement.variance(size),
+        }
+    }
+}

@@ -1,0 +1,12 @@
+//! The method: per-object Kalman filters, matching, and the policies that decide for each frame whether the
+//! detector must run. Numbers in, numbers out: it knows no runtime, clock, file or network, so that another
+//! program can embed it.
+//!
+//! Start with [`policy`]: a [`policy::Policy`] is told that a frame exists, asks for the evidence it needs,
+//! and answers with frame state and boxes.
+
+pub mod detection;
+pub mod geometry;
+pub mod kalman;
+pub mod objects;
+pub mod policy;

@@ -1,0 +1,26 @@
+//! Object states: what is remembered of each object in view, how they are matched with detections, and
+//! when they are created, confirmed, rescued and removed.
+//!
+//! [`ObjectStates`] is the collection a policy keeps. It advances by frames ([`ObjectStates::predict`])
+//! and takes detections ([`ObjectStates::observe`]); the matching is [`Matcher`]'s, the rules of birth
+//! and death are [`LifeCycle`]'s.
+
+mod assignment;
+mod collection;
+mod components;
+mod life_cycle;
+mod matching;
+mod screening;
+mod state;
+
+pub(crate) use assignment::AssignmentSolver;
+pub use collection::ObjectSettings;
+pub(crate) use collection::ObjectStates;
+pub(crate) use components::{ComponentSolver, Edge};
+pub use life_cycle::LifeCycle;
+pub use life_cycle::Missed;
+pub use matching::Association;
+pub use matching::GateOrder;
+pub(crate) use matching::Matcher;
+pub(crate) use screening::is_usable;
+pub use state::ObjectState;

@@ -1,0 +1,299 @@
+//! The optimal assignment of rows to columns at minimum total cost, for any rectangle.
+//!
+//! The shortest augmenting path algorithm (D. F. Crouse, "On implementing 2D rectangular assignment
+//! algorithms", IEEE Transactions on Aerospace and Electronic Systems 52(4), 2016), with the order of
+//! search, the tie-breaking and the transposition of tall matrices that SciPy's
+//! `linear_sum_assignment` has. The published code uses that function, so only with its ties can its
+//! traces be reproduced.
+
+/// Largest magnitude of a cost: sums of costs must not overflow.
+pub(crate) const LARGEST_COST: f64 = 1e100;
+
+const NONE: usize = usize::MAX;
+
+/// Why no assignment was made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(crate) enum AssignmentError {
+    /// The matrix does not have `rows * columns` entries.
+    #[error("a cost matrix of {rows} rows and {columns} columns cannot have {entries} entries")]
+    Shape {
+        /// Rows asked for.
+        rows: usize,
+        /// Columns asked for.
+        columns: usize,
+        /// Entries given.
+        entries: usize,
+    },
+    /// A cost is not a number, or beyond [`LARGEST_COST`].
+    #[error("costs must be numbers from -{LARGEST_COST:e} to {LARGEST_COST:e}")]
+    Cost,
+}
+
+/// The solver with its buffers, which are kept from call to call.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct AssignmentSolver {
+    transposed_cost: Vec<f64>,
+    row_dual: Vec<f64>,
+    column_dual: Vec<f64>,
+    shortest: Vec<f64>,
+    previous_row: Vec<usize>,
+    column_of_row: Vec<usize>,
+    row_of_column: Vec<usize>,
+    row_visited: Vec<bool>,
+    column_visited: Vec<bool>,
+    remaining: Vec<usize>,
+    pairs: Vec<(usize, usize)>,
+}
+
+impl AssignmentSolver {
+    /// Assigns `min(rows, columns)` pairs so that their summed cost is smallest. `cost` is the matrix
+    /// row by row. The pairs are `(row, column)` in order of rows.
+    ///
+    /// # Errors
+    /// [`AssignmentError`] when the matrix has the wrong number of entries or one that cannot be used.
+    pub(crate) fn solve(
+        &mut self,
+        rows: usize,
+        columns: usize,
+        cost: &[f64],
+    ) -> Result<&[(usize, usize)], AssignmentError> {
+        self.pairs.clear();
+        if rows.checked_mul(columns) != Some(cost.len()) {
+            return Err(AssignmentError::Shape {
+                rows,
+                columns,
+                entries: cost.len(),
+            });
+        }
+        if !cost.iter().all(|cost| cost.abs() <= LARGEST_COST) {
+            return Err(AssignmentError::Cost);
+        }
+        if cost.is_empty() {
+            return Ok(&self.pairs);
+        }
+        if columns < rows {
+            let mut transposed = std::mem::take(&mut self.transposed_cost);
+            transposed.clear();
+            for column in 0..columns {
+                transposed.extend((0..rows).map(|row| cost[row * columns + column]));
+            }
+            self.assign(columns, rows, &transposed);
+            self.transposed_cost = transposed;
+            let assigned = self.column_of_row.iter().enumerate();
+            self.pairs
+                .extend(assigned.map(|(row, &column)| (column, row)));
+            self.pairs.sort_unstable();
+        } else {
+            self.assign(rows, columns, cost);
+            self.pairs
+                .extend(self.column_of_row.iter().copied().enumerate());
+        }
+        Ok(&self.pairs)
+    }
+
+    /// Fills `column_of_row` for a matrix with at least as many columns as rows.
+    fn assign(&mut self, rows: usize, columns: usize, cost: &[f64]) {
+        refill(&mut self.row_dual, rows, 0.0);
+        refill(&mut self.column_dual, columns, 0.0);
+        refill(&mut self.shortest, columns, f64::INFINITY);
+        refill(&mut self.previous_row, columns, NONE);
+        refill(&mut self.column_of_row, rows, NONE);
+        refill(&mut self.row_of_column, columns, NONE);
+        refill(&mut self.row_visited, rows, false);
+        refill(&mut self.column_visited, columns, false);
+        for row in 0..rows {
+            let (sink, distance) = self.shortest_augmenting_path(row, columns, cost);
+            self.update_duals(row, distance);
+            self.augment(row, sink);
+        }
+    }
+
+    /// Dijkstra's search from the free `start` row to the nearest free column, over reduced costs.
+    /// Returns that column and its distance. There always is one, as costs are finite and columns not
+    /// fewer than rows.
+    fn shortest_augmenting_path(
+        &mut self,
+        start: usize,
+        columns: usize,
+        cost: &[f64],
+    ) -> (usize, f64) {
+        self.remaining.clear();
+        // From the last column to the first: with ties, this order decides.
+        self.remaining.extend((0..columns).rev());
+        self.row_visited.fill(false);
+        self.column_visited.fill(false);
+        self.shortest.fill(f64::INFINITY);
+        let mut row = start;
+        let mut distance = 0.0;
+        loop {
+            self.row_visited[row] = true;
+            let row_cost = &cost[row * columns..(row + 1) * columns];
+            let row_dual = self.row_dual[row];
+            let mut lowest = f64::INFINITY;
+            let mut nearest = 0;
+            for (index, &column) in self.remaining.iter().enumerate() {
+                // The order of these operations is part of the tie-breaking too.
+                let reduced = distance + row_cost[column] - row_dual - self.column_dual[column];
+                if reduced < self.shortest[column] {
+                    self.previous_row[column] = row;
+                    self.shortest[column] = reduced;
+                }
+                let shortest = self.shortest[column];
+                // Of equally near columns a free one ends the search soonest.
+                if shortest < lowest || (shortest == lowest && self.row_of_column[column] == NONE) {
+                    lowest = shortest;
+                    nearest = index;
+                }
+            }
+            distance = lowest;
+            let column = self.remaining.swap_remove(nearest);
+            self.column_visited[column] = true;
+            match self.row_of_column[column] {
+                NONE => return (column, distance),
+                next => row = next,
+            }
+        }
+    }
+
+    fn update_duals(&mut self, start: usize, distance: f64) {
+        self.row_dual[start] += distance;
+        for row in 0..self.row_dual.len() {
+            if self.row_visited[row] && row != start {
+                self.row_dual[row] += distance - self.shortest[self.column_of_row[row]];
+            }
+        }
+        for column in 0..self.column_dual.len() {
+            if self.column_visited[column] {
+                self.column_dual[column] -= distance - self.shortest[column];
+            }
+        }
+    }
+
+    /// Turns over the pairs along the path that ends in `sink`.
+    fn augment(&mut self, start: usize, sink: usize) {
+        let mut column = sink;
+        loop {
+            let row = self.previous_row[column];
+            self.row_of_column[column] = row;
+            std::mem::swap(&mut self.column_of_row[row], &mut column);
+            if row == start {
+                return;
+            }
+        }
+    }
+}
+
+fn refill<T: Copy>(buffer: &mut Vec<T>, length: usize, value: T) {
+    buffer.clear();
+    buffer.resize(length, value);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn total(columns: usize, cost: &[f64], pairs: &[(usize, usize)]) -> f64 {
+        pairs
+            .iter()
+            .map(|&(row, column)| cost[row * columns + column])
+            .sum()
+    }
+
+    /// The smallest total by trying every assignment.
+    fn brute_force(rows: usize, columns: usize, cost: &[f64]) -> f64 {
+        fn least(
+            row: usize,
+            rows: usize,
+            columns: usize,
+            cost: &[f64],
+            used: &mut [bool],
+            free: usize,
+        ) -> f64 {
+            if row == rows {
+                return if free == 0 { 0.0 } else { f64::INFINITY };
+            }
+            // A row may stay free as long as enough rows follow.
+            let mut best = if rows - row > free {
+                least(row + 1, rows, columns, cost, used, free)
+            } else {
+                f64::INFINITY
+            };
+            for column in 0..columns {
+                if free > 0 && !used[column] {
+                    used[column] = true;
+                    let rest = least(row + 1, rows, columns, cost, used, free - 1);
+                    best = best.min(cost[row * columns + column] + rest);
+                    used[column] = false;
+                }
+            }
+            best
+        }
+        least(
+            0,
+            rows,
+            columns,
+            cost,
+            &mut vec![false; columns],
+            rows.min(columns),
+        )
+    }
+
+    /// A rectangle of up to `side`, with whole costs among them so that ties happen.
+    fn matrices(side: usize) -> impl Strategy<Value = (usize, usize, Vec<f64>)> {
+        (1..=side, 1..=side, any::<bool>()).prop_flat_map(|(rows, columns, whole)| {
+            let cost = if whole {
+                (0u8..4).prop_map(f64::from).boxed()
+            } else {
+                (-5.0..5.0).boxed()
+            };
+            (
+                Just(rows),
+                Just(columns),
+                prop::collection::vec(cost, rows * columns),
+            )
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn the_total_is_the_smallest_there_is((rows, columns, cost) in matrices(6)) {
+            let mut solver = AssignmentSolver::default();
+            let pairs = solver.solve(rows, columns, &cost).unwrap();
+            prop_assert_eq!(pairs.len(), rows.min(columns));
+            let found = total(columns, &cost, pairs);
+            prop_assert!((found - brute_force(rows, columns, &cost)).abs() < 1e-9);
+        }
+
+        /// `lsap` is a port of SciPy's solver, so even ties must agree.
+        #[test]
+        fn pairs_are_those_of_scipy_ties_included((rows, columns, cost) in matrices(40)) {
+            let mut solver = AssignmentSolver::default();
+            // A used solver must answer as a fresh one.
+            solver.solve(2, 3, &[1.0, 2.0, 3.0, 0.0, 0.0, 0.0]).unwrap();
+            let pairs = solver.solve(rows, columns, &cost).unwrap();
+            let (expected_rows, expected_columns) = lsap::solve(rows, columns, &cost, false).unwrap();
+            let expected: Vec<_> = expected_rows.into_iter().zip(expected_columns).collect();
+            prop_assert_eq!(pairs, &expected);
+        }
+    }
+
+    #[test]
+    fn an_empty_matrix_has_no_pairs() {
+        let mut solver = AssignmentSolver::default();
+        assert_eq!(solver.solve(0, 5, &[]), Ok(&[][..]));
+        assert_eq!(solver.solve(5, 0, &[]), Ok(&[][..]));
+    }
+
+    #[test]
+    fn a_matrix_that_cannot_be_solved_is_refused() {
+        let mut solver = AssignmentSolver::default();
+        assert!(matches!(
+            solver.solve(2, 2, &[0.0; 3]),
+            Err(AssignmentError::Shape { .. })
+        ));
+        for cost in [f64::NAN, f64::INFINITY, -2.0 * LARGEST_COST] {
+            assert_eq!(solver.solve(1, 2, &[0.0, cost]), Err(AssignmentError::Cost));
+        }
+    }
+}

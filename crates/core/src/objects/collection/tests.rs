@@ -1,0 +1,202 @@
+//! Promises of the life of objects.
+
+use super::*;
+use crate::detection::ClassId;
+use crate::geometry::BoundingBox;
+use crate::policy::AlbireoSettings;
+
+const PICTURE: PictureSize = PictureSize::new(1280, 720);
+
+fn seen(x: f64) -> Detection {
+    Detection {
+        bounding_box: BoundingBox::new(x, 0.5, 0.1, 0.1),
+        class: ClassId(0),
+        confidence: 0.9,
+    }
+}
+
+/// One frame in which the detector finds `detections`.
+fn frame(objects: &mut ObjectStates, detections: &[Detection]) {
+    objects.predict(PICTURE, 1);
+    let life_cycle = objects.settings().life_cycle;
+    objects.observe(detections, true, |state| life_cycle.missed(state));
+}
+
+fn objects() -> ObjectStates {
+    ObjectStates::new(AlbireoSettings::paper().objects())
+}
+
+fn confirmed(x: f64) -> ObjectStates {
+    let mut objects = objects();
+    for _ in 0..3 {
+        frame(&mut objects, &[seen(x)]);
+    }
+    assert!(objects.states()[0].confirmed);
+    objects
+}
+
+#[test]
+fn the_third_detection_confirms() {
+    let mut objects = objects();
+    for expected in [false, false, true] {
+        frame(&mut objects, &[seen(0.5)]);
+        assert_eq!(objects.states()[0].confirmed, expected);
+        assert_eq!(objects.sightings()[0].confirmed, expected);
+        assert_eq!(objects.sightings()[0].object, Some(ObjectId(0)));
+    }
+}
+
+#[test]
+fn a_tentative_object_goes_with_its_first_miss_and_its_number_is_not_used_again() {
+    let mut objects = objects();
+    frame(&mut objects, &[seen(0.5)]);
+    frame(&mut objects, &[]);
+    assert!(objects.states().is_empty());
+    frame(&mut objects, &[seen(0.5)]);
+    assert_eq!(objects.states()[0].id, ObjectId(1));
+}
+
+#[test]
+fn a_tentative_object_may_be_given_more_misses() {
+    let mut settings = AlbireoSettings::paper().objects();
+    settings.life_cycle.tentative_misses = 1;
+    let mut objects = ObjectStates::new(settings);
+    frame(&mut objects, &[seen(0.5)]);
+    frame(&mut objects, &[]);
+    assert_eq!(objects.states().len(), 1);
+    frame(&mut objects, &[]);
+    assert!(objects.states().is_empty());
+}
+
+#[test]
+fn a_confirmed_object_is_rescued_twice_and_removed_at_the_third_miss() {
+    let mut objects = confirmed(0.5);
+    for rescues in [1, 2] {
+        frame(&mut objects, &[]);
+        assert_eq!(objects.states()[0].misses, rescues);
+        // Frames without the detector neither count nor start anew.
+        objects.predict(PICTURE, 1);
+        assert_eq!(objects.states()[0].misses, rescues);
+    }
+    frame(&mut objects, &[]);
+    assert!(objects.states().is_empty());
+}
+
+#[test]
+fn a_detection_ends_the_row_of_rescues() {
+    let mut objects = confirmed(0.5);
+    for _ in 0..3 {
+        frame(&mut objects, &[]);
+        frame(&mut objects, &[]);
+        frame(&mut objects, &[seen(0.5)]);
+        assert_eq!(objects.states()[0].misses, 0);
+        assert_eq!(objects.states()[0].id, ObjectId(0));
+    }
+}
+
+#[test]
+fn an_unsure_object_is_not_rescued() {
+    let mut objects = confirmed(0.5);
+    let mut unsure = seen(0.5);
+    unsure.confidence = 0.49;
+    frame(&mut objects, &[unsure]);
+    frame(&mut objects, &[]);
+    assert!(objects.states().is_empty());
+}
+
+#[test]
+fn a_rescue_resets_the_age_only_where_the_setting_says_so() {
+    for resets in [false, true] {
+        let mut settings = AlbireoSettings::paper().objects();
+        settings.life_cycle.rescue_resets_age = resets;
+        let mut objects = ObjectStates::new(settings);
+        for _ in 0..3 {
+            frame(&mut objects, &[seen(0.5)]);
+        }
+        frame(&mut objects, &[]);
+        let state = &objects.states()[0];
+        assert_eq!(state.since_infer, if resets { 0 } else { 1 });
+        assert_eq!(state.since_update, 1);
+    }
+}
+
+#[test]
+fn an_object_that_leaves_the_picture_is_removed() {
+    let mut objects = objects();
+    for step in 0..5 {
+        frame(&mut objects, &[seen(0.90 + 0.02 * f64::from(step))]);
+    }
+    assert_eq!(objects.states().len(), 1);
+    objects.predict(PICTURE, 1);
+    objects.predict(PICTURE, 1);
+    assert!(objects.states().is_empty());
+}
+
+#[test]
+fn the_sides_stay_at_a_pixel_or_more() {
+    let mut objects = objects();
+    for step in (1..10).rev() {
+        let mut shrinking = seen(0.5);
+        shrinking.bounding_box.width = 0.01 * f64::from(step);
+        frame(&mut objects, &[shrinking]);
+    }
+    for _ in 0..20 {
+        objects.predict(PICTURE, 1);
+        for state in objects.states() {
+            assert!(state.filter.bounding_box().width >= 1.0 / 1280.0);
+        }
+    }
+    assert_eq!(objects.states().len(), 1);
+}
+
+#[test]
+fn lost_frames_are_predicted_frames() {
+    let mut at_once = confirmed(0.5);
+    let mut one_by_one = at_once.clone();
+    at_once.predict(PICTURE, 5);
+    for _ in 0..5 {
+        one_by_one.predict(PICTURE, 1);
+    }
+    assert_eq!(at_once.states(), one_by_one.states());
+    assert_eq!(at_once.states()[0].since_update, 5);
+}
+
+#[test]
+fn after_too_long_a_gap_nothing_is_remembered() {
+    let mut objects = confirmed(0.5);
+    objects.predict(PICTURE, 301);
+    assert_eq!(objects.states().len(), 1);
+    objects.predict(PICTURE, u32::MAX);
+    assert!(objects.states().is_empty());
+}
+
+#[test]
+fn hostile_detections_are_counted_and_leave_no_trace() {
+    let mut objects = confirmed(0.5);
+    let mut clean = objects.clone();
+    let mut found = vec![seen(0.5)];
+    for number in [f64::NAN, f64::INFINITY, -1e300, 1e300] {
+        let mut bad = seen(0.5);
+        bad.bounding_box.center_x = number;
+        found.push(bad);
+        let mut bad = seen(0.5);
+        bad.bounding_box.height = number;
+        found.insert(0, bad);
+    }
+    frame(&mut objects, &found);
+    frame(&mut clean, &[seen(0.5)]);
+    assert_eq!(objects.states(), clean.states());
+    assert_eq!(objects.rejected_detections(), 8);
+    let usable: Vec<_> = objects.sightings().iter().map(|s| s.usable).collect();
+    assert_eq!(usable.iter().filter(|usable| **usable).count(), 1);
+    assert!(usable[4]);
+}
+
+#[test]
+fn a_picture_without_pixels_harms_nothing() {
+    let mut objects = confirmed(0.5);
+    objects.predict(PictureSize::new(0, 0), 1);
+    for state in objects.states() {
+        assert!(state.filter.bounding_box().is_finite() && state.filter.tau().is_finite());
+    }
+}

@@ -1,0 +1,194 @@
+//! Promises of the matcher.
+
+use super::*;
+use crate::detection::ClassId;
+use crate::detection::ObjectId;
+use crate::geometry::{BoundingBox, PictureSize};
+use crate::kalman::FilterParameters;
+use proptest::prelude::*;
+
+const SETTINGS: Association = Association {
+    iou_gate: 0.25,
+    iou_frames: 2,
+    mahalanobis_gate: 9.4877,
+    gate: GateOrder::BeforeAssignment,
+    same_class_only: false,
+};
+
+fn model() -> FilterModel {
+    FilterModel::new(&FilterParameters::default(), PictureSize::new(1280, 720))
+}
+
+fn detection(bounding_box: BoundingBox) -> Detection {
+    Detection {
+        bounding_box,
+        class: ClassId(0),
+        confidence: 0.9,
+    }
+}
+
+/// An object seen once at `bounding_box`, `age` frames ago.
+fn object(bounding_box: BoundingBox, age: u32) -> ObjectState {
+    let model = model();
+    let mut state = ObjectState::new(ObjectId(0), &detection(bounding_box), 3, &model);
+    for _ in 0..age {
+        state.predict(&model);
+    }
+    state
+}
+
+fn associate(
+    settings: &Association,
+    states: &[ObjectState],
+    detections: &[Detection],
+) -> Vec<Option<u32>> {
+    let usable: Vec<u32> = (0..detections.len() as u32).collect();
+    Matcher::default()
+        .associate(settings, &model(), states, detections, &usable)
+        .to_vec()
+}
+
+fn at(x: f64, side: f64) -> BoundingBox {
+    BoundingBox::new(x, 0.5, side, side)
+}
+
+#[test]
+fn an_object_not_seen_for_long_is_matched_by_distance_alone() {
+    // Small: no overlap, but close for the filter's uncertainty.
+    let near = [detection(at(0.512, 0.01))];
+    for gate in [GateOrder::BeforeAssignment, GateOrder::AfterAssignment] {
+        let settings = Association { gate, ..SETTINGS };
+        let young = [object(at(0.5, 0.01), 1)];
+        assert_eq!(associate(&settings, &young, &near), [Some(0)]);
+        let no_second_stage = Association {
+            mahalanobis_gate: 0.0,
+            ..settings
+        };
+        assert_eq!(associate(&no_second_stage, &young, &near), [None]);
+        // Overlapping wholly, but too old for stage 1.
+        let same = [detection(at(0.5, 0.01))];
+        for (age, matched) in [(2, Some(0)), (3, None)] {
+            let states = [object(at(0.5, 0.01), age)];
+            assert_eq!(associate(&no_second_stage, &states, &same), [matched]);
+        }
+    }
+}
+
+#[test]
+fn what_was_matched_by_overlap_is_gone_for_the_second_stage() {
+    let states = [object(at(0.5, 0.1), 1), object(at(0.505, 0.1), 5)];
+    let detections = [detection(at(0.505, 0.1))];
+    assert_eq!(associate(&SETTINGS, &states, &detections), [Some(0), None]);
+}
+
+#[test]
+fn a_hopeless_pair_displaces_a_good_one_only_if_gates_come_last() {
+    // Overlaps .82 and .67 for the first object, .23 and .04 for the second: .67 + .23 is the most in
+    // all, but .23 is beyond the gate.
+    let states = [object(at(0.5, 0.1), 1), object(at(0.572, 0.1), 1)];
+    let detections = [detection(at(0.51, 0.1)), detection(at(0.48, 0.1))];
+    for (gate, first) in [
+        (GateOrder::BeforeAssignment, Some(0)),
+        (GateOrder::AfterAssignment, Some(1)),
+    ] {
+        let settings = Association {
+            gate,
+            mahalanobis_gate: 0.0,
+            ..SETTINGS
+        };
+        assert_eq!(associate(&settings, &states, &detections), [first, None]);
+    }
+}
+
+#[test]
+fn classes_matter_only_if_asked_for() {
+    let states = [object(at(0.5, 0.1), 1)];
+    let mut other = detection(at(0.5, 0.1));
+    other.class = ClassId(4);
+    for gate in [GateOrder::BeforeAssignment, GateOrder::AfterAssignment] {
+        let mut settings = Association { gate, ..SETTINGS };
+        assert_eq!(associate(&settings, &states, &[other]), [Some(0)]);
+        settings.same_class_only = true;
+        assert_eq!(associate(&settings, &states, &[other]), [None]);
+    }
+}
+
+#[test]
+fn detections_that_are_not_usable_are_never_matched() {
+    let states = [object(at(0.5, 0.1), 1)];
+    let detections = [detection(at(f64::NAN, 0.1)), detection(at(0.5, 0.1))];
+    let mut matcher = Matcher::default();
+    let found = matcher.associate(&SETTINGS, &model(), &states, &detections, &[1]);
+    assert_eq!(found, [Some(1)]);
+    assert_eq!(matcher.matched(), [false, true]);
+}
+
+fn boxes(most: usize) -> impl Strategy<Value = Vec<BoundingBox>> {
+    let one = (0.3..0.7, 0.3..0.7, 0.05..0.3, 0.05..0.3);
+    let one = one.prop_map(|(x, y, w, h)| BoundingBox::new(x, y, w, h));
+    prop::collection::vec(one, 0..most)
+}
+
+/// The largest number of pairs within the overlap gate, and the smallest cost of that many.
+fn best(states: &[ObjectState], detections: &[Detection], used: u32) -> (usize, f64) {
+    let Some((first, rest)) = states.split_first() else {
+        return (0, 0.0);
+    };
+    let mut best_found = best(rest, detections, used);
+    for (index, detection) in detections.iter().enumerate() {
+        let own = first.filter.bounding_box();
+        let iou = own.intersection_over_union(detection.bounding_box);
+        if used & (1 << index) == 0 && iou >= SETTINGS.iou_gate {
+            let (pairs, cost) = best(rest, detections, used | (1 << index));
+            let found = (pairs + 1, cost + 1.0 - iou);
+            if found.0 > best_found.0 || (found.0 == best_found.0 && found.1 < best_found.1) {
+                best_found = found;
+            }
+        }
+    }
+    best_found
+}
+
+proptest! {
+    #[test]
+    fn gated_overlap_matching_is_optimal(seen in boxes(6), found in boxes(6)) {
+        let states: Vec<_> = seen.into_iter().map(|b| object(b, 1)).collect();
+        let detections: Vec<_> = found.into_iter().map(detection).collect();
+        let only_overlap = Association { mahalanobis_gate: 0.0, ..SETTINGS };
+        let matches = associate(&only_overlap, &states, &detections);
+        let mut pairs = 0;
+        let mut cost = 0.0;
+        for (state, matched) in states.iter().zip(&matches) {
+            if let Some(index) = *matched {
+                let own = state.filter.bounding_box();
+                pairs += 1;
+                cost += 1.0 - own.intersection_over_union(detections[index as usize].bounding_box);
+            }
+        }
+        let (most, least) = best(&states, &detections, 0);
+        prop_assert_eq!(pairs, most);
+        prop_assert!((cost - least).abs() < 1e-9, "{} {}", cost, least);
+    }
+
+    #[test]
+    fn no_detection_is_matched_twice_and_no_pair_is_beyond_both_gates(
+        seen in boxes(12), found in boxes(12), age in 1u32..5, late in any::<bool>(),
+    ) {
+        let states: Vec<_> = seen.into_iter().map(|b| object(b, age)).collect();
+        let detections: Vec<_> = found.into_iter().map(detection).collect();
+        let gate = if late { GateOrder::AfterAssignment } else { GateOrder::BeforeAssignment };
+        let matches = associate(&Association { gate, ..SETTINGS }, &states, &detections);
+        let mut taken = vec![false; detections.len()];
+        for (state, matched) in states.iter().zip(&matches) {
+            let Some(index) = *matched else { continue };
+            prop_assert!(!std::mem::replace(&mut taken[index as usize], true));
+            let measured = detections[index as usize].bounding_box;
+            let iou = state.filter.bounding_box().intersection_over_union(measured);
+            let distance = state.filter.squared_distance(&model(), measured);
+            prop_assert!(
+                (age <= SETTINGS.iou_frames && iou >= SETTINGS.iou_gate - 1e-12)
+                    || distance < SETTINGS.mahalanobis_gate
+            );
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! Which detections are let in. One bad number would stay in a filter for ever.
+
+use crate::detection::Detection;
+
+/// How far from the picture, counted in pictures, a box may lie and how large it may be. Beyond it lies
+/// no view of anything, and areas and distances would overflow.
+pub(crate) const LARGEST_COORDINATE: f64 = 1e3;
+
+/// Whether a detection can be taken: its numbers are finite, its sides above zero, its box not absurdly
+/// far or large, its confidence from 0 to 1.
+pub(crate) fn is_usable(detection: &Detection) -> bool {
+    let b = &detection.bounding_box;
+    let inside = |value: f64| value.abs() <= LARGEST_COORDINATE;
+    // Comparisons with NaN are false.
+    inside(b.center_x)
+        && inside(b.center_y)
+        && inside(b.width)
+        && inside(b.height)
+        && b.width > 0.0
+        && b.height > 0.0
+        && (0.0..=1.0).contains(&detection.confidence)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detection::ClassId;
+    use crate::geometry::BoundingBox;
+
+    #[test]
+    fn only_detections_that_a_filter_can_digest_are_let_in() {
+        let good = Detection {
+            bounding_box: BoundingBox::new(0.5, 0.5, 0.1, 0.2),
+            class: ClassId(0),
+            confidence: 0.5,
+        };
+        assert!(is_usable(&good));
+        let bad = [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, 1e300, -1e300];
+        for number in bad {
+            for field in 0..5 {
+                let mut detection = good;
+                let b = &mut detection.bounding_box;
+                *[
+                    &mut b.center_x,
+                    &mut b.center_y,
+                    &mut b.width,
+                    &mut b.height,
+                    &mut detection.confidence,
+                ][field] = number;
+                assert!(!is_usable(&detection), "{detection:?}");
+            }
+        }
+        for side in [0.0, -0.1] {
+            let mut detection = good;
+            detection.bounding_box.width = side;
+            assert!(!is_usable(&detection));
+            let mut detection = good;
+            detection.bounding_box.height = side;
+            assert!(!is_usable(&detection));
+        }
+    }
+}

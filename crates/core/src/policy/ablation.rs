@@ -1,0 +1,137 @@
+//! The paper's ablations: Albireo without some of its parts.
+//!
+//! The paper names them and says how many dimensions their filters have; the code published with it
+//! does not contain them. What is assumed here:
+//!
+//! - "KILL": that code calls it an immediate kill when the first detector frame that misses an object
+//!   removes it, and sets it against the rescue. So all three go without rescues (R_max = 0), which is
+//!   also the only difference left between `kill+erd-10d` and the full system. The trigger on
+//!   uncertainty, T_max and the periodic cap stay.
+//! - "ERD" is the empty-scene screen. `kill-only` has none: without active objects the detector runs.
+//! - Eight dimensions are those without acceleration:
+//!   [`MotionModel::ConstantVelocity`] says with which noise.
+
+use super::AlbireoSettings;
+use crate::kalman::MotionModel;
+
+/// Which parts are left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Ablation {
+    /// The trigger alone, on a filter of eight dimensions.
+    KillOnly,
+    /// The same with the empty-scene screen.
+    KillErd,
+    /// The same on the filter of ten dimensions; the full system has the rescue in addition.
+    KillErd10d,
+}
+
+impl Ablation {
+    /// The name in configuration and reports.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::KillOnly => "kill-only",
+            Self::KillErd => "kill+erd",
+            Self::KillErd10d => "kill+erd-10d",
+        }
+    }
+
+    /// Takes the parts out of `settings`. It is done last: no single setting brings one back.
+    pub(crate) fn apply(self, settings: &mut AlbireoSettings) {
+        settings.life_cycle.r_max = 0;
+        settings.asks_screen = self != Self::KillOnly;
+        settings.filter.motion = match self {
+            Self::KillOnly | Self::KillErd => MotionModel::ConstantVelocity,
+            Self::KillErd10d => MotionModel::ConstantAcceleration,
+        };
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::FrameState::{AI, E, EI, I, P};
+    use crate::policy::testing::{Available, Run, seen};
+    use crate::policy::{Need, PolicyConfig, Profile};
+
+    const ABLATIONS: [Ablation; 3] = [Ablation::KillOnly, Ablation::KillErd, Ablation::KillErd10d];
+
+    #[test]
+    fn the_first_miss_removes_an_object_that_the_full_system_rescues() {
+        let names = ABLATIONS.map(Ablation::name).into_iter().chain(["albireo"]);
+        for name in names {
+            let mut run = Run::new(&format!("{name}:1e-9"), Profile::Reference);
+            for _ in 0..3 {
+                run.see(&[seen(0.5, 0.9)]);
+            }
+            let full = name == "albireo";
+            assert_eq!(run.see(&[]), if full { AI } else { I }, "{name}");
+            assert_eq!(run.records().len(), usize::from(full), "{name}");
+        }
+    }
+
+    #[test]
+    fn kill_only_asks_no_screen() {
+        let mut run = Run::new("kill-only", Profile::Paper);
+        let empty = Available {
+            empty: Some(true),
+            ..Available::detections(&[])
+        };
+        assert_eq!(run.frame(1, empty), I);
+        assert_eq!(run.needs, [Need::Detections]);
+        for name in ["kill+erd", "kill+erd-10d"] {
+            let mut run = Run::new(name, Profile::Paper);
+            assert_eq!(run.frame(1, empty), E);
+            assert_eq!(run.needs, [Need::Screen]);
+            assert_eq!(run.see(&[]), EI);
+        }
+    }
+
+    #[test]
+    fn uncertainty_still_calls_the_detector() {
+        for ablation in ABLATIONS {
+            let mut run = Run::new(ablation.name(), Profile::Paper);
+            let states: Vec<_> = (0..40).map(|_| run.see(&[seen(0.5, 0.9)])).collect();
+            assert!(states.contains(&P) && states.contains(&I), "{states:?}");
+            let mut run = Run::new(&format!("{}:1", ablation.name()), Profile::Paper);
+            run.see(&[seen(0.5, 0.9)]);
+            assert_eq!(run.see(&[]), P);
+        }
+    }
+
+    #[test]
+    fn eight_dimensions_are_those_without_acceleration() {
+        for ablation in ABLATIONS {
+            let mut settings = AlbireoSettings::paper();
+            ablation.apply(&mut settings);
+            let expected = match ablation {
+                Ablation::KillErd10d => MotionModel::ConstantAcceleration,
+                _ => MotionModel::ConstantVelocity,
+            };
+            assert_eq!(settings.filter.motion, expected);
+        }
+    }
+
+    #[test]
+    fn no_single_setting_brings_a_part_back() {
+        for ablation in ABLATIONS {
+            let text = format!(
+                "name = '{}'\n[albireo]\nasks_screen = true\nlife_cycle.r_max = 5\n\
+                 filter.motion = 'constant_acceleration'",
+                ablation.name()
+            );
+            let config: PolicyConfig = toml::from_str(&text).unwrap();
+            let mut settings = config.albireo_settings().unwrap();
+            assert_eq!(settings.life_cycle.r_max, 5);
+            ablation.apply(&mut settings);
+            let mut expected = AlbireoSettings::paper();
+            ablation.apply(&mut expected);
+            assert_eq!(settings, expected);
+            let mut run = Run::of(&config);
+            run.policy.set_knob(1e-9).unwrap();
+            for _ in 0..3 {
+                run.see(&[seen(0.5, 0.9)]);
+            }
+            assert_eq!(run.see(&[]), I);
+        }
+    }
+}

@@ -1,0 +1,308 @@
+//! The paper's policy: the detector runs when an object has become too uncertain.
+//!
+//! Each frame first advances every object's filter. Without active objects the empty-scene screen is
+//! asked, and unless it says "empty", the detector. With objects the detector runs if any τ reaches the
+//! threshold `u`, any object's age reaches T_max, or the periodic cap is due; otherwise the predicted
+//! boxes are the answer.
+
+use super::ablation::Ablation;
+use super::albireo_settings::{AlbireoSettings, PeriodicCap};
+use super::reporting::Reporting;
+use super::{
+    Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome, OutputBox,
+    Policy, PolicyConfig, PolicyConfigError,
+};
+use crate::detection::Detection;
+use crate::geometry::BoundingBox;
+use crate::kalman::Filter;
+use crate::objects::{Missed, ObjectStates};
+
+/// How far the frame in hand has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum AlbireoPhase {
+    /// The screen was asked.
+    AwaitsScreen,
+    /// The detector was asked, after the screen said "not empty" or without its verdict.
+    AwaitsDetections { screened: bool },
+    /// Decided.
+    Decided(FrameState),
+}
+
+/// The Albireo policy.
+#[derive(Clone, Debug)]
+pub struct Albireo {
+    name: &'static str,
+    settings: AlbireoSettings,
+    reporting: Reporting,
+    objects: ObjectStates,
+    u: f64,
+    /// `u` as it was when the frame began.
+    u_in_force: f64,
+    frame: Option<FrameHead>,
+    progress: AlbireoPhase,
+    tau_max: Option<f64>,
+    active: usize,
+    /// Frames since the detector last answered.
+    since_detector: u32,
+    /// Index of the last frame that came to its end with what it asked for.
+    last_complete: Option<u64>,
+    /// Boxes of a detector frame.
+    boxes: Vec<OutputBox>,
+}
+
+impl Albireo {
+    /// The name in configuration and reports.
+    pub const NAME: &'static str = "albireo";
+
+    /// The threshold. τ is a sum of variances of shares of the picture: at 1 nothing is known of where
+    /// an object is, and below 1e-9 every frame runs the detector.
+    pub const KNOB: Knob = Knob {
+        name: "u",
+        meaning: "The detector is skipped while every object's uncertainty is below this: higher saves \
+                  more energy, lower is more accurate",
+        minimum: 1e-9,
+        maximum: 1.0,
+        default: 3e-4,
+    };
+
+    /// A policy with these settings and threshold.
+    ///
+    /// # Errors
+    /// [`PolicyConfigError`] when a setting or the threshold cannot be used.
+    pub fn new(settings: AlbireoSettings, u: f64) -> Result<Self, PolicyConfigError> {
+        settings
+            .check()
+            .map_err(|reason| PolicyConfigError::Setting {
+                table: Self::NAME,
+                reason,
+            })?;
+        let u = Self::KNOB.check(u)?;
+        Ok(Self {
+            name: Self::NAME,
+            settings,
+            reporting: Reporting::of(&settings),
+            objects: ObjectStates::new(settings.objects()),
+            u,
+            u_in_force: u,
+            frame: None,
+            progress: AlbireoPhase::Decided(FrameState::P),
+            tau_max: None,
+            active: 0,
+            since_detector: 0,
+            last_complete: None,
+            boxes: Vec::new(),
+        })
+    }
+
+    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        Ok(Box::new(Self::new(config.albireo_settings()?, config.u)?))
+    }
+
+    /// A policy without some of its parts, under the name of the ablation.
+    pub(super) fn ablated(
+        ablation: Ablation,
+        config: &PolicyConfig,
+    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let mut settings = config.albireo_settings()?;
+        ablation.apply(&mut settings);
+        let mut policy = Self::new(settings, config.u)?;
+        policy.name = ablation.name();
+        Ok(Box::new(policy))
+    }
+
+    /// The settings in force.
+    pub fn settings(&self) -> &AlbireoSettings {
+        &self.settings
+    }
+
+    /// Sums up the active objects, and says whether one of them calls the detector.
+    fn survey(&mut self) -> bool {
+        let (u, settings) = (self.u_in_force, &self.settings);
+        let mut calls = false;
+        let mut tau_max = f64::NEG_INFINITY;
+        self.active = 0;
+        for state in self.objects.states() {
+            if !(state.confirmed || settings.tentative_counts) {
+                continue;
+            }
+            let tau = state.filter.tau();
+            calls |= !settings.is_certain(tau, u) || state.since_infer >= settings.t_max;
+            tau_max = tau_max.max(tau);
+            self.active += 1;
+        }
+        self.tau_max = (self.active > 0).then_some(tau_max);
+        calls
+    }
+
+    fn periodic_cap_is_due(&self, index: u64) -> bool {
+        let cap = self.settings.periodic_cap;
+        match self.settings.periodic_cap_counts {
+            PeriodicCap::SinceDetector => self.since_detector >= cap,
+            PeriodicCap::FrameIndex => {
+                let cap = u64::from(cap);
+                // A multiple between the last complete frame and this one fell into a gap.
+                let gap = self
+                    .last_complete
+                    .is_some_and(|last| last / cap < index / cap);
+                index.is_multiple_of(cap) || gap
+            }
+        }
+    }
+
+    fn take_detections(&mut self, detections: &[Detection], screened: bool) -> FrameState {
+        self.since_detector = 0;
+        let life_cycle = self.settings.life_cycle;
+        let create = life_cycle.creates_on_every_detector_frame || self.active == 0;
+        let mut rescued = false;
+        self.objects.observe(detections, create, |state| {
+            let fate = life_cycle.missed(state);
+            rescued |= fate == Missed::Rescued;
+            fate
+        });
+        self.boxes.clear();
+        self.reporting
+            .detector_frame(detections, &self.objects, self.u_in_force, &mut self.boxes);
+        if screened {
+            FrameState::EI
+        } else if rescued {
+            FrameState::AI
+        } else {
+            FrameState::I
+        }
+    }
+}
+
+impl Policy for Albireo {
+    fn name(&self) -> &'static str {
+        self.name
+    }
+
+    fn knob(&self) -> Option<Knob> {
+        Some(Self::KNOB)
+    }
+
+    fn knob_value(&self) -> Option<f64> {
+        Some(self.u)
+    }
+
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        self.u = Self::KNOB.check(value)?;
+        Ok(())
+    }
+
+    fn begin(&mut self, frame: FrameHead) -> Need {
+        self.frame = Some(frame);
+        self.u_in_force = self.u;
+        let frames = frame.step.max(1);
+        self.since_detector = self.since_detector.saturating_add(frames);
+        self.objects.predict(frame.picture, frames);
+        let called = self.survey();
+        let (progress, need) = if self.active == 0 && self.settings.asks_screen {
+            (AlbireoPhase::AwaitsScreen, Need::Screen)
+        } else if self.active == 0 || called || self.periodic_cap_is_due(frame.index) {
+            (
+                AlbireoPhase::AwaitsDetections { screened: false },
+                Need::Detections,
+            )
+        } else {
+            (AlbireoPhase::Decided(FrameState::P), Need::Nothing)
+        };
+        self.progress = progress;
+        need
+    }
+
+    /// A screen that is unavailable leaves the frame without its verdict: the detector is asked, and the
+    /// frame is `I`, not `E+I`. Evidence of a kind not asked for counts as unavailable.
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        match (self.progress, evidence) {
+            (AlbireoPhase::AwaitsScreen, Evidence::Screen { empty: true }) => {
+                self.progress = AlbireoPhase::Decided(FrameState::E);
+                Need::Nothing
+            }
+            (AlbireoPhase::AwaitsScreen, evidence) => {
+                let screened = matches!(evidence, Evidence::Screen { .. });
+                self.progress = AlbireoPhase::AwaitsDetections { screened };
+                Need::Detections
+            }
+            (AlbireoPhase::AwaitsDetections { screened }, Evidence::Detections(detections)) => {
+                let state = self.take_detections(detections, screened);
+                self.progress = AlbireoPhase::Decided(state);
+                Need::Nothing
+            }
+            // Left as it is: `finish` sees that the detections never came.
+            (AlbireoPhase::AwaitsDetections { .. } | AlbireoPhase::Decided(_), _) => Need::Nothing,
+        }
+    }
+
+    /// The filters' covariances do not depend on what is measured, so the smallest τ that an object can have on
+    /// the next frame is known before its detection is: if even a measured object and a new one call the
+    /// detector, nothing can make the next frame a predicted one. Without objects it asks the screen or the
+    /// detector.
+    fn foresee(&self, next: FrameHead) -> Need {
+        let model = self.objects.model();
+        let certain_at = |mut filter: Filter| {
+            (0..next.step.max(1)).for_each(|_| filter.predict(model));
+            self.settings.is_certain(filter.tau(), self.u)
+        };
+        let anywhere = BoundingBox::new(0.5, 0.5, 0.1, 0.1);
+        let may_skip = certain_at(Filter::new(model, anywhere))
+            || self.objects.states().iter().any(|state| {
+                let mut filter = state.filter;
+                filter.update(model, filter.bounding_box());
+                certain_at(filter)
+            });
+        if may_skip {
+            Need::Nothing
+        } else {
+            Need::Detections
+        }
+    }
+
+    fn finish(&mut self, outcome: &mut Outcome) {
+        let (state, degraded) = match self.progress {
+            AlbireoPhase::Decided(state) => (state, false),
+            AlbireoPhase::AwaitsScreen | AlbireoPhase::AwaitsDetections { .. } => {
+                (FrameState::P, true)
+            }
+        };
+        if let (Some(frame), false) = (self.frame, degraded) {
+            self.last_complete = Some(frame.index);
+        }
+        outcome.clear(state, degraded);
+        outcome.tau_max = self.tau_max;
+        outcome.active = self.active;
+        match state {
+            FrameState::E => {}
+            FrameState::P => {
+                self.reporting
+                    .predicted(&self.objects, self.u_in_force, &mut outcome.boxes);
+            }
+            FrameState::EI | FrameState::I | FrameState::AI => {
+                outcome.boxes.extend_from_slice(&self.boxes);
+            }
+        }
+    }
+
+    fn reset(&mut self) {
+        self.objects.clear();
+        self.frame = None;
+        self.progress = AlbireoPhase::Decided(FrameState::P);
+        self.tau_max = None;
+        self.active = 0;
+        self.since_detector = 0;
+        self.last_complete = None;
+    }
+
+    fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
+        for state in self.objects.states() {
+            visit(&ObjectRecord::from(state));
+        }
+    }
+
+    fn rejected_detections(&self) -> u64 {
+        self.objects.rejected_detections()
+    }
+}
+
+#[cfg(test)]
+mod tests;

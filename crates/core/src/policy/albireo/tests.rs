@@ -1,0 +1,332 @@
+//! Promises of the policy beyond the golden traces: the profile of the paper, gaps and failures.
+
+use super::*;
+use crate::detection::ClassId;
+use crate::geometry::{BoundingBox, PictureSize};
+use crate::policy::BoxSource;
+
+const PICTURE: PictureSize = PictureSize::new(1280, 720);
+
+fn seen(x: f64, confidence: f64) -> Detection {
+    Detection {
+        bounding_box: BoundingBox::new(x, 0.5, 0.1, 0.1),
+        class: ClassId(0),
+        confidence,
+    }
+}
+
+/// A policy with a frame counter; the screen never says "empty".
+struct Run {
+    policy: Albireo,
+    outcome: Outcome,
+    index: u64,
+}
+
+impl Run {
+    fn new(settings: AlbireoSettings, u: f64) -> Self {
+        Self {
+            policy: Albireo::new(settings, u).unwrap(),
+            outcome: Outcome::default(),
+            index: 0,
+        }
+    }
+
+    fn begin(&mut self, step: u32) -> Need {
+        let frame = FrameHead {
+            index: self.index,
+            step,
+            picture: PICTURE,
+        };
+        self.index += 1;
+        self.policy.begin(frame)
+    }
+
+    /// A whole frame after `step` frames; `None` for a detector that cannot be had.
+    fn frame(&mut self, step: u32, detections: Option<&[Detection]>) -> FrameState {
+        self.index += u64::from(step) - 1;
+        let mut need = self.begin(step);
+        while need != Need::Nothing {
+            need = self.policy.answer(match (need, detections) {
+                (Need::Screen, _) => Evidence::Screen { empty: false },
+                (_, Some(detections)) => Evidence::Detections(detections),
+                (_, None) => Evidence::Unavailable,
+            });
+        }
+        self.policy.finish(&mut self.outcome);
+        self.outcome.state
+    }
+
+    fn records(&self) -> Vec<ObjectRecord> {
+        let mut records = Vec::new();
+        self.policy.objects(&mut |record| records.push(*record));
+        records
+    }
+}
+
+/// A run of the paper's profile that never skips, with one confirmed object.
+fn watching(settings: AlbireoSettings) -> Run {
+    let mut run = Run::new(settings, 1e-9);
+    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::EI);
+    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::I);
+    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::I);
+    run
+}
+
+#[test]
+fn the_papers_detector_frames_report_the_detectors_own_boxes_and_rescues() {
+    let mut run = watching(AlbireoSettings::paper());
+    let found = [seen(0.8, 0.6), seen(0.503, 0.7)];
+    assert_eq!(run.frame(1, Some(&found)), FrameState::I);
+    let boxes = &run.outcome.boxes;
+    assert_eq!(boxes.len(), 2);
+    for (reported, found) in boxes.iter().zip(&found) {
+        assert_eq!(reported.bounding_box, found.bounding_box);
+        assert_eq!(reported.confidence, found.confidence);
+        assert_eq!(reported.source, BoxSource::Detected);
+    }
+    let of = |b: &OutputBox| (b.object.unwrap().0, b.confirmed);
+    assert_eq!([of(&boxes[0]), of(&boxes[1])], [(1, false), (0, true)]);
+
+    assert_eq!(run.frame(1, Some(&[seen(0.8, 0.6)])), FrameState::AI);
+    let boxes = &run.outcome.boxes;
+    assert_eq!([of(&boxes[0]), of(&boxes[1])], [(1, false), (0, true)]);
+    assert_eq!(boxes[1].source, BoxSource::Rescued);
+    assert_eq!(boxes[1].confidence, 0.7);
+    assert_ne!(boxes[1].bounding_box, found[1].bounding_box);
+}
+
+#[test]
+fn the_references_detector_frames_report_the_filters_boxes_with_decayed_confidence() {
+    let mut run = Run::new(AlbireoSettings::reference(), 3e-4);
+    run.frame(1, Some(&[seen(0.5, 0.9)]));
+    // A new object: 1 - 2.5e-4 / 3e-4 of its confidence.
+    assert!((run.outcome.boxes[0].confidence - 0.9 / 6.0).abs() < 1e-12);
+    assert_eq!(run.outcome.boxes[0].source, BoxSource::Detected);
+    run.frame(1, Some(&[seen(0.52, 0.9)]));
+    assert_ne!(
+        run.outcome.boxes[0].bounding_box,
+        seen(0.52, 0.9).bounding_box
+    );
+    run.policy.set_knob(1e-9).unwrap();
+    run.frame(1, Some(&[seen(0.53, 0.9)]));
+    assert_eq!(run.frame(1, Some(&[])), FrameState::AI);
+    assert!((run.outcome.boxes[0].confidence - 0.09).abs() < 1e-12);
+    assert_eq!(run.outcome.boxes[0].source, BoxSource::Rescued);
+}
+
+#[test]
+fn predicted_frames_report_all_active_objects_unless_told_otherwise() {
+    for report_tentative in [true, false] {
+        let settings = AlbireoSettings {
+            report_tentative,
+            ..AlbireoSettings::paper()
+        };
+        let mut run = watching(settings);
+        run.frame(1, Some(&[seen(0.5, 0.9), seen(0.8, 0.6)]));
+        run.policy.set_knob(1.0).unwrap();
+        assert_eq!(run.frame(1, None), FrameState::P);
+        assert!(!run.outcome.degraded);
+        let found: Vec<_> = run
+            .outcome
+            .boxes
+            .iter()
+            .map(|b| (b.source, b.confidence))
+            .collect();
+        let mut expected = vec![(BoxSource::Predicted, 0.9)];
+        if report_tentative {
+            expected.push((BoxSource::Predicted, 0.6));
+        }
+        assert_eq!(found, expected);
+    }
+}
+
+#[test]
+fn tau_equal_to_u_runs_the_detector_in_the_paper_and_skips_in_the_reference() {
+    for (settings, need) in [
+        (AlbireoSettings::paper(), Need::Detections),
+        (AlbireoSettings::reference(), Need::Nothing),
+    ] {
+        let mut probe = Run::new(settings, 1e-9);
+        probe.frame(1, Some(&[seen(0.5, 0.9)]));
+        probe.begin(1);
+        let tau = probe.policy.tau_max.unwrap();
+        let mut run = Run::new(settings, tau);
+        run.frame(1, Some(&[seen(0.5, 0.9)]));
+        assert_eq!(run.begin(1), need);
+    }
+}
+
+#[test]
+fn an_empty_scene_skips_the_detector_if_the_screen_says_so() {
+    let mut run = Run::new(AlbireoSettings::paper(), 3e-4);
+    assert_eq!(run.begin(1), Need::Screen);
+    let need = run.policy.answer(Evidence::Screen { empty: true });
+    assert_eq!(need, Need::Nothing);
+    run.policy.finish(&mut run.outcome);
+    assert_eq!(run.outcome.state, FrameState::E);
+    assert_eq!((run.outcome.tau_max, run.outcome.active), (None, 0));
+}
+
+#[test]
+fn without_the_screen_the_detector_is_asked_and_the_frame_is_not_called_screened() {
+    let mut run = Run::new(AlbireoSettings::paper(), 3e-4);
+    assert_eq!(run.begin(1), Need::Screen);
+    assert_eq!(run.policy.answer(Evidence::Unavailable), Need::Detections);
+    let found = [seen(0.5, 0.9)];
+    assert_eq!(
+        run.policy.answer(Evidence::Detections(&found)),
+        Need::Nothing
+    );
+    run.policy.finish(&mut run.outcome);
+    assert_eq!(run.outcome.state, FrameState::I);
+}
+
+#[test]
+fn without_the_detector_predictions_answer_and_nothing_counts_as_missed() {
+    let mut run = watching(AlbireoSettings::paper());
+    for _ in 0..5 {
+        assert_eq!(run.frame(1, None), FrameState::P);
+        assert!(run.outcome.degraded);
+        assert_eq!(run.outcome.boxes[0].source, BoxSource::Predicted);
+        assert_eq!(run.records()[0].misses, 0);
+    }
+    assert_eq!(run.records()[0].since_update, 5);
+    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::I);
+    assert!(!run.outcome.degraded);
+}
+
+#[test]
+fn the_age_limit_calls_the_detector_at_t_max() {
+    let mut settings = AlbireoSettings::paper();
+    settings.periodic_cap = u32::MAX;
+    let mut run = watching(settings);
+    run.policy.set_knob(1.0).unwrap();
+    for _ in 1..15 {
+        assert_eq!(run.frame(1, None), FrameState::P);
+        assert!(!run.outcome.degraded);
+    }
+    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::I);
+}
+
+#[test]
+fn the_periodic_cap_counts_what_its_setting_says() {
+    for (counts, due) in [
+        (PeriodicCap::SinceDetector, vec![2 + 7, 2 + 14]),
+        (PeriodicCap::FrameIndex, vec![7, 14]),
+    ] {
+        let mut settings = AlbireoSettings::paper();
+        settings.periodic_cap = 7;
+        settings.periodic_cap_counts = counts;
+        let mut run = watching(settings);
+        run.policy.set_knob(1.0).unwrap();
+        let mut called = Vec::new();
+        while run.index < 17 {
+            let index = run.index;
+            if run.frame(1, Some(&[seen(0.5, 0.9)])) == FrameState::I {
+                called.push(index);
+            }
+        }
+        assert_eq!(called, due, "{counts:?}");
+    }
+}
+
+#[test]
+fn a_due_frame_that_was_lost_or_given_up_makes_the_next_one_due() {
+    let mut settings = AlbireoSettings::paper();
+    settings.periodic_cap = 7;
+    settings.periodic_cap_counts = PeriodicCap::FrameIndex;
+    let mut run = watching(settings);
+    run.policy.set_knob(1.0).unwrap();
+    run.index = 6;
+    assert_eq!(run.frame(1, None), FrameState::P);
+    // 7 and 8 are lost.
+    assert_eq!(run.frame(3, Some(&[seen(0.5, 0.9)])), FrameState::I);
+    run.index = 13;
+    assert_eq!(run.frame(1, None), FrameState::P);
+    assert_eq!(run.begin(1), Need::Detections);
+    // 14 is given up.
+    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::I);
+    assert_eq!(run.frame(1, None), FrameState::P);
+}
+
+#[test]
+fn a_gap_a_run_of_predictions_and_frames_given_up_leave_the_same_objects() {
+    let mut gap = watching(AlbireoSettings::paper());
+    gap.policy.set_knob(1.0).unwrap();
+    let (mut predicted, mut given_up) = (
+        Run {
+            policy: gap.policy.clone(),
+            outcome: Outcome::default(),
+            index: gap.index,
+        },
+        Run {
+            policy: gap.policy.clone(),
+            outcome: Outcome::default(),
+            index: gap.index,
+        },
+    );
+    gap.frame(4, None);
+    for _ in 0..4 {
+        predicted.frame(1, None);
+    }
+    for _ in 0..3 {
+        given_up.begin(1);
+    }
+    given_up.frame(1, None);
+    assert_eq!(gap.outcome, predicted.outcome);
+    assert_eq!(gap.outcome, given_up.outcome);
+    assert_eq!(gap.records(), predicted.records());
+    assert_eq!(gap.records(), given_up.records());
+    assert_eq!(gap.records()[0].since_infer, 4);
+}
+
+#[test]
+fn the_knob_takes_effect_with_the_next_frame_and_bad_values_change_nothing() {
+    let mut run = watching(AlbireoSettings::paper());
+    assert_eq!(run.begin(1), Need::Detections);
+    run.policy.set_knob(1.0).unwrap();
+    let found = [seen(0.5, 0.9)];
+    run.policy.answer(Evidence::Detections(&found));
+    run.policy.finish(&mut run.outcome);
+    assert_eq!(run.outcome.state, FrameState::I);
+    assert_eq!(run.begin(1), Need::Nothing);
+    for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 1.1, 1e-10] {
+        assert!(run.policy.set_knob(bad).is_err(), "{bad}");
+        assert_eq!(run.policy.knob_value(), Some(1.0));
+    }
+}
+
+#[test]
+fn a_reset_forgets_the_objects_and_keeps_the_knob() {
+    let mut run = watching(AlbireoSettings::paper());
+    run.policy.set_knob(5e-4).unwrap();
+    run.policy.reset();
+    assert!(run.records().is_empty());
+    assert_eq!(run.policy.knob_value(), Some(5e-4));
+    assert_eq!(run.frame(1, Some(&[seen(0.5, 0.9)])), FrameState::EI);
+    assert_eq!(run.records()[0].id.0, 0);
+}
+
+#[test]
+fn hostile_detections_are_counted_and_not_reported() {
+    let mut run = watching(AlbireoSettings::paper());
+    let hostile = [seen(f64::NAN, 0.9), seen(0.5, f64::NAN), seen(0.5, 0.9)];
+    run.frame(1, Some(&hostile));
+    assert_eq!(run.outcome.boxes.len(), 1);
+    assert_eq!(run.policy.rejected_detections(), 2);
+    assert_eq!(run.records().len(), 1);
+}
+
+#[test]
+fn evidence_of_the_wrong_kind_counts_as_none() {
+    let mut run = watching(AlbireoSettings::paper());
+    assert_eq!(run.begin(1), Need::Detections);
+    let need = run.policy.answer(Evidence::Screen { empty: true });
+    assert_eq!(need, Need::Nothing);
+    run.policy.finish(&mut run.outcome);
+    assert_eq!(
+        (run.outcome.state, run.outcome.degraded),
+        (FrameState::P, true)
+    );
+    assert_eq!(run.outcome.boxes.len(), 1);
+}

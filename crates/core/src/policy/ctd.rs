@@ -1,0 +1,196 @@
+//! Confidence-triggered detection: the detector runs when a prediction has strayed from what was seen.
+//!
+//! Y. Ding et al., "Confidence Trigger Detection: Accelerating Real-time Tracking-by-detection Systems",
+//! as the published code of the Albireo paper has it: on Albireo's filter instead of DeepSORT's. For
+//! every object the squared Mahalanobis distance between its prediction and its own last detection is
+//! read as a draw from χ² with four degrees of freedom; the chance of a larger one is the confidence in
+//! the prediction. The detector runs when a confidence is below the threshold, when there are no
+//! objects, and after [`CtdSettings::longest_skip`] frames without it.
+//!
+//! An object that a detector frame misses lives on, with its predicted box, as in DeepSORT; its frames
+//! are `I` all the same, for this is no rescue that the policy decided on.
+
+use super::tracker::{Tracker, check_setting};
+use super::{
+    Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome, Policy,
+    PolicyConfig, PolicyConfigError,
+};
+use crate::objects::{Missed, ObjectState};
+use serde::{Deserialize, Serialize};
+
+/// The settings of the policy. Those but the threshold are the published code's.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CtdSettings {
+    /// The detector runs when the confidence in a prediction is below this, above 0 and below 1.
+    pub threshold: f64,
+    /// Frames in a row that may go without the detector, lost ones included.
+    pub longest_skip: u32,
+    /// A confirmed object is removed by a miss that brings its count of frames since its last detection
+    /// above this. Each miss adds one to that count, as each frame does.
+    pub lost_frames: u32,
+}
+
+impl Default for CtdSettings {
+    fn default() -> Self {
+        Self {
+            threshold: Ctd::KNOB.default,
+            longest_skip: 8,
+            lost_frames: 10,
+        }
+    }
+}
+
+/// How far the frame in hand has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum CtdPhase {
+    AwaitsDetections,
+    Decided(FrameState),
+}
+
+/// The policy of confidence-triggered detection.
+#[derive(Clone, Debug)]
+pub struct Ctd {
+    settings: CtdSettings,
+    /// Largest squared distance at which a prediction is trusted.
+    largest_distance: f64,
+    tracker: Tracker,
+    progress: CtdPhase,
+    /// Frames since the detector last answered.
+    since_detector: u32,
+}
+
+impl Ctd {
+    /// The name in configuration and reports.
+    pub const NAME: &'static str = "ctd";
+
+    /// The confidence threshold. The default is what Ding et al. recommend.
+    pub const KNOB: Knob = Knob {
+        name: "threshold",
+        meaning: "The detector is skipped while the confidence in every prediction is at least this: \
+                  lower saves more energy, higher is more accurate",
+        minimum: 1e-9,
+        maximum: 1.0 - 1e-9,
+        default: 0.30,
+    };
+
+    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let settings = config.ctd;
+        let threshold = check_setting(Self::NAME, Self::KNOB, settings.threshold)?;
+        Ok(Box::new(Self {
+            settings,
+            largest_distance: distance_with_confidence(threshold),
+            tracker: Tracker::from_config(config)?,
+            progress: CtdPhase::Decided(FrameState::P),
+            since_detector: 0,
+        }))
+    }
+
+    fn calls_detector(&self) -> bool {
+        let objects = &self.tracker.objects;
+        let strayed = |state: &ObjectState| {
+            let distance = state
+                .filter
+                .squared_distance(objects.model(), state.detected);
+            distance > self.largest_distance
+        };
+        objects.states().is_empty()
+            || self.since_detector > self.settings.longest_skip
+            || objects.states().iter().any(strayed)
+    }
+}
+
+/// The squared Mahalanobis distance that a χ² variable with four degrees of freedom exceeds with the
+/// probability `confidence`, above 0 and below 1.
+///
+/// With y = x/2 that probability is e^−y (1 + y). Newton's method on its logarithm, which is concave
+/// and falling: from the second step on it comes down to the root from above.
+fn distance_with_confidence(confidence: f64) -> f64 {
+    let logarithm = confidence.ln();
+    let mut y = (-2.0 * logarithm).sqrt();
+    for _ in 0..100 {
+        let step = (y.ln_1p() - y - logarithm) * (1.0 + y) / y;
+        y += step;
+        if step.abs() <= 1e-15 * y {
+            break;
+        }
+    }
+    2.0 * y
+}
+
+impl Policy for Ctd {
+    fn name(&self) -> &'static str {
+        Self::NAME
+    }
+
+    fn knob(&self) -> Option<Knob> {
+        Some(Self::KNOB)
+    }
+
+    fn knob_value(&self) -> Option<f64> {
+        Some(self.settings.threshold)
+    }
+
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        self.settings.threshold = Self::KNOB.check(value)?;
+        self.largest_distance = distance_with_confidence(value);
+        Ok(())
+    }
+
+    fn begin(&mut self, frame: FrameHead) -> Need {
+        self.since_detector = self.since_detector.saturating_add(frame.step.max(1));
+        self.tracker.begin(frame);
+        if self.calls_detector() {
+            self.progress = CtdPhase::AwaitsDetections;
+            Need::Detections
+        } else {
+            self.progress = CtdPhase::Decided(FrameState::P);
+            Need::Nothing
+        }
+    }
+
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        if let (CtdPhase::AwaitsDetections, Evidence::Detections(detections)) =
+            (self.progress, evidence)
+        {
+            let lost_frames = self.settings.lost_frames;
+            self.tracker.observe(detections, |state| {
+                state.since_update = state.since_update.saturating_add(1);
+                if state.confirmed && state.since_update <= lost_frames {
+                    Missed::Rescued
+                } else {
+                    Missed::Removed
+                }
+            });
+            self.since_detector = 0;
+            self.progress = CtdPhase::Decided(FrameState::I);
+        }
+        Need::Nothing
+    }
+
+    fn finish(&mut self, outcome: &mut Outcome) {
+        let (state, degraded) = match self.progress {
+            CtdPhase::Decided(state) => (state, false),
+            CtdPhase::AwaitsDetections => (FrameState::P, true),
+        };
+        outcome.clear(state, degraded);
+        self.tracker.finish(state, outcome);
+    }
+
+    fn reset(&mut self) {
+        self.tracker.clear();
+        self.progress = CtdPhase::Decided(FrameState::P);
+        self.since_detector = 0;
+    }
+
+    fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
+        self.tracker.visit(visit);
+    }
+
+    fn rejected_detections(&self) -> u64 {
+        self.tracker.objects.rejected_detections()
+    }
+}
+
+#[cfg(test)]
+mod tests;

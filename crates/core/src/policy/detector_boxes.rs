@@ -1,0 +1,56 @@
+//! The boxes of the detector's last answer, as policies report them that keep no objects.
+
+use super::{BoxSource, OutputBox};
+use crate::detection::Detection;
+use crate::objects::is_usable;
+
+/// The boxes of the last answer. The buffer is kept from frame to frame.
+#[derive(Clone, Debug, Default)]
+pub(super) struct DetectorBoxes {
+    boxes: Vec<OutputBox>,
+    rejected: u64,
+}
+
+impl DetectorBoxes {
+    /// Takes an answer in place of the one before; what makes no box is counted and left out.
+    pub(crate) fn take(&mut self, detections: &[Detection]) {
+        self.boxes.clear();
+        for detection in detections {
+            if is_usable(detection) {
+                self.boxes.push(OutputBox {
+                    bounding_box: detection.bounding_box,
+                    class: detection.class,
+                    confidence: detection.confidence,
+                    source: BoxSource::Detected,
+                    object: None,
+                    confirmed: false,
+                });
+            } else {
+                self.rejected = self.rejected.saturating_add(1);
+            }
+        }
+    }
+
+    /// Appends the boxes as found in the frame at hand.
+    pub(crate) fn report(&self, boxes: &mut Vec<OutputBox>) {
+        boxes.extend_from_slice(&self.boxes);
+    }
+
+    /// Appends the boxes of an earlier frame, unchanged but for their source.
+    pub(crate) fn report_again(&self, boxes: &mut Vec<OutputBox>) {
+        boxes.extend(self.boxes.iter().map(|found| OutputBox {
+            source: BoxSource::Predicted,
+            ..*found
+        }));
+    }
+
+    /// Forgets the boxes; the count of refused detections stays.
+    pub(crate) fn clear(&mut self) {
+        self.boxes.clear();
+    }
+
+    /// Detections refused so far.
+    pub(crate) fn rejected(&self) -> u64 {
+        self.rejected
+    }
+}

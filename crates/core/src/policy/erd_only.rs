@@ -1,0 +1,143 @@
+//! The empty-scene screen on every frame, and the detector on all that it does not call empty (paper,
+//! baseline ERD-only).
+
+use super::detector_boxes::DetectorBoxes;
+use super::{
+    Evidence, FrameHead, FrameState, Knob, KnobError, Need, Outcome, Policy, PolicyConfig,
+    PolicyConfigError,
+};
+
+/// How far the frame in hand has come.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum ErdOnlyPhase {
+    #[default]
+    AwaitsScreen,
+    AwaitsDetections {
+        screened: bool,
+    },
+    Decided(FrameState),
+}
+
+/// The policy of the screen alone. It keeps no objects and has no knob.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ErdOnly {
+    boxes: DetectorBoxes,
+    progress: ErdOnlyPhase,
+}
+
+impl ErdOnly {
+    /// The name in configuration and reports.
+    pub(crate) const NAME: &'static str = "erd-only";
+
+    pub(super) fn from_config(_: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        Ok(Box::new(Self::default()))
+    }
+}
+
+impl Policy for ErdOnly {
+    fn name(&self) -> &'static str {
+        Self::NAME
+    }
+
+    fn knob(&self) -> Option<Knob> {
+        None
+    }
+
+    fn knob_value(&self) -> Option<f64> {
+        None
+    }
+
+    fn set_knob(&mut self, _: f64) -> Result<(), KnobError> {
+        Err(KnobError::Absent { policy: Self::NAME })
+    }
+
+    fn begin(&mut self, _: FrameHead) -> Need {
+        self.boxes.clear();
+        self.progress = ErdOnlyPhase::AwaitsScreen;
+        Need::Screen
+    }
+
+    /// Without the screen's verdict the detector runs, and the frame is `I`, not `E+I`.
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        match (self.progress, evidence) {
+            (ErdOnlyPhase::AwaitsScreen, Evidence::Screen { empty: true }) => {
+                self.progress = ErdOnlyPhase::Decided(FrameState::E);
+                Need::Nothing
+            }
+            (ErdOnlyPhase::AwaitsScreen, evidence) => {
+                let screened = matches!(evidence, Evidence::Screen { .. });
+                self.progress = ErdOnlyPhase::AwaitsDetections { screened };
+                Need::Detections
+            }
+            (ErdOnlyPhase::AwaitsDetections { screened }, Evidence::Detections(detections)) => {
+                self.boxes.take(detections);
+                self.progress = ErdOnlyPhase::Decided(match screened {
+                    true => FrameState::EI,
+                    false => FrameState::I,
+                });
+                Need::Nothing
+            }
+            // Left as it is: `finish` sees that the detections never came.
+            (ErdOnlyPhase::AwaitsDetections { .. } | ErdOnlyPhase::Decided(_), _) => Need::Nothing,
+        }
+    }
+
+    fn foresee(&self, _: FrameHead) -> Need {
+        Need::Screen
+    }
+
+    fn finish(&mut self, outcome: &mut Outcome) {
+        let (state, degraded) = match self.progress {
+            ErdOnlyPhase::Decided(state) => (state, false),
+            ErdOnlyPhase::AwaitsScreen | ErdOnlyPhase::AwaitsDetections { .. } => {
+                (FrameState::P, true)
+            }
+        };
+        outcome.clear(state, degraded);
+        self.boxes.report(&mut outcome.boxes);
+    }
+
+    fn reset(&mut self) {
+        self.boxes.clear();
+        self.progress = ErdOnlyPhase::AwaitsScreen;
+    }
+
+    fn rejected_detections(&self) -> u64 {
+        self.boxes.rejected()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::testing::{Available, Run, seen};
+    use crate::policy::{BoxSource, Profile};
+
+    #[test]
+    fn the_detector_runs_on_what_the_screen_does_not_call_empty() {
+        let found = [seen(0.5, 0.9)];
+        let mut run = Run::new("erd-only", Profile::Paper);
+        for _ in 0..2 {
+            assert_eq!(run.see(&found), FrameState::EI);
+            assert_eq!(run.needs, [Need::Screen, Need::Detections]);
+            assert_eq!(run.reported(), [(BoxSource::Detected, 0.5, 0.9)]);
+            let empty = Available {
+                empty: Some(true),
+                ..Available::detections(&found)
+            };
+            assert_eq!(run.frame(1, empty), FrameState::E);
+            assert_eq!(run.needs, [Need::Screen]);
+            assert!(run.outcome.boxes.is_empty() && !run.outcome.degraded);
+        }
+    }
+
+    #[test]
+    fn without_the_screen_the_detector_runs_and_the_frame_is_not_called_screened() {
+        let found = [seen(0.5, 0.9)];
+        let mut run = Run::new("erd-only", Profile::Paper);
+        assert_eq!(run.frame(1, Available::detections(&found)), FrameState::I);
+        assert_eq!(run.outcome.boxes.len(), 1);
+        assert_eq!(run.blind(), FrameState::P);
+        assert!(run.outcome.degraded && run.outcome.boxes.is_empty());
+    }
+}

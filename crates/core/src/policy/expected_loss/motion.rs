@@ -1,0 +1,286 @@
+//! The filter of one object: four independent axes, each with a position and a velocity.
+//!
+//! The axes are the centre (x, y) in a unit that is the same in both directions, and the natural
+//! logarithms of width and height. With `s = √(w·h)` and `U = (s, s, 1, 1)`, per frame:
+//!
+//! ```text
+//! ρ = clamp((v_lw + v_lh) / 2, ±largest_growth)
+//! centre:     x ← x + v·(1 + ρ)       v ← g·v,  g = center_fading·(1 + 2ρ)
+//! log-sides:  x ← x + v               v ← g·v,  g = size_fading·(1 + ρ)
+//! all:        p00 ← p00 + 2·p01 + p11 + q/4
+//!             p01 ← (p01 + p11)·g + q/2
+//!             p11 ← g²·p11 + q
+//! ```
+//!
+//! The terms in ρ are perspective: what comes nearer at constant speed grows faster and faster, and its
+//! picture moves faster and faster. A measurement z with variance R gives, with `S = p00 + R`,
+//!
+//! ```text
+//! y = z − x    k0 = p00/S    k1 = p01/S
+//! x ← x + k0·y    v ← v + k1·y
+//! p11 ← p11 − k1·p01    p01 ← (1 − k0)·p01    p00 ← (1 − k0)·p00
+//! ```
+//!
+//! and afterwards both log-sides move at the mean of their velocities: what comes nearer keeps its shape.
+
+use super::settings::Motion;
+
+/// Index of the axes in arrays of four.
+pub(super) const X: usize = 0;
+pub(super) const Y: usize = 1;
+pub(super) const LOG_WIDTH: usize = 2;
+pub(super) const LOG_HEIGHT: usize = 3;
+
+/// No box is larger or smaller than e^±30 picture heights. The limit keeps all arithmetic finite.
+pub(super) const LARGEST_LOG: f64 = 30.0;
+
+/// Position and velocity along one axis, with their covariance.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Axis {
+    pub x: f64,
+    pub v: f64,
+    pub p00: f64,
+    pub p01: f64,
+    pub p11: f64,
+}
+
+impl Axis {
+    fn predict(&mut self, stretch: f64, g: f64, q: f64) {
+        self.x += self.v * stretch;
+        self.v *= g;
+        self.p00 += 2.0 * self.p01 + self.p11 + q / 4.0;
+        self.p01 = (self.p01 + self.p11) * g + q / 2.0;
+        self.p11 = g * g * self.p11 + q;
+    }
+
+    /// Takes a measurement; returns the squared normalised innovation y²/S.
+    fn update(&mut self, z: f64, r: f64) -> f64 {
+        let y = z - self.x;
+        let s = self.p00 + r;
+        let (k0, k1) = (self.p00 / s, self.p01 / s);
+        self.x += k0 * y;
+        self.v += k1 * y;
+        self.p11 -= k1 * self.p01;
+        self.p01 *= 1.0 - k0;
+        self.p00 *= 1.0 - k0;
+        y * y / s
+    }
+}
+
+/// A box as the filter measures it: centre and logarithms of the sides.
+pub(super) type Measured = [f64; 4];
+
+/// The filter of one object.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct MotionFilter {
+    pub axes: [Axis; 4],
+    /// Width and height: the exponentials of the log-sides, which are asked for often.
+    sides: [f64; 2],
+}
+
+impl MotionFilter {
+    /// A new object at `measured`, moving at `velocity` in units of U.
+    pub(crate) fn new(settings: &Motion, measured: &Measured, velocity: &[f64; 3]) -> Self {
+        let sides = [LOG_WIDTH, LOG_HEIGHT].map(|axis| measured[axis].exp());
+        let s = (sides[0] * sides[1]).sqrt();
+        let r = measurement_variance(settings, s);
+        let unit = [s, s, 1.0, 1.0];
+        let velocity = [velocity[0], velocity[1], velocity[2], velocity[2]];
+        let deviation = [
+            settings.newcomer_center_velocity,
+            settings.newcomer_center_velocity,
+            settings.newcomer_size_velocity,
+            settings.newcomer_size_velocity,
+        ];
+        Self {
+            axes: std::array::from_fn(|axis| Axis {
+                x: measured[axis],
+                v: velocity[axis] * unit[axis],
+                p00: r[axis],
+                p01: 0.0,
+                p11: (deviation[axis] * unit[axis]).powi(2),
+            }),
+            sides,
+        }
+    }
+
+    /// Width and height.
+    pub(crate) fn sides(&self) -> [f64; 2] {
+        self.sides
+    }
+
+    /// Where the object is.
+    pub(crate) fn position(&self) -> Measured {
+        std::array::from_fn(|axis| self.axes[axis].x)
+    }
+
+    /// The size s.
+    pub(crate) fn size(&self) -> f64 {
+        (self.sides[0] * self.sides[1]).sqrt()
+    }
+
+    fn refresh_sides(&mut self) {
+        self.sides = [LOG_WIDTH, LOG_HEIGHT].map(|axis| self.axes[axis].x.exp());
+    }
+
+    /// Advances by one frame.
+    pub(crate) fn predict(&mut self, settings: &Motion) {
+        let s = self.size();
+        let growth = (self.axes[LOG_WIDTH].v + self.axes[LOG_HEIGHT].v) / 2.0;
+        let rho = growth.clamp(-settings.largest_growth, settings.largest_growth);
+        let q_center = (settings.center_process * s).powi(2);
+        let q_size = settings.size_process.powi(2);
+        let g_center = settings.center_fading * (1.0 + 2.0 * rho);
+        let g_size = settings.size_fading * (1.0 + rho);
+        for axis in [X, Y] {
+            self.axes[axis].predict(1.0 + rho, g_center, q_center);
+        }
+        for axis in [LOG_WIDTH, LOG_HEIGHT] {
+            let axis = &mut self.axes[axis];
+            axis.predict(1.0, g_size, q_size);
+            axis.x = axis.x.clamp(-LARGEST_LOG, LARGEST_LOG);
+        }
+        self.refresh_sides();
+    }
+
+    /// Takes a measurement; returns the four squared normalised innovations y²/S.
+    pub(crate) fn update(&mut self, settings: &Motion, measured: &Measured) -> [f64; 4] {
+        let r = measurement_variance(settings, self.size());
+        let innovations =
+            std::array::from_fn(|axis| self.axes[axis].update(measured[axis], r[axis]));
+        let growth = (self.axes[LOG_WIDTH].v + self.axes[LOG_HEIGHT].v) / 2.0;
+        self.axes[LOG_WIDTH].v = growth;
+        self.axes[LOG_HEIGHT].v = growth;
+        self.refresh_sides();
+        innovations
+    }
+
+    /// The variances S of the innovations to come.
+    pub(crate) fn innovation_variance(&self, settings: &Motion) -> [f64; 4] {
+        let r = measurement_variance(settings, self.size());
+        std::array::from_fn(|axis| self.axes[axis].p00 + r[axis])
+    }
+
+    /// The velocity in units of U; that of the log-sides once.
+    pub(crate) fn velocity(&self) -> [f64; 3] {
+        let s = self.size();
+        [
+            self.axes[X].v / s,
+            self.axes[Y].v / s,
+            self.axes[LOG_WIDTH].v,
+        ]
+    }
+
+    /// The relative variance of the box: `4·p_x/w² + 4·p_y/h² + p_lw + p_lh`. A variance of one half
+    /// means an edge that is off by about half a side.
+    pub(crate) fn relative_variance(&self) -> f64 {
+        let [x, y, log_width, log_height] = &self.axes;
+        let [width, height] = self.sides;
+        4.0 * x.p00 / (width * width)
+            + 4.0 * y.p00 / (height * height)
+            + log_width.p00
+            + log_height.p00
+    }
+}
+
+/// R of the four axes for a box of size `s`.
+fn measurement_variance(settings: &Motion, s: f64) -> [f64; 4] {
+    let center = (settings.center_measurement * s).powi(2);
+    let size = settings.size_measurement.powi(2);
+    [center, center, size, size]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{Matrix2, Vector2};
+
+    /// The axis as a textbook filter in matrices.
+    struct Textbook {
+        x: Vector2<f64>,
+        p: Matrix2<f64>,
+    }
+
+    impl Textbook {
+        fn of(axis: &Axis) -> Self {
+            Self {
+                x: Vector2::new(axis.x, axis.v),
+                p: Matrix2::new(axis.p00, axis.p01, axis.p01, axis.p11),
+            }
+        }
+
+        fn predict(&mut self, stretch: f64, g: f64, q: f64) {
+            // The covariance moves without perspective's stretch of the step, as the equations say.
+            let f = Matrix2::new(1.0, 1.0, 0.0, g);
+            let noise = Vector2::new(0.5, 1.0);
+            self.x = Matrix2::new(1.0, stretch, 0.0, g) * self.x;
+            self.p = f * self.p * f.transpose() + noise * noise.transpose() * q;
+        }
+
+        fn update(&mut self, z: f64, r: f64) {
+            let h = nalgebra::RowVector2::new(1.0, 0.0);
+            let s = (h * self.p * h.transpose())[0] + r;
+            let k = self.p * h.transpose() / s;
+            self.x += k * (z - self.x[0]);
+            self.p = (Matrix2::identity() - k * h) * self.p;
+        }
+
+        fn differs(&self, axis: &Axis) -> f64 {
+            let other = Self::of(axis);
+            (self.x - other.x).norm() + (self.p - other.p).norm()
+        }
+    }
+
+    #[test]
+    fn an_axis_is_the_textbook_filter() {
+        let mut axis = Axis {
+            x: 1.0,
+            v: 0.2,
+            p00: 0.3,
+            p01: 0.05,
+            p11: 0.1,
+        };
+        let mut textbook = Textbook::of(&axis);
+        for round in 0..50 {
+            let (stretch, g) = (1.0 + 0.01 * f64::from(round % 5), 0.97);
+            axis.predict(stretch, g, 0.02);
+            textbook.predict(stretch, g, 0.02);
+            assert!(textbook.differs(&axis) < 1e-12);
+            let z = 1.0 + 0.1 * f64::from(round);
+            let (y, s) = (z - axis.x, axis.p00 + 0.04);
+            assert!((axis.update(z, 0.04) - y * y / s).abs() < 1e-12);
+            textbook.update(z, 0.04);
+            assert!(textbook.differs(&axis) < 1e-12);
+        }
+    }
+
+    /// An object that comes nearer at constant speed: its picture at distance d is s = 1/d, x = 1/d.
+    #[test]
+    fn what_comes_nearer_at_constant_speed_is_followed_better_with_perspective() {
+        let error = |largest_growth: f64| {
+            let settings = Motion {
+                largest_growth,
+                ..Motion::default()
+            };
+            let at = |frame: u32| {
+                let s: f64 = 1.0 / (4.0 - 0.1 * f64::from(frame));
+                [s, 0.5 * s, s.ln(), s.ln()]
+            };
+            let mut filter = MotionFilter::new(&settings, &at(0), &[0.0; 3]);
+            for frame in 1..=20 {
+                filter.predict(&settings);
+                filter.update(&settings, &at(frame));
+            }
+            for _ in 0..8 {
+                filter.predict(&settings);
+            }
+            (filter.axes[X].x - at(28)[X]).abs()
+        };
+        assert!(
+            error(0.15) < 0.5 * error(0.0),
+            "{} {}",
+            error(0.15),
+            error(0.0)
+        );
+    }
+}

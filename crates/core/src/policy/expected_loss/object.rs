@@ -1,0 +1,220 @@
+//! What is remembered of one object, its predicted miss probability and its confidence.
+
+use super::motion::{LARGEST_LOG, Measured, MotionFilter, X, Y};
+use super::settings::{Confidence, ExpectedLossSettings, Surprise};
+use crate::detection::{ClassId, Detection};
+use crate::geometry::BoundingBox;
+use crate::policy::{ObjectId, ObjectRecord};
+
+/// A box in the filter's terms: the unit of length is the picture's height, so that it is the same in
+/// both directions and a picture of twice as many pixels is the same picture. `aspect` is the picture's
+/// width in that unit.
+pub(super) fn measure(bounding_box: BoundingBox, aspect: f64) -> Measured {
+    [
+        bounding_box.center_x * aspect,
+        bounding_box.center_y,
+        log_side(bounding_box.width * aspect),
+        log_side(bounding_box.height),
+    ]
+}
+
+/// The logarithm of a side, within the limits of the filter.
+fn log_side(side: f64) -> f64 {
+    side.ln().clamp(-LARGEST_LOG, LARGEST_LOG)
+}
+
+/// One object.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Object {
+    pub id: ObjectId,
+    pub class: ClassId,
+    pub filter: MotionFilter,
+    /// The scale α of the covariance in the trigger and the gate.
+    pub alpha: f64,
+    /// Detections matched so far, the first included.
+    pub hits: u32,
+    /// Detector frames in a row without a match.
+    pub misses: u32,
+    /// Frames since the last match.
+    pub since_match: u32,
+    /// Frames since the detector last answered.
+    pub since_detector: u32,
+    /// Moving average m of the scores.
+    pub mean_score: f64,
+    pub last_score: f64,
+    /// The probability π that the predicted box is off by too much: see [`Object::judge`].
+    pub miss_probability: f64,
+    /// The detector's box of this frame, if it found the object.
+    pub seen: Option<BoundingBox>,
+}
+
+impl Object {
+    /// A new object from a detection, with the velocity to expect of it, in units of U.
+    pub(crate) fn new(
+        settings: &ExpectedLossSettings,
+        id: ObjectId,
+        detection: &Detection,
+        aspect: f64,
+        velocity: &[f64; 3],
+        alpha: f64,
+    ) -> Self {
+        let measured = measure(detection.bounding_box, aspect);
+        Self {
+            id,
+            class: detection.class,
+            filter: MotionFilter::new(&settings.motion, &measured, velocity),
+            alpha,
+            hits: 1,
+            misses: 0,
+            since_match: 0,
+            since_detector: 0,
+            mean_score: detection.confidence,
+            last_score: detection.confidence,
+            miss_probability: 0.0,
+            seen: Some(detection.bounding_box),
+        }
+    }
+
+    /// Advances by one frame.
+    pub(crate) fn predict(&mut self, settings: &ExpectedLossSettings) {
+        self.filter.predict(&settings.motion);
+        self.since_match = self.since_match.saturating_add(1);
+        self.since_detector = self.since_detector.saturating_add(1);
+        self.seen = None;
+    }
+
+    /// Takes its detection; returns the mean squared normalised innovation `n = ¼ Σ min(y²/S, largest)`.
+    pub(crate) fn update(
+        &mut self,
+        settings: &ExpectedLossSettings,
+        detection: &Detection,
+        aspect: f64,
+    ) -> f64 {
+        let measured = measure(detection.bounding_box, aspect);
+        let largest = settings.surprise.largest_innovation;
+        let innovations = self.filter.update(&settings.motion, &measured);
+        let n = innovations.iter().map(|n| n.min(largest)).sum::<f64>() / 4.0;
+        self.alpha = scale(&settings.surprise, self.alpha, n, settings.surprise.rate);
+        self.class = detection.class;
+        self.hits = self.hits.saturating_add(1);
+        self.misses = 0;
+        self.since_match = 0;
+        self.since_detector = 0;
+        self.last_score = detection.confidence;
+        let rate = settings.confidence.rate.max(1.0 / f64::from(self.hits));
+        self.mean_score += rate * (detection.confidence - self.mean_score);
+        self.seen = Some(detection.bounding_box);
+        n
+    }
+
+    /// The detector looked and did not find it. Whether it stays.
+    pub(crate) fn miss(&mut self, misses_to_removal: u32) -> bool {
+        self.misses += 1;
+        self.since_detector = 0;
+        self.misses < misses_to_removal
+    }
+
+    /// Computes the probability π that the predicted box is off by too much, from the variance of its
+    /// error relative to its sides, `σ² = α·(4·p_x/w² + 4·p_y/h² + p_lw + p_lh)`:
+    /// `π = exp(−0.25 / (2σ²))`, the probability that a Rayleigh variable of that variance exceeds 1/2.
+    pub(crate) fn judge(&mut self) {
+        let variance = self.alpha * self.filter.relative_variance();
+        self.miss_probability = fading(0.125 / variance);
+    }
+
+    /// What losing the object would cost now: `m · miss^misses · π`.
+    pub(crate) fn expected_loss(&self, miss: f64) -> f64 {
+        self.mean_score * power(miss, self.misses) * self.miss_probability
+    }
+
+    /// The confidence to report; see [`Confidence`].
+    pub(crate) fn confidence(&self, settings: &Confidence) -> f64 {
+        let blend = settings.last * self.last_score + (1.0 - settings.last) * self.mean_score;
+        let age = f64::from(self.hits.saturating_sub(1));
+        let base = blend * (1.0 - settings.newcomer * fading(settings.newcomer_fading * age));
+        if self.seen.is_some() {
+            return base;
+        }
+        let located = 1.0 - settings.prediction * self.miss_probability;
+        base * power(settings.miss, self.misses) * located
+    }
+
+    /// The box of the filter.
+    pub(crate) fn filter_box(&self, aspect: f64) -> BoundingBox {
+        let position = self.filter.position();
+        let [width, height] = self.filter.sides();
+        BoundingBox {
+            center_x: position[X] / aspect,
+            center_y: position[Y],
+            width: width / aspect,
+            height,
+        }
+    }
+
+    /// The share of the predicted box that lies in the picture.
+    pub(crate) fn visible_share(&self, aspect: f64) -> f64 {
+        let [width, height] = self.filter.sides();
+        let (x, y) = (self.filter.axes[X].x, self.filter.axes[Y].x);
+        let inside = |center: f64, side: f64, end: f64| {
+            let seen = (center + side / 2.0).min(end) - (center - side / 2.0).max(0.0);
+            seen.max(0.0) / side
+        };
+        inside(x, width, aspect) * inside(y, height, 1.0)
+    }
+
+    /// The box to report, not clipped: if seen, the mean of the detector's box and the filter's.
+    pub(crate) fn bounding_box(&self, aspect: f64) -> BoundingBox {
+        let own = self.filter_box(aspect);
+        match self.seen {
+            None => own,
+            Some(seen) => BoundingBox {
+                center_x: (own.center_x + seen.center_x) / 2.0,
+                center_y: (own.center_y + seen.center_y) / 2.0,
+                width: (own.width + seen.width) / 2.0,
+                height: (own.height + seen.height) / 2.0,
+            },
+        }
+    }
+
+    /// The paper's uncertainty τ of this filter: the summed variance of the box in normalised form.
+    pub(crate) fn tau(&self, aspect: f64) -> f64 {
+        let [x, y, log_width, log_height] = &self.filter.axes;
+        let [width, height] = self.filter.sides();
+        let width = width / aspect;
+        x.p00 / (aspect * aspect)
+            + y.p00
+            + width * width * log_width.p00
+            + height * height * log_height.p00
+    }
+
+    /// The record of a trace.
+    pub(crate) fn record(&self, settings: &ExpectedLossSettings, aspect: f64) -> ObjectRecord {
+        ObjectRecord {
+            id: self.id,
+            class: self.class,
+            confirmed: self.hits >= settings.life.hits_to_confirm,
+            confidence: self.last_score,
+            bounding_box: self.filter_box(aspect),
+            tau: self.tau(aspect),
+            hits: self.hits,
+            since_update: self.since_match,
+            since_infer: self.since_detector,
+            misses: self.misses,
+        }
+    }
+}
+
+/// e⁻ˣ for x ≥ 0; zero where it is below 1e-17, which the library computes on a slow path.
+fn fading(x: f64) -> f64 {
+    if x > 40.0 { 0.0 } else { (-x).exp() }
+}
+
+/// The covariance scale after an innovation: `α ← clamp(α + rate·(n − α))`.
+pub(super) fn scale(settings: &Surprise, alpha: f64, n: f64, rate: f64) -> f64 {
+    (alpha + rate * (n - alpha)).clamp(settings.least, settings.most)
+}
+
+/// `base` to the power of a small number of misses.
+fn power(base: f64, misses: u32) -> f64 {
+    base.powi(misses.min(1000) as i32)
+}

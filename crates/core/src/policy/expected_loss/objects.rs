@@ -1,0 +1,227 @@
+//! The objects in view: what keeps them, whatever calls the detector.
+
+use super::association::Associator;
+use super::motion::{LOG_HEIGHT, LOG_WIDTH, X, Y};
+use super::object::{Object, scale};
+use super::settings::ExpectedLossSettings;
+use super::velocity::{VelocityRegression, features};
+use crate::detection::Detection;
+use crate::geometry::{BoundingBox, PictureSize};
+use crate::objects::is_usable;
+use crate::policy::{BoxSource, ObjectId, OutputBox};
+
+/// All objects of a stream.
+#[derive(Clone, Debug)]
+pub(super) struct Objects {
+    objects: Vec<Object>,
+    next_id: u64,
+    picture: PictureSize,
+    /// Width of the picture in its heights.
+    aspect: f64,
+    /// The camera-wide covariance scale ᾱ.
+    camera_alpha: f64,
+    velocity: VelocityRegression,
+    matcher: Associator,
+    usable: Vec<bool>,
+    rejected: u64,
+}
+
+impl Objects {
+    pub(crate) fn new() -> Self {
+        Self {
+            objects: Vec::new(),
+            next_id: 0,
+            picture: PictureSize::new(1, 1),
+            aspect: 1.0,
+            camera_alpha: 1.0,
+            velocity: VelocityRegression::default(),
+            matcher: Associator::default(),
+            usable: Vec::new(),
+            rejected: 0,
+        }
+    }
+
+    /// Forgets the objects, but not what they taught.
+    pub(crate) fn forget(&mut self) {
+        self.objects.clear();
+    }
+
+    /// Forgets all objects and what they taught; numbers start from 0 again.
+    pub(crate) fn clear(&mut self) {
+        self.objects.clear();
+        self.next_id = 0;
+        self.camera_alpha = 1.0;
+        self.velocity = VelocityRegression::default();
+    }
+
+    /// The objects, oldest first.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = &Object> {
+        self.objects.iter()
+    }
+
+    /// How many objects are held.
+    pub(crate) fn len(&self) -> usize {
+        self.objects.len()
+    }
+
+    /// Width of the picture in its heights.
+    pub(crate) fn aspect(&self) -> f64 {
+        self.aspect
+    }
+
+    /// Detections refused so far.
+    pub(crate) fn rejected_detections(&self) -> u64 {
+        self.rejected
+    }
+
+    /// Sets the picture of the coming frame. Pictures of another shape show the world in another way:
+    /// the objects are forgotten.
+    pub(crate) fn set_picture(&mut self, picture: PictureSize) {
+        if picture == self.picture {
+            return;
+        }
+        self.picture = picture;
+        let aspect = f64::from(picture.width.max(1)) / f64::from(picture.height.max(1));
+        if aspect != self.aspect {
+            self.objects.clear();
+            self.aspect = aspect;
+        }
+    }
+
+    /// Advances by one frame; removes the objects that leave the picture.
+    pub(crate) fn predict(&mut self, settings: &ExpectedLossSettings) {
+        let aspect = self.aspect;
+        self.objects.retain_mut(|object| {
+            object.predict(settings);
+            object.visible_share(aspect) >= settings.life.least_visible
+        });
+    }
+
+    /// Computes how far each predicted box can be trusted, once a frame after the last
+    /// [`predict`](Self::predict).
+    pub(crate) fn judge(&mut self) {
+        self.objects.iter_mut().for_each(Object::judge);
+    }
+
+    /// Takes what the detector found: matches, updates, removes, creates. Returns the summed scores of
+    /// the new objects.
+    pub(crate) fn observe(
+        &mut self,
+        settings: &ExpectedLossSettings,
+        detections: &[Detection],
+    ) -> f64 {
+        self.usable.clear();
+        self.usable.extend(detections.iter().map(is_usable));
+        let unusable = self.usable.iter().filter(|usable| !**usable).count();
+        self.rejected = self.rejected.saturating_add(unusable as u64);
+
+        let aspect = self.aspect;
+        let detection_of =
+            self.matcher
+                .associate(settings, &self.objects, detections, &self.usable, aspect);
+        self.velocity.fade(settings.life.velocity_memory);
+        let (velocity, camera_alpha) = (&mut self.velocity, &mut self.camera_alpha);
+        let mut detection_of = detection_of.iter();
+        self.objects.retain_mut(|object| {
+            // One entry an object, in the same order.
+            let Some(&Some(index)) = detection_of.next() else {
+                return object.miss(settings.life.misses_to_removal);
+            };
+            let n = object.update(settings, &detections[index as usize], aspect);
+            let rate = settings.surprise.camera_rate;
+            *camera_alpha = scale(&settings.surprise, *camera_alpha, n, rate);
+            if object.hits >= settings.life.hits_to_confirm {
+                velocity.learn(&object_features(object, aspect), &object.filter.velocity());
+            }
+            true
+        });
+        self.create(settings, detections)
+    }
+
+    fn create(&mut self, settings: &ExpectedLossSettings, detections: &[Detection]) -> f64 {
+        let life = &settings.life;
+        let mut scores = 0.0;
+        for (detection, matched) in detections.iter().zip(self.matcher.matched()) {
+            if *matched || detection.confidence < life.birth_confidence {
+                continue;
+            }
+            scores += detection.confidence;
+            let b = detection.bounding_box;
+            let log_size = (b.width * self.aspect * b.height).ln() / 2.0;
+            let velocity = self.velocity.expect(
+                &features(b.center_x, b.center_y, log_size),
+                life.velocity_ridge,
+                life.largest_velocity,
+            );
+            let id = ObjectId(self.next_id);
+            self.next_id += 1;
+            let alpha = self.camera_alpha;
+            let object = Object::new(settings, id, detection, self.aspect, &velocity, alpha);
+            self.objects.push(object);
+        }
+        scores
+    }
+
+    /// Appends the boxes to report. `detected` says that the detector looked at this frame.
+    pub(crate) fn report(
+        &self,
+        settings: &ExpectedLossSettings,
+        detected: bool,
+        boxes: &mut Vec<OutputBox>,
+    ) -> Report {
+        let mut report = Report::default();
+        let least = [
+            settings.life.least_side / f64::from(self.picture.width.max(1)),
+            settings.life.least_side / f64::from(self.picture.height.max(1)),
+        ];
+        for object in &self.objects {
+            let confidence = object.confidence(&settings.confidence);
+            if object.misses > 0 && confidence < settings.confidence.least {
+                continue;
+            }
+            let Some(bounding_box) = clip(object.bounding_box(self.aspect), least) else {
+                continue;
+            };
+            let source = match (detected, object.seen) {
+                (false, _) => BoxSource::Predicted,
+                (true, Some(_)) => BoxSource::Detected,
+                (true, None) => BoxSource::Rescued,
+            };
+            report.confidence += confidence;
+            report.rescued |= source == BoxSource::Rescued;
+            boxes.push(OutputBox {
+                bounding_box,
+                class: object.class,
+                confidence,
+                source,
+                object: Some(object.id),
+                confirmed: object.hits >= settings.life.hits_to_confirm,
+            });
+        }
+        report
+    }
+}
+
+/// The boxes of a frame, summed up.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Report {
+    /// Sum of the confidences.
+    pub confidence: f64,
+    /// Whether a box is rescued.
+    pub rescued: bool,
+}
+
+fn object_features(object: &Object, aspect: f64) -> super::velocity::Features {
+    let position = object.filter.position();
+    let log_size = (position[LOG_WIDTH] + position[LOG_HEIGHT]) / 2.0;
+    features(position[X] / aspect, position[Y], log_size)
+}
+
+/// The part of a box inside the picture, if its sides are longer than `least`.
+fn clip(bounding_box: BoundingBox, least: [f64; 2]) -> Option<BoundingBox> {
+    let corners = bounding_box.corners();
+    let (x1, x2) = (corners.x1.clamp(0.0, 1.0), corners.x2.clamp(0.0, 1.0));
+    let (y1, y2) = (corners.y1.clamp(0.0, 1.0), corners.y2.clamp(0.0, 1.0));
+    let clipped = BoundingBox::new((x1 + x2) / 2.0, (y1 + y2) / 2.0, x2 - x1, y2 - y1);
+    (clipped.width > least[0] && clipped.height > least[1]).then_some(clipped)
+}

@@ -1,0 +1,162 @@
+//! What calls the detector: the expected loss, or a schedule that knows nothing of the scene. All share
+//! the same objects, so that what the trigger brings and what the object keeping brings can be told apart.
+
+use super::settings::{Call, CallRule};
+use crate::policy::Knob;
+
+/// What calls the detector.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Trigger {
+    /// The expected loss, weighed as [`CallRule`] says, reaches λ.
+    ExpectedLoss {
+        /// The price of a call.
+        lambda: f64,
+    },
+    /// The detector runs on one frame of N, which need not be whole.
+    FixedSkip {
+        /// Frames from call to call, on average.
+        n: f64,
+    },
+    /// The detector runs as evenly as can be so that this share of the frames is skipped.
+    Even {
+        /// Share of frames to skip.
+        skip_rate: f64,
+    },
+}
+
+impl Trigger {
+    const LAMBDA: Knob = Knob {
+        name: "lambda",
+        meaning: "The detector is called when the boxes expected to be lost without it are worth this: \
+                  higher saves more energy, lower is more accurate",
+        minimum: 0.0,
+        maximum: 100.0,
+        default: 0.3,
+    };
+
+    const N: Knob = Knob {
+        name: "n",
+        meaning: "The detector runs on one frame of so many: higher saves more energy, lower is more \
+                  accurate",
+        minimum: 1.0,
+        maximum: 20.0,
+        default: 2.0,
+    };
+
+    const SKIP_RATE: Knob = Knob {
+        name: "skip_rate",
+        meaning: "Share of frames on which the detector is skipped, evenly spaced: higher saves more \
+                  energy, lower is more accurate",
+        minimum: 0.0,
+        maximum: 0.95,
+        default: 0.5,
+    };
+
+    /// Name of the policy with this trigger.
+    pub(crate) const fn policy_name(&self) -> &'static str {
+        match self {
+            Self::ExpectedLoss { .. } => "expected-loss",
+            Self::FixedSkip { .. } => "fixed-skip-in-tracker",
+            Self::Even { .. } => "even-skip-in-tracker",
+        }
+    }
+
+    /// Its number.
+    pub const fn knob(&self) -> Knob {
+        match self {
+            Self::ExpectedLoss { .. } => Self::LAMBDA,
+            Self::FixedSkip { .. } => Self::N,
+            Self::Even { .. } => Self::SKIP_RATE,
+        }
+    }
+
+    /// The value of its number.
+    pub const fn value(&self) -> f64 {
+        match *self {
+            Self::ExpectedLoss { lambda: value }
+            | Self::FixedSkip { n: value }
+            | Self::Even { skip_rate: value } => value,
+        }
+    }
+
+    /// The same trigger with another number, which is not checked.
+    pub(super) const fn with_value(self, value: f64) -> Self {
+        match self {
+            Self::ExpectedLoss { .. } => Self::ExpectedLoss { lambda: value },
+            Self::FixedSkip { .. } => Self::FixedSkip { n: value },
+            Self::Even { .. } => Self::Even { skip_rate: value },
+        }
+    }
+}
+
+/// The pause since the last call.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Pause {
+    /// Frames since the last call, lost ones and the one in hand included.
+    pub frames: u32,
+    /// Frames answered without the detector since the last call.
+    skipped: u32,
+    /// Their summed losses.
+    lost: f64,
+    /// Calls that a schedule owes.
+    owed: f64,
+}
+
+impl Pause {
+    /// Before the first call.
+    pub(crate) const START: Self = Self {
+        frames: 0,
+        skipped: 0,
+        lost: 0.0,
+        owed: 0.0,
+    };
+
+    /// Another `step` frames began.
+    pub(crate) fn advance(&mut self, trigger: &Trigger, step: u32) {
+        self.frames = self.frames.saturating_add(step);
+        let rate = match *trigger {
+            Trigger::ExpectedLoss { .. } => return,
+            Trigger::FixedSkip { n } => 1.0 / n,
+            Trigger::Even { skip_rate } => 1.0 - skip_rate,
+        };
+        self.owed += rate * f64::from(step);
+        // More than one call missed in a gap is not made up for: the frames are gone.
+        if self.owed >= 2.0 {
+            self.owed = 1.0 + self.owed.fract();
+        }
+    }
+
+    /// What is compared with λ on a frame of expected loss `loss`, with `crowd` boxes in view: see
+    /// [`CallRule`].
+    pub(crate) fn weigh(&self, rule: CallRule, loss: f64, crowd: f64) -> f64 {
+        match rule {
+            CallRule::Frame => loss / crowd.sqrt(),
+            CallRule::Pause => (loss + (f64::from(self.skipped) * loss - self.lost)) / crowd,
+        }
+    }
+
+    /// Whether the trigger calls the detector, for a loss of that `weight`.
+    pub(crate) fn is_over(&self, trigger: &Trigger, settings: &Call, weight: f64) -> bool {
+        match *trigger {
+            Trigger::ExpectedLoss { lambda } => {
+                weight >= lambda || self.frames >= settings.longest_pause
+            }
+            // Sums of a rate such as 0.1 fall short of 1 by rounding.
+            Trigger::FixedSkip { .. } | Trigger::Even { .. } => self.owed >= 1.0 - 1e-9,
+        }
+    }
+
+    /// A frame was answered without the detector, at an expected loss of `loss`.
+    pub(crate) fn skip(&mut self, loss: f64) {
+        self.skipped = self.skipped.saturating_add(1);
+        self.lost += loss;
+    }
+
+    /// The detector answered.
+    pub(crate) fn end(&mut self) {
+        *self = Self {
+            owed: (self.owed - 1.0).max(0.0),
+            ..Self::START
+        };
+    }
+}

@@ -1,0 +1,168 @@
+//! What velocity a new object should be expected to have, learnt from the objects in view.
+//!
+//! In the picture of a moving camera, velocity depends on where an object is and how large it looks. A
+//! running ridge regression with forgetting learns this from the confirmed objects matched in each
+//! detector frame. With the features
+//!
+//! ```text
+//! φ = (1, 2·(2cx/W − 1), 2·(2cy/H − 1), ln(s/H))
+//! ```
+//!
+//! and the velocities `y = v/U`, each detector frame multiplies the sums `A = Σ φφᵀ` and `B = Σ φyᵀ` by
+//! the memory and adds its own; a newcomer at φ gets `yᵀ = φᵀ (A + ridge·I)⁻¹ B`, clamped.
+
+const FEATURES: usize = 4;
+/// Horizontal and vertical in s per frame, and the growth of both log-sides.
+pub(super) const VELOCITIES: usize = 3;
+
+pub(super) type Features = [f64; FEATURES];
+
+/// The features of a box from its centre as shares of the picture and `ln(s/H)`.
+pub(super) fn features(center_x: f64, center_y: f64, log_size: f64) -> Features {
+    [
+        1.0,
+        2.0 * (2.0 * center_x - 1.0),
+        2.0 * (2.0 * center_y - 1.0),
+        log_size,
+    ]
+}
+
+/// The running regression.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct VelocityRegression {
+    a: [[f64; FEATURES]; FEATURES],
+    b: [[f64; VELOCITIES]; FEATURES],
+    weights: [[f64; VELOCITIES]; FEATURES],
+    solved: bool,
+}
+
+impl VelocityRegression {
+    /// Fades what was learnt, once a detector frame.
+    pub(crate) fn fade(&mut self, memory: f64) {
+        self.a
+            .as_flattened_mut()
+            .iter_mut()
+            .for_each(|a| *a *= memory);
+        self.b
+            .as_flattened_mut()
+            .iter_mut()
+            .for_each(|b| *b *= memory);
+        self.solved = false;
+    }
+
+    /// Learns that an object at `features` moves at `velocity`.
+    pub(crate) fn learn(&mut self, features: &Features, velocity: &[f64; VELOCITIES]) {
+        for (row, &feature) in features.iter().enumerate() {
+            for (a, &other) in self.a[row].iter_mut().zip(features) {
+                *a += feature * other;
+            }
+            for (b, &velocity) in self.b[row].iter_mut().zip(velocity) {
+                *b += feature * velocity;
+            }
+        }
+        self.solved = false;
+    }
+
+    /// The velocity to expect at `features`, each within ±`largest`.
+    pub(crate) fn expect(
+        &mut self,
+        features: &Features,
+        ridge: f64,
+        largest: f64,
+    ) -> [f64; VELOCITIES] {
+        if !self.solved {
+            self.weights = solve(self.a, self.b, ridge);
+            self.solved = true;
+        }
+        std::array::from_fn(|velocity| {
+            let sum: f64 = (features.iter().zip(&self.weights))
+                .map(|(feature, weights)| feature * weights[velocity])
+                .sum();
+            sum.clamp(-largest, largest)
+        })
+    }
+}
+
+/// Solves `(a + ridge·I) w = b` by Cholesky's decomposition. `a` is a sum of squares, so with the ridge
+/// it is positive definite; the pivot is kept at the ridge's own size against rounding.
+fn solve(
+    mut a: [[f64; FEATURES]; FEATURES],
+    mut b: [[f64; VELOCITIES]; FEATURES],
+    ridge: f64,
+) -> [[f64; VELOCITIES]; FEATURES] {
+    for i in 0..FEATURES {
+        a[i][i] += ridge;
+        for j in 0..=i {
+            let sum = (0..j).fold(a[i][j], |sum, k| sum - a[i][k] * a[j][k]);
+            a[i][j] = if i == j {
+                sum.max(ridge).sqrt()
+            } else {
+                sum / a[j][j]
+            };
+        }
+        let (solved, rest) = b.split_at_mut(i);
+        for (v, value) in rest[0].iter_mut().enumerate() {
+            let known = a[i].iter().zip(solved.iter());
+            let sum = known.fold(*value, |sum, (factor, row)| sum - factor * row[v]);
+            *value = sum / a[i][i];
+        }
+    }
+    for i in (0..FEATURES).rev() {
+        let (rest, solved) = b.split_at_mut(i + 1);
+        for (v, value) in rest[i].iter_mut().enumerate() {
+            let known = a[i + 1..].iter().zip(solved.iter());
+            let sum = known.fold(*value, |sum, (factors, row)| sum - factors[i] * row[v]);
+            *value = sum / a[i][i];
+        }
+    }
+    b
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nalgebra::{SMatrix, SVector};
+
+    #[test]
+    fn the_weights_solve_the_ridge_regression() {
+        let mut regression = VelocityRegression::default();
+        let mut a = SMatrix::<f64, FEATURES, FEATURES>::zeros();
+        let mut b = SMatrix::<f64, FEATURES, VELOCITIES>::zeros();
+        for round in 0..30u32 {
+            let t = f64::from(round);
+            let phi = features(
+                0.5 + 0.4 * t.sin(),
+                0.5 + 0.3 * (1.7 * t).cos(),
+                -2.0 - 0.05 * t,
+            );
+            let velocity = [0.1 * (2.1 * t).sin(), 0.02 * t.cos(), 0.03];
+            regression.fade(0.98);
+            regression.learn(&phi, &velocity);
+            let column = SVector::from(phi);
+            a = a * 0.98 + column * column.transpose();
+            b = b * 0.98 + column * SVector::from(velocity).transpose();
+        }
+        let ridge = a + SMatrix::<f64, FEATURES, FEATURES>::identity() * 5.0;
+        let weights = ridge.lu().solve(&b).unwrap();
+        let phi = features(0.3, 0.8, -1.5);
+        let expected = weights.transpose() * SVector::from(phi);
+        let found = regression.expect(&phi, 5.0, 10.0);
+        for velocity in 0..VELOCITIES {
+            assert!((expected[velocity] - found[velocity]).abs() < 1e-12);
+        }
+        // Asked for less, it gives no more.
+        assert!(
+            regression
+                .expect(&phi, 5.0, 1e-3)
+                .iter()
+                .all(|v| v.abs() <= 1e-3)
+        );
+    }
+
+    #[test]
+    fn nothing_learnt_is_no_velocity() {
+        let mut regression = VelocityRegression::default();
+        let phi = features(0.2, 0.3, -3.0);
+        assert_eq!(regression.expect(&phi, 5.0, 0.3), [0.0; VELOCITIES]);
+    }
+}

@@ -1,0 +1,216 @@
+//! The detector on every N-th frame, whatever is in view.
+//!
+//! On the frames between, the paper's text has the boxes and confidences of the last detector frame
+//! again; the published code predicts with Albireo's filter and decays the confidence as Albireo does at
+//! u = 3e-4. There an object that a detector frame misses is gone at once.
+
+use super::detector_boxes::DetectorBoxes;
+use super::tracker::{Tracker, check_setting};
+use super::{
+    Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome, Policy,
+    PolicyConfig, PolicyConfigError, Profile,
+};
+use crate::objects::Missed;
+use serde::{Deserialize, Serialize};
+
+/// What is reported on a skipped frame.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SkippedBoxes {
+    /// The boxes of the last detector frame, unchanged (paper). No objects are kept.
+    Reuse,
+    /// The filters' predictions (published code).
+    Predict,
+}
+
+impl SkippedBoxes {
+    /// What `profile` has.
+    pub fn of(profile: Profile) -> Self {
+        match profile {
+            Profile::Paper => Self::Reuse,
+            Profile::Reference => Self::Predict,
+        }
+    }
+}
+
+/// The settings of the policy.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FixedSkipSettings {
+    /// The detector runs on one frame of so many. Need not be whole.
+    pub n: f64,
+    /// What is reported between; without it, what the profile has.
+    pub skipped_boxes: Option<SkippedBoxes>,
+}
+
+impl Default for FixedSkipSettings {
+    fn default() -> Self {
+        Self {
+            n: FixedSkip::KNOB.default,
+            skipped_boxes: None,
+        }
+    }
+}
+
+#[derive(Clone, Debug)]
+enum Memory {
+    Boxes(DetectorBoxes),
+    Objects(Box<Tracker>),
+}
+
+/// How far the frame in hand has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum FixedSkipPhase {
+    AwaitsDetections,
+    Decided(FrameState),
+}
+
+/// The fixed-skip policy.
+#[derive(Clone, Debug)]
+pub struct FixedSkip {
+    n: f64,
+    memory: Memory,
+    index: u64,
+    progress: FixedSkipPhase,
+    /// Index of the last frame that the detector answered for.
+    last_answered: Option<u64>,
+}
+
+impl FixedSkip {
+    /// The name in configuration and reports.
+    pub const NAME: &'static str = "fixed-skip";
+
+    /// N. It need not be whole: the detector runs whenever the frame index has passed a multiple of it,
+    /// which skips 1 − 1/N of all frames.
+    pub const KNOB: Knob = Knob {
+        name: "n",
+        meaning: "The detector runs on one frame of so many: higher saves more energy, lower is more \
+                  accurate",
+        minimum: 1.0,
+        maximum: 1000.0,
+        default: 2.0,
+    };
+
+    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let settings = &config.fixed_skip;
+        let skipped = settings
+            .skipped_boxes
+            .unwrap_or(SkippedBoxes::of(config.profile));
+        Ok(Box::new(Self {
+            n: check_setting("fixed_skip", Self::KNOB, settings.n)?,
+            memory: match skipped {
+                SkippedBoxes::Reuse => Memory::Boxes(DetectorBoxes::default()),
+                SkippedBoxes::Predict => Memory::Objects(Box::new(Tracker::from_config(config)?)),
+            },
+            index: 0,
+            progress: FixedSkipPhase::Decided(FrameState::P),
+            last_answered: None,
+        }))
+    }
+
+    /// Whether a multiple of N lies between the last frame that the detector answered for and frame
+    /// `index`, which may be one itself. So a due frame that was lost makes the next one due, and so does
+    /// a detector that failed; an index that starts anew is due as well.
+    fn is_due(&self, index: u64) -> bool {
+        self.last_answered
+            .is_none_or(|last| self.period(last) != self.period(index))
+    }
+
+    fn period(&self, index: u64) -> f64 {
+        (index as f64 / self.n).floor()
+    }
+}
+
+impl Policy for FixedSkip {
+    fn name(&self) -> &'static str {
+        Self::NAME
+    }
+
+    fn knob(&self) -> Option<Knob> {
+        Some(Self::KNOB)
+    }
+
+    fn knob_value(&self) -> Option<f64> {
+        Some(self.n)
+    }
+
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        self.n = Self::KNOB.check(value)?;
+        Ok(())
+    }
+
+    fn begin(&mut self, frame: FrameHead) -> Need {
+        self.index = frame.index;
+        if let Memory::Objects(tracker) = &mut self.memory {
+            tracker.begin(frame);
+        }
+        if self.is_due(frame.index) {
+            self.progress = FixedSkipPhase::AwaitsDetections;
+            Need::Detections
+        } else {
+            self.progress = FixedSkipPhase::Decided(FrameState::P);
+            Need::Nothing
+        }
+    }
+
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        if let (FixedSkipPhase::AwaitsDetections, Evidence::Detections(detections)) =
+            (self.progress, evidence)
+        {
+            match &mut self.memory {
+                Memory::Boxes(boxes) => boxes.take(detections),
+                Memory::Objects(tracker) => tracker.observe(detections, |_| Missed::Removed),
+            }
+            self.last_answered = Some(self.index);
+            self.progress = FixedSkipPhase::Decided(FrameState::I);
+        }
+        Need::Nothing
+    }
+
+    fn foresee(&self, next: FrameHead) -> Need {
+        // Should the detector fail on this frame, the next one is due all the more.
+        if self.period(self.index) == self.period(next.index) {
+            Need::Nothing
+        } else {
+            Need::Detections
+        }
+    }
+
+    fn finish(&mut self, outcome: &mut Outcome) {
+        let (state, degraded) = match self.progress {
+            FixedSkipPhase::Decided(state) => (state, false),
+            FixedSkipPhase::AwaitsDetections => (FrameState::P, true),
+        };
+        outcome.clear(state, degraded);
+        match &self.memory {
+            Memory::Objects(tracker) => tracker.finish(state, outcome),
+            Memory::Boxes(boxes) if state.is_skipped() => boxes.report_again(&mut outcome.boxes),
+            Memory::Boxes(boxes) => boxes.report(&mut outcome.boxes),
+        }
+    }
+
+    fn reset(&mut self) {
+        match &mut self.memory {
+            Memory::Boxes(boxes) => boxes.clear(),
+            Memory::Objects(tracker) => tracker.clear(),
+        }
+        self.progress = FixedSkipPhase::Decided(FrameState::P);
+        self.last_answered = None;
+    }
+
+    fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
+        if let Memory::Objects(tracker) = &self.memory {
+            tracker.visit(visit);
+        }
+    }
+
+    fn rejected_detections(&self) -> u64 {
+        match &self.memory {
+            Memory::Boxes(boxes) => boxes.rejected(),
+            Memory::Objects(tracker) => tracker.objects.rejected_detections(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,48 @@
+//! What a policy remembers of one object, in the form of the golden traces.
+
+use super::ObjectId;
+use crate::detection::ClassId;
+use crate::geometry::BoundingBox;
+use crate::objects::ObjectState;
+
+/// One object after a frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ObjectRecord {
+    /// Its number.
+    pub id: ObjectId,
+    /// Class of its last detection.
+    pub class: ClassId,
+    /// Whether it is confirmed.
+    pub confirmed: bool,
+    /// Confidence of its last detection, not decayed.
+    pub confidence: f64,
+    /// The estimated box, neither rounded nor clipped.
+    pub bounding_box: BoundingBox,
+    /// Its uncertainty τ after the frame.
+    pub tau: f64,
+    /// Detections matched so far, the creating one included.
+    pub hits: u32,
+    /// Frames since its last detection.
+    pub since_update: u32,
+    /// Frames since the detector last had a say on it.
+    pub since_infer: u32,
+    /// Detector frames in a row that missed it.
+    pub misses: u32,
+}
+
+impl From<&ObjectState> for ObjectRecord {
+    fn from(state: &ObjectState) -> Self {
+        Self {
+            id: state.id,
+            class: state.class,
+            confirmed: state.confirmed,
+            confidence: state.confidence,
+            bounding_box: state.filter.bounding_box(),
+            tau: state.filter.tau(),
+            hits: state.hits,
+            since_update: state.since_update,
+            since_infer: state.since_infer,
+            misses: state.misses,
+        }
+    }
+}

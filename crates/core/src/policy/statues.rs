@@ -1,0 +1,203 @@
+//! The detector runs when the picture has changed: frame differencing without any object.
+//!
+//! Kim, Kim and Ryu, "Statues: Energy-Efficient Video Object Detection on Edge Security Devices with
+//! Computational Skipping" (ISLPED 2024), as the published code of the Albireo paper has it. The grey
+//! picture, halved by area averaging, is compared with that of the frame before; pixels that differ by
+//! [`StatuesSettings::pixel_difference`] or more have changed, and the detector runs when the largest
+//! 4-connected component of them has more pixels than [`StatuesSettings::component_size`]. Otherwise
+//! the boxes of the last detector frame are reported again.
+//!
+//! The comparison is with the frame before, not with the last frame the detector ran on: so it is in
+//! that code, and what moves slowly enough is therefore never seen to move. Where the frame before was
+//! lost or its picture could not be had, the last picture there was takes its place.
+
+use super::changed_region::ChangedRegion;
+use super::detector_boxes::DetectorBoxes;
+use super::tracker::check_setting;
+use super::{
+    Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, Outcome, Policy,
+    PolicyConfig, PolicyConfigError,
+};
+use crate::geometry::PictureSize;
+use serde::{Deserialize, Serialize};
+
+/// The settings of the policy.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct StatuesSettings {
+    /// The detector runs when more pixels in one piece have changed, counted in the halved picture.
+    pub component_size: f64,
+    /// A pixel has changed when its grey value, 0 to 255, differs by this or more. At least 1.
+    pub pixel_difference: u8,
+}
+
+impl Default for StatuesSettings {
+    fn default() -> Self {
+        Self {
+            component_size: Statues::KNOB.default,
+            pixel_difference: 30,
+        }
+    }
+}
+
+/// How far the frame in hand has come.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum StatuesPhase {
+    AwaitsPicture,
+    AwaitsDetections,
+    Decided(FrameState),
+}
+
+/// The Statues policy. It keeps no objects.
+#[derive(Clone, Debug)]
+pub struct Statues {
+    settings: StatuesSettings,
+    region: ChangedRegion,
+    /// The last picture there was.
+    pixels: Vec<u8>,
+    size: Option<PictureSize>,
+    boxes: DetectorBoxes,
+    progress: StatuesPhase,
+    /// The detector was called for and has not answered since.
+    detector_owed: bool,
+}
+
+impl Statues {
+    /// The name in configuration and reports.
+    pub const NAME: &'static str = "statues";
+
+    /// The size of a change. The paper of Albireo has 25, 75, 200 and 500; the default is that of the
+    /// paper of Statues.
+    pub const KNOB: Knob = Knob {
+        name: "component_size",
+        meaning: "The detector is skipped while no more pixels than this have changed in one piece: \
+                  higher saves more energy, lower is more accurate",
+        minimum: 0.0,
+        maximum: 1e9,
+        default: 75.0,
+    };
+
+    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let settings = config.statues;
+        check_setting(Self::NAME, Self::KNOB, settings.component_size)?;
+        if settings.pixel_difference == 0 {
+            return Err(PolicyConfigError::Setting {
+                table: Self::NAME,
+                reason: "`pixel_difference` is 0; it must be a whole number from 1 to 255"
+                    .to_owned(),
+            });
+        }
+        Ok(Box::new(Self {
+            settings,
+            region: ChangedRegion::default(),
+            pixels: Vec::new(),
+            size: None,
+            boxes: DetectorBoxes::default(),
+            progress: StatuesPhase::Decided(FrameState::P),
+            detector_owed: true,
+        }))
+    }
+
+    /// Whether `picture` differs from the last one by enough, or there is nothing to compare it with.
+    /// Keeps it as the last one, unless it has not as many pixels as its size says.
+    fn has_changed(&mut self, picture: GreyPicture<'_>) -> bool {
+        let pixels = picture.pixels;
+        if pixels.len() as u64 != picture.size.pixels() {
+            return true;
+        }
+        let changed = self.size != Some(picture.size) || {
+            let width = picture.size.width as usize;
+            let (difference, size) = (self.settings.pixel_difference, self.settings.component_size);
+            self.region
+                .exceeds(width, &self.pixels, pixels, difference, size as u64)
+        };
+        self.size = Some(picture.size);
+        self.pixels.clear();
+        self.pixels.extend_from_slice(pixels);
+        changed
+    }
+
+    fn call_detector(&mut self) -> Need {
+        self.progress = StatuesPhase::AwaitsDetections;
+        self.detector_owed = true;
+        Need::Detections
+    }
+}
+
+impl Policy for Statues {
+    fn name(&self) -> &'static str {
+        Self::NAME
+    }
+
+    fn knob(&self) -> Option<Knob> {
+        Some(Self::KNOB)
+    }
+
+    fn knob_value(&self) -> Option<f64> {
+        Some(self.settings.component_size)
+    }
+
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        self.settings.component_size = Self::KNOB.check(value)?;
+        Ok(())
+    }
+
+    fn begin(&mut self, _: FrameHead) -> Need {
+        self.progress = StatuesPhase::AwaitsPicture;
+        Need::GreyPicture
+    }
+
+    /// Without the picture nobody knows what has changed, so the detector runs. A detector that was
+    /// called for and failed is called again on the next frame, changed or not.
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        match (self.progress, evidence) {
+            (StatuesPhase::AwaitsPicture, Evidence::GreyPicture(picture)) => {
+                if self.has_changed(picture) || self.detector_owed {
+                    self.call_detector()
+                } else {
+                    self.progress = StatuesPhase::Decided(FrameState::P);
+                    Need::Nothing
+                }
+            }
+            (StatuesPhase::AwaitsPicture, _) => self.call_detector(),
+            (StatuesPhase::AwaitsDetections, Evidence::Detections(detections)) => {
+                self.boxes.take(detections);
+                self.detector_owed = false;
+                self.progress = StatuesPhase::Decided(FrameState::I);
+                Need::Nothing
+            }
+            (StatuesPhase::AwaitsDetections | StatuesPhase::Decided(_), _) => Need::Nothing,
+        }
+    }
+
+    fn foresee(&self, _: FrameHead) -> Need {
+        Need::GreyPicture
+    }
+
+    fn finish(&mut self, outcome: &mut Outcome) {
+        let (state, degraded) = match self.progress {
+            StatuesPhase::Decided(state) => (state, false),
+            StatuesPhase::AwaitsPicture | StatuesPhase::AwaitsDetections => (FrameState::P, true),
+        };
+        outcome.clear(state, degraded);
+        if state.is_skipped() {
+            self.boxes.report_again(&mut outcome.boxes);
+        } else {
+            self.boxes.report(&mut outcome.boxes);
+        }
+    }
+
+    fn reset(&mut self) {
+        self.size = None;
+        self.boxes.clear();
+        self.progress = StatuesPhase::Decided(FrameState::P);
+        self.detector_owed = true;
+    }
+
+    fn rejected_detections(&self) -> u64 {
+        self.boxes.rejected()
+    }
+}
+
+#[cfg(test)]
+mod tests;

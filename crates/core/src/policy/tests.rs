@@ -1,0 +1,268 @@
+//! What every policy promises, whatever is done to it.
+
+use super::config::known_policies;
+use super::testing::PICTURE;
+use super::*;
+use crate::detection::ClassId;
+use proptest::prelude::*;
+
+/// What becomes of one frame.
+#[derive(Clone, Debug)]
+struct Event {
+    step: u32,
+    /// Abandoned after so many answers.
+    given_up: Option<usize>,
+    small_picture: bool,
+    screen: Option<bool>,
+    grey: Option<u8>,
+    detections: Option<Vec<(f64, f64, bool)>>,
+    reset: bool,
+}
+
+fn events() -> impl Strategy<Value = Vec<Event>> {
+    let step = prop_oneof![8 => Just(1u32), 2 => 2..12u32, 1 => Just(5000u32)];
+    let detection = (0.0..1.0, 0.5..1.0, prop::bool::weighted(0.05));
+    let event = (
+        step,
+        prop::option::weighted(0.05, 0..3usize),
+        prop::bool::weighted(0.05),
+        prop::option::weighted(0.8, any::<bool>()),
+        prop::option::weighted(0.8, prop_oneof![Just(0u8), Just(200u8)]),
+        prop::option::weighted(0.8, prop::collection::vec(detection, 0..4)),
+        prop::bool::weighted(0.02),
+    );
+    let event = event.prop_map(
+        |(step, given_up, small_picture, screen, grey, detections, reset)| Event {
+            step,
+            given_up,
+            small_picture,
+            screen,
+            grey,
+            detections,
+            reset,
+        },
+    );
+    prop::collection::vec(event, 1..60)
+}
+
+fn detections(found: &[(f64, f64, bool)]) -> Vec<Detection> {
+    let detection = |&(x, confidence, hostile): &(f64, f64, bool)| Detection {
+        bounding_box: BoundingBox::new(x, 0.5, if hostile { f64::NAN } else { 0.1 }, 0.1),
+        class: ClassId(0),
+        confidence,
+    };
+    found.iter().map(detection).collect()
+}
+
+/// Plays one frame; returns its outcome unless it was given up, and how often the detector answered.
+fn play(policy: &mut dyn Policy, index: u64, event: &Event) -> (Option<Outcome>, usize) {
+    let (outcome, answered, _) = play_foreseeing(policy, index, event);
+    (outcome, answered)
+}
+
+/// The same, with what the policy foresaw of the next frame while it awaited detections.
+fn play_foreseeing(
+    policy: &mut dyn Policy,
+    index: u64,
+    event: &Event,
+) -> (Option<Outcome>, usize, Option<Need>) {
+    let picture = match event.small_picture {
+        true => PictureSize::new(64, 36),
+        false => PICTURE,
+    };
+    let found = event.detections.as_deref().map(detections);
+    let grey = [event.grey.unwrap_or_default(); 128];
+    let mut answers = 0;
+    let mut answered = 0;
+    let head = FrameHead {
+        index,
+        step: event.step,
+        picture,
+    };
+    let mut foreseen = None;
+    let mut need = policy.begin(head);
+    while need != Need::Nothing {
+        if need == Need::Detections {
+            foreseen = Some(policy.foresee(FrameHead {
+                index: index + 1,
+                step: 1,
+                picture,
+            }));
+        }
+        if event.given_up == Some(answers) {
+            return (None, answered, foreseen);
+        }
+        let evidence = match need {
+            Need::Nothing => None,
+            Need::Screen => event.screen.map(|empty| Evidence::Screen { empty }),
+            Need::GreyPicture => event.grey.map(|_| {
+                Evidence::GreyPicture(GreyPicture {
+                    size: PictureSize::new(16, 8),
+                    pixels: &grey,
+                })
+            }),
+            Need::Detections => found.as_deref().map(Evidence::Detections),
+        };
+        answered += usize::from(matches!(evidence, Some(Evidence::Detections(_))));
+        need = policy.answer(evidence.unwrap_or(Evidence::Unavailable));
+        answers += 1;
+        assert!(answers <= 3, "the questions never end");
+    }
+    let mut outcome = Outcome::default();
+    policy.finish(&mut outcome);
+    (Some(outcome), answered, foreseen)
+}
+
+fn check(name: &str, outcome: &Outcome, answered: usize) {
+    let state = outcome.state;
+    assert_eq!(state.is_skipped(), answered == 0, "{name}: {state}");
+    assert!(answered <= 1, "{name}");
+    assert!(!outcome.degraded || state == FrameState::P, "{name}");
+    for reported in &outcome.boxes {
+        assert!(reported.bounding_box.is_finite(), "{name}: {reported:?}");
+        assert!(
+            (0.0..=1.0).contains(&reported.confidence),
+            "{name}: {reported:?}"
+        );
+        let predicted = reported.source == BoxSource::Predicted;
+        assert_eq!(predicted, state.is_skipped(), "{name}: {reported:?}");
+    }
+    if state == FrameState::E {
+        assert!(outcome.boxes.is_empty(), "{name}");
+    }
+}
+
+/// Every policy under every profile, with the threshold `u` where it has that.
+fn all_policies(u: f64) -> impl Iterator<Item = PolicyConfig> {
+    known_policies().flat_map(move |name| {
+        [Profile::Paper, Profile::Reference].map(|profile| PolicyConfig {
+            name: name.to_owned(),
+            profile,
+            u,
+            ..PolicyConfig::default()
+        })
+    })
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn gaps_failures_and_hostile_numbers_leave_every_policy_coherent(script in events()) {
+        for config in all_policies(PolicyConfig::default().u) {
+            let mut policy = config.build().unwrap();
+            let mut index = 0;
+            for event in &script {
+                if event.reset {
+                    policy.reset();
+                }
+                index += u64::from(event.step);
+                let (outcome, answered) = play(&mut *policy, index, event);
+                if let Some(outcome) = outcome {
+                    check(&config.name, &outcome, answered);
+                }
+            }
+            // After a reset a policy decides as a new one.
+            policy.reset();
+            let mut fresh = config.build().unwrap();
+            for (index, event) in (0u64..).zip(&script) {
+                let again = play(&mut *policy, index, event);
+                prop_assert_eq!(again, play(&mut *fresh, index, event), "{}", config.name);
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn a_frame_foreseen_to_need_its_picture_needs_it(script in events(), u in prop_oneof![
+        Just(1e-6), 1e-4..1e-3,
+    ]) {
+        for config in all_policies(u) {
+            let mut policy = config.build().unwrap();
+            let mut index = 0;
+            for event in &script {
+                index += u64::from(event.step);
+                let (_, _, foreseen) = play_foreseeing(&mut *policy, index, event);
+                if foreseen.is_none_or(|need| need == Need::Nothing) {
+                    continue;
+                }
+                index += 1;
+                let picture = match event.small_picture {
+                    true => PictureSize::new(64, 36),
+                    false => PICTURE,
+                };
+                let next = FrameHead { index, step: 1, picture };
+                prop_assert_ne!(policy.begin(next), Need::Nothing, "{} u={}", config.name, u);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_policy_that_can_foresee_does_where_it_is_certain_and_only_there() {
+    let found = [(0.3, 0.9, false), (0.7, 0.8, false)];
+    let event = Event {
+        step: 1,
+        given_up: None,
+        small_picture: false,
+        screen: Some(false),
+        grey: Some(200),
+        detections: Some(found.to_vec()),
+        reset: false,
+    };
+    for (asked, foreseen) in [
+        ("vanilla", Need::Detections),
+        ("erd-only", Need::Screen),
+        ("statues", Need::GreyPicture),
+        ("albireo:1e-6", Need::Detections),
+        ("albireo:1e-2", Need::Nothing),
+        ("fixed-skip:1", Need::Detections),
+        ("fixed-skip:2", Need::Nothing),
+        ("expected-loss", Need::Nothing),
+    ] {
+        let mut config = PolicyConfig::default();
+        config.select(asked).unwrap();
+        let mut policy = config.build().unwrap();
+        let seen: Vec<_> = (0..20)
+            .filter_map(|index| play_foreseeing(&mut *policy, index, &event).2)
+            .collect();
+        assert!(!seen.is_empty(), "{asked}");
+        assert!(
+            seen.iter().all(|&need| need == foreseen),
+            "{asked}: {seen:?}"
+        );
+    }
+}
+
+#[test]
+fn a_knob_is_in_force_as_configured_and_takes_no_value_out_of_its_range() {
+    for name in known_policies() {
+        let config = PolicyConfig {
+            name: name.to_owned(),
+            ..PolicyConfig::default()
+        };
+        let mut policy = config.build().unwrap();
+        let Some(knob) = policy.knob() else {
+            assert_eq!(policy.knob_value(), None, "{name}");
+            assert!(policy.set_knob(1.0).is_err(), "{name}");
+            continue;
+        };
+        assert_eq!(policy.knob_value(), Some(knob.default), "{name}");
+        for bad in [
+            f64::NAN,
+            f64::INFINITY,
+            knob.maximum * 1.1,
+            knob.minimum - 1e-3,
+        ] {
+            assert!(policy.set_knob(bad).is_err(), "{name}: {bad}");
+            assert_eq!(policy.knob_value(), Some(knob.default), "{name}");
+        }
+        for good in [knob.minimum, knob.maximum] {
+            policy.set_knob(good).unwrap();
+            assert_eq!(policy.knob_value(), Some(good), "{name}");
+        }
+    }
+}

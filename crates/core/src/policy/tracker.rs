@@ -1,0 +1,131 @@
+//! What the baselines with objects have in common: Albireo's filter, matching and reporting, under a
+//! trigger and rules of removal of their own.
+
+use super::reporting::Reporting;
+use super::{
+    AlbireoSettings, FrameHead, FrameState, Knob, ObjectRecord, Outcome, OutputBox, PolicyConfig,
+    PolicyConfigError,
+};
+use crate::detection::Detection;
+use crate::objects::{Missed, ObjectState, ObjectStates};
+
+/// The threshold that confidences decay by under a policy without one: the published code has this
+/// default for all its baselines.
+pub(super) const DECAY_U: f64 = 3e-4;
+
+/// Objects and the boxes of the frame at hand.
+#[derive(Clone, Debug)]
+pub(super) struct Tracker {
+    pub objects: ObjectStates,
+    reporting: Reporting,
+    tau_max: Option<f64>,
+    active: usize,
+    boxes: Vec<OutputBox>,
+}
+
+impl Tracker {
+    /// No objects yet.
+    pub(crate) fn new(settings: &AlbireoSettings) -> Self {
+        Self {
+            objects: ObjectStates::new(settings.objects()),
+            reporting: Reporting::of(settings),
+            tau_max: None,
+            active: 0,
+            boxes: Vec::new(),
+        }
+    }
+
+    /// A tracker with the settings of Albireo that `config` comes to, so that policies differ in what
+    /// they are named for alone.
+    ///
+    /// # Errors
+    /// [`PolicyConfigError::Setting`] when one of them cannot be used.
+    pub(crate) fn from_config(config: &PolicyConfig) -> Result<Self, PolicyConfigError> {
+        let settings = config.albireo_settings()?;
+        settings.check().map_err(|reason| {
+            let table = super::Albireo::NAME;
+            PolicyConfigError::Setting { table, reason }
+        })?;
+        Ok(Self::new(&settings))
+    }
+
+    /// Advances the objects to `frame`.
+    pub(crate) fn begin(&mut self, frame: FrameHead) {
+        self.objects.predict(frame.picture, frame.step.max(1));
+        let states = self.objects.states();
+        self.tau_max = (states.iter())
+            .map(|state| state.filter.tau())
+            .reduce(f64::max);
+        self.active = states.len();
+    }
+
+    /// Takes what the detector found; every detection that matches no object makes one.
+    pub(crate) fn observe(
+        &mut self,
+        detections: &[Detection],
+        missed: impl FnMut(&mut ObjectState) -> Missed,
+    ) {
+        self.objects.observe(detections, true, missed);
+        self.boxes.clear();
+        self.reporting
+            .detector_frame(detections, &self.objects, DECAY_U, &mut self.boxes);
+    }
+
+    /// Writes boxes and uncertainty of a frame that is `state` over `outcome`.
+    pub(crate) fn finish(&self, state: FrameState, outcome: &mut Outcome) {
+        outcome.tau_max = self.tau_max;
+        outcome.active = self.active;
+        if state.is_skipped() {
+            self.reporting
+                .predicted(&self.objects, DECAY_U, &mut outcome.boxes);
+        } else {
+            outcome.boxes.extend_from_slice(&self.boxes);
+        }
+    }
+
+    /// Forgets all objects.
+    pub(crate) fn clear(&mut self) {
+        self.objects.clear();
+        self.tau_max = None;
+        self.active = 0;
+    }
+
+    /// Shows all objects.
+    pub(crate) fn visit(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
+        for state in self.objects.states() {
+            visit(&ObjectRecord::from(state));
+        }
+    }
+}
+
+/// Refuses the first value outside its range: name, value, least and most, of `kind` ("a number").
+/// Comparisons with NaN are false, so NaN is refused.
+///
+/// # Errors
+/// A sentence that names it, its value, and what is allowed.
+pub(super) fn check_ranges<T: Copy + PartialOrd + std::fmt::Display>(
+    kind: &str,
+    settings: impl IntoIterator<Item = (&'static str, T, T, T)>,
+) -> Result<(), String> {
+    for (name, value, least, most) in settings {
+        if !(least..=most).contains(&value) {
+            return Err(format!(
+                "`{name}` is {value}; it must be {kind} from {least} to {most}"
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Refuses a number of the table `table` that `knob` does not allow.
+pub(super) fn check_setting(
+    table: &'static str,
+    knob: Knob,
+    value: f64,
+) -> Result<f64, PolicyConfigError> {
+    knob.check(value)
+        .map_err(|error| PolicyConfigError::Setting {
+            table,
+            reason: error.to_string(),
+        })
+}

@@ -1,0 +1,356 @@
+//! Average precision of boxes over the frames of a clip.
+//!
+//! Definitions: a prediction is compared with the ground truth of its own frame. Inside a frame the
+//! predictions are taken in order of falling confidence; each takes the free ground-truth box of highest
+//! intersection over union (IoU), if that reaches the threshold. All predictions of the clip are then
+//! ranked by confidence, and the area under the precision-recall curve is taken, all points (PASCAL VOC
+//! 2010 and later) or at 101 recall levels (COCO). mAP@50:95 is the mean over the ten COCO thresholds
+//! 0.50, 0.55, … 0.95.
+//!
+//! The paper's published evaluator pools all classes and uses all points; that is
+//! [`Classes::Pooled`] with [`Interpolation::AllPoints`].
+//!
+//! Cost: one sort of the predictions, plus per frame a search among the ground-truth boxes that overlap
+//! horizontally, so 10⁶ boxes spread over frames take time near-linear in their number.
+
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::Corners;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// The ten IoU thresholds of COCO.
+pub(crate) const IOU_THRESHOLDS: [f64; 10] =
+    [0.50, 0.55, 0.60, 0.65, 0.70, 0.75, 0.80, 0.85, 0.90, 0.95];
+
+/// A box to be judged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScoredBox {
+    /// Where, in pixels.
+    pub corners: Corners,
+    /// What.
+    pub class: ClassId,
+    /// How sure; ranks the boxes. Must not be NaN (a NaN ranks first).
+    pub confidence: f64,
+}
+
+/// A box that is known to be there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TruthBox {
+    /// Where, in pixels.
+    pub corners: Corners,
+    /// What.
+    pub class: ClassId,
+    /// Which object, the same number in every frame that shows it.
+    pub object: Option<u64>,
+}
+
+/// How the area under the precision-recall curve is taken. Precision is first made monotone: at each
+/// recall the best precision at this or a higher recall.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Interpolation {
+    /// The exact area (PASCAL VOC 2010 and later).
+    AllPoints,
+    /// The mean of the precision at the recalls 0, 0.01, … 1 (COCO).
+    Coco101,
+}
+
+/// Whether a prediction may match ground truth of another class.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Classes {
+    /// All classes are one.
+    Pooled,
+    /// Each class by itself, then the unweighted mean over the classes that have ground truth.
+    Separate,
+}
+
+/// How well predictions fit the ground truth.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Accuracy {
+    /// Average precision at IoU 0.50, 0 to 1.
+    pub ap50: f64,
+    /// Mean of the average precisions at IoU 0.50 to 0.95, 0 to 1.
+    pub map: f64,
+    /// Share of all predictions that match at IoU 0.50; 0 without predictions.
+    pub precision: f64,
+    /// Share of the ground truth that is matched at IoU 0.50.
+    pub recall: f64,
+    /// Number of predictions.
+    pub predictions: usize,
+    /// Number of ground-truth boxes.
+    pub truths: usize,
+}
+
+/// Judges `predictions` against `truth`, both one entry a frame; where one is shorter, its missing frames
+/// count as frames without boxes.
+///
+/// `None` when there is no ground-truth box at all: average precision is undefined then.
+pub fn accuracy(
+    predictions: &[Vec<ScoredBox>],
+    truth: &[Vec<TruthBox>],
+    classes: Classes,
+    interpolation: Interpolation,
+) -> Option<Accuracy> {
+    match classes {
+        Classes::Pooled => Matching::new(predictions, truth, None).accuracy(interpolation),
+        Classes::Separate => {
+            let by_class = accuracy_by_class(predictions, truth, interpolation);
+            let count = by_class.len() as f64;
+            let mean = |of: fn(&Accuracy) -> f64| by_class.values().map(of).sum::<f64>() / count;
+            (!by_class.is_empty()).then(|| Accuracy {
+                ap50: mean(|class| class.ap50),
+                map: mean(|class| class.map),
+                precision: mean(|class| class.precision),
+                recall: mean(|class| class.recall),
+                predictions: predictions.iter().map(Vec::len).sum(),
+                truths: truth.iter().map(Vec::len).sum(),
+            })
+        }
+    }
+}
+
+/// The accuracy of every class that has ground truth, each judged by itself.
+pub(crate) fn accuracy_by_class(
+    predictions: &[Vec<ScoredBox>],
+    truth: &[Vec<TruthBox>],
+    interpolation: Interpolation,
+) -> BTreeMap<ClassId, Accuracy> {
+    let mut classes: Vec<ClassId> = truth.iter().flatten().map(|truth| truth.class).collect();
+    classes.sort_unstable();
+    classes.dedup();
+    classes
+        .into_iter()
+        .filter_map(|class| {
+            Matching::new(predictions, truth, Some(class))
+                .accuracy(interpolation)
+                .map(|accuracy| (class, accuracy))
+        })
+        .collect()
+}
+
+/// For every prediction, in falling order of confidence, at which of the ten thresholds it found a
+/// ground-truth box.
+struct Matching {
+    /// Bit `t` is set when the prediction matches at `IOU_THRESHOLDS[t]`.
+    matched: Vec<u16>,
+    truths: usize,
+    /// Pairs of boxes whose IoU was computed.
+    #[cfg(test)]
+    compared: usize,
+}
+
+impl Matching {
+    fn new(
+        predictions: &[Vec<ScoredBox>],
+        truth: &[Vec<TruthBox>],
+        class: Option<ClassId>,
+    ) -> Self {
+        let wanted = |candidate: ClassId| class.is_none_or(|class| class == candidate);
+        let mut ranked: Vec<(f64, u16)> = Vec::new();
+        let mut truths = 0;
+        let mut frame = FrameMatcher::default();
+        for index in 0..predictions.len().max(truth.len()) {
+            frame.clear();
+            for truth in truth.get(index).into_iter().flatten() {
+                if wanted(truth.class) {
+                    frame.truths.push(truth.corners);
+                }
+            }
+            for prediction in predictions.get(index).into_iter().flatten() {
+                if wanted(prediction.class) {
+                    frame
+                        .predictions
+                        .push((prediction.confidence, prediction.corners));
+                }
+            }
+            truths += frame.truths.len();
+            frame.match_all();
+            ranked.extend(
+                frame
+                    .predictions
+                    .iter()
+                    .map(|prediction| prediction.0)
+                    .zip(frame.matched.iter().copied()),
+            );
+        }
+        // Stable: equal confidences stay in order of frames, as in the published evaluator and COCO's.
+        ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
+        Self {
+            matched: ranked.into_iter().map(|(_, matched)| matched).collect(),
+            truths,
+            #[cfg(test)]
+            compared: frame.compared,
+        }
+    }
+
+    fn accuracy(&self, interpolation: Interpolation) -> Option<Accuracy> {
+        if self.truths == 0 {
+            return None;
+        }
+        let mut points = Vec::new();
+        let mut sum = 0.0;
+        let mut ap50 = 0.0;
+        for threshold in 0..IOU_THRESHOLDS.len() {
+            self.precision_at_hits(threshold, &mut points);
+            let area = area(&points, self.truths, interpolation);
+            sum += area;
+            if threshold == 0 {
+                ap50 = area;
+            }
+        }
+        let hits = self
+            .matched
+            .iter()
+            .filter(|&&matched| matched & 1 == 1)
+            .count();
+        Some(Accuracy {
+            ap50,
+            map: sum / IOU_THRESHOLDS.len() as f64,
+            precision: if self.matched.is_empty() {
+                0.0
+            } else {
+                hits as f64 / self.matched.len() as f64
+            },
+            recall: hits as f64 / self.truths as f64,
+            predictions: self.matched.len(),
+            truths: self.truths,
+        })
+    }
+
+    /// The precision after each prediction that matches, in order; entry `k` is at recall
+    /// `(k + 1) / truths`. Precision only rises at a match, so nothing between matters to the envelope.
+    fn precision_at_hits(&self, threshold: usize, points: &mut Vec<f64>) {
+        points.clear();
+        for (rank, matched) in self.matched.iter().enumerate() {
+            if matched >> threshold & 1 == 1 {
+                points.push((points.len() + 1) as f64 / (rank + 1) as f64);
+            }
+        }
+        let mut best: f64 = 0.0;
+        for point in points.iter_mut().rev() {
+            best = best.max(*point);
+            *point = best;
+        }
+    }
+}
+
+/// The area under monotone precisions at recalls `1/truths, 2/truths, …`.
+fn area(points: &[f64], truths: usize, interpolation: Interpolation) -> f64 {
+    match interpolation {
+        Interpolation::AllPoints => points.iter().sum::<f64>() / truths as f64,
+        Interpolation::Coco101 => {
+            let mut sum = 0.0;
+            let mut next = 0;
+            for level in 0..=100u32 {
+                // As NumPy's linspace computes the levels, so that equality falls the same way.
+                let recall = f64::from(level) * 0.01;
+                while next < points.len() && (next + 1) as f64 / (truths as f64) < recall {
+                    next += 1;
+                }
+                sum += points.get(next).copied().unwrap_or(0.0);
+            }
+            sum / 101.0
+        }
+    }
+}
+
+/// Matches the boxes of one frame; its buffers are used again for the next.
+#[derive(Default)]
+struct FrameMatcher {
+    truths: Vec<Corners>,
+    /// Confidence and box, sorted by falling confidence in `match_all`.
+    predictions: Vec<(f64, Corners)>,
+    /// Bits as in [`Matching::matched`], one entry a prediction.
+    matched: Vec<u16>,
+    /// Ground truth by left edge, with its index.
+    by_left: Vec<(f64, usize)>,
+    /// For all predictions in a row: index of a ground-truth box and the IoU with it.
+    candidates: Vec<(usize, f64)>,
+    /// Where each prediction's candidates end.
+    ends: Vec<usize>,
+    free: Vec<bool>,
+    /// Pairs compared so far, over all frames.
+    #[cfg(test)]
+    compared: usize,
+}
+
+impl FrameMatcher {
+    fn clear(&mut self) {
+        self.truths.clear();
+        self.predictions.clear();
+    }
+
+    fn match_all(&mut self) {
+        self.predictions.sort_by(|a, b| b.0.total_cmp(&a.0));
+        self.matched.clear();
+        self.matched.resize(self.predictions.len(), 0);
+        if self.truths.is_empty() || self.predictions.is_empty() {
+            return;
+        }
+        self.find_candidates();
+        for (bit, &threshold) in IOU_THRESHOLDS.iter().enumerate() {
+            self.free.clear();
+            self.free.resize(self.truths.len(), true);
+            let mut start = 0;
+            for (matched, &end) in self.matched.iter_mut().zip(&self.ends) {
+                let mut best: Option<(usize, f64)> = None;
+                for &(truth, overlap) in &self.candidates[start..end] {
+                    if self.free[truth]
+                        && overlap >= threshold
+                        && best.is_none_or(|(_, best)| overlap > best)
+                    {
+                        best = Some((truth, overlap));
+                    }
+                }
+                if let Some((truth, _)) = best {
+                    self.free[truth] = false;
+                    *matched |= 1 << bit;
+                }
+                start = end;
+            }
+        }
+    }
+
+    /// Lists, for each prediction, the ground truth whose IoU reaches the lowest threshold, in order of
+    /// the ground truth so that ties go to the earlier box.
+    fn find_candidates(&mut self) {
+        self.candidates.clear();
+        self.ends.clear();
+        self.by_left.clear();
+        self.by_left.extend(
+            self.truths
+                .iter()
+                .enumerate()
+                .map(|(index, truth)| (truth.x1, index)),
+        );
+        self.by_left.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let widest = self
+            .truths
+            .iter()
+            .map(|truth| truth.x2 - truth.x1)
+            .fold(0.0, f64::max);
+        for (_, prediction) in &self.predictions {
+            let first = self
+                .by_left
+                .partition_point(|&(left, _)| left < prediction.x1 - widest);
+            let begin = self.candidates.len();
+            for &(left, index) in &self.by_left[first..] {
+                if left > prediction.x2 {
+                    break;
+                }
+                #[cfg(test)]
+                {
+                    self.compared += 1;
+                }
+                let overlap = prediction.intersection_over_union(self.truths[index]);
+                if overlap >= IOU_THRESHOLDS[0] {
+                    self.candidates.push((index, overlap));
+                }
+            }
+            self.candidates[begin..].sort_unstable_by_key(|&(index, _)| index);
+            self.ends.push(self.candidates.len());
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

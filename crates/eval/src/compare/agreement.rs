@@ -1,0 +1,132 @@
+//! How far a policy's boxes are those that the detector finds on every frame.
+
+use crate::average_precision::{Classes, Interpolation, ScoredBox, TruthBox, accuracy};
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::Corners;
+use albireo_wire::DetectionsMessage;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// The boxes of a clip's frames, by the frame's number in the clip. Frames that were not answered are not
+/// there.
+pub type Boxes = BTreeMap<u64, Vec<ScoredBox>>;
+
+/// Boxes judged against those of a policy that runs the detector on every frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Agreement {
+    /// Average precision at an intersection over union of 0.5, all classes as one, 0 to 1.
+    pub ap50: f64,
+    /// Share of the boxes that match one of the detector's.
+    pub precision: f64,
+    /// Share of the detector's boxes that are matched.
+    pub recall: f64,
+    /// Frames that both answered: only those are judged.
+    pub frames: u64,
+}
+
+/// Numbers for class names, in the order in which they come.
+#[derive(Clone, Debug, Default)]
+pub struct ClassNumbers(BTreeMap<String, u16>);
+
+impl ClassNumbers {
+    /// The boxes of a message, as they are judged.
+    pub fn boxes(&mut self, message: &DetectionsMessage) -> Vec<ScoredBox> {
+        message
+            .boxes
+            .iter()
+            .map(|found| {
+                let [x1, y1, x2, y2] = found.corners.map(f64::from);
+                ScoredBox {
+                    corners: Corners { x1, y1, x2, y2 },
+                    class: self.number(&found.class),
+                    confidence: f64::from(found.confidence),
+                }
+            })
+            .collect()
+    }
+
+    fn number(&mut self, name: &str) -> ClassId {
+        let next = u16::try_from(self.0.len()).unwrap_or(u16::MAX);
+        ClassId(*self.0.entry(name.to_owned()).or_insert(next))
+    }
+}
+
+/// Judges `boxes` against `reference`, over the frames that are in both. `None` when the reference has no
+/// box in any of them: then nothing can be said.
+pub fn agreement(boxes: &Boxes, reference: &Boxes) -> Option<Agreement> {
+    let both: Vec<_> = boxes
+        .iter()
+        .filter_map(|(frame, found)| Some((found.clone(), reference.get(frame)?)))
+        .collect();
+    let truth: Vec<Vec<TruthBox>> = both
+        .iter()
+        .map(|(_, expected)| {
+            expected
+                .iter()
+                .map(|expected| TruthBox {
+                    corners: expected.corners,
+                    class: expected.class,
+                    object: None,
+                })
+                .collect()
+        })
+        .collect();
+    let found: Vec<_> = both.into_iter().map(|(found, _)| found).collect();
+    let judged = accuracy(&found, &truth, Classes::Pooled, Interpolation::AllPoints)?;
+    Some(Agreement {
+        ap50: judged.ap50,
+        precision: judged.precision,
+        recall: judged.recall,
+        frames: found.len() as u64,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(left: f64, confidence: f64) -> ScoredBox {
+        ScoredBox {
+            corners: Corners {
+                x1: left,
+                y1: 0.0,
+                x2: left + 10.0,
+                y2: 10.0,
+            },
+            class: ClassId(0),
+            confidence,
+        }
+    }
+
+    #[test]
+    fn the_same_boxes_agree_wholly_and_shifted_ones_by_what_overlaps() {
+        let reference: Boxes = [
+            (0, vec![at(0.0, 0.9), at(50.0, 0.8)]),
+            (1, vec![at(0.0, 0.9)]),
+        ]
+        .into();
+        let same = agreement(&reference, &reference).unwrap();
+        assert_eq!((same.ap50, same.precision, same.recall), (1.0, 1.0, 1.0));
+        // Of three boxes one is missed, and one of the two given is far off.
+        let other: Boxes = [(0, vec![at(1.0, 0.9), at(80.0, 0.5)]), (1, vec![])].into();
+        let found = agreement(&other, &reference).unwrap();
+        assert_eq!(found.precision, 0.5);
+        assert!((found.recall - 1.0 / 3.0).abs() < 1e-12);
+        assert_eq!(found.frames, 2);
+    }
+
+    #[test]
+    fn only_frames_that_both_answered_are_judged() {
+        let reference: Boxes = [(0, vec![at(0.0, 0.9)]), (1, vec![at(0.0, 0.9)])].into();
+        let other: Boxes = [(1, vec![at(0.0, 0.9)]), (2, vec![at(0.0, 0.9)])].into();
+        let found = agreement(&other, &reference).unwrap();
+        assert_eq!((found.frames, found.precision, found.recall), (1, 1.0, 1.0));
+    }
+
+    #[test]
+    fn a_reference_without_boxes_says_nothing() {
+        let empty: Boxes = [(0, vec![])].into();
+        assert_eq!(agreement(&empty, &empty), None);
+        assert_eq!(agreement(&Boxes::new(), &Boxes::new()), None);
+    }
+}

@@ -1,0 +1,276 @@
+//! Means over the rounds with their confidence intervals, and changes against the first variant.
+
+use super::run::{Comparison, Run};
+use crate::statistics::paired_t;
+use albireo_wire::EnergyQuality;
+use serde::Serialize;
+
+/// A figure of a run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Figure {
+    /// Energy of the clip, joules.
+    Joules,
+    /// Energy-delay product, J·ms/frame.
+    Edp,
+    /// CPU time of the process, seconds.
+    CpuSeconds,
+    /// Mean time of a frame from reception to publication, milliseconds.
+    FrameMilliseconds,
+    /// Times the detector was run.
+    DetectorCalls,
+    /// Share of frames that skipped the detector, 0 to 1.
+    SkipRate,
+    /// Frames that were not processed.
+    Dropped,
+    /// Average precision of the boxes against the detector's own.
+    Ap50,
+    /// Precision of the boxes against the detector's own.
+    Precision,
+    /// Recall of the boxes against the detector's own.
+    Recall,
+}
+
+impl Figure {
+    /// All of them.
+    pub const ALL: [Self; 10] = [
+        Self::Joules,
+        Self::Edp,
+        Self::CpuSeconds,
+        Self::FrameMilliseconds,
+        Self::DetectorCalls,
+        Self::SkipRate,
+        Self::Dropped,
+        Self::Ap50,
+        Self::Precision,
+        Self::Recall,
+    ];
+
+    /// Its value in a run, if it has one.
+    pub fn of(self, run: &Run) -> Option<f64> {
+        let report = &run.report;
+        match self {
+            Self::Joules => report.energy.joules,
+            Self::Edp => report.energy.edp,
+            Self::CpuSeconds => Some(run.cpu_s),
+            Self::FrameMilliseconds => Some(report.total_latency_ms.mean),
+            Self::DetectorCalls => Some(report.detector_latency_ms.count as f64),
+            Self::SkipRate => Some(report.skip_rate),
+            Self::Dropped => Some(report.dropped.total() as f64),
+            Self::Ap50 => run.agreement.map(|found| found.ap50),
+            Self::Precision => run.agreement.map(|found| found.precision),
+            Self::Recall => run.agreement.map(|found| found.recall),
+        }
+    }
+}
+
+/// A mean over the rounds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Mean {
+    /// Arithmetic mean.
+    pub mean: f64,
+    /// Half the width of its 95 % confidence interval (Student's t over the rounds); `None` with one round.
+    pub half: Option<f64>,
+    /// Number of rounds.
+    pub rounds: usize,
+}
+
+impl Mean {
+    /// The mean of `values`; `None` when there is none, or one is not finite.
+    pub fn of(values: &[f64]) -> Option<Self> {
+        let rounds = values.len();
+        if rounds == 0 || values.iter().any(|value| !value.is_finite()) {
+            return None;
+        }
+        let mean = values.iter().sum::<f64>() / rounds as f64;
+        let half = match paired_t(values) {
+            Some(found) => {
+                let half = (found.upper - found.lower) / 2.0;
+                // Equal values differ from their mean by its rounding error.
+                Some(if half > 1e-12 * mean.abs() { half } else { 0.0 })
+            }
+            // All of them zero.
+            None if rounds > 1 => Some(0.0),
+            None => None,
+        };
+        Some(Self { mean, half, rounds })
+    }
+}
+
+/// A change against the first variant: the mean of the differences within a round, in percent of the first
+/// variant's mean.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Change {
+    /// Percent; below zero is less.
+    pub percent: f64,
+    /// Half the width of its 95 % confidence interval, percent; `None` with one round.
+    pub half: Option<f64>,
+}
+
+/// What the energy figures are worth.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Basis {
+    /// A meter was read through every run.
+    Measured {
+        /// Which.
+        source: String,
+    },
+    /// A meter was read, with gaps.
+    Partial {
+        /// Which.
+        source: String,
+    },
+    /// Computed from utilisation; no meter was read.
+    Estimated,
+    /// There is no figure for at least one run.
+    Unavailable,
+}
+
+/// All figures of one variant.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PolicySummary {
+    /// Its label.
+    pub policy: String,
+    /// Means of the figures that every run has.
+    pub means: Vec<(Figure, Mean)>,
+    /// Changes against the first variant; empty for the first.
+    pub changes: Vec<(Figure, Change)>,
+}
+
+impl PolicySummary {
+    /// The mean of a figure.
+    pub fn mean(&self, figure: Figure) -> Option<Mean> {
+        let found = self.means.iter().find(|(of, _)| *of == figure);
+        found.map(|(_, mean)| *mean)
+    }
+
+    /// The change of a figure.
+    pub fn change(&self, figure: Figure) -> Option<Change> {
+        let found = self.changes.iter().find(|(of, _)| *of == figure);
+        found.map(|(_, change)| *change)
+    }
+}
+
+/// What came out of a comparison.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Summary {
+    /// What the energy figures are worth.
+    pub energy: Basis,
+    /// Least share of a run's time that power samples cover.
+    pub coverage: f64,
+    /// Complete rounds.
+    pub rounds: usize,
+    /// Highest CPU time of reading the meter, as a share of one core; `None` where nothing is read.
+    pub meter_share_of_core: Option<f64>,
+    /// Runs during which clocks were held back, where the board tells.
+    pub throttled_runs: usize,
+    /// Power modes that were met.
+    pub power_modes: Vec<String>,
+    /// By variant.
+    pub policies: Vec<PolicySummary>,
+}
+
+/// Sums a comparison up.
+pub fn summarise(comparison: &Comparison) -> Summary {
+    let of_variant = |variant: usize| {
+        let mut runs: Vec<_> = comparison
+            .runs
+            .iter()
+            .filter(|run| run.variant == variant)
+            .collect();
+        runs.sort_by_key(|run| run.round);
+        runs
+    };
+    let values = |variant: usize, figure: Figure| -> Option<Vec<f64>> {
+        of_variant(variant)
+            .into_iter()
+            .map(|run| figure.of(run))
+            .collect()
+    };
+    let policies = comparison
+        .policies
+        .iter()
+        .enumerate()
+        .map(|(variant, policy)| PolicySummary {
+            policy: policy.clone(),
+            means: Figure::ALL
+                .into_iter()
+                .filter_map(|figure| Some((figure, Mean::of(&values(variant, figure)?)?)))
+                .collect(),
+            changes: Figure::ALL
+                .into_iter()
+                .filter(|_| variant > 0)
+                .filter_map(|figure| {
+                    let first = values(0, figure)?;
+                    Some((figure, change(&first, &values(variant, figure)?)?))
+                })
+                .collect(),
+        })
+        .collect();
+    let runs = &comparison.runs;
+    let mut power_modes: Vec<String> = runs
+        .iter()
+        .filter_map(|run| run.report.board.as_ref()?.power_mode.clone())
+        .collect();
+    power_modes.sort();
+    power_modes.dedup();
+    Summary {
+        energy: basis(runs),
+        coverage: runs
+            .iter()
+            .map(|run| run.report.energy.coverage)
+            .fold(1.0, f64::min),
+        rounds: runs.iter().map(|run| run.round + 1).max().unwrap_or(0),
+        meter_share_of_core: runs
+            .iter()
+            .filter(|run| run.report.energy.samples > 0)
+            .map(|run| run.meter_share_of_core)
+            .reduce(f64::max),
+        throttled_runs: runs
+            .iter()
+            .filter(|run| {
+                let board = run.report.board.as_ref();
+                board.is_some_and(|board| board.throttled == Some(true))
+            })
+            .count(),
+        power_modes,
+        policies,
+    }
+}
+
+/// The change from `first` to `other`, round by round.
+fn change(first: &[f64], other: &[f64]) -> Option<Change> {
+    let differences: Vec<f64> = other.iter().zip(first).map(|(a, b)| a - b).collect();
+    let mean = Mean::of(&differences)?;
+    let base = Mean::of(first)?.mean;
+    let percent = |value: f64| value / base.abs() * 100.0;
+    (base != 0.0).then(|| Change {
+        percent: percent(mean.mean),
+        half: mean.half.map(percent),
+    })
+}
+
+/// The least that can be said of all runs: an estimate among measurements makes the whole an estimate.
+fn basis(runs: &[Run]) -> Basis {
+    let worst = runs
+        .iter()
+        .map(|run| match run.report.energy.joules {
+            Some(_) => run.report.energy.quality,
+            None => EnergyQuality::Unavailable,
+        })
+        .max();
+    let source = || {
+        let first = runs.first();
+        first.map_or_else(String::new, |run| run.report.energy.source.clone())
+    };
+    match worst {
+        Some(EnergyQuality::Measured) => Basis::Measured { source: source() },
+        Some(EnergyQuality::Partial) => Basis::Partial { source: source() },
+        Some(EnergyQuality::Estimated) => Basis::Estimated,
+        Some(EnergyQuality::Unavailable) | None => Basis::Unavailable,
+    }
+}
+
+#[cfg(test)]
+pub(super) mod tests;

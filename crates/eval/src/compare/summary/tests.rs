@@ -1,0 +1,169 @@
+use super::super::run::Playing;
+use super::*;
+use albireo_wire::{
+    BoardState, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, FrameStates, Percentiles,
+};
+
+/// A run of `calls` detector calls in 100 frames that took `joules`.
+pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>) -> Run {
+    let states = FrameStates {
+        i: calls,
+        p: 100 - calls,
+        ..FrameStates::default()
+    };
+    let duration_s = 10.0;
+    let timed = |count, mean| Percentiles {
+        count,
+        mean,
+        ..Percentiles::default()
+    };
+    Run {
+        round,
+        variant,
+        cpu_s: calls as f64 / 50.0,
+        meter_share_of_core: 0.001,
+        agreement: None,
+        report: ClipReport {
+            v: 1,
+            node: "compare".to_owned(),
+            camera: "camera".to_owned(),
+            clip: "measured".to_owned(),
+            report: 0,
+            ended_by: ClipEnd::Shutdown,
+            started_ns: 0,
+            duration_s,
+            frames: 100,
+            states,
+            skip_rate: states.skip_rate(),
+            degraded_frames: 0,
+            dropped: DroppedFrames::default(),
+            policy: "albireo".to_owned(),
+            knob: None,
+            knob_changes: Vec::new(),
+            model: "detector.onnx".to_owned(),
+            provider: "cpu".to_owned(),
+            total_latency_ms: timed(100, 12.5),
+            detector_latency_ms: timed(calls, 20.0),
+            energy: ClipEnergy {
+                joules,
+                node_joules: joules,
+                edp: joules.map(|joules| joules * duration_s * 1e3 / 100.0),
+                quality: match joules {
+                    Some(_) => EnergyQuality::Measured,
+                    None => EnergyQuality::Unavailable,
+                },
+                source: "rapl".to_owned(),
+                total_from: "input_rail".to_owned(),
+                samples: 100,
+                coverage: 1.0,
+                domains: Vec::new(),
+            },
+            board: None,
+        },
+    }
+}
+
+pub(crate) fn comparison(policies: &[&str], runs: Vec<Run>) -> Comparison {
+    Comparison {
+        playing: Playing {
+            clip: "synth-1".to_owned(),
+            frames: 100,
+            size: "1280x720".to_owned(),
+            rate: 10.0,
+            played_rate: Some(10.0),
+            warm_up_s: 2.0,
+            cool_down_s: 3.0,
+            detector: "detector.onnx run by cpu".to_owned(),
+            cores: 2,
+        },
+        policies: policies.iter().map(|name| (*name).to_owned()).collect(),
+        boxes_of: 0,
+        runs,
+    }
+}
+
+#[test]
+fn a_mean_has_students_interval_over_the_rounds() {
+    // Mean 12, standard deviation 2, t(0.975, 2) = 4.302653: 4.302653 · 2 / √3.
+    let found = Mean::of(&[10.0, 12.0, 14.0]).unwrap();
+    assert_eq!((found.mean, found.rounds), (12.0, 3));
+    assert!((found.half.unwrap() - 4.968_275).abs() < 1e-5, "{found:?}");
+    assert_eq!(Mean::of(&[3.0]).unwrap().half, None);
+    assert_eq!(Mean::of(&[0.0, 0.0]).unwrap().half, Some(0.0));
+    assert_eq!(Mean::of(&[2.0, 2.0]).unwrap().half, Some(0.0));
+    assert_eq!(Mean::of(&[]), None);
+    assert_eq!(Mean::of(&[1.0, f64::NAN]), None);
+}
+
+#[test]
+fn changes_are_paired_by_round_so_that_a_drift_of_the_board_does_not_widen_them() {
+    // The board warms up from round to round; albireo saves a quarter of 100 J each time.
+    let runs = (0..4)
+        .flat_map(|round| {
+            let drift = 10.0 * round as f64;
+            [
+                run(round, 0, 100, Some(85.0 + drift)),
+                run(round, 1, 40, Some(60.0 + drift)),
+            ]
+        })
+        .collect();
+    let summary = summarise(&comparison(&["vanilla", "albireo u=5e-4"], runs));
+    let [vanilla, albireo] = summary.policies.as_slice() else {
+        panic!("{summary:?}");
+    };
+    assert!(vanilla.mean(Figure::Joules).unwrap().half.unwrap() > 15.0);
+    assert!(vanilla.changes.is_empty());
+    let change = albireo.change(Figure::Joules).unwrap();
+    assert!(
+        (change.percent + 25.0).abs() < 1e-9 && change.half.unwrap() < 1e-9,
+        "{change:?}"
+    );
+    assert_eq!(
+        albireo.change(Figure::DetectorCalls).unwrap().percent,
+        -60.0
+    );
+    assert_eq!(albireo.mean(Figure::SkipRate).unwrap().mean, 0.6);
+    assert_eq!(
+        summary.energy,
+        Basis::Measured {
+            source: "rapl".to_owned()
+        }
+    );
+    assert_eq!(summary.rounds, 4);
+}
+
+#[test]
+fn one_estimate_among_measurements_makes_the_whole_an_estimate() {
+    let mut runs = vec![run(0, 0, 100, Some(9.0)), run(0, 1, 50, Some(5.0))];
+    let basis_of = |runs: &Vec<Run>| summarise(&comparison(&["a", "b"], runs.clone())).energy;
+    runs[1].report.energy.quality = EnergyQuality::Partial;
+    assert_eq!(
+        basis_of(&runs),
+        Basis::Partial {
+            source: "rapl".to_owned()
+        }
+    );
+    runs[0].report.energy.quality = EnergyQuality::Estimated;
+    assert_eq!(basis_of(&runs), Basis::Estimated);
+    runs[0].report.energy.joules = None;
+    assert_eq!(basis_of(&runs), Basis::Unavailable);
+    assert_eq!(
+        summarise(&comparison(&["a", "b"], runs)).policies[0].mean(Figure::Joules),
+        None
+    );
+}
+
+#[test]
+fn the_boards_mode_and_throttling_are_told() {
+    let mut runs = vec![run(0, 0, 100, Some(9.0)), run(0, 1, 50, Some(5.0))];
+    for (run, throttled) in runs.iter_mut().zip([false, true]) {
+        run.report.board = Some(BoardState {
+            power_mode: Some("15W".to_owned()),
+            throttled: Some(throttled),
+            ..BoardState::default()
+        });
+    }
+    let summary = summarise(&comparison(&["a", "b"], runs));
+    assert_eq!(summary.throttled_runs, 1);
+    assert_eq!(summary.power_modes, ["15W"]);
+}

@@ -1,0 +1,277 @@
+//! A comparison as text, at most 100 columns wide.
+
+use super::run::Comparison;
+use super::schedule::schedule;
+use super::summary::{Basis, Change, Figure, Mean, PolicySummary, Summary};
+use std::fmt::Write;
+
+/// Widest label; what is longer is cut.
+const LABEL: usize = 24;
+
+/// Width of a column, with the space before it.
+const COLUMN: usize = 15;
+
+/// Widest line of text.
+const LINE: usize = 100;
+
+/// The comparison as text: what was played, what the energy is worth, and the three tables.
+pub fn render(comparison: &Comparison, summary: &Summary) -> String {
+    let mut text = String::new();
+    for paragraph in [heading(comparison, summary), energy(summary)] {
+        wrap(&mut text, &paragraph);
+    }
+    let rounds = summary.rounds;
+    let interval = if rounds > 1 {
+        format!("Mean of {rounds} runs ± half of its 95 % confidence interval")
+    } else {
+        "One run each: without --repeat 2 or more there is no confidence interval".to_owned()
+    };
+    let powered = summary.energy != Basis::Unavailable;
+    let energy_unit = match summary.energy {
+        Basis::Measured { .. } => "measured",
+        Basis::Partial { .. } => "partial",
+        Basis::Estimated => "ESTIMATED",
+        Basis::Unavailable => "",
+    };
+    let mut columns = vec![
+        (Figure::CpuSeconds, ["CPU time s", ""]),
+        (Figure::FrameMilliseconds, ["frame time ms", ""]),
+        (Figure::DetectorCalls, ["detector calls", ""]),
+    ];
+    if powered {
+        columns.insert(0, (Figure::Joules, ["energy J", energy_unit]));
+        columns.insert(1, (Figure::Edp, ["EDP J·ms/frame", energy_unit]));
+    }
+    let means = |policy: &PolicySummary, figure| {
+        let scale = if is_share(figure) { 100.0 } else { 1.0 };
+        policy.mean(figure).map(|found| mean(found, scale))
+    };
+    table(&mut text, &interval, &summary.policies, &columns, means);
+
+    let first = summary.policies.first().map_or("", |first| &first.policy);
+    let title = format!("Change against {first}: mean of the differences within a round");
+    let changes = |policy: &PolicySummary, figure| policy.change(figure).map(change);
+    for (_, unit) in &mut columns {
+        *unit = match *unit {
+            ["energy J", unit] => ["energy", unit],
+            ["EDP J·ms/frame", unit] => ["EDP", unit],
+            ["CPU time s", unit] => ["CPU time", unit],
+            ["frame time ms", unit] => ["frame time", unit],
+            other => other,
+        };
+    }
+    let others = summary.policies.get(1..).unwrap_or_default();
+    table(&mut text, &title, others, &columns, changes);
+
+    let of = comparison.policies.get(comparison.boxes_of);
+    let title = format!(
+        "Boxes against those of {} (IoU 0.5, frames that both answered), and frames",
+        of.map_or("", String::as_str)
+    );
+    let columns = [
+        (Figure::Ap50, ["AP@50 %", ""]),
+        (Figure::Precision, ["precision %", ""]),
+        (Figure::Recall, ["recall %", ""]),
+        (Figure::SkipRate, ["skip rate %", ""]),
+        (Figure::Dropped, ["frames dropped", ""]),
+    ];
+    table(&mut text, &title, &summary.policies, &columns, means);
+    text.truncate(text.trim_end().len());
+    text.push('\n');
+    text
+}
+
+fn heading(comparison: &Comparison, summary: &Summary) -> String {
+    let playing = &comparison.playing;
+    let pace = match playing.played_rate {
+        Some(rate) if rate == playing.rate => format!("at its own {rate} frames/s"),
+        Some(rate) => format!("at {rate} frames/s ({} its own)", playing.rate),
+        None => "as fast as the node takes it".to_owned(),
+    };
+    let order: Vec<String> = schedule(comparison.policies.len(), summary.rounds.min(2))
+        .chunks(comparison.policies.len().max(1))
+        .map(|round| {
+            let names = round
+                .iter()
+                .filter_map(|turn| comparison.policies.get(turn.variant));
+            names.map(String::as_str).collect::<Vec<_>>().join(", ")
+        })
+        .collect();
+    let turned = if summary.rounds > 1 {
+        ", and so on"
+    } else {
+        ""
+    };
+    let rounds = match summary.rounds {
+        1 => "1 round".to_owned(),
+        rounds => format!("{rounds} rounds"),
+    };
+    format!(
+        "Clip {}: {} frames of {}, played {pace} by a camera over Zenoh to a node in this process, in \
+         {rounds} (order: {}{turned}), each run after {} s of rest and {} s of warm-up. Detector {} on {} \
+         cores.",
+        playing.clip,
+        playing.frames,
+        playing.size,
+        order.join(" | "),
+        playing.cool_down_s,
+        playing.warm_up_s,
+        playing.detector,
+        playing.cores,
+    )
+}
+
+/// What the energy is worth, in words.
+fn energy(summary: &Summary) -> String {
+    let mut text = match &summary.energy {
+        Basis::Measured { source } => format!("Energy is measured by `{source}`."),
+        Basis::Partial { source } => format!(
+            "Energy is measured by `{source}`, but with gaps: samples cover {:.1} % of the worst run, and \
+             energy is that of the covered time only.",
+            summary.coverage * 100.0
+        ),
+        Basis::Estimated => "There is no power meter here (`albireo power` says why not): what is measured is \
+             CPU time, frame time and detector calls. Energy and EDP are ESTIMATED from the utilisation of the \
+             whole machine with assumed watts, and are no measurement."
+            .to_owned(),
+        Basis::Unavailable => "There is no power meter here (`albireo power` says why not), so there is no \
+             energy: what is measured is CPU time, frame time and detector calls."
+            .to_owned(),
+    };
+    if let Some(share) = summary.meter_share_of_core {
+        let _ = write!(
+            text,
+            " Reading it took at most {:.2} % of one core.",
+            share * 100.0
+        );
+    }
+    if !summary.power_modes.is_empty() {
+        let _ = write!(text, " Power mode: {}.", summary.power_modes.join("; "));
+    }
+    if summary.throttled_runs > 0 {
+        let _ = write!(
+            text,
+            " In {} runs clocks were held back by heat or power: rest longer with --cool-down, or cool the \
+             board.",
+            summary.throttled_runs
+        );
+    }
+    text
+}
+
+fn table(
+    text: &mut String,
+    title: &str,
+    policies: &[PolicySummary],
+    columns: &[(Figure, [&str; 2])],
+    cell: impl Fn(&PolicySummary, Figure) -> Option<String>,
+) {
+    if policies.is_empty() {
+        return;
+    }
+    wrap(text, title);
+    text.pop();
+    let label = policies
+        .iter()
+        .map(|policy| policy.policy.chars().count())
+        .max()
+        .unwrap_or(0)
+        .clamp(6, LABEL);
+    for line in 0..2 {
+        let cells = columns.iter().map(|(_, heading)| heading[line].to_owned());
+        let first = if line == 0 { "policy" } else { "" };
+        if line == 0 || columns.iter().any(|(_, heading)| !heading[1].is_empty()) {
+            row(text, label, first, cells);
+        }
+    }
+    for policy in policies {
+        let cells = columns
+            .iter()
+            .map(|(figure, _)| cell(policy, *figure).unwrap_or_else(|| "-".to_owned()));
+        row(text, label, &policy.policy, cells);
+    }
+    text.push('\n');
+}
+
+fn row(text: &mut String, width: usize, label: &str, cells: impl Iterator<Item = String>) {
+    let label: String = if label.chars().count() > width {
+        label.chars().take(width - 1).chain(['…']).collect()
+    } else {
+        label.to_owned()
+    };
+    let mut line = format!("{label:width$}");
+    for cell in cells {
+        let _ = write!(line, "{cell:>COLUMN$}");
+    }
+    text.push_str(line.trim_end());
+    text.push('\n');
+}
+
+/// Whether a figure lies between 0 and 1, and is told in percent.
+fn is_share(figure: Figure) -> bool {
+    matches!(
+        figure,
+        Figure::Ap50 | Figure::Precision | Figure::Recall | Figure::SkipRate
+    )
+}
+
+/// `12.34 ± 0.56`, with as many decimals as the interval has meaning for.
+fn mean(found: Mean, scale: f64) -> String {
+    let mean = found.mean * scale;
+    match found.half.map(|half| half * scale) {
+        Some(half) if mean.abs() >= 1e6 => format!("{mean:.2e} ± {half:.0e}"),
+        Some(half) if half > 0.0 => {
+            let decimals = decimals(half);
+            format!("{mean:.decimals$} ± {half:.decimals$}")
+        }
+        Some(_) => format!("{} ± 0", exact(mean)),
+        None => exact(mean),
+    }
+}
+
+fn change(change: Change) -> String {
+    match change.half {
+        // Differences that are all equal differ in their rounding errors.
+        Some(half) if half < 1e-9 => format!("{:+.1} ± 0 %", change.percent),
+        Some(half) => {
+            let decimals = decimals(half.max(0.1)).min(1);
+            format!("{:+.decimals$} ± {half:.decimals$} %", change.percent)
+        }
+        None => format!("{:+.1} %", change.percent),
+    }
+}
+
+/// Two significant digits of `scale`, and never more than three decimals.
+fn decimals(scale: f64) -> usize {
+    (1.0 - scale.abs().log10().floor()).clamp(0.0, 3.0) as usize
+}
+
+fn exact(value: f64) -> String {
+    if (value - value.round()).abs() < 1e-9 {
+        format!("{value:.0}")
+    } else {
+        let decimals = decimals(value) + 1;
+        format!("{value:.decimals$}")
+    }
+}
+
+/// Adds a paragraph, broken at blanks, and an empty line.
+fn wrap(text: &mut String, paragraph: &str) {
+    let mut width = 0;
+    for word in paragraph.split_whitespace() {
+        let length = word.chars().count();
+        if width > 0 && width + 1 + length > LINE {
+            text.push('\n');
+            width = 0;
+        } else if width > 0 {
+            text.push(' ');
+            width += 1;
+        }
+        text.push_str(word);
+        width += length;
+    }
+    text.push_str("\n\n");
+}
+
+#[cfg(test)]
+mod tests;

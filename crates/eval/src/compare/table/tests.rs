@@ -1,0 +1,123 @@
+use super::super::summary::tests::{comparison, run};
+use super::super::{Agreement, summarise};
+use super::*;
+use albireo_wire::EnergyQuality;
+
+fn played(quality: EnergyQuality) -> Comparison {
+    let runs = (0..3)
+        .flat_map(|round| {
+            let noise = [0.0, 0.5, -0.5][round];
+            [
+                run(round, 0, 100, Some(80.0 + noise)),
+                run(round, 1, 40, Some(60.0 - noise)),
+            ]
+        })
+        .map(|mut run| {
+            run.report.energy.quality = quality;
+            run.agreement = Some(Agreement {
+                ap50: 0.912,
+                precision: 0.95,
+                recall: 0.93,
+                frames: 100,
+            });
+            run
+        })
+        .collect();
+    comparison(&["vanilla", "albireo u=5e-4"], runs)
+}
+
+fn text(comparison: &Comparison) -> String {
+    render(comparison, &summarise(comparison))
+}
+
+#[test]
+fn a_measured_comparison_tells_means_changes_and_boxes() {
+    let found = text(&played(EnergyQuality::Measured));
+    let expected = "\
+Clip synth-1: 100 frames of 1280x720, played at its own 10 frames/s by a camera over Zenoh to a node
+in this process, in 3 rounds (order: vanilla, albireo u=5e-4 | albireo u=5e-4, vanilla, and so on),
+each run after 3 s of rest and 2 s of warm-up. Detector detector.onnx run by cpu on 2 cores.
+
+Energy is measured by `rapl`. Reading it took at most 0.10 % of one core.
+
+Mean of 3 runs ± half of its 95 % confidence interval
+policy               energy J EDP J·ms/frame     CPU time s  frame time ms detector calls
+                     measured       measured
+vanilla            80.0 ± 1.2     8000 ± 124          2 ± 0       12.5 ± 0        100 ± 0
+albireo u=5e-4     60.0 ± 1.2     6000 ± 124      0.800 ± 0       12.5 ± 0         40 ± 0
+
+Change against vanilla: mean of the differences within a round
+policy                 energy            EDP       CPU time     frame time detector calls
+                     measured       measured
+albireo u=5e-4  -25.0 ± 3.1 %  -25.0 ± 3.1 %    -60.0 ± 0 %     +0.0 ± 0 %    -60.0 ± 0 %
+
+Boxes against those of vanilla (IoU 0.5, frames that both answered), and frames
+policy                AP@50 %    precision %       recall %    skip rate % frames dropped
+vanilla              91.2 ± 0         95 ± 0         93 ± 0          0 ± 0          0 ± 0
+albireo u=5e-4       91.2 ± 0         95 ± 0         93 ± 0         60 ± 0          0 ± 0
+";
+    assert_eq!(found, expected, "\n{found}");
+}
+
+#[test]
+fn an_estimate_is_never_called_a_measurement() {
+    let found = text(&played(EnergyQuality::Estimated));
+    assert!(found.contains("There is no power meter here"), "{found}");
+    assert!(found.contains("ESTIMATED      ESTIMATED"), "{found}");
+    assert!(!found.contains("measured by"), "{found}");
+}
+
+#[test]
+fn without_a_figure_for_energy_there_is_no_column_for_it() {
+    let mut comparison = played(EnergyQuality::Unavailable);
+    for run in &mut comparison.runs {
+        run.report.energy.joules = None;
+        run.report.energy.edp = None;
+    }
+    let found = text(&comparison);
+    assert!(
+        !found.contains("energy J") && !found.contains("EDP"),
+        "{found}"
+    );
+    assert!(found.contains("so there is no energy"), "{found}");
+    assert!(found.contains("detector calls"), "{found}");
+}
+
+#[test]
+fn gaps_of_the_meter_are_told_with_the_share_they_leave() {
+    let mut comparison = played(EnergyQuality::Partial);
+    comparison.runs[0].report.energy.coverage = 0.815;
+    let found = text(&comparison);
+    assert!(
+        found.contains("samples cover 81.5 % of the worst run"),
+        "{found}"
+    );
+}
+
+#[test]
+fn a_single_round_has_no_intervals() {
+    let mut comparison = played(EnergyQuality::Measured);
+    comparison.runs.truncate(2);
+    let found = text(&comparison);
+    assert!(!found.contains('±'), "{found}");
+    assert!(found.contains("no confidence interval"), "{found}");
+    assert!(found.contains("-25.0 %"), "{found}");
+}
+
+#[test]
+fn no_line_is_wider_than_a_hundred_columns() {
+    let mut comparison = played(EnergyQuality::Measured);
+    comparison.policies = vec![
+        "fixed-skip-in-tracker n=3".to_owned(),
+        "a policy with a name as long as this one here".to_owned(),
+    ];
+    comparison.playing.clip = "word ".repeat(60);
+    for run in &mut comparison.runs {
+        run.report.energy.joules = run.report.energy.joules.map(|joules| joules * 12_345.6);
+        run.report.energy.edp = run.report.energy.edp.map(|product| product * 12_345.6);
+    }
+    let found = text(&comparison);
+    for line in found.lines() {
+        assert!(line.chars().count() <= 100, "{line}");
+    }
+}

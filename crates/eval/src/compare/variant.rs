@@ -1,0 +1,149 @@
+//! What is compared: policies with the values of their knobs.
+
+use albireo_core::policy::{Albireo, Policy, PolicyConfig, PolicyConfigError};
+use std::collections::BTreeSet;
+
+/// One policy with its settings.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Variant {
+    /// Its name in the results, unique in a comparison: `vanilla`, `albireo u=5e-4`.
+    pub label: String,
+    /// How it is made.
+    pub config: PolicyConfig,
+}
+
+/// Policies that cannot be compared.
+#[derive(Debug, thiserror::Error)]
+pub enum VariantError {
+    /// The policy room refuses one.
+    #[error("--policy {asked}: {source}")]
+    Policy {
+        /// What was asked for.
+        asked: String,
+        /// Why not.
+        source: PolicyConfigError,
+    },
+    /// Values of `u`, and nobody to take them.
+    #[error(
+        "--u: none of the policies asked for has a threshold `u` left to set; add --policy albireo"
+    )]
+    NoThreshold,
+    /// There is nothing to compare with.
+    #[error(
+        "only `{0}` was asked for: name a second policy, such as --policy vanilla --policy albireo"
+    )]
+    Alone(String),
+}
+
+/// The variants of `asked` (`NAME[:ARGUMENT]` each) in order, without repetitions. A policy with the knob
+/// `u` and without an argument of its own is there once for each value of `thresholds`; everything else is
+/// as in `base`.
+///
+/// # Errors
+/// [`VariantError`] for an unknown policy, a value it cannot have, values of `u` that nobody takes, and
+/// fewer than two variants.
+pub fn variants(
+    asked: &[String],
+    thresholds: &[f64],
+    base: &PolicyConfig,
+) -> Result<Vec<Variant>, VariantError> {
+    let mut found = Vec::new();
+    let mut taken = thresholds.is_empty();
+    for asked in asked {
+        let first = variant(asked, base)?;
+        let swept = first.threshold && !asked.contains(':') && !thresholds.is_empty();
+        if !swept {
+            found.push(first.variant);
+            continue;
+        }
+        taken = true;
+        for u in thresholds {
+            found.push(variant(&format!("{asked}:{u:e}"), base)?.variant);
+        }
+    }
+    if !taken {
+        return Err(VariantError::NoThreshold);
+    }
+    let mut seen = BTreeSet::new();
+    found.retain(|variant| seen.insert(variant.label.clone()));
+    match found.as_slice() {
+        [alone] => Err(VariantError::Alone(alone.label.clone())),
+        _ => Ok(found),
+    }
+}
+
+struct Parsed {
+    variant: Variant,
+    /// Whether its knob is `u`.
+    threshold: bool,
+}
+
+fn variant(asked: &str, base: &PolicyConfig) -> Result<Parsed, VariantError> {
+    let refused = |source| VariantError::Policy {
+        asked: asked.to_owned(),
+        source,
+    };
+    let mut config = base.clone();
+    config.select(asked).map_err(refused)?;
+    let policy = config.build().map_err(refused)?;
+    Ok(Parsed {
+        threshold: policy
+            .knob()
+            .is_some_and(|knob| knob.name == Albireo::KNOB.name),
+        variant: Variant {
+            label: label(policy.as_ref()),
+            config,
+        },
+    })
+}
+
+fn label(policy: &dyn Policy) -> String {
+    let name = policy.name();
+    match (policy.knob(), policy.knob_value()) {
+        (Some(knob), Some(value)) if value != 0.0 && value.abs() < 0.01 => {
+            format!("{name} {}={value:e}", knob.name)
+        }
+        (Some(knob), Some(value)) => format!("{name} {}={value}", knob.name),
+        _ => name.to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn labels(asked: &[&str], thresholds: &[f64]) -> Result<Vec<String>, String> {
+        let asked: Vec<_> = asked.iter().map(|name| (*name).to_owned()).collect();
+        variants(&asked, thresholds, &PolicyConfig::default())
+            .map(|found| found.into_iter().map(|variant| variant.label).collect())
+            .map_err(|error| error.to_string())
+    }
+
+    #[test]
+    fn each_threshold_is_a_variant_of_the_policies_that_have_one() {
+        let found = labels(
+            &["vanilla", "albireo", "albireo:1e-3", "vanilla"],
+            &[3e-4, 5e-4],
+        );
+        let expected = [
+            "vanilla",
+            "albireo u=3e-4",
+            "albireo u=5e-4",
+            "albireo u=1e-3",
+        ];
+        assert_eq!(found.unwrap(), expected);
+        assert_eq!(
+            labels(&["vanilla", "fixed-skip:3"], &[]).unwrap()[1],
+            "fixed-skip n=3"
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_compared_is_refused_with_what_to_do() {
+        let refused = |asked: &[&str], thresholds: &[f64]| labels(asked, thresholds).unwrap_err();
+        assert!(refused(&["vanila", "albireo"], &[]).contains("the policies are `albireo`"));
+        assert!(refused(&["vanilla", "fixed-skip"], &[3e-4]).contains("add --policy albireo"));
+        assert!(refused(&["albireo"], &[]).contains("name a second policy"));
+        assert!(refused(&["vanilla", "albireo"], &[7.0]).contains("u"));
+    }
+}

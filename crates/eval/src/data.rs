@@ -1,0 +1,342 @@
+//! Data sets: clips with stored detections, ground truth, or both, one file a layout.
+//!
+//! Every reader answers with [`Clips`]: the clips, and a count of every row that was left out and why. A
+//! file that cannot be what it claims to be (missing, a row with the wrong number of columns, a frame
+//! number outside the clip) is an error that names file and line; a row that is well-formed but
+//! meaningless (an inverted box, a score that is not a number, a class outside the mapping) is left out,
+//! counted and reported.
+
+pub mod bdd100k;
+pub mod classes;
+pub mod coco;
+pub mod kitti;
+pub mod mot_challenge;
+mod pictures;
+pub mod recorded;
+mod rows;
+mod screen_verdicts;
+
+use crate::average_precision::TruthBox;
+use albireo_core::detection::{ClassId, Detection};
+use albireo_core::geometry::{Corners, PictureSize};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// A detection with its box in pixels as the file has it, so that nothing is lost by normalising.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StoredDetection {
+    /// Where, in pixels.
+    pub corners: Corners,
+    /// What.
+    pub class: ClassId,
+    /// How sure, 0 to 1.
+    pub confidence: f64,
+}
+
+impl StoredDetection {
+    /// The detection as policies take it.
+    pub fn normalise(self, picture: PictureSize) -> Detection {
+        Detection {
+            bounding_box: self.corners.normalise(picture),
+            class: self.class,
+            confidence: self.confidence,
+        }
+    }
+}
+
+/// One clip of a data set.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Clip {
+    /// Its name, unique in the data set.
+    pub name: String,
+    /// Size of its pictures.
+    pub picture: PictureSize,
+    /// Frames a second, where known.
+    pub frame_rate: Option<f64>,
+    /// Whether the camera is `moving` or `fixed`, where known.
+    pub camera: Option<String>,
+    /// Number of frames.
+    pub frames: usize,
+    /// Stored detections, one entry a frame in the detector's order; `None` if none are stored.
+    pub detections: Option<Vec<Vec<StoredDetection>>>,
+    /// What a real empty-scene screen said of each frame, where one was asked: whether it is empty, or
+    /// nothing if it could not say.
+    pub screen: Option<Vec<Option<bool>>>,
+    /// Ground truth, one entry a frame; `None` if there is none.
+    pub truth: Option<Vec<Vec<TruthBox>>>,
+    /// The clip's pictures in order, if they are files.
+    pub pictures: Vec<PathBuf>,
+}
+
+/// A data set as read.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Clips {
+    /// The clips that can be evaluated.
+    pub clips: Vec<Clip>,
+    /// What was left out or is worth a word.
+    pub report: LoadReport,
+}
+
+/// Why a row or a clip was left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum LeftOut {
+    /// A coordinate or score is NaN or infinite.
+    NotFinite,
+    /// The box has no area: right edge not right of the left one, or bottom not below top.
+    EmptyBox,
+    /// The box lies wholly outside the picture.
+    OutsidePicture,
+    /// A confidence below 0 or above 1.
+    ConfidenceRange,
+    /// The class is not in the mapping.
+    UnmappedClass,
+    /// A region the data set marks as not to be judged.
+    IgnoredRegion,
+    /// A clip with no frames.
+    EmptyClip,
+}
+
+impl LeftOut {
+    /// In words.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::NotFinite => "coordinate or score not a finite number",
+            Self::EmptyBox => "box inverted or without area",
+            Self::OutsidePicture => "box wholly outside the picture",
+            Self::ConfidenceRange => "confidence outside 0 to 1",
+            Self::UnmappedClass => "class not mapped",
+            Self::IgnoredRegion => "region marked as not to be judged",
+            Self::EmptyClip => "clip without frames",
+        }
+    }
+}
+
+/// What a reader left out, and notes about the data.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct LoadReport {
+    /// Rows by reason.
+    pub left_out: BTreeMap<LeftOut, usize>,
+    /// The first place of each reason, `file:line` or `file, what`.
+    pub first: BTreeMap<LeftOut, String>,
+    /// Rows by class name, for classes outside the mapping.
+    pub unmapped_classes: BTreeMap<String, usize>,
+    /// Boxes reaching over the picture's edge: kept as they are.
+    pub reaching_outside: usize,
+    /// Anything else worth knowing: clips without ground truth, clips without a single detection.
+    pub notes: Vec<String>,
+}
+
+impl LoadReport {
+    /// Counts one row left out; `place` is only asked for the first of its kind.
+    pub(crate) fn leave_out(&mut self, reason: LeftOut, place: impl FnOnce() -> String) {
+        *self.left_out.entry(reason).or_default() += 1;
+        self.first.entry(reason).or_insert_with(place);
+    }
+
+    /// Counts one row of a class outside the mapping.
+    pub(crate) fn leave_out_class(&mut self, class: &str, place: impl FnOnce() -> String) {
+        self.leave_out(LeftOut::UnmappedClass, place);
+        *self.unmapped_classes.entry(class.to_owned()).or_default() += 1;
+    }
+
+    /// The report in words, one line an entry; empty when there is nothing to say.
+    pub fn lines(&self) -> Vec<String> {
+        let mut lines: Vec<String> = self
+            .left_out
+            .iter()
+            .map(|(reason, count)| {
+                let first = self.first.get(reason).map_or("", String::as_str);
+                format!("left out {count}: {} (first: {first})", reason.as_str())
+            })
+            .collect();
+        if !self.unmapped_classes.is_empty() {
+            let names: Vec<String> = self
+                .unmapped_classes
+                .iter()
+                .map(|(name, count)| format!("{name} {count}"))
+                .collect();
+            lines.push(format!("classes not mapped: {}", names.join(", ")));
+        }
+        if self.reaching_outside > 0 {
+            lines.push(format!(
+                "kept as they are: {} boxes reaching over the picture's edge",
+                self.reaching_outside
+            ));
+        }
+        lines.extend(self.notes.iter().cloned());
+        lines
+    }
+
+    /// Judges a box in pixels: the reason to leave it out, or nothing. Counts what reaches outside.
+    pub fn judge(&mut self, corners: Corners, picture: PictureSize) -> Option<LeftOut> {
+        let numbers = [corners.x1, corners.y1, corners.x2, corners.y2];
+        if numbers.iter().any(|number| !number.is_finite()) {
+            return Some(LeftOut::NotFinite);
+        }
+        if corners.x2 <= corners.x1 || corners.y2 <= corners.y1 {
+            return Some(LeftOut::EmptyBox);
+        }
+        let (width, height) = (f64::from(picture.width), f64::from(picture.height));
+        if corners.x2 <= 0.0 || corners.y2 <= 0.0 || corners.x1 >= width || corners.y1 >= height {
+            return Some(LeftOut::OutsidePicture);
+        }
+        if corners.x1 < 0.0 || corners.y1 < 0.0 || corners.x2 > width || corners.y2 > height {
+            self.reaching_outside += 1;
+        }
+        None
+    }
+}
+
+/// Judges a confidence.
+pub(crate) fn judge_confidence(confidence: f64) -> Option<LeftOut> {
+    if !confidence.is_finite() {
+        Some(LeftOut::NotFinite)
+    } else if !(0.0..=1.0).contains(&confidence) {
+        Some(LeftOut::ConfidenceRange)
+    } else {
+        None
+    }
+}
+
+/// A data set that cannot be read.
+#[derive(Debug, thiserror::Error)]
+pub enum DataError {
+    /// A file or folder cannot be opened or read.
+    #[error("cannot read {}: {source}; {help}", path.display())]
+    Read {
+        /// Which.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+        /// What to do about it.
+        help: String,
+    },
+    /// A line of a text file is broken.
+    #[error("{}:{line}: {what}", path.display())]
+    Line {
+        /// Which file.
+        path: PathBuf,
+        /// Which line, from 1.
+        line: u64,
+        /// What is wrong and what was expected.
+        what: String,
+    },
+    /// A file is broken in a way no single line shows.
+    #[error("{}: {what}", path.display())]
+    File {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong and what was expected.
+        what: String,
+    },
+}
+
+impl DataError {
+    pub(crate) fn read(path: &Path, source: std::io::Error, help: impl Into<String>) -> Self {
+        Self::Read {
+            path: path.to_owned(),
+            source,
+            help: help.into(),
+        }
+    }
+
+    pub(crate) fn line(path: &Path, line: u64, what: impl Into<String>) -> Self {
+        Self::Line {
+            path: path.to_owned(),
+            line,
+            what: what.into(),
+        }
+    }
+
+    pub(crate) fn file(path: &Path, what: impl Into<String>) -> Self {
+        Self::File {
+            path: path.to_owned(),
+            what: what.into(),
+        }
+    }
+}
+
+impl Clips {
+    /// Adds a clip, or counts it as empty; notes what it lacks. Its name is made fit for a file's name and
+    /// unlike the others'.
+    pub(crate) fn push(&mut self, mut clip: Clip) {
+        let plain = clip.name.replace(['/', '\\', ':'], "-");
+        clip.name = plain.trim_start_matches('.').to_owned();
+        let taken = |name: &str| self.clips.iter().any(|other| other.name == name);
+        if clip.name.is_empty() || taken(&clip.name) {
+            let base = std::mem::take(&mut clip.name);
+            let mut number = 2..;
+            while clip.name.is_empty() || taken(&clip.name) {
+                clip.name = format!("{base}-{}", number.next().unwrap_or_default());
+            }
+        }
+        if clip.frames == 0 {
+            let name = clip.name.clone();
+            self.report.leave_out(LeftOut::EmptyClip, || name);
+            return;
+        }
+        if let Some(detections) = &clip.detections
+            && detections.iter().all(Vec::is_empty)
+        {
+            self.report.notes.push(format!(
+                "{}: not one detection in the whole clip",
+                clip.name
+            ));
+        }
+        if clip.truth.is_none() {
+            self.report.notes.push(format!(
+                "{}: no ground truth, so its accuracy is not computed",
+                clip.name
+            ));
+        } else if clip.truth.iter().flatten().all(Vec::is_empty) {
+            self.report.notes.push(format!(
+                "{}: ground truth without a single box, so its accuracy is undefined",
+                clip.name
+            ));
+        }
+        self.clips.push(clip);
+    }
+
+    /// Leaves out the clips without stored detections, with a note for each.
+    ///
+    /// # Errors
+    /// [`DataError::File`] about `path` when none is left.
+    pub fn only_with_detections(mut self, path: &Path) -> Result<Self, DataError> {
+        let (with, without): (Vec<Clip>, Vec<Clip>) = self
+            .clips
+            .into_iter()
+            .partition(|clip| clip.detections.is_some());
+        self.clips = with;
+        if self.clips.is_empty() {
+            return Err(DataError::file(
+                path,
+                "there is ground truth but no stored detections: give some with --detections, or \
+                 evaluate the pictures with a real detector",
+            ));
+        }
+        self.report.notes.extend(without.iter().map(|clip| {
+            format!(
+                "{}: ground truth without stored detections, left out",
+                clip.name
+            )
+        }));
+        Ok(self)
+    }
+
+    /// Fails unless there is a clip to evaluate.
+    pub(crate) fn nonempty(self, path: &Path) -> Result<Self, DataError> {
+        if self.clips.is_empty() {
+            let said = self.report.lines().join("; ");
+            return Err(DataError::file(
+                path,
+                format!("no clip to evaluate was found here. {said}"),
+            ));
+        }
+        Ok(self)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,106 @@
+//! The classes an evaluation speaks of, and how the names of data sets map to them.
+//!
+//! Numbers are COCO's, counted from 0, as detectors trained on COCO report them. The paper evaluates the
+//! classes of BDD100K that COCO also has, with pedestrian and rider both taken as person: six classes.
+
+use albireo_core::detection::ClassId;
+
+/// A person, walking or riding.
+pub(crate) const PERSON: ClassId = ClassId(0);
+/// A bicycle.
+pub(crate) const BICYCLE: ClassId = ClassId(1);
+/// A car.
+pub(crate) const CAR: ClassId = ClassId(2);
+/// A motorcycle.
+pub(crate) const MOTORCYCLE: ClassId = ClassId(3);
+/// A bus.
+pub(crate) const BUS: ClassId = ClassId(5);
+/// A truck.
+pub(crate) const TRUCK: ClassId = ClassId(7);
+
+/// The six classes with their names, in order of their numbers.
+pub(crate) const EVALUATED: [(ClassId, &str); 6] = [
+    (PERSON, "person"),
+    (BICYCLE, "bicycle"),
+    (CAR, "car"),
+    (MOTORCYCLE, "motorcycle"),
+    (BUS, "bus"),
+    (TRUCK, "truck"),
+];
+
+/// Name of an evaluated class; `None` for any other.
+pub fn name(class: ClassId) -> Option<&'static str> {
+    EVALUATED
+        .iter()
+        .find(|(id, _)| *id == class)
+        .map(|(_, name)| *name)
+}
+
+/// What a data set's class name means here.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Meaning {
+    /// One of the six classes.
+    Class(ClassId),
+    /// A region that is not to be judged.
+    Ignored,
+    /// Nothing that is evaluated.
+    Unmapped,
+}
+
+/// BDD100K's and COCO's names, in either spelling of BDD100K's releases.
+pub fn from_name(name: &str) -> Meaning {
+    match name {
+        "person" | "pedestrian" | "rider" => Meaning::Class(PERSON),
+        "bicycle" | "bike" => Meaning::Class(BICYCLE),
+        "car" => Meaning::Class(CAR),
+        "motorcycle" | "motor" => Meaning::Class(MOTORCYCLE),
+        "bus" => Meaning::Class(BUS),
+        "truck" => Meaning::Class(TRUCK),
+        _ => Meaning::Unmapped,
+    }
+}
+
+/// KITTI's tracking types. A cyclist's box holds rider and bicycle and counts as bicycle.
+pub(crate) fn from_kitti(kind: &str) -> Meaning {
+    match kind {
+        "Pedestrian" | "Person" | "Person_sitting" => Meaning::Class(PERSON),
+        "Cyclist" => Meaning::Class(BICYCLE),
+        "Car" | "Van" => Meaning::Class(CAR),
+        "Truck" => Meaning::Class(TRUCK),
+        "DontCare" => Meaning::Ignored,
+        _ => Meaning::Unmapped,
+    }
+}
+
+/// MOTChallenge's numbers (MOT16 and later; the 2015 release writes -1, and holds pedestrians only).
+pub(crate) fn from_mot_challenge(number: i64) -> Meaning {
+    match number {
+        // Pedestrian, person on a vehicle, static person.
+        -1 | 1 | 2 | 7 => Meaning::Class(PERSON),
+        3 => Meaning::Class(CAR),
+        4 => Meaning::Class(BICYCLE),
+        5 => Meaning::Class(MOTORCYCLE),
+        // Distractor, occluder, occluder on the ground, occluder full, reflection, crowd.
+        8..=13 => Meaning::Ignored,
+        _ => Meaning::Unmapped,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pedestrian_and_rider_are_both_person_so_that_seven_classes_are_six() {
+        let mapped: std::collections::BTreeSet<u16> = albireo_core::detection::BDD100K_CLASSES
+            .iter()
+            .map(|name| match from_name(name) {
+                Meaning::Class(class) => class.0,
+                other => panic!("{name} is {other:?}"),
+            })
+            .collect();
+        assert_eq!(mapped.len(), 6);
+        assert_eq!(from_name("rider"), from_name("pedestrian"));
+        assert_eq!(from_name("traffic light"), Meaning::Unmapped);
+    }
+}

@@ -1,0 +1,248 @@
+//! COCO JSON: `images`, `annotations`, `categories`, and detections as a list of results.
+//!
+//! A clip is a video where images have `video_id`, else a folder of `file_name`; its frames are in order of
+//! `frame_id`, else of the file names. Boxes are `[x, y, width, height]`. Source: COCO data format,
+//! cocodataset.org, and its video extensions as in TAO and YouTube-VIS.
+
+use super::classes::{Meaning, from_name};
+use super::{Clip, Clips, DataError, LeftOut, StoredDetection, judge_confidence};
+use crate::average_precision::TruthBox;
+use albireo_core::geometry::{Corners, PictureSize};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use std::collections::{BTreeMap, HashMap};
+use std::path::Path;
+
+#[derive(Deserialize)]
+struct Dataset {
+    images: Vec<Image>,
+    #[serde(default)]
+    annotations: Option<Vec<Annotation>>,
+    categories: Vec<Category>,
+    #[serde(default)]
+    videos: Vec<Video>,
+}
+
+#[derive(Deserialize)]
+struct Image {
+    id: u64,
+    #[serde(default)]
+    file_name: String,
+    width: u32,
+    height: u32,
+    #[serde(default)]
+    video_id: Option<u64>,
+    #[serde(default, alias = "frame_index")]
+    frame_id: Option<u64>,
+}
+
+#[derive(Deserialize)]
+struct Annotation {
+    image_id: u64,
+    category_id: u64,
+    bbox: [f64; 4],
+    #[serde(default)]
+    iscrowd: u8,
+    #[serde(default, alias = "instance_id")]
+    track_id: Option<u64>,
+    #[serde(default)]
+    score: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct Category {
+    id: u64,
+    name: String,
+}
+
+#[derive(Deserialize)]
+struct Video {
+    id: u64,
+    #[serde(default)]
+    name: Option<String>,
+}
+
+/// Reads a data set and, if given, a list of results on its images.
+///
+/// # Errors
+/// [`DataError`] for a missing or broken file, a box on an image that is not there, or pictures of
+/// different sizes within a clip.
+pub fn read(dataset: &Path, results: Option<&Path>) -> Result<Clips, DataError> {
+    let set: Dataset = parse(dataset, "give a COCO file with images and categories")?;
+    let names: HashMap<u64, &str> = set
+        .categories
+        .iter()
+        .map(|category| (category.id, category.name.as_str()))
+        .collect();
+    let has_truth = set.annotations.is_some();
+    let (mut drafts, places) = frames(dataset, &set, has_truth, results.is_some())?;
+    let mut clips = Clips::default();
+    let report = &mut clips.report;
+    for (number, annotation) in set.annotations.iter().flatten().enumerate() {
+        let spot = || format!("{}, annotation {number}", dataset.display());
+        let (clip, frame) = place(dataset, &places, annotation, number)?;
+        let clip = &mut drafts[clip];
+        let corners = corners(annotation.bbox);
+        let name = names.get(&annotation.category_id).copied();
+        match (report.judge(corners, clip.picture), meaning(name)) {
+            (Some(reason), _) => report.leave_out(reason, spot),
+            _ if annotation.iscrowd != 0 => report.leave_out(LeftOut::IgnoredRegion, spot),
+            (None, Meaning::Class(class)) => {
+                if let Some(truth) = &mut clip.truth {
+                    truth[frame].push(TruthBox {
+                        corners,
+                        class,
+                        object: annotation.track_id,
+                    });
+                }
+            }
+            (None, _) => {
+                report.leave_out_class(&class_name(name, annotation.category_id), spot);
+            }
+        }
+    }
+    if let Some(path) = results {
+        let found: Vec<Annotation> = parse(path, "give a COCO list of results")?;
+        for (number, result) in found.iter().enumerate() {
+            let spot = || format!("{}, result {number}", path.display());
+            let (clip, frame) = place(path, &places, result, number)?;
+            let clip = &mut drafts[clip];
+            let confidence = result
+                .score
+                .ok_or_else(|| DataError::file(path, format!("result {number} has no `score`")))?;
+            let corners = corners(result.bbox);
+            let name = names.get(&result.category_id).copied();
+            let reason = report
+                .judge(corners, clip.picture)
+                .or(judge_confidence(confidence));
+            match (reason, meaning(name)) {
+                (Some(reason), _) => report.leave_out(reason, spot),
+                (None, Meaning::Class(class)) => {
+                    if let Some(detections) = &mut clip.detections {
+                        detections[frame].push(StoredDetection {
+                            corners,
+                            class,
+                            confidence,
+                        });
+                    }
+                }
+                (None, _) => {
+                    report.leave_out_class(&class_name(name, result.category_id), spot);
+                }
+            }
+        }
+    }
+    for clip in drafts {
+        clips.push(clip);
+    }
+    clips.nonempty(dataset)
+}
+
+fn parse<T: DeserializeOwned>(path: &Path, help: &str) -> Result<T, DataError> {
+    let file = std::fs::File::open(path).map_err(|error| DataError::read(path, error, help))?;
+    serde_json::from_reader(std::io::BufReader::new(file))
+        .map_err(|error| DataError::line(path, error.line() as u64, error.to_string()))
+}
+
+fn corners([x, y, width, height]: [f64; 4]) -> Corners {
+    Corners {
+        x1: x,
+        y1: y,
+        x2: x + width,
+        y2: y + height,
+    }
+}
+
+fn meaning(name: Option<&str>) -> Meaning {
+    name.map_or(Meaning::Unmapped, from_name)
+}
+
+fn class_name(name: Option<&str>, number: u64) -> String {
+    name.map_or_else(|| format!("category {number}"), str::to_owned)
+}
+
+/// Clip and frame of each image.
+type Places = HashMap<u64, (usize, usize)>;
+
+fn place(
+    path: &Path,
+    places: &Places,
+    annotation: &Annotation,
+    number: usize,
+) -> Result<(usize, usize), DataError> {
+    places.get(&annotation.image_id).copied().ok_or_else(|| {
+        DataError::file(
+            path,
+            format!(
+                "entry {number} is on image {}, which is not listed",
+                annotation.image_id
+            ),
+        )
+    })
+}
+
+/// The clips without their boxes.
+fn frames(
+    path: &Path,
+    set: &Dataset,
+    has_truth: bool,
+    has_detections: bool,
+) -> Result<(Vec<Clip>, Places), DataError> {
+    let videos: HashMap<u64, String> = set
+        .videos
+        .iter()
+        .map(|video| {
+            let name = video.name.clone();
+            (
+                video.id,
+                name.unwrap_or_else(|| format!("video-{}", video.id)),
+            )
+        })
+        .collect();
+    let mut groups: BTreeMap<String, Vec<&Image>> = BTreeMap::new();
+    for image in &set.images {
+        let name = match image.video_id {
+            Some(id) => videos
+                .get(&id)
+                .cloned()
+                .unwrap_or_else(|| format!("video-{id}")),
+            None => Path::new(&image.file_name)
+                .parent()
+                .map(|folder| folder.to_string_lossy().replace('/', "-"))
+                .filter(|folder| !folder.is_empty())
+                .unwrap_or_else(|| "images".to_owned()),
+        };
+        groups.entry(name).or_default().push(image);
+    }
+    let mut clips = Vec::new();
+    let mut places = Places::new();
+    for (name, mut images) in groups {
+        images.sort_by(|a, b| (a.frame_id, &a.file_name).cmp(&(b.frame_id, &b.file_name)));
+        let picture = PictureSize::new(images[0].width, images[0].height);
+        for (frame, image) in images.iter().enumerate() {
+            if PictureSize::new(image.width, image.height) != picture || picture.pixels() == 0 {
+                return Err(DataError::file(
+                    path,
+                    format!(
+                        "image {} of clip `{name}` is {}x{}, the clip's first {picture}: a clip has \
+                         pictures of one size, larger than nothing",
+                        image.id, image.width, image.height
+                    ),
+                ));
+            }
+            places.insert(image.id, (clips.len(), frame));
+        }
+        clips.push(Clip {
+            name,
+            picture,
+            frame_rate: None,
+            camera: None,
+            frames: images.len(),
+            detections: has_detections.then(|| vec![Vec::new(); images.len()]),
+            truth: has_truth.then(|| vec![Vec::new(); images.len()]),
+            screen: None,
+            pictures: Vec::new(),
+        });
+    }
+    Ok((clips, places))
+}

@@ -1,0 +1,362 @@
+use super::*;
+use crate::data::classes::{CAR, PERSON};
+use tempfile::TempDir;
+
+/// A folder with these files, each given as its path and content.
+fn folder(files: &[(&str, &str)]) -> TempDir {
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    for (name, content) in files {
+        let path = folder.path().join(name);
+        std::fs::create_dir_all(path.parent().expect("it has a folder")).expect("made");
+        std::fs::write(path, content).expect("written");
+    }
+    folder
+}
+
+const INDEX: &str =
+    r#"{"sequences": [{"name": "a", "width": 100, "height": 50, "fps": 10, "frames": 3}]}"#;
+const HEADER: &str = "frame,x1,y1,x2,y2,score,class\n";
+const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id\n";
+
+fn recorded(index: &str, rows: Option<&str>, truth: Option<&str>) -> Result<Clips, DataError> {
+    let detections = rows.map(|rows| format!("{HEADER}{rows}"));
+    let truth = truth.map(|rows| format!("{TRUTH_HEADER}{rows}"));
+    let mut files = vec![("sequences.json", index)];
+    files.extend(detections.as_deref().map(|text| ("detections/a.csv", text)));
+    files.extend(truth.as_deref().map(|text| ("groundtruth/a.csv", text)));
+    recorded::read(folder(&files).path())
+}
+
+#[test]
+fn recorded_detections_and_ground_truth_are_read_frame_by_frame() {
+    let rows = "0,1,2,3.5,4,0.9,2\n2,1,1,9,9,0.25,0\n";
+    let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).expect("it is readable");
+    let clip = &clips.clips[0];
+    let detections = clip.detections.as_ref().expect("there are some");
+    let counts: Vec<usize> = detections.iter().map(Vec::len).collect();
+    assert_eq!(counts, [1, 0, 1]);
+    assert_eq!(detections[0][0].corners.x2, 3.5);
+    assert_eq!(detections[0][0].class, CAR);
+    let truth = clip.truth.as_ref().expect("there is some");
+    assert_eq!(truth[1][0].object, Some(7));
+    assert_eq!(clips.report, LoadReport::default());
+}
+
+#[test]
+fn what_is_written_is_read_back_to_the_last_bit() {
+    let rows = "0,0.1,0.30000000000000004,3.5,4,0.9,2\n2,1,1,9,9,0.3333333333333333,0\n";
+    let clips = recorded(INDEX, Some(rows), Some("1,0,0,5,5,2,7\n")).expect("it is readable");
+    let copy = tempfile::tempdir().expect("a temporary folder");
+    recorded::write(copy.path(), &clips.clips).expect("it can be written");
+    let again = recorded::read(copy.path()).expect("it is readable");
+    assert_eq!(again.clips, clips.clips);
+}
+
+#[test]
+fn a_missing_file_is_named_with_what_to_do() {
+    let empty = tempfile::tempdir().expect("a temporary folder");
+    let message = recorded::read(empty.path())
+        .expect_err("nothing there")
+        .to_string();
+    assert!(message.contains("sequences.json"), "{message}");
+    let message = recorded(INDEX, None, None)
+        .expect_err("no detections")
+        .to_string();
+    assert!(message.contains("detections/a.csv"), "{message}");
+    assert!(message.contains("needs its detections"), "{message}");
+    let index = INDEX.replace("\"frames\"", "\"ground_truth_boxes\": 4, \"frames\"");
+    let message = recorded(&index, Some(""), None)
+        .expect_err("promised ground truth is missing")
+        .to_string();
+    assert!(message.contains("groundtruth/a.csv"), "{message}");
+}
+
+#[test]
+fn a_broken_row_is_named_with_file_and_line() {
+    for (rows, part) in [
+        ("0,1,2,3,4,0.9,2\n0,1,2,3,4,0.9\n", "the row has 6 columns"),
+        ("0,1,2,3,4,0.9,2\n0,1,2,x,4,0.9,2\n", "`x2` is `x`"),
+        (
+            "0,1,2,3,4,0.9,2\n3,1,2,3,4,0.9,2\n",
+            "frame 3 does not exist",
+        ),
+        (
+            "0,1,2,3,4,0.9,2\n-1,1,2,3,4,0.9,2\n",
+            "frame -1 does not exist",
+        ),
+        ("0,1,2,3,4,0.9,2\n0.5,1,2,3,4,0.9,2\n", "`frame` is `0.5`"),
+        ("0,1,2,3,4,0.9,2\n0,1,2,3,4,0.9,-2\n", "`class` is `-2`"),
+    ] {
+        let message = recorded(INDEX, Some(rows), None)
+            .expect_err("a broken row")
+            .to_string();
+        assert!(message.contains("detections/a.csv:3: "), "{message}");
+        assert!(message.contains(part), "{message}");
+    }
+    let files = folder(&[("sequences.json", INDEX), ("detections/a.csv", "frame,x\n")]);
+    let message = recorded::read(files.path())
+        .expect_err("a wrong header")
+        .to_string();
+    assert!(
+        message.contains("a.csv:1: the header is `frame,x`"),
+        "{message}"
+    );
+    let message = recorded("{\n\"sequences\": [{]}", Some(""), None)
+        .expect_err("broken JSON")
+        .to_string();
+    assert!(message.contains("sequences.json:2: "), "{message}");
+}
+
+#[test]
+fn a_description_that_cannot_be_is_refused() {
+    for (index, part) in [
+        (
+            INDEX.replace("\"a\"", "\"../a\""),
+            "cannot be a sequence's name",
+        ),
+        (INDEX.replace("100", "0"), "pictures of 0x50"),
+        (INDEX.replace("10,", "-1,"), "frame rate"),
+    ] {
+        let message = recorded(&index, Some(""), None)
+            .expect_err("refused")
+            .to_string();
+        assert!(message.contains(part), "{message}");
+    }
+}
+
+#[test]
+fn meaningless_rows_are_left_out_counted_and_named() {
+    let rows = "0,1,2,3,4,NaN,2\n0,inf,2,3,4,0.9,2\n0,5,2,3,4,0.9,2\n0,1,4,3,4,0.9,2\n\
+                0,200,2,300,4,0.9,2\n0,1,2,3,4,1.5,2\n1,-5,2,3,4,0.9,2\n";
+    let clips = recorded(INDEX, Some(rows), Some("0,9,9,5,5,2,1\n")).expect("it is readable");
+    let report = &clips.report;
+    let counted = |reason| report.left_out.get(&reason).copied().unwrap_or_default();
+    assert_eq!(counted(LeftOut::NotFinite), 2);
+    assert_eq!(counted(LeftOut::EmptyBox), 3);
+    assert_eq!(counted(LeftOut::OutsidePicture), 1);
+    assert_eq!(counted(LeftOut::ConfidenceRange), 1);
+    assert_eq!(report.reaching_outside, 1);
+    let kept: usize = clips.clips[0]
+        .detections
+        .iter()
+        .flatten()
+        .map(Vec::len)
+        .sum();
+    assert_eq!(kept, 1);
+    let lines = report.lines().join("\n");
+    assert!(lines.contains("detections/a.csv:2"), "{lines}");
+}
+
+#[test]
+fn what_a_clip_lacks_is_said_and_an_empty_clip_is_counted() {
+    let clips = recorded(INDEX, Some(""), Some("0,1,1,5,5,2,1\n")).expect("it is readable");
+    let lines = clips.report.lines().join("\n");
+    assert!(lines.contains("not one detection"), "{lines}");
+    let clips = recorded(INDEX, Some("0,1,2,3,4,0.9,2\n"), None).expect("it is readable");
+    assert!(clips.report.lines()[0].contains("no ground truth"));
+    let empty = INDEX.replace("\"frames\": 3", "\"frames\": 0");
+    let message = recorded(&empty, Some(""), None)
+        .expect_err("nothing is left to evaluate")
+        .to_string();
+    assert!(message.contains("clip without frames"), "{message}");
+}
+
+const SEQINFO: &str =
+    "[Sequence]\nname=M\nimDir=img1\nframeRate=30\nseqLength=2\nimWidth=640\nimHeight=480\n";
+
+#[test]
+fn mot_challenge_counts_frames_and_pixels_from_one_and_knows_both_releases() {
+    let files = folder(&[
+        ("train/M/seqinfo.ini", SEQINFO),
+        (
+            "train/M/gt/gt.txt",
+            "1,4,11,21,10,20,1,1,1.0\n2,4,11,21,10,20,0,1,1.0\n2,5,11,21,10,20,1,8,1\n2,6,1,1,5,5,1,6,1\n\
+             1,7,11,21,10,20,1,3.5,4.5,-1\n",
+        ),
+        ("train/M/det/det.txt", "2,-1,11,21,10,20,0.8,-1,-1,-1\n"),
+        ("train/M/img1/000002.jpg", ""),
+        ("train/M/img1/000001.jpg", ""),
+    ]);
+    let clips = mot_challenge::read(&files.path().join("train")).expect("it is readable");
+    let clip = &clips.clips[0];
+    assert_eq!((clip.name.as_str(), clip.frames), ("M", 2));
+    assert_eq!(clip.frame_rate, Some(30.0));
+    assert!(clip.pictures[0].ends_with("000001.jpg"));
+    let truth = clip.truth.as_ref().expect("there is some");
+    let objects: Vec<_> = truth[0].iter().map(|b| (b.object, b.class)).collect();
+    assert_eq!(objects, [(Some(4), PERSON), (Some(7), PERSON)]);
+    let corners = truth[0][0].corners;
+    assert_eq!(
+        (corners.x1, corners.y1, corners.x2, corners.y2),
+        (10.0, 20.0, 20.0, 40.0)
+    );
+    assert!(truth[1].is_empty());
+    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion], 2);
+    assert_eq!(clips.report.unmapped_classes["6"], 1);
+    let detections = clip.detections.as_ref().expect("there are some");
+    assert_eq!(detections[1][0].confidence, 0.8);
+    let broken = folder(&[("seqinfo.ini", SEQINFO), ("gt/gt.txt", "1,4,11\n")]);
+    let message = mot_challenge::read(broken.path())
+        .expect_err("broken")
+        .to_string();
+    assert!(message.contains("gt.txt:1: "), "{message}");
+}
+
+#[test]
+fn kitti_tracking_maps_its_types_and_counts_what_it_leaves_out() {
+    let label = "0 1 Van 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n\
+                 0 -1 DontCare -1 -1 -10 1 1 5 5 -1 -1 -1 -1 -1 -1 -1\n\
+                 2 2 Tram 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n\
+                 2 3 Cyclist 0 0 -1.5 10 20 60 80 1 1 1 1 1 1 0\n";
+    let files = folder(&[
+        ("label_02/0007.txt", label),
+        (
+            "det_02/0007.txt",
+            "3 -1 Car 0 0 0 10 20 60 80 1 1 1 1 1 1 0 0.75\n",
+        ),
+    ]);
+    let clips = kitti::read(files.path()).expect("it is readable");
+    let clip = &clips.clips[0];
+    assert_eq!((clip.name.as_str(), clip.frames), ("0007", 4));
+    let truth = clip.truth.as_ref().expect("there is some");
+    assert_eq!(truth[0][0].class, CAR);
+    assert_eq!(truth[2].len(), 1);
+    assert_eq!(
+        clip.detections.as_ref().expect("some")[3][0].confidence,
+        0.75
+    );
+    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion], 1);
+    assert_eq!(clips.report.unmapped_classes["Tram"], 1);
+}
+
+#[test]
+fn bdd100k_reads_both_spellings_and_maps_seven_classes_to_six() {
+    let old = r#"[{"name": "v-1.jpg", "video_name": "v", "index": 0, "labels": [
+        {"id": "00122062", "category": "rider", "attributes": {"Crowd": true},
+         "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}},
+        {"id": "3", "category": "trailer", "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]},
+        {"name": "v-3.jpg", "video_name": "v", "index": 2, "labels": null}]"#;
+    let new = r#"{"frames": [{"name": "v-2.jpg", "videoName": "v", "frameIndex": 1, "labels": [
+        {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}]}"#;
+    let files = folder(&[("gt.json", old), ("pred.json", new)]);
+    let (truth, found) = (files.path().join("gt.json"), files.path().join("pred.json"));
+    let source = |truth, detections| bdd100k::Source {
+        truth,
+        detections,
+        picture: bdd100k::BDD100K_SIZE,
+        frame_rate: Some(bdd100k::BDD100K_FRAME_RATE),
+    };
+    let clips = bdd100k::read(&source(Some(&truth), Some(&found))).expect("it is readable");
+    let clip = &clips.clips[0];
+    assert_eq!((clip.name.as_str(), clip.frames), ("v", 3));
+    let boxes = clip.truth.as_ref().expect("there is some");
+    assert_eq!(
+        (boxes[0][0].class, boxes[0][0].object),
+        (PERSON, Some(122_062))
+    );
+    assert_eq!(clip.detections.as_ref().expect("some")[1].len(), 1);
+    assert_eq!(clips.report.unmapped_classes["trailer"], 1);
+    // Ground truth in the place of predictions is noticed, and so is a frame that comes twice.
+    let message = bdd100k::read(&source(None, Some(&truth)))
+        .expect_err("no scores")
+        .to_string();
+    assert!(message.contains("has no `score`"), "{message}");
+    let twice = folder(&[("gt.json", &old.replace("\"index\": 2", "\"index\": 0"))]);
+    let message = bdd100k::read(&source(Some(&twice.path().join("gt.json")), None))
+        .expect_err("twice")
+        .to_string();
+    assert!(message.contains("comes twice"), "{message}");
+}
+
+#[test]
+fn clips_with_ground_truth_but_no_detections_are_left_out_by_name_or_refused() {
+    let frame = r#"{"name": "f", "videoName": "NAME", "frameIndex": 0, "labels": [
+        {"category": "car", "score": 0.5, "box2d": {"x1": 1, "y1": 2, "x2": 30, "y2": 40}}]}"#;
+    let (a, b) = (frame.replace("NAME", "a"), frame.replace("NAME", "b"));
+    let files = folder(&[
+        ("gt.json", &format!("[{a}, {b}]")),
+        ("pred.json", &format!("[{a}]")),
+    ]);
+    let (truth, found) = (files.path().join("gt.json"), files.path().join("pred.json"));
+    let mut source = bdd100k::Source {
+        truth: Some(&truth),
+        detections: Some(&found),
+        picture: bdd100k::BDD100K_SIZE,
+        frame_rate: None,
+    };
+    let clips = bdd100k::read(&source).expect("it is readable");
+    let clips = clips
+        .only_with_detections(&truth)
+        .expect("one clip has both");
+    assert_eq!(clips.clips.len(), 1);
+    let lines = clips.report.lines().join("\n");
+    assert!(
+        lines.contains("b: ground truth without stored detections"),
+        "{lines}"
+    );
+    source.detections = None;
+    let clips = bdd100k::read(&source).expect("it is readable");
+    let message = clips
+        .only_with_detections(&truth)
+        .expect_err("none")
+        .to_string();
+    assert!(message.contains("--detections"), "{message}");
+}
+
+#[test]
+fn coco_groups_images_into_clips_and_leaves_out_crowds() {
+    let set = r#"{"images": [
+        {"id": 5, "file_name": "v/2.jpg", "width": 100, "height": 50},
+        {"id": 4, "file_name": "v/1.jpg", "width": 100, "height": 50}],
+        "categories": [{"id": 3, "name": "car"}, {"id": 9, "name": "boat"}],
+        "annotations": [
+        {"id": 1, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 0, "track_id": 8},
+        {"id": 2, "image_id": 5, "category_id": 3, "bbox": [1, 2, 10, 20], "iscrowd": 1},
+        {"id": 3, "image_id": 4, "category_id": 9, "bbox": [1, 2, 10, 20]},
+        {"id": 4, "image_id": 4, "category_id": 3, "bbox": [1, 2, -10, 20]}]}"#;
+    let results = r#"[{"image_id": 4, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#;
+    let files = folder(&[("set.json", set), ("results.json", results)]);
+    let (set, results) = (
+        files.path().join("set.json"),
+        files.path().join("results.json"),
+    );
+    let clips = coco::read(&set, Some(&results)).expect("it is readable");
+    let clip = &clips.clips[0];
+    assert_eq!((clip.name.as_str(), clip.frames), ("v", 2));
+    let truth = clip.truth.as_ref().expect("there is some");
+    assert_eq!(truth[1][0].object, Some(8));
+    assert_eq!(truth[1][0].corners.x2, 11.0);
+    assert!(truth[0].is_empty());
+    assert_eq!(clip.detections.as_ref().expect("some")[0].len(), 1);
+    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion], 1);
+    assert_eq!(clips.report.left_out[&LeftOut::EmptyBox], 1);
+    assert_eq!(clips.report.unmapped_classes["boat"], 1);
+    let lost = folder(&[(
+        "results.json",
+        r#"[{"image_id": 77, "category_id": 3, "bbox": [1, 2, 10, 20], "score": 0.5}]"#,
+    )]);
+    let message = coco::read(&set, Some(&lost.path().join("results.json")))
+        .expect_err("an image that is not there")
+        .to_string();
+    assert!(message.contains("image 77"), "{message}");
+}
+
+#[test]
+fn clips_of_one_name_get_different_names_fit_for_files() {
+    let mut clips = Clips::default();
+    for name in ["a/b", "a-b", "..", "a-b"] {
+        clips.push(Clip {
+            name: name.to_owned(),
+            picture: PictureSize::new(10, 10),
+            frame_rate: None,
+            camera: None,
+            frames: 1,
+            detections: None,
+            truth: None,
+            screen: None,
+            pictures: Vec::new(),
+        });
+    }
+    let names: Vec<&str> = clips.clips.iter().map(|clip| clip.name.as_str()).collect();
+    assert_eq!(names, ["a-b", "a-b-2", "-2", "a-b-3"]);
+}

@@ -1,0 +1,302 @@
+//! Projecting a clip's energy and time on a board from the numbers of its frames.
+//!
+//! Where no meter can be read, a model stands in: so many joules and milliseconds for each frame the
+//! detector sees, each frame it is skipped by prediction, and each call of the empty-scene screen, as
+//! fitted on published per-clip results ([`super::energy_fit`]). Everything it gives is marked
+//! `projected`.
+
+use crate::result::{ClipResult, Energy, FrameTime, Provenance, Spread};
+use albireo_core::policy::FrameState;
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Cost of the three kinds of work on a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Costs {
+    /// A frame on which the detector runs, the screen apart.
+    pub detector: f64,
+    /// A frame answered by prediction (state P).
+    pub predicted: f64,
+    /// A call of the empty-scene screen (states E and E+I).
+    pub screen: f64,
+}
+
+impl Costs {
+    /// Cost of `detector`, `predicted` and `screen` pieces of work together.
+    pub fn total(&self, [detector, predicted, screen]: [f64; 3]) -> f64 {
+        self.detector * detector + self.predicted * predicted + self.screen * screen
+    }
+
+    fn check(&self, table: &str) -> Result<(), String> {
+        for (name, value) in [
+            ("detector", self.detector),
+            ("predicted", self.predicted),
+            ("screen", self.screen),
+        ] {
+            if !(value.is_finite() && value >= 0.0) {
+                return Err(format!(
+                    "`{table}.{name}` is {value}; it must be a number, 0 or more"
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// How far a fitted model misses on clips that were left out of the fit.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LeftOutError {
+    /// Into how many parts the clips were split; each was left out once.
+    pub folds: usize,
+    /// Mean absolute error of a clip's energy, percent.
+    pub energy_percent: f64,
+    /// Mean absolute error of a clip's mean frame time, percent.
+    pub frame_time_percent: f64,
+    /// Mean over the left-out clips of the energy saved against Vanilla as measured, percent.
+    pub saving_measured_percent: f64,
+    /// The same as projected, percent.
+    pub saving_projected_percent: f64,
+}
+
+/// A board with a detector.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EnergyModel {
+    /// The board.
+    pub board: String,
+    /// The detector it ran.
+    pub detector: String,
+    /// Where the figures come from and what they hold for.
+    pub source: String,
+    /// Joules.
+    pub energy_j: Costs,
+    /// Milliseconds.
+    pub time_ms: Costs,
+    /// Power between frames, watts. With it, clips whose frame rate is known are projected at the camera's
+    /// pace; without it, frames follow each other back to back, as in the published runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub idle_power_w: Option<f64>,
+    /// How good the fit is, if the model was fitted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub left_out: Option<LeftOutError>,
+}
+
+/// A model file that cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum EnergyModelError {
+    /// It cannot be read.
+    #[error("energy model {}: {source}", path.display())]
+    Read {
+        /// Which file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// It is no model.
+    #[error("energy model {}: {reason}", path.display())]
+    Content {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong.
+        reason: String,
+    },
+}
+
+impl EnergyModel {
+    /// Reads a model.
+    ///
+    /// # Errors
+    /// [`EnergyModelError`] for a missing file, a key that does not exist, or a cost below zero.
+    pub fn load(path: &Path) -> Result<Self, EnergyModelError> {
+        let text = std::fs::read_to_string(path).map_err(|source| EnergyModelError::Read {
+            path: path.to_owned(),
+            source,
+        })?;
+        let content = |reason: String| EnergyModelError::Content {
+            path: path.to_owned(),
+            reason,
+        };
+        let model: Self = toml::from_str(&text).map_err(|error| content(error.to_string()))?;
+        model.energy_j.check("energy_j").map_err(content)?;
+        model.time_ms.check("time_ms").map_err(content)?;
+        if let Some(power) = model.idle_power_w
+            && !(power.is_finite() && power >= 0.0)
+        {
+            return Err(content(format!(
+                "`idle_power_w` is {power}; it must be a number, 0 or more"
+            )));
+        }
+        Ok(model)
+    }
+
+    /// Fills in the energy and frame time of `result`, unless they were measured.
+    pub fn apply(&self, result: &mut ClipResult) {
+        if result.frames == 0 {
+            return;
+        }
+        let work = [
+            result.detector_frames as f64,
+            result.states.p as f64,
+            result.screen_frames as f64,
+        ];
+        let busy_s = self.time_ms.total(work) / 1e3;
+        if result.frame_time.is_none() {
+            let times = result
+                .sequence
+                .iter()
+                .map(|&state| self.time_ms.total(work_of(state)))
+                .collect();
+            result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {
+                milliseconds,
+                provenance: Provenance::Projected,
+            });
+        }
+        if result.energy.is_none() {
+            let mut joules = self.energy_j.total(work);
+            let mut duration_s = busy_s;
+            if let (Some(idle), Some(rate)) = (self.idle_power_w, result.frame_rate) {
+                duration_s = busy_s.max(result.frames as f64 / rate);
+                joules += idle * (duration_s - busy_s);
+            }
+            result.energy = Some(Energy::new(
+                joules,
+                duration_s,
+                result.frames,
+                Provenance::Projected,
+            ));
+        }
+    }
+
+    /// Projected mean power over each frame of a clip: when it ends, in seconds from the clip's start, and
+    /// the watts until then.
+    pub fn power_trace(&self, result: &ClipResult) -> Vec<(f64, f64)> {
+        let interval = match (self.idle_power_w, result.frame_rate) {
+            (Some(_), Some(rate)) => 1.0 / rate,
+            _ => 0.0,
+        };
+        let mut time = 0.0;
+        result
+            .sequence
+            .iter()
+            .filter_map(|&state| {
+                let work = work_of(state);
+                let busy = self.time_ms.total(work) / 1e3;
+                let span = busy.max(interval);
+                let idle = self.idle_power_w.unwrap_or(0.0) * (span - busy);
+                time += span;
+                (span > 0.0).then(|| (time, (self.energy_j.total(work) + idle) / span))
+            })
+            .collect()
+    }
+}
+
+/// Pieces of work of a frame: detector, predicted, screen.
+fn work_of(state: FrameState) -> [f64; 3] {
+    match state {
+        FrameState::E => [0.0, 0.0, 1.0],
+        FrameState::P => [0.0, 1.0, 0.0],
+        FrameState::EI => [1.0, 0.0, 1.0],
+        FrameState::I | FrameState::AI => [1.0, 0.0, 0.0],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::replay::Replay;
+
+    fn model() -> EnergyModel {
+        EnergyModel {
+            board: "board".to_owned(),
+            detector: "detector".to_owned(),
+            source: "made up".to_owned(),
+            energy_j: Costs {
+                detector: 4.0,
+                predicted: 0.5,
+                screen: 1.0,
+            },
+            time_ms: Costs {
+                detector: 50.0,
+                predicted: 5.0,
+                screen: 10.0,
+            },
+            idle_power_w: None,
+            left_out: None,
+        }
+    }
+
+    fn result(states: &[FrameState]) -> ClipResult {
+        let replay = Replay {
+            frames: Vec::new(),
+            boxes: Vec::new(),
+            boxes_last_confidence: None,
+            rejected_detections: 0,
+            trace: None,
+        };
+        let mut result = ClipResult::from_replay("clip", "policy", &replay);
+        result.frames = states.len();
+        result.sequence = states.to_vec();
+        for &state in states {
+            result.states.count(state);
+            result.detector_frames += usize::from(!state.is_skipped());
+            result.screen_frames += usize::from(matches!(state, FrameState::E | FrameState::EI));
+        }
+        result
+    }
+
+    #[test]
+    fn a_projection_adds_up_the_frames_and_says_that_it_is_one() {
+        let mut result = result(&FrameState::ALL);
+        model().apply(&mut result);
+        let energy = result.energy.expect("projected");
+        assert!((energy.joules - (3.0 * 4.0 + 0.5 + 2.0 * 1.0)).abs() < 1e-12);
+        assert!((energy.duration_s - 0.175).abs() < 1e-12);
+        assert!((energy.edp - 14.5 * 175.0 / 5.0).abs() < 1e-9);
+        assert_eq!(energy.provenance, Provenance::Projected);
+        let time = result.frame_time.expect("projected");
+        assert!((time.milliseconds.mean - 35.0).abs() < 1e-12);
+        assert_eq!(time.provenance, Provenance::Projected);
+    }
+
+    #[test]
+    fn at_the_cameras_pace_the_time_between_frames_costs_idle_power() {
+        let mut model = model();
+        model.idle_power_w = Some(20.0);
+        let mut result = result(&[FrameState::I, FrameState::P]);
+        result.frame_rate = Some(10.0);
+        model.apply(&mut result);
+        let energy = result.energy.expect("projected");
+        assert!((energy.duration_s - 0.2).abs() < 1e-12);
+        assert!((energy.joules - (4.5 + 20.0 * 0.145)).abs() < 1e-12);
+        let trace = model.power_trace(&result);
+        let total = trace[0].1 * trace[0].0 + trace[1].1 * (trace[1].0 - trace[0].0);
+        assert!((total - energy.joules).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_was_measured_is_never_overwritten() {
+        let mut result = result(&[FrameState::I]);
+        let measured = Energy::new(1.0, 2.0, 1, Provenance::Measured);
+        result.energy = Some(measured);
+        model().apply(&mut result);
+        assert_eq!(result.energy, Some(measured));
+    }
+
+    #[test]
+    fn a_file_that_is_no_model_is_refused_with_the_reason() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("model.toml");
+        let missing = EnergyModel::load(&path).expect_err("nothing is there");
+        assert!(missing.to_string().contains("model.toml"));
+        let mut bad = model();
+        bad.energy_j.screen = -1.0;
+        let text = toml::to_string(&bad).expect("it can be written");
+        std::fs::write(&path, text).expect("written");
+        let message = EnergyModel::load(&path)
+            .expect_err("a cost below zero")
+            .to_string();
+        assert!(message.contains("`energy_j.screen` is -1"), "{message}");
+    }
+}

@@ -1,0 +1,279 @@
+//! A policy at one setting on all clips, and the setting at which it skips a given share of the frames.
+
+use super::view::{ViewedClip, ViewedEvidence};
+use crate::average_precision::{Classes, Interpolation, accuracy};
+use crate::replay::{Scoring, replay};
+use crate::scoring::DEFAULT_DECAY_U;
+use crate::source::SourceError;
+use crate::statistics::mean;
+use albireo_core::policy::{Albireo, Knob, PolicyConfig, PolicyConfigError, Profile};
+use serde::Serialize;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+
+/// Why there is no figure.
+#[derive(Debug, thiserror::Error)]
+pub enum FrontierError {
+    /// A policy cannot be built.
+    #[error("policy {policy}: {source}")]
+    Policy {
+        /// What was asked for.
+        policy: String,
+        /// Why not.
+        source: PolicyConfigError,
+    },
+    /// A policy asks for what stored detections do not have.
+    #[error("policy {policy}, clip {clip}: {source}")]
+    Source {
+        /// The policy.
+        policy: String,
+        /// The clip.
+        clip: String,
+        /// Why.
+        source: SourceError,
+    },
+    /// No clip has both detections and ground truth.
+    #[error("no clip has both stored detections and ground truth")]
+    NoClips,
+    /// The policy has nothing to turn.
+    #[error("policy {policy} has no knob to meet a skip rate with")]
+    NoKnob {
+        /// The policy.
+        policy: String,
+    },
+}
+
+/// A policy that takes part.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate {
+    config: PolicyConfig,
+    scoring: Scoring,
+}
+
+/// What a policy did with one clip.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClipFigures {
+    /// Name of the clip.
+    pub clip: String,
+    /// Share of its frames without the detector.
+    pub skip_rate: f64,
+    /// AP@50.
+    pub ap50: f64,
+    /// mAP@50:95.
+    pub map: f64,
+}
+
+/// A policy at one setting.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OperatingPoint {
+    /// Name of the policy.
+    pub policy: String,
+    /// The value of its knob.
+    pub value: Option<f64>,
+    /// Mean skip rate over the clips.
+    pub skip_rate: f64,
+    /// Mean AP@50.
+    pub ap50: f64,
+    /// Mean mAP@50:95.
+    pub map: f64,
+    /// Clip by clip.
+    pub clips: Vec<ClipFigures>,
+}
+
+impl OperatingPoint {
+    fn new(candidate: &Candidate, value: Option<f64>, clips: Vec<ClipFigures>) -> Self {
+        let over = |of: fn(&ClipFigures) -> f64| mean(clips.iter().map(of)).unwrap_or_default();
+        Self {
+            policy: candidate.config.name.clone(),
+            value,
+            skip_rate: over(|clip| clip.skip_rate),
+            ap50: over(|clip| clip.ap50),
+            map: over(|clip| clip.map),
+            clips,
+        }
+    }
+}
+
+impl Candidate {
+    /// A policy of the paper, `NAME[:SETTING]`, decided and judged as in the published code.
+    ///
+    /// # Errors
+    /// [`FrontierError::Policy`] when there is no such policy or setting.
+    pub fn published(asked: &str) -> Result<Self, FrontierError> {
+        Self::new(asked, Profile::Reference, Scoring::Reference)
+    }
+
+    /// A policy, `NAME[:SETTING]`, judged by what it reports.
+    ///
+    /// # Errors
+    /// [`FrontierError::Policy`] when there is no such policy or setting.
+    pub fn as_reported(asked: &str) -> Result<Self, FrontierError> {
+        Self::new(asked, Profile::Paper, Scoring::Paper)
+    }
+
+    fn new(asked: &str, profile: Profile, scoring: Scoring) -> Result<Self, FrontierError> {
+        let mut config = PolicyConfig {
+            profile,
+            ..PolicyConfig::default()
+        };
+        let selected = config.select(asked).and_then(|()| config.build());
+        selected.map_err(|source| FrontierError::Policy {
+            policy: asked.to_owned(),
+            source,
+        })?;
+        Ok(Self { config, scoring })
+    }
+
+    /// This policy with one setting of expected-loss, by its path such as `life.least_visible`, at `value`.
+    ///
+    /// # Errors
+    /// [`FrontierError::Policy`] when there is no such setting or it cannot have the value.
+    pub(crate) fn with_expected_loss(
+        &self,
+        setting: &str,
+        value: serde_json::Value,
+    ) -> Result<Self, FrontierError> {
+        let mut varied = self.clone();
+        let nested = setting
+            .rsplit('.')
+            .fold(value, |inner, key| serde_json::json!({ key: inner }));
+        if let serde_json::Value::Object(table) = nested {
+            varied.config.expected_loss = table;
+        }
+        varied.build()?;
+        Ok(varied)
+    }
+
+    fn build(&self) -> Result<Box<dyn albireo_core::policy::Policy>, FrontierError> {
+        self.config.build().map_err(|source| FrontierError::Policy {
+            policy: self.config.name.clone(),
+            source,
+        })
+    }
+
+    fn knob(&self) -> Result<Option<(Knob, f64)>, FrontierError> {
+        let policy = self.build()?;
+        Ok(policy.knob().zip(policy.knob_value()))
+    }
+
+    /// This policy with its knob at `value`, which is kept inside the knob's range.
+    fn at(&self, knob: &Knob, value: f64) -> Result<Self, FrontierError> {
+        let mut turned = self.clone();
+        let value = value.clamp(knob.minimum, knob.maximum);
+        turned
+            .config
+            .set_argument(&format!("{value:e}"))
+            .map_err(|source| FrontierError::Policy {
+                policy: self.config.name.clone(),
+                source,
+            })?;
+        Ok(turned)
+    }
+
+    /// Runs the policy over `clips` and judges it.
+    ///
+    /// # Errors
+    /// [`FrontierError`] of the first clip that fails.
+    pub fn run(&self, clips: &[ViewedClip]) -> Result<OperatingPoint, FrontierError> {
+        let value = self.knob()?.map(|(_, value)| value);
+        let figures = over_clips(clips, |clip| self.run_clip(clip, true))?;
+        Ok(OperatingPoint::new(self, value, figures))
+    }
+
+    /// The setting at which the mean skip rate over `clips` is nearest to `skip_rate`, found by bisection:
+    /// the skip rate grows with the knob.
+    ///
+    /// # Errors
+    /// [`FrontierError::NoKnob`] without a knob; others as in [`run`](Self::run).
+    pub fn at_skip_rate(
+        &self,
+        skip_rate: f64,
+        clips: &[ViewedClip],
+    ) -> Result<OperatingPoint, FrontierError> {
+        let (knob, _) = self.knob()?.ok_or_else(|| FrontierError::NoKnob {
+            policy: self.config.name.clone(),
+        })?;
+        // Bisected on the square root: fine where the knob is small, without shunning zero.
+        let (mut low, mut high) = (knob.minimum.sqrt(), knob.maximum.sqrt());
+        let mut best = (f64::INFINITY, self.clone());
+        for _ in 0..18 {
+            let middle = (low + high) / 2.0;
+            let candidate = self.at(&knob, middle * middle)?;
+            let figures = over_clips(clips, |clip| candidate.run_clip(clip, false))?;
+            let reached = mean(figures.iter().map(|clip| clip.skip_rate)).unwrap_or_default();
+            if (reached - skip_rate).abs() < best.0 {
+                best = ((reached - skip_rate).abs(), candidate);
+            }
+            if best.0 < 2e-4 {
+                break;
+            }
+            if reached < skip_rate {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        best.1.run(clips)
+    }
+
+    /// Accuracy is left at zero unless `judged`.
+    fn run_clip(&self, clip: &ViewedClip, judged: bool) -> Result<ClipFigures, FrontierError> {
+        let mut policy = self.build()?;
+        let decay_u = match policy.knob() {
+            Some(knob) if knob.name == Albireo::KNOB.name => self.config.u,
+            _ => DEFAULT_DECAY_U,
+        };
+        let mut source = ViewedEvidence(clip);
+        let replayed = replay(policy.as_mut(), &mut source, self.scoring, decay_u, false).map_err(
+            |source| FrontierError::Source {
+                policy: self.config.name.clone(),
+                clip: clip.name.clone(),
+                source,
+            },
+        )?;
+        let skipped = replayed
+            .frames
+            .iter()
+            .filter(|frame| frame.state.is_skipped());
+        let skip_rate = skipped.count() as f64 / replayed.frames.len().max(1) as f64;
+        let accuracy = judged
+            .then(|| {
+                let (classes, area) = (Classes::Pooled, Interpolation::AllPoints);
+                accuracy(&replayed.boxes, &clip.truth, classes, area)
+            })
+            .flatten();
+        Ok(ClipFigures {
+            clip: clip.name.clone(),
+            skip_rate,
+            ap50: accuracy.map_or(0.0, |accuracy| accuracy.ap50),
+            map: accuracy.map_or(0.0, |accuracy| accuracy.map),
+        })
+    }
+}
+
+/// `work` for every clip, on as many threads as the machine has, in the order of the clips.
+fn over_clips(
+    clips: &[ViewedClip],
+    work: impl Fn(&ViewedClip) -> Result<ClipFigures, FrontierError> + Sync,
+) -> Result<Vec<ClipFigures>, FrontierError> {
+    let next = AtomicUsize::new(0);
+    let done = Mutex::new(Vec::with_capacity(clips.len()));
+    let threads = std::thread::available_parallelism().map_or(1, usize::from);
+    std::thread::scope(|scope| {
+        for _ in 0..threads.min(clips.len()) {
+            scope.spawn(|| {
+                loop {
+                    let index = next.fetch_add(1, Ordering::Relaxed);
+                    let Some(clip) = clips.get(index) else { break };
+                    let result = work(clip);
+                    // A poisoned lock still holds good results: each was pushed whole.
+                    let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
+                    done.push((index, result));
+                }
+            });
+        }
+    });
+    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
+    done.sort_by_key(|(index, _)| *index);
+    done.into_iter().map(|(_, result)| result).collect()
+}

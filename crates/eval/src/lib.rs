@@ -1,0 +1,28 @@
+//! The evaluation: data sets, replay of any policy over them, average precision, statistics, reports.
+//!
+//! `albireo eval` answers what frame skipping costs in accuracy and what it saves. It drives the very
+//! policies the node runs, on stored detections or on pictures.
+
+pub mod average_precision;
+pub mod compare;
+pub mod data;
+pub mod energy_fit;
+pub mod energy_model;
+pub mod footage;
+pub mod frontier;
+pub mod paper;
+pub mod paper_text;
+pub mod pareto;
+pub mod pictures;
+pub mod published;
+pub mod replay;
+pub mod report;
+pub mod result;
+pub mod run;
+pub mod scoring;
+pub mod source;
+pub mod spec;
+pub mod statistics;
+pub mod summary;
+pub mod table;
+pub mod trace;

@@ -1,0 +1,200 @@
+//! Looks at one picture as a node does: decodes it, asks the detector and the screen, and takes the time of
+//! each step.
+
+use crate::data::classes::{Meaning, from_name};
+use albireo_core::detection::{ClassId, Detection};
+use albireo_node::detector::{
+    CameraSlot, DetectorConfig, DetectorHandle, ExecutionProvider, InferenceError, StartError,
+};
+use albireo_node::frame::{
+    EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
+};
+use albireo_node::screen::{ScreenConfig, ScreenHandle, decoding_target};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::runtime::Runtime;
+
+const CAMERA: CameraSlot = CameraSlot(0);
+
+/// Why pictures cannot be looked at, or one of them could not.
+#[derive(Debug, thiserror::Error)]
+pub enum ObserveError {
+    /// The detector or the screen cannot be started.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// The threads that wait for them cannot be started.
+    #[error("the asynchronous runtime cannot be started: {0}")]
+    Runtime(std::io::Error),
+    /// Nothing the detector finds could be judged.
+    #[error(
+        "none of the model's classes is evaluated ({classes}): give their names with --class-names; person, \
+         bicycle, car, motorcycle, bus and truck are"
+    )]
+    NoClass {
+        /// The first of its class names.
+        classes: String,
+    },
+    /// The picture is broken.
+    #[error(transparent)]
+    Picture(#[from] FrameFault),
+    /// The detector failed.
+    #[error("the detector failed: {0}")]
+    Detector(#[from] InferenceError),
+}
+
+/// What was seen in one picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Observation {
+    /// What the detector finds, best first, with the evaluation's class numbers.
+    pub detections: Vec<Detection>,
+    /// Class names of detections that are not evaluated.
+    pub unmapped: Vec<String>,
+    /// Whether the screen says that nothing is in view; `None` without a screen, or when it could not say.
+    pub empty: Option<bool>,
+    /// Decoding to colour.
+    pub decode: Duration,
+    /// Letterbox, model and head.
+    pub detector: Duration,
+    /// The screen, if there is one.
+    pub screen: Option<Duration>,
+}
+
+/// A detector and perhaps a screen, ready to look at pictures one after the other.
+pub struct Observer {
+    detector: DetectorHandle,
+    screen: Option<ScreenHandle>,
+    /// For each class of the detector, its number in the evaluation.
+    classes: Vec<Option<ClassId>>,
+    limits: FrameLimits,
+    picture: Arc<Picture>,
+    /// Dropped last: the handles' tasks run on it.
+    runtime: Runtime,
+}
+
+impl Observer {
+    /// Loads the models and warms them up.
+    ///
+    /// # Errors
+    /// [`ObserveError`] when one does not load or fit, or the detector has no class that is evaluated.
+    pub fn start(detector: &DetectorConfig, screen: &ScreenConfig) -> Result<Self, ObserveError> {
+        let runtime = tokio::runtime::Builder::new_multi_thread()
+            .worker_threads(1)
+            .enable_all()
+            .build()
+            .map_err(ObserveError::Runtime)?;
+        let library = detector.onnxruntime.as_deref();
+        let (detector, screen) = runtime.block_on(async {
+            let detector = DetectorHandle::start(detector).await?;
+            let screen = ScreenHandle::start(screen, library).await?;
+            Ok::<_, StartError>((detector, screen))
+        })?;
+        let names = detector.class_names();
+        let classes: Vec<_> = names
+            .iter()
+            .map(|name| match from_name(name) {
+                Meaning::Class(class) => Some(class),
+                Meaning::Ignored | Meaning::Unmapped => None,
+            })
+            .collect();
+        if classes.iter().all(Option::is_none) {
+            let first: Vec<_> = names.iter().take(8).map(String::as_str).collect();
+            return Err(ObserveError::NoClass {
+                classes: first.join(", "),
+            });
+        }
+        Ok(Self {
+            detector,
+            screen,
+            classes,
+            limits: FrameLimits::default(),
+            picture: Arc::default(),
+            runtime,
+        })
+    }
+
+    /// Whether there is a screen to ask.
+    pub fn has_screen(&self) -> bool {
+        self.screen.is_some()
+    }
+
+    /// What runs the detector.
+    pub fn provider(&self) -> ExecutionProvider {
+        self.detector.provider()
+    }
+
+    /// Looks at one picture.
+    ///
+    /// # Errors
+    /// [`ObserveError`] when it cannot be decoded or the detector fails on it.
+    pub fn look(&mut self, encoded: &EncodedPicture) -> Result<Observation, ObserveError> {
+        let start = Instant::now();
+        let mut picture = Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
+        let screen = self.screen.as_ref().map(ScreenHandle::input_format);
+        let target = decoding_target(self.detector.preparation().format(), screen, encoded.size);
+        decode(
+            encoded,
+            &self.limits,
+            PixelLayout::Rgb8,
+            Some(target),
+            &mut picture,
+        )?;
+        let decode = start.elapsed();
+        self.picture = Arc::new(picture);
+
+        let start = Instant::now();
+        let asked = self.detector.detect(CAMERA, Arc::clone(&self.picture));
+        let found = self.runtime.block_on(asked)?;
+        let detector = start.elapsed();
+
+        let mut screened = None;
+        let mut empty = None;
+        if let Some(screen) = &self.screen {
+            let start = Instant::now();
+            let asked = screen.ask(CAMERA, Arc::clone(&self.picture));
+            empty = self.runtime.block_on(asked).ok().map(|said| said.empty);
+            screened = Some(start.elapsed());
+        }
+        let mut unmapped = Vec::new();
+        let mut detections = Vec::with_capacity(found.detections.len());
+        for detection in found.detections {
+            let number = usize::from(detection.class.0);
+            match self.classes.get(number).copied().flatten() {
+                Some(class) => detections.push(Detection { class, ..detection }),
+                None => unmapped.push(
+                    self.detector
+                        .class_names()
+                        .get(number)
+                        .map_or_else(|| format!("class {number}"), String::clone),
+                ),
+            }
+        }
+        Ok(Observation {
+            detections,
+            unmapped,
+            empty,
+            decode,
+            detector,
+            screen: screened,
+        })
+    }
+
+    /// The picture last looked at.
+    pub fn picture(&self) -> &Picture {
+        &self.picture
+    }
+
+    /// The picture in grey at half its size, and the time that took.
+    ///
+    /// # Errors
+    /// [`ObserveError::Picture`] when it cannot be decoded or has no half.
+    pub(crate) fn grey_half(
+        &self,
+        encoded: &EncodedPicture,
+    ) -> Result<(Picture, Duration), ObserveError> {
+        let start = Instant::now();
+        let mut grey = Picture::default();
+        decode_grey_half(encoded, &self.limits, &mut grey)?;
+        grey.pixels.shrink_to_fit();
+        Ok((grey, start.elapsed()))
+    }
+}

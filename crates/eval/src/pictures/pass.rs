@@ -1,0 +1,211 @@
+//! The one pass over a clip's pictures: what detector and screen say of every frame, and how long it took.
+
+use super::observer::{Observation, ObserveError, Observer};
+use crate::data::{Clip, LoadReport, StoredDetection};
+use crate::footage::FrameSource;
+use albireo_core::geometry::{Corners, PictureSize};
+use albireo_node::frame::Picture;
+use albireo_node::screen::Thumbnail;
+
+/// What to keep of the pass.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PassSettings {
+    /// Whether to keep the grey pictures at half size: a quarter of a byte for each pixel of the clip.
+    pub keep_grey: bool,
+    /// Whether to keep what the agnostic screen sees of each picture.
+    pub keep_thumbnails: bool,
+    /// Look at no more frames than this.
+    pub most_frames: Option<usize>,
+}
+
+/// Milliseconds that each step took on one frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StepTimes {
+    /// Decoding to colour.
+    pub decode: f64,
+    /// Letterbox, model and head.
+    pub detector: f64,
+    /// The screen; 0 without one.
+    pub screen: f64,
+    /// Decoding to grey at half size; 0 where that is not kept.
+    pub grey: f64,
+}
+
+/// A clip of which everything a policy may ask is known.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PicturedClip {
+    /// Detections from the pass's confidence on, and the screen's verdicts if there is a screen. No ground
+    /// truth yet.
+    pub clip: Clip,
+    /// The grey picture of each frame at half size; empty when not kept.
+    pub grey: Vec<Picture>,
+    /// What the agnostic screen sees of each frame; empty when not kept.
+    pub thumbnails: Vec<Option<Thumbnail>>,
+    /// The time of each step on each frame.
+    pub times: Vec<StepTimes>,
+}
+
+/// Why a clip cannot be evaluated.
+#[derive(Debug, thiserror::Error)]
+pub enum PassError {
+    /// The source of pictures failed.
+    #[error("{reason}")]
+    Source {
+        /// Everything that is known of it.
+        reason: String,
+    },
+    /// One picture could not be looked at.
+    #[error("{clip}, frame {frame}: {source}")]
+    Frame {
+        /// Name of the clip.
+        clip: String,
+        /// Number of the frame, from 0.
+        frame: usize,
+        /// Why.
+        source: Box<ObserveError>,
+    },
+    /// The pictures are not all of one size.
+    #[error(
+        "{clip}, frame {frame}: the picture is {size}, those before it are {first}: a clip has pictures of one \
+         size"
+    )]
+    Size {
+        /// Name of the clip.
+        clip: String,
+        /// Number of the frame, from 0.
+        frame: usize,
+        /// Its size.
+        size: PictureSize,
+        /// The size of the first frame.
+        first: PictureSize,
+    },
+    /// There is not one picture.
+    #[error("{clip}: not a single frame came out of it")]
+    Empty {
+        /// Name of the clip.
+        clip: String,
+    },
+}
+
+/// Looks at every picture of `source`. What is left out goes to `report`; `seen` is called after each frame.
+///
+/// # Errors
+/// [`PassError`] at the first frame that cannot be had or looked at: frames would no longer be in step with
+/// their ground truth.
+pub fn collect(
+    source: &mut dyn FrameSource,
+    observer: &mut Observer,
+    settings: &PassSettings,
+    report: &mut LoadReport,
+    seen: &mut dyn FnMut(),
+) -> Result<PicturedClip, PassError> {
+    let name = source.name().to_owned();
+    let mut size = None;
+    let mut detections = Vec::new();
+    let mut verdicts = Vec::new();
+    let (mut grey, mut thumbnails, mut times) = (Vec::new(), Vec::new(), Vec::new());
+    while settings.most_frames.is_none_or(|most| times.len() < most) {
+        let next = source.next().map_err(|error| PassError::Source {
+            reason: format!("{error:#}"),
+        })?;
+        let Some(encoded) = next else { break };
+        let frame = times.len();
+        let first = *size.get_or_insert(encoded.size);
+        if encoded.size != first {
+            return Err(PassError::Size {
+                clip: name,
+                frame,
+                size: encoded.size,
+                first,
+            });
+        }
+        let failed = |source: ObserveError| PassError::Frame {
+            clip: name.clone(),
+            frame,
+            source: Box::new(source),
+        };
+        let observed = observer.look(&encoded).map_err(failed)?;
+        let mut step = StepTimes {
+            decode: observed.decode.as_secs_f64() * 1e3,
+            detector: observed.detector.as_secs_f64() * 1e3,
+            screen: observed.screen.map_or(0.0, |time| time.as_secs_f64() * 1e3),
+            grey: 0.0,
+        };
+        if settings.keep_thumbnails {
+            thumbnails.push(Thumbnail::of(observer.picture()));
+        }
+        if settings.keep_grey {
+            let (picture, time) = observer.grey_half(&encoded).map_err(failed)?;
+            grey.push(picture);
+            step.grey = time.as_secs_f64() * 1e3;
+        }
+        verdicts.push(observed.empty);
+        detections.push(stored(&observed, first, &name, frame, report));
+        times.push(step);
+        seen();
+    }
+    let Some(picture) = size else {
+        return Err(PassError::Empty { clip: name });
+    };
+    if observer.has_screen() {
+        let silent = verdicts.iter().filter(|said| said.is_none()).count();
+        if silent > 0 {
+            report.notes.push(format!(
+                "{name}: the screen could not say on {silent} frames"
+            ));
+        }
+    }
+    Ok(PicturedClip {
+        clip: Clip {
+            frame_rate: Some(source.rate()),
+            name,
+            picture,
+            camera: None,
+            frames: times.len(),
+            detections: Some(detections),
+            screen: observer.has_screen().then_some(verdicts),
+            truth: None,
+            pictures: Vec::new(),
+        },
+        grey,
+        thumbnails,
+        times,
+    })
+}
+
+/// The detections as they are stored, in pixels. The replay starts from these in the same process too, so
+/// that a run on files of `--save-detections` decides alike to the last bit.
+fn stored(
+    observed: &Observation,
+    picture: PictureSize,
+    clip: &str,
+    frame: usize,
+    report: &mut LoadReport,
+) -> Vec<StoredDetection> {
+    let place = || format!("{clip}, frame {frame}");
+    for class in &observed.unmapped {
+        report.leave_out_class(class, place);
+    }
+    let (width, height) = (f64::from(picture.width), f64::from(picture.height));
+    let mut kept = Vec::with_capacity(observed.detections.len());
+    for detection in &observed.detections {
+        let corners = detection.bounding_box.pixel_corners(picture);
+        // The detector cuts boxes at the picture's edge; the way through the normalised form may take them
+        // over it again by a rounding error.
+        let corners = Corners {
+            x1: corners.x1.clamp(0.0, width),
+            y1: corners.y1.clamp(0.0, height),
+            x2: corners.x2.clamp(0.0, width),
+            y2: corners.y2.clamp(0.0, height),
+        };
+        match report.judge(corners, picture) {
+            Some(reason) => report.leave_out(reason, place),
+            None => kept.push(StoredDetection {
+                corners,
+                class: detection.class,
+                confidence: detection.confidence,
+            }),
+        }
+    }
+    kept
+}

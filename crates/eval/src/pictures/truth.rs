@@ -1,0 +1,222 @@
+//! What a clip of pictures is judged against: ground truth from a file, or Vanilla's own output.
+
+use crate::average_precision::TruthBox;
+use crate::data::{
+    Clip, Clips, DataError, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded,
+};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+/// Layout of ground truth.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum TruthFormat {
+    /// JSON of BDD100K MOT (box_track_20), or any labels in the Scalabel form.
+    Bdd100k,
+    /// A MOTChallenge sequence, or a folder of sequences.
+    #[value(name = "motchallenge")]
+    MotChallenge,
+    /// KITTI tracking: a folder with label_02/.
+    Kitti,
+    /// COCO JSON with images and annotations.
+    Coco,
+    /// The layout of `--save-detections`: a folder with sequences.json and groundtruth/.
+    Recorded,
+}
+
+/// Files of ground truth.
+#[derive(Clone, Debug)]
+pub struct GroundTruth {
+    paths: Vec<PathBuf>,
+    format: TruthFormat,
+    /// Paths whose report has been handed on.
+    reported: BTreeSet<PathBuf>,
+}
+
+/// Ground truth that does not belong to the pictures.
+#[derive(Debug, thiserror::Error)]
+pub enum TruthError {
+    /// It cannot be read.
+    #[error(transparent)]
+    Data(#[from] DataError),
+    /// It is of another number of frames.
+    #[error(
+        "{clip}: its ground truth ({path}) is for {truth} frames, the clip has {frames}: are they the same \
+         recording, at the same frame rate?"
+    )]
+    Frames {
+        /// Name of the clip.
+        clip: String,
+        /// Where the ground truth stands.
+        path: String,
+        /// Frames of the ground truth.
+        truth: usize,
+        /// Frames of the clip.
+        frames: usize,
+    },
+    /// It is for pictures of another size.
+    #[error(
+        "{clip}: its ground truth ({path}) is for pictures of {truth}, the clip's are {picture}"
+    )]
+    Size {
+        /// Name of the clip.
+        clip: String,
+        /// Where the ground truth stands.
+        path: String,
+        /// Size the ground truth is for.
+        truth: albireo_core::geometry::PictureSize,
+        /// Size of the clip's pictures.
+        picture: albireo_core::geometry::PictureSize,
+    },
+    /// None of the clips is in it.
+    #[error(
+        "the ground truth is for the clips {truths}, and none of them is evaluated here ({clips}): a clip is \
+         named after its file"
+    )]
+    NoClip {
+        /// Names in the ground truth.
+        truths: String,
+        /// Names of the clips.
+        clips: String,
+    },
+}
+
+impl GroundTruth {
+    /// Files or folders of one layout.
+    pub fn new(paths: Vec<PathBuf>, format: TruthFormat) -> Self {
+        Self {
+            paths,
+            format,
+            reported: BTreeSet::new(),
+        }
+    }
+
+    /// Reads all files, to find out what is wrong before the pictures are looked at.
+    ///
+    /// # Errors
+    /// [`TruthError`] when one cannot be read, or none is for one of the clips `names`.
+    pub fn check(&self, names: &[String]) -> Result<(), TruthError> {
+        let mut truths = Vec::new();
+        for path in &self.paths {
+            let clips = self.read(path, bdd100k::BDD100K_SIZE)?;
+            truths.extend(clips.clips.into_iter().map(|clip| clip.name));
+        }
+        let alone = truths.len() == 1 && names.len() == 1;
+        if alone || names.iter().any(|name| truths.contains(name)) {
+            return Ok(());
+        }
+        truths.truncate(8);
+        Err(TruthError::NoClip {
+            truths: truths.join(", "),
+            clips: names.join(", "),
+        })
+    }
+
+    /// The ground truth of `clip`: that of its name, or the only one there is when it is the only clip
+    /// (`alone`). `None` if there is none for it. What is left out goes to `report`.
+    ///
+    /// # Errors
+    /// [`TruthError`] when it cannot be read or is of other pictures.
+    pub fn of(
+        &mut self,
+        clip: &Clip,
+        alone: bool,
+        report: &mut LoadReport,
+    ) -> Result<Option<Vec<Vec<TruthBox>>>, TruthError> {
+        for path in &self.paths {
+            let mut read = self.read(path, clip.picture)?;
+            let place = read.clips.iter().position(|truth| truth.name == clip.name);
+            let only = alone && self.paths.len() == 1 && read.clips.len() == 1;
+            let Some(index) = place.or(only.then_some(0)) else {
+                continue;
+            };
+            let found = read.clips.swap_remove(index);
+            let Some(mut truth) = found.truth else {
+                continue;
+            };
+            let first = self.reported.insert(path.clone());
+            let path = path.display().to_string();
+            // Only these say for how many frames they are; the others end with the last object.
+            let counted = matches!(
+                self.format,
+                TruthFormat::MotChallenge | TruthFormat::Bdd100k | TruthFormat::Recorded
+            );
+            if truth.len() > clip.frames || (counted && truth.len() < clip.frames) {
+                return Err(TruthError::Frames {
+                    clip: clip.name.clone(),
+                    path,
+                    truth: truth.len(),
+                    frames: clip.frames,
+                });
+            }
+            // KITTI's labels do not say their size; where it has no pictures either, the usual one is taken.
+            if found.picture != clip.picture && self.format != TruthFormat::Kitti {
+                return Err(TruthError::Size {
+                    clip: clip.name.clone(),
+                    path,
+                    truth: found.picture,
+                    picture: clip.picture,
+                });
+            }
+            truth.resize(clip.frames, Vec::new());
+            // The file's rows are counted once, however many clips are in it.
+            if first {
+                merge(report, read.report);
+            }
+            return Ok(Some(truth));
+        }
+        Ok(None)
+    }
+
+    fn read(
+        &self,
+        path: &std::path::Path,
+        picture: albireo_core::geometry::PictureSize,
+    ) -> Result<Clips, DataError> {
+        match self.format {
+            TruthFormat::Bdd100k => bdd100k::read(&bdd100k::Source {
+                truth: Some(path),
+                detections: None,
+                picture,
+                frame_rate: None,
+            }),
+            TruthFormat::MotChallenge => mot_challenge::read(path),
+            TruthFormat::Kitti => kitti::read(path),
+            TruthFormat::Coco => coco::read(path, None),
+            TruthFormat::Recorded => recorded::read(path),
+        }
+    }
+}
+
+/// Adds what a reader of ground truth left out. Its notes are about detections, which it does not have.
+fn merge(report: &mut LoadReport, other: LoadReport) {
+    for (reason, count) in other.left_out {
+        *report.left_out.entry(reason).or_default() += count;
+    }
+    for (reason, place) in other.first {
+        report.first.entry(reason).or_insert(place);
+    }
+    for (class, count) in other.unmapped_classes {
+        *report.unmapped_classes.entry(class).or_default() += count;
+    }
+    report.reaching_outside += other.reaching_outside;
+}
+
+/// Vanilla's own output as truth: the clip's detections from `confidence` on. What it measures is how far a
+/// policy departs from running the detector on every frame, not how right either is.
+pub fn against_vanilla(clip: &Clip, confidence: f64) -> Vec<Vec<TruthBox>> {
+    clip.detections
+        .iter()
+        .flatten()
+        .map(|frame| {
+            frame
+                .iter()
+                .filter(|detection| detection.confidence >= confidence)
+                .map(|detection| TruthBox {
+                    corners: detection.corners,
+                    class: detection.class,
+                    object: None,
+                })
+                .collect()
+        })
+        .collect()
+}

@@ -1,0 +1,207 @@
+//! The driver: takes one policy through one clip, answers what it asks, and writes down what it did.
+
+use crate::average_precision::ScoredBox;
+use crate::scoring::{decayed_confidence, score_object, score_reported, score_truncated};
+use crate::source::{EvidenceSource, SourceError};
+use crate::trace::{TraceFrame, TraceObject};
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::{Evidence, FrameHead, FrameState, Need, ObjectRecord, Outcome, Policy};
+use serde::{Deserialize, Serialize};
+use std::time::{Duration, Instant};
+
+/// Whose definitions hold where the published code and the paper's text differ.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Scoring {
+    /// The published evaluator's.
+    Reference,
+    /// The paper's: boxes and confidences as the policy reports them.
+    Paper,
+}
+
+/// What happened in one frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FrameRecord {
+    /// The frame's state.
+    pub state: FrameState,
+    /// Largest τ before the decision.
+    pub tau_max: Option<f64>,
+    /// Active objects before the decision.
+    pub active: usize,
+    /// The detector was needed and could not be had.
+    pub degraded: bool,
+    /// The detector ran.
+    pub detector: bool,
+    /// The empty-scene screen ran.
+    pub screen: bool,
+    /// Time inside the policy.
+    pub decision: Duration,
+    /// Time spent waiting for evidence: decoding, screen, detector. Near zero for stored detections.
+    pub evidence: Duration,
+}
+
+/// What a policy did with a clip.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Replay {
+    /// One record a frame.
+    pub frames: Vec<FrameRecord>,
+    /// The boxes to judge, one list a frame, with the profile's confidence.
+    pub boxes: Vec<Vec<ScoredBox>>,
+    /// The same boxes with the confidence of their last detection, where the profile decays it.
+    pub boxes_last_confidence: Option<Vec<Vec<ScoredBox>>>,
+    /// Detections the policy refused because their numbers make no box.
+    pub rejected_detections: u64,
+    /// The trace, if asked for.
+    pub trace: Option<Vec<TraceFrame>>,
+}
+
+/// Takes `policy` from its initial state through all frames of `source`. `decay_u` is the threshold that
+/// the published scoring decays confidences with.
+///
+/// # Errors
+/// [`SourceError`] when the source cannot give what the policy asks for.
+pub fn replay(
+    policy: &mut dyn Policy,
+    source: &mut dyn EvidenceSource,
+    scoring: Scoring,
+    decay_u: f64,
+    keep_trace: bool,
+) -> Result<Replay, SourceError> {
+    policy.reset();
+    let rejected_before = policy.rejected_detections();
+    let picture = source.picture();
+    let frames = source.frames();
+    let mut result = Replay {
+        frames: Vec::with_capacity(frames),
+        boxes: Vec::with_capacity(frames),
+        boxes_last_confidence: (scoring == Scoring::Reference).then(Vec::new),
+        rejected_detections: 0,
+        trace: keep_trace.then(Vec::new),
+    };
+    let mut outcome = Outcome::default();
+    let mut objects = Vec::new();
+    let mut next_index = 0;
+    for frame in 0..frames {
+        let step = source.step(frame).max(1);
+        let index = next_index + u64::from(step) - 1;
+        next_index = index + 1;
+        let head = FrameHead {
+            index,
+            step,
+            picture,
+        };
+        let record = decide(policy, source, head, frame, &mut outcome)?;
+        result.frames.push(record);
+        objects.clear();
+        collect_objects(policy, &mut objects);
+        match &mut result.boxes_last_confidence {
+            None => result.boxes.push(
+                outcome
+                    .boxes
+                    .iter()
+                    .map(|output| score_reported(output, picture))
+                    .collect(),
+            ),
+            Some(last) => {
+                let (decayed, undecayed) = score_as_published(&objects, &outcome, picture, decay_u);
+                result.boxes.push(decayed);
+                last.push(undecayed);
+            }
+        }
+        if let Some(trace) = &mut result.trace {
+            trace.push(TraceFrame {
+                frame: index,
+                state: outcome.state,
+                tau_max: outcome.tau_max,
+                active: outcome.active,
+                objects: objects.clone(),
+            });
+        }
+    }
+    result.rejected_detections = policy.rejected_detections() - rejected_before;
+    Ok(result)
+}
+
+/// One frame: asks, answers, finishes; times the policy and the evidence apart.
+fn decide(
+    policy: &mut dyn Policy,
+    source: &mut dyn EvidenceSource,
+    head: FrameHead,
+    frame: usize,
+    outcome: &mut Outcome,
+) -> Result<FrameRecord, SourceError> {
+    let (mut detector, mut screen) = (false, false);
+    let (mut decision, mut evidence) = (Duration::ZERO, Duration::ZERO);
+    let mut mark = Instant::now();
+    let mut lap = |into: &mut Duration| {
+        let now = Instant::now();
+        *into += now - mark;
+        mark = now;
+    };
+    let mut need = policy.begin(head);
+    loop {
+        lap(&mut decision);
+        let answer = match need {
+            Need::Nothing => break,
+            Need::Screen => {
+                screen = true;
+                source
+                    .screen_says_empty(frame)?
+                    .map(|empty| Evidence::Screen { empty })
+            }
+            Need::GreyPicture => source.grey_picture(frame)?.map(Evidence::GreyPicture),
+            Need::Detections => {
+                let found = source.detections(frame)?;
+                detector |= found.is_some();
+                found.map(Evidence::Detections)
+            }
+        };
+        lap(&mut evidence);
+        need = policy.answer(answer.unwrap_or(Evidence::Unavailable));
+    }
+    policy.finish(outcome);
+    lap(&mut decision);
+    Ok(FrameRecord {
+        state: outcome.state,
+        tau_max: outcome.tau_max,
+        active: outcome.active,
+        degraded: outcome.degraded,
+        detector,
+        screen,
+        decision,
+        evidence,
+    })
+}
+
+/// The boxes the published evaluator scores, with decayed and with last confidences: all objects, and the
+/// boxes that belong to none.
+fn score_as_published(
+    objects: &[TraceObject],
+    outcome: &Outcome,
+    picture: PictureSize,
+    decay_u: f64,
+) -> (Vec<ScoredBox>, Vec<ScoredBox>) {
+    let free = outcome
+        .boxes
+        .iter()
+        .filter(|output| output.object.is_none())
+        .map(|output| score_truncated(output, picture));
+    let undecayed: Vec<ScoredBox> = objects
+        .iter()
+        .map(|object| score_object(object, picture))
+        .chain(free)
+        .collect();
+    let mut decayed = undecayed.clone();
+    for (scored, object) in decayed.iter_mut().zip(objects) {
+        scored.confidence = decayed_confidence(object.conf, object.tau, decay_u);
+    }
+    (decayed, undecayed)
+}
+
+/// Appends the policy's objects in its own order.
+fn collect_objects(policy: &dyn Policy, objects: &mut Vec<TraceObject>) {
+    policy.objects(&mut |record: &ObjectRecord| objects.push(TraceObject::from(record)));
+}
+
+#[cfg(test)]
+mod tests;

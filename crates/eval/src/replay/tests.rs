@@ -1,0 +1,184 @@
+use super::*;
+use crate::source::StoredEvidence;
+use albireo_core::detection::{ClassId, Detection};
+use albireo_core::geometry::BoundingBox;
+use albireo_core::policy::{
+    BoxSource, GreyPicture, Knob, KnobError, OutputBox, PolicyConfig, PolicyConfigError,
+};
+
+const PICTURE: PictureSize = PictureSize::new(100, 100);
+
+/// Asks for each kind of evidence in turn and notes what it was told.
+#[derive(Default)]
+struct Curious {
+    script: Vec<Need>,
+    told: Vec<String>,
+    step: usize,
+}
+
+impl Curious {
+    fn next(&mut self) -> Need {
+        let need = self.script.get(self.step).copied().unwrap_or(Need::Nothing);
+        self.step += 1;
+        need
+    }
+}
+
+impl Policy for Curious {
+    fn name(&self) -> &'static str {
+        "curious"
+    }
+    fn knob(&self) -> Option<Knob> {
+        None
+    }
+    fn knob_value(&self) -> Option<f64> {
+        None
+    }
+    fn set_knob(&mut self, _: f64) -> Result<(), KnobError> {
+        Err(KnobError::Absent { policy: "curious" })
+    }
+    fn begin(&mut self, _: FrameHead) -> Need {
+        self.step = 0;
+        self.next()
+    }
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        self.told.push(match evidence {
+            Evidence::Screen { empty } => format!("screen {empty}"),
+            Evidence::GreyPicture(grey) => format!("grey {}", grey.size),
+            Evidence::Detections(found) => format!("detections {}", found.len()),
+            Evidence::Unavailable => "unavailable".to_owned(),
+        });
+        self.next()
+    }
+    fn finish(&mut self, outcome: &mut Outcome) {
+        *outcome = Outcome {
+            state: FrameState::I,
+            boxes: vec![OutputBox {
+                bounding_box: BoundingBox::new(0.5, 0.5, 0.111, 0.111),
+                class: ClassId(0),
+                confidence: 0.7,
+                source: BoxSource::Detected,
+                object: None,
+                confirmed: true,
+            }],
+            ..Outcome::default()
+        };
+    }
+    fn reset(&mut self) {}
+}
+
+/// A source whose evidence is missing on odd frames.
+struct Patchy {
+    found: Vec<Detection>,
+    grey: Vec<u8>,
+}
+
+impl EvidenceSource for Patchy {
+    fn picture(&self) -> PictureSize {
+        PICTURE
+    }
+    fn frames(&self) -> usize {
+        2
+    }
+    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, SourceError> {
+        Ok((frame == 0).then_some(&self.found[..]))
+    }
+    fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError> {
+        Ok((frame == 0).then_some(false))
+    }
+    fn grey_picture(&mut self, frame: usize) -> Result<Option<GreyPicture<'_>>, SourceError> {
+        let size = PictureSize::new(2, 1);
+        Ok((frame == 0).then_some(GreyPicture {
+            size,
+            pixels: &self.grey,
+        }))
+    }
+}
+
+#[test]
+fn a_policy_is_told_what_it_asks_for_and_what_cannot_be_had() {
+    let mut policy = Curious {
+        script: vec![Need::Screen, Need::GreyPicture, Need::Detections],
+        ..Curious::default()
+    };
+    let mut source = Patchy {
+        found: Vec::new(),
+        grey: vec![0, 0],
+    };
+    let result = replay(&mut policy, &mut source, Scoring::Paper, 3e-4, false).expect("it runs");
+    assert_eq!(
+        policy.told,
+        [
+            "screen false",
+            "grey 2x1",
+            "detections 0",
+            "unavailable",
+            "unavailable",
+            "unavailable"
+        ]
+    );
+    let calls: Vec<_> = result
+        .frames
+        .iter()
+        .map(|f| (f.screen, f.detector))
+        .collect();
+    assert_eq!(calls, [(true, true), (true, false)]);
+}
+
+#[test]
+fn the_paper_scores_boxes_as_reported_and_the_reference_cuts_them_to_pixels() {
+    let run = |scoring| {
+        let mut source = Patchy {
+            found: Vec::new(),
+            grey: Vec::new(),
+        };
+        let result = replay(&mut Curious::default(), &mut source, scoring, 3e-4, false);
+        result.expect("it runs").boxes[0][0].corners
+    };
+    assert!((run(Scoring::Paper).x1 - 44.45).abs() < 1e-9);
+    assert_eq!(run(Scoring::Reference).x1, 44.0);
+}
+
+#[test]
+fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_out() {
+    let mut policy = Curious {
+        script: vec![Need::GreyPicture],
+        ..Curious::default()
+    };
+    let clip = crate::data::Clip {
+        name: "clip".to_owned(),
+        picture: PICTURE,
+        frame_rate: None,
+        camera: None,
+        frames: 1,
+        detections: Some(vec![Vec::new()]),
+        truth: None,
+        screen: None,
+        pictures: Vec::new(),
+    };
+    let mut source = StoredEvidence::new(&clip, 0.5, crate::source::ScreenRule::Nonempty)
+        .expect("it has detections");
+    let error = replay(&mut policy, &mut source, Scoring::Paper, 3e-4, false);
+    assert_eq!(error, Err(SourceError::NoPictures));
+}
+
+#[test]
+fn two_replays_of_one_policy_are_equal_in_all_but_time() -> Result<(), PolicyConfigError> {
+    let mut policy = PolicyConfig::default().build()?;
+    let found = vec![Detection {
+        bounding_box: BoundingBox::new(0.5, 0.5, 0.2, 0.2),
+        class: ClassId(2),
+        confidence: 0.9,
+    }];
+    let mut run = || {
+        let mut source = Patchy {
+            found: found.clone(),
+            grey: Vec::new(),
+        };
+        let result = replay(policy.as_mut(), &mut source, Scoring::Reference, 3e-4, true);
+        let result = result.expect("it runs");
+        (result.trace, result.boxes, result.boxes_last_confidence)
+    };
+    assert_eq!(run(), run());
+    Ok(())
+}

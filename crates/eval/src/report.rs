@@ -1,0 +1,116 @@
+//! What a run leaves behind with `--out`: `summary.csv`, `report.json`, figures as SVG and PNG, and
+//! `report.html`, which shows it all in one file that needs no other.
+
+mod html;
+pub mod plot;
+mod summary_csv;
+
+use crate::data::LoadReport;
+use crate::result::ClipResult;
+use crate::summary::PolicySummary;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// A finished run.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    /// What was evaluated, for the heading.
+    pub title: String,
+    /// The settings, name and value, in the order to show them.
+    pub settings: Vec<(String, String)>,
+    /// What the data's reader left out.
+    pub data: LoadReport,
+    /// One entry a policy.
+    pub policies: Vec<PolicySummary>,
+    /// One entry a clip and policy.
+    pub clips: Vec<ClipResult>,
+    /// Power over one clip under some of the policies, where there is energy.
+    pub power: Vec<plot::PowerTrace>,
+}
+
+/// A report that cannot be written.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// The file system said no.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// Which file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// Something could not be put into its format.
+    #[error("cannot make {}: {reason}", path.display())]
+    Format {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+}
+
+/// The folder that the files of a report go to.
+pub(super) struct ReportFolder<'a>(&'a Path);
+
+impl<'a> ReportFolder<'a> {
+    /// Makes the folder if need be.
+    ///
+    /// # Errors
+    /// [`ReportError::Write`] when it cannot be made.
+    pub(super) fn make(path: &'a Path) -> Result<Self, ReportError> {
+        std::fs::create_dir_all(path).map_err(|source| ReportError::Write {
+            path: path.to_owned(),
+            source,
+        })?;
+        Ok(Self(path))
+    }
+
+    /// Writes a file of that name.
+    ///
+    /// # Errors
+    /// [`ReportError`] naming the file.
+    pub(super) fn write(
+        &self,
+        name: &str,
+        content: Result<Vec<u8>, String>,
+    ) -> Result<(), ReportError> {
+        let path = self.0.join(name);
+        let content = content.map_err(|reason| ReportError::Format {
+            path: path.clone(),
+            reason,
+        })?;
+        std::fs::write(&path, content).map_err(|source| ReportError::Write { path, source })
+    }
+
+    /// Writes `value` as indented JSON.
+    ///
+    /// # Errors
+    /// [`ReportError`] naming the file.
+    pub(super) fn write_json(&self, name: &str, value: &impl Serialize) -> Result<(), ReportError> {
+        let json = serde_json::to_vec_pretty(value).map_err(|error| error.to_string());
+        self.write(name, json)
+    }
+}
+
+impl Report {
+    /// Writes all files into `folder`, making it if need be.
+    ///
+    /// # Errors
+    /// [`ReportError`] naming the file.
+    pub fn write(&self, folder: &Path) -> Result<(), ReportError> {
+        let folder = ReportFolder::make(folder)?;
+        folder.write("summary.csv", summary_csv::render(&self.clips))?;
+        folder.write_json("report.json", self)?;
+        let mut shown = Vec::new();
+        for figure in plot::figures(self) {
+            let svg = figure.svg();
+            folder.write(&format!("{}.png", figure.name), figure.png())?;
+            folder.write(
+                &format!("{}.svg", figure.name),
+                svg.clone().map(String::into_bytes),
+            )?;
+            shown.extend(svg.ok().map(|svg| (figure, svg)));
+        }
+        folder.write("report.html", Ok(html::render(self, &shown).into_bytes()))
+    }
+}

@@ -1,0 +1,261 @@
+//! What one policy did with one clip, in figures.
+
+use crate::average_precision::Accuracy;
+use crate::replay::{FrameRecord, Replay};
+use crate::statistics::quantile;
+use albireo_core::policy::FrameState;
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// Where a figure of time or energy comes from. The kinds are never mixed in one figure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Provenance {
+    /// A meter or clock of this machine.
+    Measured,
+    /// A meter that does not see everything.
+    Estimated,
+    /// Put together from times that were each measured on this machine: of the model on the frames it was
+    /// needed for, of the screen likewise, of the decision.
+    Composed,
+    /// A model of a board, from the numbers of frames.
+    Projected,
+}
+
+impl Provenance {
+    /// The word in tables and files.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Measured => "measured",
+            Self::Estimated => "estimated",
+            Self::Composed => "composed",
+            Self::Projected => "projected",
+        }
+    }
+}
+
+/// How a time spreads over the frames of a clip.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Spread {
+    /// Mean.
+    pub mean: f64,
+    /// Median.
+    pub p50: f64,
+    /// 95th percentile.
+    pub p95: f64,
+    /// 99th percentile.
+    pub p99: f64,
+}
+
+impl Spread {
+    /// The spread of `values`; `None` without any.
+    pub fn of(mut values: Vec<f64>) -> Option<Self> {
+        values.sort_by(f64::total_cmp);
+        Some(Self {
+            mean: values.iter().sum::<f64>() / values.len() as f64,
+            p50: quantile(&values, 0.50)?,
+            p95: quantile(&values, 0.95)?,
+            p99: quantile(&values, 0.99)?,
+        })
+    }
+}
+
+/// Time per frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct FrameTime {
+    /// Milliseconds.
+    #[serde(flatten)]
+    pub milliseconds: Spread,
+    /// Where the figures come from.
+    pub provenance: Provenance,
+}
+
+/// Energy of a clip.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Energy {
+    /// Joules of the whole clip.
+    pub joules: f64,
+    /// Duration of the clip in seconds.
+    pub duration_s: f64,
+    /// Energy-delay product by the paper's definition, joules times duration over frames, in J·ms/frame.
+    pub edp: f64,
+    /// Where the figures come from.
+    pub provenance: Provenance,
+}
+
+impl Energy {
+    /// The energy of a clip of `frames` frames.
+    pub fn new(joules: f64, duration_s: f64, frames: usize, provenance: Provenance) -> Self {
+        Self {
+            joules,
+            duration_s,
+            edp: joules * duration_s * 1e3 / frames as f64,
+            provenance,
+        }
+    }
+}
+
+/// Frames by state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct StateCounts {
+    /// Screen said empty.
+    #[serde(rename = "E")]
+    pub e: usize,
+    /// Predicted.
+    #[serde(rename = "P")]
+    pub p: usize,
+    /// Screen, then detector.
+    #[serde(rename = "E+I")]
+    pub ei: usize,
+    /// Detector.
+    #[serde(rename = "I")]
+    pub i: usize,
+    /// Detector and a rescue.
+    #[serde(rename = "AI")]
+    pub ai: usize,
+}
+
+impl StateCounts {
+    /// Counts one frame.
+    pub fn count(&mut self, state: FrameState) {
+        *match state {
+            FrameState::E => &mut self.e,
+            FrameState::P => &mut self.p,
+            FrameState::EI => &mut self.ei,
+            FrameState::I => &mut self.i,
+            FrameState::AI => &mut self.ai,
+        } += 1;
+    }
+
+    /// The counts in the order E, P, E+I, I, AI.
+    pub(crate) fn in_order(self) -> [usize; 5] {
+        [self.e, self.p, self.ei, self.i, self.ai]
+    }
+
+    /// All frames.
+    pub fn total(self) -> usize {
+        self.in_order().iter().sum()
+    }
+
+    /// Share of frames with state E or P.
+    pub fn skip_rate(self) -> f64 {
+        (self.e + self.p) as f64 / self.total() as f64
+    }
+
+    /// Share of each state in the order E, P, E+I, I, AI.
+    pub fn shares(self) -> [f64; 5] {
+        self.in_order()
+            .map(|count| count as f64 / self.total() as f64)
+    }
+}
+
+/// What one policy did with one clip.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ClipResult {
+    /// Name of the clip.
+    pub clip: String,
+    /// Whether the camera moves, where known.
+    pub camera: Option<String>,
+    /// Label of the policy.
+    pub policy: String,
+    /// Number of frames.
+    pub frames: usize,
+    /// Frames a second, where known.
+    pub frame_rate: Option<f64>,
+    /// Frames by state.
+    pub states: StateCounts,
+    /// Frames on which the detector ran.
+    pub detector_frames: usize,
+    /// Frames on which the empty-scene screen ran.
+    pub screen_frames: usize,
+    /// Frames in which the detector finds something, looked at by this policy or not; 0 where only stored
+    /// detections were evaluated.
+    pub occupied_frames: usize,
+    /// Those of them with state E: what the empty-scene screen misses.
+    pub false_empty_frames: usize,
+    /// Frames that needed the detector and did not get it.
+    pub degraded_frames: usize,
+    /// Detections refused by the policy because their numbers make no box.
+    pub rejected_detections: u64,
+    /// Boxes scored.
+    pub boxes: usize,
+    /// Accuracy; `None` without ground truth.
+    pub accuracy: Option<Accuracy>,
+    /// Accuracy with the confidences of the last detections, where the profile decays them.
+    pub accuracy_last_confidence: Option<Accuracy>,
+    /// Accuracy of every class that has ground truth, by name.
+    pub classes: BTreeMap<String, Accuracy>,
+    /// Time inside the policy per frame in microseconds, measured on this machine.
+    pub decision_us: Option<Spread>,
+    /// Time per frame, detector and all.
+    pub frame_time: Option<FrameTime>,
+    /// Energy, if metered or projected.
+    pub energy: Option<Energy>,
+    /// The states frame by frame.
+    #[serde(skip)]
+    pub sequence: Vec<FrameState>,
+}
+
+impl ClipResult {
+    /// Fills in what the driver's records say; accuracy, time and energy are left open.
+    pub(crate) fn from_replay(clip: &str, policy: &str, replay: &Replay) -> Self {
+        let mut states = StateCounts::default();
+        for frame in &replay.frames {
+            states.count(frame.state);
+        }
+        let count = |test: fn(&FrameRecord) -> bool| {
+            replay.frames.iter().filter(|frame| test(frame)).count()
+        };
+        Self {
+            clip: clip.to_owned(),
+            camera: None,
+            policy: policy.to_owned(),
+            frames: replay.frames.len(),
+            frame_rate: None,
+            states,
+            detector_frames: count(|frame| frame.detector),
+            screen_frames: count(|frame| frame.screen),
+            occupied_frames: 0,
+            false_empty_frames: 0,
+            degraded_frames: count(|frame| frame.degraded),
+            rejected_detections: replay.rejected_detections,
+            boxes: replay.boxes.iter().map(Vec::len).sum(),
+            accuracy: None,
+            accuracy_last_confidence: None,
+            classes: BTreeMap::new(),
+            decision_us: Spread::of(
+                replay
+                    .frames
+                    .iter()
+                    .map(|frame| frame.decision.as_secs_f64() * 1e6)
+                    .collect(),
+            ),
+            frame_time: None,
+            energy: None,
+            sequence: replay.frames.iter().map(|frame| frame.state).collect(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn edp_is_energy_times_duration_over_frames_in_milliseconds() {
+        let energy = Energy::new(800.0, 10.0, 200, Provenance::Measured);
+        assert_eq!(energy.edp, 40_000.0);
+    }
+
+    #[test]
+    fn shares_add_up_and_skipped_are_e_and_p() {
+        let mut states = StateCounts::default();
+        for state in FrameState::ALL {
+            states.count(state);
+        }
+        states.count(FrameState::P);
+        assert_eq!(states.total(), 6);
+        assert!((states.skip_rate() - 0.5).abs() < 1e-15);
+        assert!((states.shares().iter().sum::<f64>() - 1.0).abs() < 1e-15);
+    }
+}

@@ -1,0 +1,210 @@
+//! A run: every policy over every clip, in parallel over the clips, with the figures of each.
+
+use crate::average_precision::{
+    Accuracy, Classes, Interpolation, ScoredBox, accuracy, accuracy_by_class,
+};
+use crate::data::{Clip, classes};
+use crate::energy_model::EnergyModel;
+use crate::replay::{Replay, Scoring, replay};
+use crate::result::ClipResult;
+use crate::source::{EvidenceSource, ScreenRule, SourceError, StoredEvidence};
+use crate::spec::PolicySpec;
+use crate::trace::{self, TraceError};
+use albireo_core::policy::{ExpectedLoss, PolicyConfigError};
+use std::path::PathBuf;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+
+/// How a run judges.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Which boxes count, and how.
+    pub scoring: Scoring,
+    /// Detections below this are not shown to the policies.
+    pub confidence: f64,
+    /// What stands in for the screen.
+    pub screen: ScreenRule,
+    /// Whether classes are judged apart.
+    pub classes: Classes,
+    /// How the area under the curve is taken.
+    pub interpolation: Interpolation,
+    /// Folder to write traces to.
+    pub traces: Option<PathBuf>,
+    /// Projects energy and frame time where none is measured.
+    pub energy_model: Option<EnergyModel>,
+    /// Threads; 0 for as many as the machine has.
+    pub threads: usize,
+}
+
+/// Why a run stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum RunError {
+    /// The policy cannot be built.
+    #[error("policy {policy}: {source}")]
+    Policy {
+        /// Its label.
+        policy: String,
+        /// Why.
+        source: PolicyConfigError,
+    },
+    /// A clip's evidence does not suffice.
+    #[error("policy {policy}, clip {clip}: {source}")]
+    Source {
+        /// Label of the policy.
+        policy: String,
+        /// Name of the clip.
+        clip: String,
+        /// Why.
+        source: SourceError,
+    },
+    /// A trace cannot be written.
+    #[error(transparent)]
+    Trace(#[from] TraceError),
+}
+
+/// Runs `policies` over the stored detections of `clips`. The results are in order of policies, then
+/// clips. `done` is called after each of the `policies × clips` steps, from any thread.
+///
+/// # Errors
+/// The first [`RunError`] met; the other threads stop at their next step.
+pub fn run_stored(
+    clips: &[Clip],
+    policies: &[PolicySpec],
+    settings: &Settings,
+    done: &(dyn Fn() + Sync),
+) -> Result<Vec<ClipResult>, RunError> {
+    // The longest clips first, so that no thread is left alone with one at the end.
+    let mut steps: Vec<(usize, usize)> = (0..policies.len())
+        .flat_map(|policy| (0..clips.len()).map(move |clip| (policy, clip)))
+        .collect();
+    steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(clips[clip].frames));
+    in_parallel(&steps, settings.threads, done, &|(policy, clip)| {
+        let (clip, policy) = (&clips[clip], &policies[policy]);
+        let mut source = StoredEvidence::new(clip, settings.confidence, settings.screen)
+            .map_err(|source| no_evidence(clip, policy, source))?;
+        run_policy(clip, policy, settings, &mut source).map(|(result, _)| result)
+    })
+}
+
+/// Does `work` for every step, in any order, on `threads` threads; the results are sorted by step. `done` is
+/// called after each.
+///
+/// # Errors
+/// The first [`RunError`] in order of steps; after one, no thread begins another step.
+pub(super) fn in_parallel<S: Copy + Ord + Send + Sync, T: Send>(
+    steps: &[S],
+    threads: usize,
+    done: &(dyn Fn() + Sync),
+    work: &(dyn Fn(S) -> Result<T, RunError> + Sync),
+) -> Result<Vec<T>, RunError> {
+    let next = AtomicUsize::new(0);
+    let stop = AtomicBool::new(false);
+    let results = Mutex::new(Vec::with_capacity(steps.len()));
+    let thread = || {
+        while !stop.load(Ordering::Relaxed)
+            && let Some(&step) = steps.get(next.fetch_add(1, Ordering::Relaxed))
+        {
+            let result = work(step);
+            if result.is_err() {
+                stop.store(true, Ordering::Relaxed);
+            }
+            // A poisoned lock still holds good results: each was pushed whole.
+            results
+                .lock()
+                .unwrap_or_else(std::sync::PoisonError::into_inner)
+                .push((step, result));
+            done();
+        }
+    };
+    let threads = match threads {
+        0 => std::thread::available_parallelism().map_or(1, usize::from),
+        threads => threads,
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..threads.min(steps.len()).max(1) {
+            scope.spawn(thread);
+        }
+    });
+    let mut results = results
+        .into_inner()
+        .unwrap_or_else(std::sync::PoisonError::into_inner);
+    results.sort_by_key(|(step, _)| *step);
+    results.into_iter().map(|(_, result)| result).collect()
+}
+
+/// The error of a clip whose evidence does not suffice for a policy.
+pub(super) fn no_evidence(clip: &Clip, policy: &PolicySpec, source: SourceError) -> RunError {
+    RunError::Source {
+        policy: policy.label.clone(),
+        clip: clip.name.clone(),
+        source,
+    }
+}
+
+/// One policy over one clip, with evidence from `source`: its figures, and what it did frame by frame.
+///
+/// # Errors
+/// [`RunError`] when the policy cannot be built, asks for what the source does not have, or the trace
+/// cannot be written.
+pub(super) fn run_policy(
+    clip: &Clip,
+    policy: &PolicySpec,
+    settings: &Settings,
+    source: &mut dyn EvidenceSource,
+) -> Result<(ClipResult, Replay), RunError> {
+    let mut decider = policy.config.build().map_err(|source| RunError::Policy {
+        policy: policy.label.clone(),
+        source,
+    })?;
+    let scoring = scoring_of(decider.name(), settings.scoring);
+    let replayed = replay(
+        decider.as_mut(),
+        source,
+        scoring,
+        policy.decay_u,
+        settings.traces.is_some(),
+    )
+    .map_err(|source| no_evidence(clip, policy, source))?;
+    if let (Some(folder), Some(frames)) = (&settings.traces, &replayed.trace) {
+        let file = format!("{}.jsonl.gz", clip.name);
+        trace::write(&folder.join(&policy.label).join(file), frames)?;
+    }
+    let mut result = ClipResult::from_replay(&clip.name, &policy.label, &replayed);
+    result.camera.clone_from(&clip.camera);
+    result.frame_rate = clip.frame_rate;
+    result.accuracy = judge(clip, &replayed.boxes, settings);
+    result.accuracy_last_confidence = replayed
+        .boxes_last_confidence
+        .as_ref()
+        .and_then(|boxes| judge(clip, boxes, settings));
+    if let Some(truth) = &clip.truth {
+        result.classes = accuracy_by_class(&replayed.boxes, truth, settings.interpolation)
+            .into_iter()
+            .map(|(class, accuracy)| {
+                let name = classes::name(class)
+                    .map_or_else(|| format!("class {}", class.0), str::to_owned);
+                (name, accuracy)
+            })
+            .collect();
+    }
+    if let Some(model) = &settings.energy_model {
+        model.apply(&mut result);
+    }
+    Ok((result, replayed))
+}
+
+/// How a policy is judged in a run of that `scoring`: one that is not of the paper has no published
+/// definition of its boxes and confidences, and counts as it reports.
+fn scoring_of(policy: &str, scoring: Scoring) -> Scoring {
+    match policy {
+        ExpectedLoss::NAME | ExpectedLoss::FIXED_SKIP_NAME | ExpectedLoss::EVEN_SKIP_NAME => {
+            Scoring::Paper
+        }
+        _ => scoring,
+    }
+}
+
+fn judge(clip: &Clip, boxes: &[Vec<ScoredBox>], settings: &Settings) -> Option<Accuracy> {
+    let truth = clip.truth.as_ref()?;
+    accuracy(boxes, truth, settings.classes, settings.interpolation)
+}

@@ -1,0 +1,151 @@
+//! Which boxes of a frame are scored, where, and with what confidence.
+//!
+//! The published evaluator and the paper's text differ here (the reference notes number the points):
+//!
+//! - `reference`: every object alive is scored, tentative ones too [18], with the filter's box [19] cut to
+//!   whole pixels towards zero and clamped to the picture [21], and with the confidence of its last
+//!   detection times `max(0.1, 1 − τ/u)` [20]. A policy without objects has its boxes cut but not clamped
+//!   and its confidences as they are.
+//! - `paper`: the boxes the policy reports, as it reports them.
+
+use crate::average_precision::ScoredBox;
+use crate::trace::TraceObject;
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::{Corners, PictureSize};
+use albireo_core::policy::OutputBox;
+
+/// The published decay never takes more than nine tenths of a confidence.
+const DECAY_FLOOR: f64 = 0.1;
+
+/// The `u` that the published code decays with under policies that have none of their own.
+pub(crate) const DEFAULT_DECAY_U: f64 = 3e-4;
+
+/// The confidence that the published code scores: it falls linearly with the uncertainty.
+pub fn decayed_confidence(last: f64, tau: f64, u: f64) -> f64 {
+    last * (1.0 - tau / u).max(DECAY_FLOOR)
+}
+
+/// An object's box as the published evaluator scores it, with its last confidence.
+pub fn score_object(object: &TraceObject, picture: PictureSize) -> ScoredBox {
+    let [center_x, center_y, width, height] = object.bounding_box;
+    let (x1, x2) = whole_edges(center_x, width, picture.width);
+    let (y1, y2) = whole_edges(center_y, height, picture.height);
+    ScoredBox {
+        corners: Corners { x1, y1, x2, y2 },
+        class: ClassId(object.class),
+        confidence: object.conf,
+    }
+}
+
+/// The two edges along one axis in whole pixels. Scaling comes before subtracting, as in the published
+/// code: a newborn object's edge can lie on a whole pixel, where the rounding of this very order decides
+/// whether the cut takes a pixel.
+fn whole_edges(center: f64, side: f64, pixels: u32) -> (f64, f64) {
+    let pixels = f64::from(pixels);
+    let (center, half) = (center * pixels, side * pixels / 2.0);
+    let cut = |edge: f64| edge.trunc().clamp(0.0, pixels - 1.0);
+    (cut(center - half), cut(center + half))
+}
+
+/// A detector's box as the published evaluator scores it under Vanilla: cut to whole pixels, not clamped.
+pub(crate) fn score_truncated(output: &OutputBox, picture: PictureSize) -> ScoredBox {
+    let corners = output.bounding_box.pixel_corners(picture);
+    ScoredBox {
+        corners: Corners {
+            x1: truncate(corners.x1),
+            y1: truncate(corners.y1),
+            x2: truncate(corners.x2),
+            y2: truncate(corners.y2),
+        },
+        class: output.class,
+        confidence: output.confidence,
+    }
+}
+
+/// A box as the policy reports it.
+pub(crate) fn score_reported(output: &OutputBox, picture: PictureSize) -> ScoredBox {
+    ScoredBox {
+        corners: output.bounding_box.pixel_corners(picture),
+        class: output.class,
+        confidence: output.confidence,
+    }
+}
+
+/// Cuts towards zero. A detector's edge on a whole pixel has been through the normalised form and may come
+/// back a rounding error short of it, which must not cost a pixel.
+fn truncate(edge: f64) -> f64 {
+    let nearest = edge.round();
+    if (edge - nearest).abs() < 1e-9 {
+        nearest
+    } else {
+        edge.trunc()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_core::policy::BoxSource;
+
+    #[test]
+    fn confidence_decays_linearly_and_never_below_a_tenth() {
+        assert!((decayed_confidence(0.8, 0.0, 3e-4) - 0.8).abs() < 1e-15);
+        assert!((decayed_confidence(0.9, 2.5e-4, 3e-4) - 0.15).abs() < 1e-12);
+        assert!((decayed_confidence(0.9, 1.0, 3e-4) - 0.09).abs() < 1e-15);
+    }
+
+    #[test]
+    fn an_objects_box_is_cut_and_clamped_to_the_last_pixel() {
+        let picture = PictureSize::new(100, 50);
+        let object = TraceObject {
+            id: 0,
+            class: 2,
+            confirmed: false,
+            conf: 0.7,
+            bounding_box: [0.95, 0.2, 0.3, 0.6],
+            tau: 0.0,
+            hits: 1,
+            since_update: 0,
+            since_infer: 0,
+            rescues: 0,
+        };
+        let scored = score_object(&object, picture);
+        let expected = Corners {
+            x1: 80.0,
+            y1: 0.0,
+            x2: 99.0,
+            y2: 25.0,
+        };
+        assert_eq!(scored.corners, expected);
+    }
+
+    #[test]
+    fn a_detectors_whole_pixel_edge_survives_the_normalised_form() {
+        for (width, height) in [
+            (1242, 375),
+            (1224, 370),
+            (1238, 374),
+            (1920, 1080),
+            (640, 480),
+        ] {
+            let picture = PictureSize::new(width, height);
+            for x1 in 0..width - 7 {
+                let corners = Corners {
+                    x1: f64::from(x1),
+                    y1: 3.0,
+                    x2: f64::from(x1 + 7),
+                    y2: 200.0,
+                };
+                let output = OutputBox {
+                    bounding_box: corners.normalise(picture),
+                    class: ClassId(2),
+                    confidence: 0.5,
+                    source: BoxSource::Detected,
+                    object: None,
+                    confirmed: true,
+                };
+                assert_eq!(score_truncated(&output, picture).corners, corners);
+            }
+        }
+    }
+}

@@ -1,0 +1,354 @@
+//! Which policies a run compares: `NAME[:ARGUMENT]` from the command line, sweeps, and the labels they
+//! carry in traces, tables and plots.
+
+use crate::scoring::DEFAULT_DECAY_U;
+use crate::source::ScreenRule;
+use albireo_core::policy::{
+    Albireo, Ctd, FixedSkip, Policy, PolicyConfig, PolicyConfigError, Profile, Statues, Vanilla,
+};
+
+/// The label and name of the policy all others are compared with.
+pub const BASELINE: &str = "vanilla";
+
+/// What `--policy all` stands for: every policy with the settings the paper reports. Those that look at
+/// pixels are left out where there are none.
+const ALL: [&str; 19] = [
+    "albireo:3e-4",
+    "albireo:5e-4",
+    "albireo:7e-4",
+    "albireo:1e-3",
+    "fixed-skip:2",
+    "fixed-skip:3",
+    "fixed-skip:5",
+    "ctd:0.30",
+    "ctd:0.50",
+    "ctd:0.70",
+    "ctd:0.90",
+    "statues:25",
+    "statues:75",
+    "statues:200",
+    "statues:500",
+    "erd-only",
+    "kill-only:3e-4",
+    "kill+erd:3e-4",
+    "kill+erd-10d:3e-4",
+];
+
+/// One policy with its settings, as one line of the results.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PolicySpec {
+    /// Its name in results, unique in a run: `albireo-u3e-4-erd-nonempty`, `fixedskip-2`, `vanilla`.
+    pub label: String,
+    /// How it is made.
+    pub config: PolicyConfig,
+    /// Threshold of the published scoring's decay.
+    pub decay_u: f64,
+}
+
+/// A policy that cannot be had as it was asked for.
+#[derive(Debug, thiserror::Error)]
+pub enum SpecError {
+    /// The policy room refuses it.
+    #[error("--policy {asked}: {source}")]
+    Config {
+        /// What was asked for.
+        asked: String,
+        /// Why not.
+        source: PolicyConfigError,
+    },
+    /// The sweep cannot be read or applies to nothing.
+    #[error("--sweep {asked}: {reason}")]
+    Sweep {
+        /// What was asked for.
+        asked: String,
+        /// What was expected.
+        reason: String,
+    },
+}
+
+/// Values of one setting to try one after the other: `u=3e-4,5e-4`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Sweep {
+    /// Name of the setting, as the policy's knob is named.
+    pub name: String,
+    /// Its values.
+    pub values: Vec<f64>,
+}
+
+impl std::str::FromStr for Sweep {
+    type Err = SpecError;
+
+    fn from_str(text: &str) -> Result<Self, SpecError> {
+        let wrong = |reason: String| SpecError::Sweep {
+            asked: text.to_owned(),
+            reason,
+        };
+        let (name, values) = text.split_once('=').ok_or_else(|| {
+            wrong("write NAME=VALUE,VALUE,…, for instance u=3e-4,5e-4".to_owned())
+        })?;
+        let values = values
+            .split(',')
+            .map(|value| {
+                value
+                    .trim()
+                    .parse()
+                    .map_err(|_| wrong(format!("`{value}` is not a number")))
+            })
+            .collect::<Result<Vec<f64>, _>>()?;
+        Ok(Self {
+            name: name.trim().to_owned(),
+            values,
+        })
+    }
+}
+
+/// What all policies of a run share.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Common {
+    /// Settings profile.
+    pub profile: Profile,
+    /// Threshold of the policies that have one.
+    pub u: f64,
+    /// What the empty-scene screen says; `None` when a real screen is asked.
+    pub screen: Option<ScreenRule>,
+    /// Whether there are pictures to look at.
+    pub pixels: bool,
+}
+
+/// The policies to run: `asked` in order, swept, without repetitions, and the baseline first.
+///
+/// # Errors
+/// [`SpecError`] for an unknown policy, an argument it does not take, a value out of range, or a sweep
+/// that applies to none of them.
+pub fn resolve(
+    asked: &[String],
+    sweeps: &[Sweep],
+    common: &Common,
+) -> Result<Vec<PolicySpec>, SpecError> {
+    let mut specs = vec![parse(BASELINE, common)?];
+    let mut applied = vec![false; sweeps.len()];
+    let asked = asked.iter().flat_map(|asked| match asked.as_str() {
+        "all" => ALL
+            .iter()
+            .filter(|name| common.pixels || !name.starts_with(Statues::NAME))
+            .copied()
+            .collect(),
+        asked => vec![asked],
+    });
+    for asked in asked {
+        let spec = parse(asked, common)?;
+        let knob = build(&spec.config, asked)?.knob();
+        let sweep = sweeps
+            .iter()
+            .position(|sweep| knob.is_some_and(|knob| knob.name == sweep.name));
+        // An argument behind the colon is the value wanted: nothing is swept then.
+        match sweep {
+            Some(index) if !asked.contains(':') => {
+                applied[index] = true;
+                for value in &sweeps[index].values {
+                    specs.push(parse(&format!("{asked}:{value:e}"), common)?);
+                }
+            }
+            _ => specs.push(spec),
+        }
+    }
+    if let Some(unused) = applied.iter().position(|applied| !applied) {
+        return Err(SpecError::Sweep {
+            asked: sweeps[unused].name.clone(),
+            reason: format!(
+                "no policy of this run has a setting `{}` left to sweep",
+                sweeps[unused].name
+            ),
+        });
+    }
+    let mut seen = std::collections::BTreeSet::new();
+    specs.retain(|spec| seen.insert(spec.label.clone()));
+    Ok(specs)
+}
+
+/// Reads `NAME[:ARGUMENT]` and makes sure that the policy can be built.
+fn parse(asked: &str, common: &Common) -> Result<PolicySpec, SpecError> {
+    let refused = |source| SpecError::Config {
+        asked: asked.to_owned(),
+        source,
+    };
+    let mut config = PolicyConfig {
+        profile: common.profile,
+        u: common.u,
+        ..PolicyConfig::default()
+    };
+    config.select(asked).map_err(refused)?;
+    let policy = build(&config, asked)?;
+    let has_u = policy
+        .knob()
+        .is_some_and(|knob| knob.name == Albireo::KNOB.name);
+    Ok(PolicySpec {
+        label: label(policy.as_ref(), common.screen),
+        decay_u: if has_u { config.u } else { DEFAULT_DECAY_U },
+        config,
+    })
+}
+
+fn build(config: &PolicyConfig, asked: &str) -> Result<Box<dyn Policy>, SpecError> {
+    config.build().map_err(|source| SpecError::Config {
+        asked: asked.to_owned(),
+        source,
+    })
+}
+
+/// The label of the published traces where they have one.
+fn label(policy: &dyn Policy, screen: Option<ScreenRule>) -> String {
+    let name = match policy.name() {
+        FixedSkip::NAME => "fixedskip",
+        name => name,
+    };
+    let setting = match (policy.knob(), policy.knob_value()) {
+        (Some(knob), Some(value)) if knob.name == Albireo::KNOB.name => format!("-u{value:e}"),
+        (Some(_), Some(value)) if policy.name() == Ctd::NAME => format!("-{value:.2}"),
+        (Some(_), Some(value)) => format!("-{value}"),
+        _ => String::new(),
+    };
+    // Where the screen has a say, what it says is part of the label.
+    let screened = !matches!(
+        policy.name(),
+        Vanilla::NAME | FixedSkip::NAME | Ctd::NAME | Statues::NAME
+    );
+    match screen {
+        Some(rule) if screened => format!("{name}{setting}-erd-{}", rule.as_str()),
+        _ => format!("{name}{setting}"),
+    }
+}
+
+/// A label's family, shared by all settings of a policy, and its setting: `albireo-u3e-4-erd-nonempty` is
+/// `albireo` at `u = 3e-4`, `fixedskip-2` is `fixedskip` at `2`, `vanilla` has none.
+pub(crate) fn split_label(label: &str) -> (&str, String) {
+    let base = label.split_once("-erd-").map_or(label, |(base, _)| base);
+    if let Some((family, u)) = base.rsplit_once("-u")
+        && u.parse::<f64>().is_ok()
+    {
+        return (family, format!("u = {u}"));
+    }
+    match base.rsplit_once('-') {
+        Some((family, setting)) if setting.parse::<f64>().is_ok() => (family, setting.to_owned()),
+        _ => (base, String::new()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const COMMON: Common = Common {
+        profile: Profile::Reference,
+        u: 3e-4,
+        screen: Some(ScreenRule::Nonempty),
+        pixels: false,
+    };
+
+    fn labels(asked: &[&str], sweeps: &[&str]) -> Result<Vec<String>, SpecError> {
+        let asked: Vec<String> = asked.iter().map(|&name| name.to_owned()).collect();
+        let sweeps = sweeps
+            .iter()
+            .map(|text| text.parse())
+            .collect::<Result<Vec<_>, _>>()?;
+        let specs = resolve(&asked, &sweeps, &COMMON)?;
+        Ok(specs.into_iter().map(|spec| spec.label).collect())
+    }
+
+    #[test]
+    fn labels_are_those_of_the_published_traces_and_the_baseline_is_always_there() {
+        let labels = labels(&["albireo", "albireo:1e-3"], &[]).expect("known policies");
+        assert_eq!(
+            labels,
+            [
+                "vanilla",
+                "albireo-u3e-4-erd-nonempty",
+                "albireo-u1e-3-erd-nonempty"
+            ]
+        );
+    }
+
+    #[test]
+    fn a_label_is_split_into_family_and_setting() {
+        for (label, family, setting) in [
+            ("albireo-u3e-4-erd-nonempty", "albireo", "u = 3e-4"),
+            ("kill+erd-10d-u1e-3", "kill+erd-10d", "u = 1e-3"),
+            ("fixedskip-2", "fixedskip", "2"),
+            ("ctd-0.50", "ctd", "0.50"),
+            ("erd-only-erd-detections", "erd-only", ""),
+            ("vanilla", "vanilla", ""),
+        ] {
+            assert_eq!(split_label(label), (family, setting.to_owned()));
+        }
+    }
+
+    #[test]
+    fn every_policy_has_a_label_of_its_own_that_says_its_setting() {
+        let asked = [
+            "fixed-skip:2",
+            "ctd:0.5",
+            "statues:75",
+            "erd-only",
+            "kill-only",
+            "kill+erd",
+            "kill+erd-10d",
+        ];
+        let labels = labels(&asked, &[]).expect("known policies");
+        assert_eq!(
+            labels[1..],
+            [
+                "fixedskip-2",
+                "ctd-0.50",
+                "statues-75",
+                "erd-only-erd-nonempty",
+                "kill-only-u3e-4-erd-nonempty",
+                "kill+erd-u3e-4-erd-nonempty",
+                "kill+erd-10d-u3e-4-erd-nonempty"
+            ]
+        );
+    }
+
+    #[test]
+    fn all_is_every_policy_and_setting_of_the_paper_that_the_data_allows() {
+        let stored = labels(&["all"], &[]).expect("known policies");
+        assert_eq!(stored.len(), 16);
+        let pixels = Common {
+            pixels: true,
+            ..COMMON
+        };
+        let all = resolve(&["all".to_owned()], &[], &pixels).expect("known policies");
+        assert_eq!(all.len(), 20);
+    }
+
+    #[test]
+    fn a_sweep_runs_every_value_once_and_leaves_the_others_alone() {
+        let labels =
+            labels(&["albireo", "vanilla"], &["u=3e-4,7e-4,3e-4"]).expect("a proper sweep");
+        assert_eq!(
+            labels,
+            [
+                "vanilla",
+                "albireo-u3e-4-erd-nonempty",
+                "albireo-u7e-4-erd-nonempty"
+            ]
+        );
+    }
+
+    #[test]
+    fn what_cannot_be_run_is_refused_by_name() {
+        for (asked, sweeps, part) in [
+            (&["albiro"][..], &[][..], "albiro"),
+            (&["albireo:x"], &[], "must be a number"),
+            (&["albireo:-1"], &[], "must be a number"),
+            (&["vanilla:3"], &[], "no argument"),
+            (&["vanilla"], &["u=1e-3"], "no policy of this run"),
+            (&["albireo"], &["u"], "NAME=VALUE"),
+            (&["albireo"], &["u=1e-3,zwei"], "`zwei` is not a number"),
+        ] {
+            let message = labels(asked, sweeps)
+                .expect_err("this must be refused")
+                .to_string();
+            assert!(message.contains(part), "{message}");
+        }
+    }
+}

@@ -1,0 +1,207 @@
+//! Traces: what a policy did and knows, frame by frame, as gzipped JSON Lines.
+//!
+//! One line a frame with the keys of [`TraceFrame`], one file a clip and policy:
+//! `<policy>/<clip>.jsonl.gz`. The traces of the published Python code are in the same form, so the two
+//! can be compared line by line.
+
+use albireo_core::policy::{FrameState, ObjectRecord};
+use serde::{Deserialize, Serialize};
+use std::io::{BufRead, BufReader, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+/// One frame of a trace.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TraceFrame {
+    /// Index from 0.
+    pub frame: u64,
+    /// The frame's state.
+    pub state: FrameState,
+    /// Largest τ over the active objects after predicting, before the decision.
+    pub tau_max: Option<f64>,
+    /// Number of active objects then.
+    pub active: usize,
+    /// Every object that is alive after the frame, in the policy's own order.
+    pub objects: Vec<TraceObject>,
+}
+
+/// One object of a frame.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TraceObject {
+    /// Its number.
+    pub id: u64,
+    /// Its class.
+    pub class: u16,
+    /// Whether it is confirmed.
+    pub confirmed: bool,
+    /// Confidence of its last detection.
+    pub conf: f64,
+    /// Centre x, centre y, width, height, normalised.
+    #[serde(rename = "box")]
+    pub bounding_box: [f64; 4],
+    /// Its uncertainty after the frame.
+    pub tau: f64,
+    /// Detections matched so far.
+    pub hits: u32,
+    /// Frames since the last match.
+    pub since_update: u32,
+    /// Frames since the last match or rescue.
+    pub since_infer: u32,
+    /// Rescues in a row.
+    pub rescues: u32,
+}
+
+impl From<&ObjectRecord> for TraceObject {
+    fn from(record: &ObjectRecord) -> Self {
+        let bounding_box = record.bounding_box;
+        Self {
+            id: record.id.0,
+            class: record.class.0,
+            confirmed: record.confirmed,
+            conf: record.confidence,
+            bounding_box: [
+                bounding_box.center_x,
+                bounding_box.center_y,
+                bounding_box.width,
+                bounding_box.height,
+            ],
+            tau: record.tau,
+            hits: record.hits,
+            since_update: record.since_update,
+            since_infer: record.since_infer,
+            rescues: record.misses,
+        }
+    }
+}
+
+/// A trace file that cannot be read or written.
+#[derive(Debug, thiserror::Error)]
+pub enum TraceError {
+    /// The file system said no.
+    #[error("trace {}: {source}", path.display())]
+    File {
+        /// Which file.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// A line is not a trace frame.
+    #[error("trace {}:{line}: {source}", path.display())]
+    Line {
+        /// Which file.
+        path: PathBuf,
+        /// Which line, from 1.
+        line: usize,
+        /// What is wrong with it.
+        source: serde_json::Error,
+    },
+}
+
+/// Writes `frames` to `path`, making its folder.
+///
+/// # Errors
+/// [`TraceError::File`] when the folder or file cannot be written.
+pub fn write(path: &Path, frames: &[TraceFrame]) -> Result<(), TraceError> {
+    let attempt = || -> std::io::Result<()> {
+        if let Some(folder) = path.parent() {
+            std::fs::create_dir_all(folder)?;
+        }
+        let file = std::fs::File::create(path)?;
+        let mut out = BufWriter::new(flate2::write::GzEncoder::new(
+            file,
+            flate2::Compression::default(),
+        ));
+        for frame in frames {
+            serde_json::to_writer(&mut out, frame)?;
+            out.write_all(b"\n")?;
+        }
+        out.into_inner()?.finish()?.sync_data()
+    };
+    attempt().map_err(|source| TraceError::File {
+        path: path.to_owned(),
+        source,
+    })
+}
+
+/// Reads a trace.
+///
+/// # Errors
+/// [`TraceError`] naming the file, and the line if one is broken.
+pub fn read(path: &Path) -> Result<Vec<TraceFrame>, TraceError> {
+    let failed = |source| TraceError::File {
+        path: path.to_owned(),
+        source,
+    };
+    let file = std::fs::File::open(path).map_err(failed)?;
+    let reader = BufReader::new(flate2::read::GzDecoder::new(file));
+    let mut frames = Vec::new();
+    for (number, line) in (1..).zip(reader.lines()) {
+        let line = line.map_err(failed)?;
+        frames.push(
+            serde_json::from_str(&line).map_err(|source| TraceError::Line {
+                path: path.to_owned(),
+                line: number,
+                source,
+            })?,
+        );
+    }
+    Ok(frames)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_trace_read_back_is_the_trace_written_to_the_last_bit() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("albireo").join("clip.jsonl.gz");
+        let frames = vec![
+            TraceFrame {
+                frame: 0,
+                state: FrameState::EI,
+                tau_max: None,
+                active: 0,
+                objects: Vec::new(),
+            },
+            TraceFrame {
+                frame: 1,
+                state: FrameState::P,
+                tau_max: Some(0.1 + 0.2),
+                active: 1,
+                objects: vec![TraceObject {
+                    id: 7,
+                    class: 2,
+                    confirmed: true,
+                    conf: 1.0 / 3.0,
+                    bounding_box: [0.1, 0.7, 1e-17, 0.3],
+                    tau: 2.4961199111764362e-5,
+                    hits: 3,
+                    since_update: 1,
+                    since_infer: 1,
+                    rescues: 0,
+                }],
+            },
+        ];
+        write(&path, &frames).expect("the trace can be written");
+        assert_eq!(read(&path).expect("the trace can be read"), frames);
+    }
+
+    #[test]
+    fn a_broken_line_is_named_with_its_number() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("clip.jsonl.gz");
+        let mut out = flate2::write::GzEncoder::new(
+            std::fs::File::create(&path).expect("a file"),
+            flate2::Compression::fast(),
+        );
+        out.write_all(
+            b"{\"frame\":0,\"state\":\"I\",\"tau_max\":null,\"active\":0,\"objects\":[]}\n{\"frame\":1}\n",
+        )
+        .expect("written");
+        out.finish().expect("written");
+        let message = read(&path)
+            .expect_err("the second line is broken")
+            .to_string();
+        assert!(message.contains(":2:"), "{message}");
+    }
+}

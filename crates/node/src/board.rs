@@ -1,0 +1,308 @@
+//! The live board: what the camera loops write while they run, and what HTTP, metrics and the counter
+//! messages read. Nothing here decides anything.
+
+mod camera;
+mod event;
+mod setup;
+mod thresholds;
+
+pub use camera::CameraSnapshot;
+pub use camera::{CameraBoard, CameraSetup, LatestFrame};
+pub use event::Event;
+pub use event::{FrameEvent, ThresholdEvent};
+pub use setup::SetupError;
+pub use setup::{BoardSetup, DetectorFacts};
+
+use crate::detector::{DetectorCounters, DetectorMeter, DetectorStatus};
+use crate::power::MeterCost;
+use albireo_core::policy::KnobError;
+use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::Duration;
+use thresholds::ThresholdStore;
+use tokio::sync::{broadcast, watch};
+use tokio::time::Instant;
+
+/// Clip reports kept for readers; older ones are forgotten.
+pub(crate) const RECENT_CLIPS: usize = 256;
+
+/// Events a slow reader may be behind before it loses some (and is told how many).
+const EVENT_BACKLOG: usize = 1024;
+
+/// Locks, also after a panic elsewhere: what is behind these locks is plain numbers that no panic can
+/// leave half-written in a way that matters.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Power now, and energy since the node started.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PowerSnapshot {
+    /// Where the figures come from: `rapl`, `estimate`, …; `none` without a source.
+    pub source: String,
+    /// How far to trust them.
+    pub quality: EnergyQuality,
+    /// Power by domain, watts; empty without a source.
+    pub watts: Vec<DomainWatts>,
+    /// Energy by domain since the node started, joules; only ever grows.
+    pub joules: BTreeMap<String, f64>,
+    /// What reading the source has cost.
+    pub cost: MeterCost,
+}
+
+impl Default for PowerSnapshot {
+    fn default() -> Self {
+        Self {
+            source: "none".to_owned(),
+            quality: EnergyQuality::Unavailable,
+            watts: Vec::new(),
+            joules: BTreeMap::new(),
+            cost: MeterCost::default(),
+        }
+    }
+}
+
+/// The live board of one node. Shared by `Arc`; every method takes `&self` and never blocks for long.
+#[derive(Debug)]
+pub struct Board {
+    node: String,
+    policy: &'static str,
+    started: Instant,
+    cameras: Vec<Arc<CameraBoard>>,
+    clips: Mutex<VecDeque<Arc<ClipReport>>>,
+    events: broadcast::Sender<Event>,
+    detector: DetectorFacts,
+    detector_status: watch::Receiver<DetectorStatus>,
+    detector_meter: OnceLock<DetectorMeter>,
+    power: Mutex<PowerSnapshot>,
+    holds: Mutex<BTreeMap<&'static str, String>>,
+    store: Option<Arc<ThresholdStore>>,
+}
+
+impl Board {
+    /// A board with no frames yet. Thresholds kept in `state_dir` by an earlier run are taken over where
+    /// the policy's knob still has that name and range and the configured value is the same as then; a
+    /// file that cannot be read is logged and otherwise ignored. Call inside a tokio runtime or not, as
+    /// you like.
+    pub fn new(setup: BoardSetup) -> Arc<Self> {
+        let (events, _) = broadcast::channel(EVENT_BACKLOG);
+        let store = setup
+            .state_dir
+            .map(|directory| Arc::new(ThresholdStore::open(&directory)));
+        let cameras = setup
+            .cameras
+            .into_iter()
+            .map(|camera| {
+                Arc::new(CameraBoard::new(
+                    camera,
+                    setup.policy,
+                    events.clone(),
+                    store.clone(),
+                ))
+            })
+            .collect();
+        Arc::new(Self {
+            node: setup.node,
+            policy: setup.policy,
+            started: Instant::now(),
+            cameras,
+            clips: Mutex::default(),
+            events,
+            detector: setup.detector,
+            detector_status: setup.detector_status,
+            detector_meter: OnceLock::new(),
+            power: Mutex::default(),
+            holds: Mutex::default(),
+            store,
+        })
+    }
+
+    /// The node's name.
+    pub fn node(&self) -> &str {
+        &self.node
+    }
+
+    /// The policy's name.
+    pub fn policy(&self) -> &'static str {
+        self.policy
+    }
+
+    /// Where to read what the detector counts, once it has started. The first one stays.
+    pub(crate) fn attach_detector(&self, meter: DetectorMeter) {
+        let _ = self.detector_meter.set(meter);
+    }
+
+    /// What the detector has counted; all 0 before it has started.
+    pub(crate) fn detector_counters(&self) -> DetectorCounters {
+        self.detector_meter
+            .get()
+            .map(DetectorMeter::read)
+            .unwrap_or_default()
+    }
+
+    /// Time since the board was made.
+    pub(crate) fn uptime(&self) -> Duration {
+        self.started.elapsed()
+    }
+
+    /// All cameras, in the order of the configuration.
+    pub fn cameras(&self) -> &[Arc<CameraBoard>] {
+        &self.cameras
+    }
+
+    /// The camera of that name.
+    pub fn camera(&self, name: &str) -> Option<&Arc<CameraBoard>> {
+        self.cameras.iter().find(|camera| camera.name() == name)
+    }
+
+    /// What happens from now on. A reader that falls more than 1024 events behind gets
+    /// `RecvError::Lagged` with the number it lost.
+    pub fn subscribe(&self) -> broadcast::Receiver<Event> {
+        self.events.subscribe()
+    }
+
+    /// Keeps a clip's report, counts it for its camera and tells it to subscribers.
+    pub fn record_clip(&self, report: ClipReport) {
+        if let Some(camera) = self.camera(&report.camera) {
+            camera.count_clip();
+        }
+        let report = Arc::new(report);
+        let mut clips = lock(&self.clips);
+        if clips.len() == RECENT_CLIPS {
+            clips.pop_front();
+        }
+        clips.push_back(Arc::clone(&report));
+        drop(clips);
+        // An error only says that nobody listens.
+        let _ = self.events.send(Event::Clip(report));
+    }
+
+    /// The newest clip reports, newest first: of one camera or of all, at most `limit`.
+    pub fn recent_clips(&self, camera: Option<&str>, limit: usize) -> Vec<Arc<ClipReport>> {
+        lock(&self.clips)
+            .iter()
+            .rev()
+            .filter(|report| camera.is_none_or(|name| report.camera == name))
+            .take(limit)
+            .cloned()
+            .collect()
+    }
+
+    /// The counter messages of all cameras as they stand now, told to subscribers too. To be called
+    /// once a second; `t_ns` is the wall clock, nanoseconds since the Unix epoch.
+    pub fn publish_counters(&self, t_ns: u64) -> Vec<Arc<CountersMessage>> {
+        self.cameras
+            .iter()
+            .map(|camera| {
+                let message = Arc::new(self.counters(camera, t_ns));
+                let _ = self.events.send(Event::Counters(Arc::clone(&message)));
+                message
+            })
+            .collect()
+    }
+
+    /// How things stand, as the events that would tell it: thresholds and counters of every camera.
+    pub fn current(&self, t_ns: u64) -> Vec<Event> {
+        let told = |camera: &Arc<CameraBoard>| {
+            let counters = Event::Counters(Arc::new(self.counters(camera, t_ns)));
+            camera.threshold_event().into_iter().chain([counters])
+        };
+        self.cameras.iter().flat_map(told).collect()
+    }
+
+    /// The counter message of one camera as it stands now.
+    pub fn counters(&self, camera: &CameraBoard, t_ns: u64) -> CountersMessage {
+        let snapshot = camera.snapshot();
+        let power = self.power();
+        CountersMessage {
+            v: albireo_wire::VERSION,
+            t_ns,
+            camera: camera.name().to_owned(),
+            frames: snapshot.states.frames(),
+            states: snapshot.states,
+            skip_rate: snapshot.states.skip_rate(),
+            degraded_frames: snapshot.degraded_frames,
+            dropped: snapshot.dropped,
+            knob: camera.knob_value(),
+            watts: power.watts,
+            power_quality: power.quality,
+        }
+    }
+
+    /// Turns the knob of every camera, or of none: all values are checked before the first is changed.
+    ///
+    /// # Errors
+    /// [`KnobError`] of the first camera that cannot take `value`.
+    pub(crate) fn set_all_thresholds(&self, value: f64) -> Result<f64, KnobError> {
+        for camera in &self.cameras {
+            camera.check_threshold(value)?;
+        }
+        for camera in &self.cameras {
+            camera.set_threshold(value)?;
+        }
+        Ok(value)
+    }
+
+    /// Whether the thresholds in force will still hold after a restart: a `state_dir` is set and the
+    /// last write to it went well.
+    pub(crate) fn thresholds_are_kept(&self) -> bool {
+        self.store.as_ref().is_some_and(|store| store.is_good())
+    }
+
+    /// What was known about the detector before it started.
+    pub(crate) fn detector_facts(&self) -> &DetectorFacts {
+        &self.detector
+    }
+
+    /// How the detector is doing now.
+    pub fn detector_status(&self) -> DetectorStatus {
+        self.detector_status.borrow().clone()
+    }
+
+    /// How the detector is doing, to wait for changes.
+    pub(crate) fn watch_detector(&self) -> watch::Receiver<DetectorStatus> {
+        self.detector_status.clone()
+    }
+
+    /// Writes the power figures; to be called by the sampling task.
+    pub fn set_power(&self, power: PowerSnapshot) {
+        *lock(&self.power) = power;
+    }
+
+    /// The power figures as last written.
+    pub fn power(&self) -> PowerSnapshot {
+        lock(&self.power).clone()
+    }
+
+    /// Says that the node is not ready because of `part` (`zenoh`, `cameras`, …), in words.
+    pub fn hold(&self, part: &'static str, reason: impl Into<String>) {
+        lock(&self.holds).insert(part, reason.into());
+    }
+
+    /// Takes back what [`hold`](Self::hold) said about `part`.
+    pub fn release(&self, part: &'static str) {
+        lock(&self.holds).remove(part);
+    }
+
+    /// Why the node is not ready, by part; empty when it is. The detector's part is read from its status.
+    pub(crate) fn reasons_not_ready(&self) -> Vec<(&'static str, String)> {
+        let mut reasons: Vec<_> = lock(&self.holds)
+            .iter()
+            .map(|(part, reason)| (*part, reason.clone()))
+            .collect();
+        match &*self.detector_status.borrow() {
+            DetectorStatus::Starting => {
+                reasons.push(("detector", "the session is being built".to_owned()));
+            }
+            DetectorStatus::Degraded { reason, .. } => {
+                reasons.push(("detector", format!("degraded: {reason}")));
+            }
+            DetectorStatus::Ready { .. } => {}
+        }
+        reasons
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,288 @@
+//! One camera's part of the live board.
+
+use super::event::{Event, FrameEvent, ThresholdEvent};
+use super::lock;
+use super::thresholds::ThresholdStore;
+use crate::frame::EncodedPicture;
+use crate::screen::ScreenCounts;
+use albireo_core::policy::{FrameState, Knob, KnobError};
+use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, KnobValue};
+use prometheus_client::metrics::histogram::Histogram;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+use tokio::sync::{broadcast, watch};
+use tokio::time::Instant;
+
+/// Upper bounds of the latency histograms, seconds: fine around the 1 ms a predicted frame may take and
+/// around a detector's tens of milliseconds.
+pub(crate) const LATENCY_BUCKETS_S: [f64; 15] = [
+    0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.02, 0.033, 0.05, 0.1, 0.25, 0.5, 1.0,
+    2.5,
+];
+
+/// What a camera's part of the board is made from.
+#[derive(Clone, Debug)]
+pub struct CameraSetup {
+    /// The camera's name.
+    pub name: String,
+    /// Zenoh key its frames come on.
+    pub key: String,
+    /// What its policy lets a user turn, if anything.
+    pub knob: Option<Knob>,
+    /// The configured value; the knob's default without one. It must be inside the knob's range; a value
+    /// that is not is logged and the default used.
+    pub threshold: Option<f64>,
+}
+
+/// The last picture received, still encoded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LatestFrame {
+    /// Sequence number of the frame.
+    pub seq: u64,
+    /// The picture; a cheap clone of what was received.
+    pub picture: EncodedPicture,
+}
+
+/// Where one camera stands; all numbers are of the same moment.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CameraSnapshot {
+    /// Frame states since the node started.
+    pub states: FrameStates,
+    /// Frames answered from prediction because the detector could not be had.
+    pub degraded_frames: u64,
+    /// Frames not processed, by kind.
+    pub dropped: DroppedFrames,
+    /// What the empty-scene screen has counted.
+    pub screen: ScreenCounts,
+    /// Clips ended.
+    pub clips: u64,
+    /// What was published for the newest frame.
+    pub latest: Option<Arc<DetectionsMessage>>,
+    /// Time since the newest frame was processed.
+    pub last_frame_age: Option<Duration>,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    states: FrameStates,
+    degraded_frames: u64,
+    dropped: DroppedFrames,
+    screen: ScreenCounts,
+    clips: u64,
+    latest: Option<Arc<DetectionsMessage>>,
+    last_frame: Option<Instant>,
+}
+
+/// One camera's part of the live board. The counters are behind one lock, so that any snapshot adds up.
+#[derive(Debug)]
+pub struct CameraBoard {
+    name: Arc<str>,
+    key: String,
+    policy: &'static str,
+    knob: Option<Knob>,
+    configured: Option<f64>,
+    threshold: watch::Sender<Option<f64>>,
+    /// Makes changes of the threshold one at a time, so that file, loop and events see the same order.
+    changing: Mutex<()>,
+    counts: Mutex<Counts>,
+    latest_frame: Mutex<Option<LatestFrame>>,
+    total_latency: [Histogram; 5],
+    detector_latency: Histogram,
+    events: broadcast::Sender<Event>,
+    store: Option<Arc<ThresholdStore>>,
+}
+
+impl CameraBoard {
+    pub(super) fn new(
+        setup: CameraSetup,
+        policy: &'static str,
+        events: broadcast::Sender<Event>,
+        store: Option<Arc<ThresholdStore>>,
+    ) -> Self {
+        let configured = setup.knob.map(|knob| {
+            let value = setup.threshold.unwrap_or(knob.default);
+            knob.check(value).unwrap_or_else(|error| {
+                tracing::error!(camera = setup.name, %error, "configured threshold not used");
+                knob.default
+            })
+        });
+        let kept = setup.knob.zip(configured).and_then(|(knob, configured)| {
+            let value = store.as_ref()?.kept(&setup.name, &knob, configured)?;
+            tracing::info!(
+                camera = setup.name,
+                knob = knob.name,
+                value,
+                configured,
+                "threshold taken over from the last run"
+            );
+            Some(value)
+        });
+        Self {
+            name: setup.name.into(),
+            key: setup.key,
+            policy,
+            knob: setup.knob,
+            configured,
+            threshold: watch::Sender::new(kept.or(configured)),
+            changing: Mutex::default(),
+            counts: Mutex::default(),
+            latest_frame: Mutex::default(),
+            total_latency: std::array::from_fn(|_| Histogram::new(LATENCY_BUCKETS_S)),
+            detector_latency: Histogram::new(LATENCY_BUCKETS_S),
+            events,
+            store,
+        }
+    }
+
+    /// The camera's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// The Zenoh key its frames come on.
+    pub fn key(&self) -> &str {
+        &self.key
+    }
+
+    /// What the policy lets a user turn.
+    pub fn knob(&self) -> Option<Knob> {
+        self.knob
+    }
+
+    /// Takes over what the empty-scene screen has counted.
+    pub(crate) fn record_screen(&self, screen: ScreenCounts) {
+        lock(&self.counts).screen = screen;
+    }
+
+    /// Counts a processed frame by what was published for it, and tells it to subscribers.
+    pub fn record_frame(&self, detections: Arc<DetectionsMessage>) {
+        let latency = &detections.latency_ms;
+        let index = FrameState::ALL
+            .iter()
+            .position(|state| *state == detections.state);
+        if let Some(histogram) = index.and_then(|index| self.total_latency.get(index)) {
+            histogram.observe(latency.total / 1e3);
+        }
+        if let Some(detector) = latency.detector {
+            self.detector_latency.observe(detector / 1e3);
+        }
+        let mut counts = lock(&self.counts);
+        counts.states.count(detections.state);
+        counts.degraded_frames += u64::from(detections.degraded);
+        counts.last_frame = Some(Instant::now());
+        counts.latest = Some(Arc::clone(&detections));
+        drop(counts);
+        if self.events.receiver_count() > 0 {
+            let _ = self.events.send(Event::Frame(FrameEvent {
+                camera: Arc::clone(&self.name),
+                detections,
+            }));
+        }
+    }
+
+    /// Adds frames that were not processed, each kind under its own name.
+    pub fn record_dropped(&self, more: &DroppedFrames) {
+        lock(&self.counts).dropped += more;
+    }
+
+    pub(super) fn count_clip(&self) {
+        lock(&self.counts).clips += 1;
+    }
+
+    /// Where the camera stands.
+    pub fn snapshot(&self) -> CameraSnapshot {
+        let counts = lock(&self.counts);
+        CameraSnapshot {
+            states: counts.states,
+            degraded_frames: counts.degraded_frames,
+            dropped: counts.dropped,
+            screen: counts.screen,
+            clips: counts.clips,
+            latest: counts.latest.clone(),
+            last_frame_age: counts.last_frame.map(|instant| instant.elapsed()),
+        }
+    }
+
+    /// Time from reception to publication of the frames with `state`.
+    pub(crate) fn total_latency(&self, state: FrameState) -> &Histogram {
+        let [e, p, ei, i, ai] = &self.total_latency;
+        match state {
+            FrameState::E => e,
+            FrameState::P => p,
+            FrameState::EI => ei,
+            FrameState::I => i,
+            FrameState::AI => ai,
+        }
+    }
+
+    /// Time the detector took, over the frames where it ran.
+    pub(crate) fn detector_latency(&self) -> &Histogram {
+        &self.detector_latency
+    }
+
+    /// Keeps the newest picture for who wants to look.
+    pub fn set_latest_frame(&self, frame: LatestFrame) {
+        *lock(&self.latest_frame) = Some(frame);
+    }
+
+    /// The newest picture.
+    pub(crate) fn latest_frame(&self) -> Option<LatestFrame> {
+        lock(&self.latest_frame).clone()
+    }
+
+    /// The threshold in force from the next frame on; `None` when the policy has none.
+    pub fn threshold(&self) -> Option<f64> {
+        *self.threshold.borrow()
+    }
+
+    /// The same with its name.
+    pub fn knob_value(&self) -> Option<KnobValue> {
+        Some(KnobValue::new(self.knob.as_ref()?, self.threshold()?))
+    }
+
+    /// The threshold, for the camera's loop: read it before each frame.
+    pub fn watch_threshold(&self) -> watch::Receiver<Option<f64>> {
+        self.threshold.subscribe()
+    }
+
+    /// The threshold in force as an event.
+    pub(super) fn threshold_event(&self) -> Option<Event> {
+        Some(Event::Threshold(ThresholdEvent {
+            camera: Arc::clone(&self.name),
+            knob: self.knob_value()?,
+        }))
+    }
+
+    /// Checks a value without using it.
+    ///
+    /// # Errors
+    /// [`KnobError`] when the policy has no knob or the value is outside its range.
+    pub(crate) fn check_threshold(&self, value: f64) -> Result<Knob, KnobError> {
+        let knob = self.knob.ok_or(KnobError::Absent {
+            policy: self.policy,
+        })?;
+        knob.check(value)?;
+        Ok(knob)
+    }
+
+    /// Changes the threshold from the next frame on, keeps it in the state directory and tells
+    /// subscribers. When it cannot be kept the change still holds, and the log and
+    /// [`Board::thresholds_are_kept`](super::Board::thresholds_are_kept) say so. Writes a small file.
+    ///
+    /// # Errors
+    /// [`KnobError`] when the policy has no knob or the value is outside its range; nothing changes then.
+    pub(crate) fn set_threshold(&self, value: f64) -> Result<f64, KnobError> {
+        let knob = self.check_threshold(value)?;
+        let changing = lock(&self.changing);
+        let before = self.threshold.send_replace(Some(value));
+        if let (Some(store), Some(configured)) = (&self.store, self.configured) {
+            store.keep(&self.name, &knob, configured, value);
+        }
+        if let Some(event) = self.threshold_event() {
+            let _ = self.events.send(event);
+        }
+        drop(changing);
+        tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold changed");
+        Ok(value)
+    }
+}

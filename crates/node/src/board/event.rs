@@ -1,0 +1,67 @@
+//! What happens on a node, told as it happens.
+
+use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, KnobValue};
+use serde::Serialize;
+use std::sync::Arc;
+
+/// One thing that happened. As JSON, the contents of the variant; the variant's name is told apart, by
+/// [`Event::name`].
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(untagged)]
+pub enum Event {
+    /// A frame was processed.
+    Frame(FrameEvent),
+    /// A clip ended.
+    Clip(Arc<ClipReport>),
+    /// Where a camera stands, once a second.
+    Counters(Arc<CountersMessage>),
+    /// A threshold changed.
+    Threshold(ThresholdEvent),
+}
+
+impl Event {
+    /// Names of all kinds, as [`Event::name`] gives them.
+    pub const NAMES: [&'static str; 4] = ["frame", "clip", "counters", "threshold"];
+
+    /// The kind, as the `event:` line of a server-sent event has it.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Frame(_) => "frame",
+            Self::Clip(_) => "clip",
+            Self::Counters(_) => "counters",
+            Self::Threshold(_) => "threshold",
+        }
+    }
+
+    /// The camera it is about.
+    pub fn camera(&self) -> &str {
+        match self {
+            Self::Frame(event) => &event.camera,
+            Self::Clip(report) => &report.camera,
+            Self::Counters(message) => &message.camera,
+            Self::Threshold(event) => &event.camera,
+        }
+    }
+}
+
+/// A frame was processed: its detections message and whose it is.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FrameEvent {
+    /// Camera.
+    pub camera: Arc<str>,
+    /// What was published for the frame.
+    #[serde(flatten)]
+    pub detections: Arc<DetectionsMessage>,
+}
+
+/// A threshold changed; it holds from the camera's next frame.
+#[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
+pub struct ThresholdEvent {
+    /// Camera.
+    #[schema(value_type = String)]
+    pub camera: Arc<str>,
+    /// The value now, under the knob's name.
+    #[serde(flatten)]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    pub knob: KnobValue,
+}

@@ -1,0 +1,84 @@
+//! What a board is made from.
+
+use super::camera::CameraSetup;
+use crate::config::{CameraConfig, NodeConfig};
+use crate::detector::{DetectorStatus, ExecutionProvider};
+use albireo_core::policy::PolicyConfigError;
+use albireo_wire::KeyError;
+use std::path::PathBuf;
+use tokio::sync::watch;
+
+/// What a board is made from.
+#[derive(Debug)]
+pub struct BoardSetup {
+    /// The node's name.
+    pub node: String,
+    /// The cameras, in the order they are to be listed. Names must differ.
+    pub cameras: Vec<CameraSetup>,
+    /// Where thresholds that were changed while running are kept; `None` to forget them at the end.
+    pub state_dir: Option<PathBuf>,
+    /// Name of the policy.
+    pub policy: &'static str,
+    /// What is known about the detector before it starts.
+    pub detector: DetectorFacts,
+    /// How the detector is doing.
+    pub detector_status: watch::Receiver<DetectorStatus>,
+}
+
+impl BoardSetup {
+    /// The setup that a configuration describes.
+    ///
+    /// # Errors
+    /// What cannot be used; a configuration that passed its check has nothing of the kind.
+    pub fn from_config(
+        config: &NodeConfig,
+        detector_status: watch::Receiver<DetectorStatus>,
+    ) -> Result<Self, SetupError> {
+        let policy = config.policy.build()?;
+        let camera = |camera: &CameraConfig| -> Result<CameraSetup, SetupError> {
+            Ok(CameraSetup {
+                name: camera.name.clone(),
+                key: config.frame_key(camera)?,
+                knob: policy.knob(),
+                threshold: camera.threshold.or_else(|| policy.knob_value()),
+            })
+        };
+        let model = &config.detector.model;
+        let model = model.file_name().unwrap_or(model.as_os_str());
+        Ok(Self {
+            node: config.node.name.clone(),
+            cameras: config
+                .cameras
+                .iter()
+                .map(camera)
+                .collect::<Result<_, _>>()?,
+            state_dir: config.node.state_dir.clone(),
+            policy: policy.name(),
+            detector: DetectorFacts {
+                model: model.to_string_lossy().into_owned(),
+                requested: config.detector.providers.clone(),
+            },
+            detector_status,
+        })
+    }
+}
+
+/// Why a configuration describes no board.
+#[derive(Debug, thiserror::Error)]
+pub enum SetupError {
+    /// The policy cannot be made.
+    #[error(transparent)]
+    Policy(#[from] PolicyConfigError),
+    /// A name cannot stand in a key.
+    #[error(transparent)]
+    Key(#[from] KeyError),
+}
+
+/// What is known about the detector before it starts.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct DetectorFacts {
+    /// File name of the model.
+    pub model: String,
+    /// Execution providers asked for, in order.
+    pub requested: Vec<ExecutionProvider>,
+}

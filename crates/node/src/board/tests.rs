@@ -1,0 +1,183 @@
+use super::*;
+use crate::config::{CameraConfig, NodeConfig};
+use crate::detector::ExecutionProvider;
+use albireo_core::policy::{FrameState, Knob};
+use albireo_wire::{DetectionsMessage, DroppedFrames, KnobValue, Latency};
+use std::path::PathBuf;
+
+const KNOB: Knob = Knob {
+    name: "u",
+    meaning: "The detector is skipped while every uncertainty is below it.",
+    minimum: 1e-12,
+    maximum: 1.0,
+    default: 3e-4,
+};
+
+fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<Board> {
+    let (_, detector_status) = watch::channel(DetectorStatus::Starting);
+    let camera = |name: &str| CameraSetup {
+        name: name.to_owned(),
+        key: format!("albireo/n/{name}/frame"),
+        knob: Some(knob),
+        threshold,
+    };
+    Board::new(BoardSetup {
+        node: "n".to_owned(),
+        cameras: vec![camera("front"), camera("rear")],
+        state_dir,
+        policy: "albireo",
+        detector: DetectorFacts::default(),
+        detector_status,
+    })
+}
+
+fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
+    Arc::new(DetectionsMessage {
+        v: 1,
+        seq,
+        t_ns: 0,
+        clip: "c".to_owned(),
+        state,
+        degraded: state == FrameState::P,
+        tau_max: Some(1e-4),
+        knob: Some(KnobValue {
+            name: "u",
+            value: 3e-4,
+        }),
+        width: 4,
+        height: 3,
+        boxes: Vec::new(),
+        latency_ms: Latency {
+            total: 2.0,
+            ..Latency::default()
+        },
+    })
+}
+
+#[test]
+fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
+    let board = board(None, KNOB, None);
+    let mut events = board.subscribe();
+    let camera = board.camera("front").unwrap();
+    for (seq, state) in FrameState::ALL.into_iter().enumerate() {
+        camera.record_frame(frame(seq as u64, state));
+        let event = events.try_recv().unwrap();
+        assert_eq!((event.name(), event.camera()), ("frame", "front"));
+        let json = serde_json::to_value(&event).unwrap();
+        assert_eq!(json["seq"], seq as u64);
+        assert_eq!(json["camera"], "front");
+    }
+    camera.record_dropped(&DroppedFrames {
+        late: 2,
+        ..DroppedFrames::default()
+    });
+    let counters = board.counters(camera, 7);
+    assert_eq!(counters.frames, 5);
+    assert_eq!(counters.degraded_frames, 1);
+    assert_eq!(counters.dropped.late, 2);
+    assert_eq!(board.counters(board.camera("rear").unwrap(), 7).frames, 0);
+}
+
+#[test]
+fn a_threshold_outside_the_knob_changes_nothing() {
+    let board = board(None, KNOB, Some(1e-3));
+    let camera = board.camera("front").unwrap();
+    let seen = camera.watch_threshold();
+    for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 2.0] {
+        assert!(camera.set_threshold(bad).is_err(), "{bad}");
+        assert!(board.set_all_thresholds(bad).is_err(), "{bad}");
+    }
+    assert_eq!(*seen.borrow(), Some(1e-3));
+    camera.set_threshold(5e-4).unwrap();
+    assert_eq!(*seen.borrow(), Some(5e-4));
+    assert!(!board.thresholds_are_kept());
+}
+
+#[test]
+fn a_changed_threshold_survives_a_restart() {
+    let directory = tempfile::tempdir().unwrap();
+    let state = Some(directory.path().join("state"));
+    let first = board(state.clone(), KNOB, None);
+    first.camera("front").unwrap().set_threshold(5e-4).unwrap();
+    assert!(first.thresholds_are_kept());
+    let second = board(state.clone(), KNOB, None);
+    assert_eq!(second.camera("front").unwrap().threshold(), Some(5e-4));
+    assert_eq!(second.camera("rear").unwrap().threshold(), Some(3e-4));
+    // Once the configuration is edited it is the newer word.
+    let edited = board(state.clone(), KNOB, Some(1e-3));
+    assert_eq!(edited.camera("front").unwrap().threshold(), Some(1e-3));
+    // A value kept for another knob is no value of this one.
+    let lambda = Knob {
+        name: "lambda",
+        ..KNOB
+    };
+    let other = board(state, lambda, None);
+    assert_eq!(other.camera("front").unwrap().threshold(), Some(3e-4));
+}
+
+#[test]
+fn a_broken_state_file_is_ignored_and_written_anew() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("thresholds.json");
+    for broken in ["", "{\"v\":1,\"cam", "[]", "{\"v\":99,\"cameras\":{}}"] {
+        std::fs::write(&file, broken).unwrap();
+        let first = board(Some(directory.path().into()), KNOB, None);
+        assert_eq!(first.camera("front").unwrap().threshold(), Some(3e-4));
+        first.set_all_thresholds(9e-4).unwrap();
+        let second = board(Some(directory.path().into()), KNOB, None);
+        assert_eq!(second.camera("rear").unwrap().threshold(), Some(9e-4));
+    }
+}
+
+#[test]
+fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
+    let directory = tempfile::tempdir().unwrap();
+    let blocked = directory.path().join("a-file");
+    std::fs::write(&blocked, "").unwrap();
+    let board = board(Some(blocked), KNOB, None);
+    board.set_all_thresholds(1e-3).unwrap();
+    assert_eq!(board.camera("front").unwrap().threshold(), Some(1e-3));
+    assert!(!board.thresholds_are_kept());
+}
+
+#[test]
+fn a_hold_keeps_the_node_from_being_ready_until_it_is_released() {
+    let (status, detector_status) = watch::channel(DetectorStatus::Starting);
+    let board = Board::new(BoardSetup {
+        node: "n".to_owned(),
+        cameras: Vec::new(),
+        state_dir: None,
+        policy: "albireo",
+        detector: DetectorFacts::default(),
+        detector_status,
+    });
+    board.hold("zenoh", "the session is not open yet");
+    assert_eq!(board.reasons_not_ready().len(), 2);
+    status.send_replace(DetectorStatus::Ready {
+        provider: ExecutionProvider::Cpu,
+    });
+    assert_eq!(board.reasons_not_ready()[0].0, "zenoh");
+    board.release("zenoh");
+    assert!(board.reasons_not_ready().is_empty());
+}
+
+#[test]
+fn a_configuration_describes_its_cameras_with_their_own_thresholds() {
+    let mut config = NodeConfig::default();
+    config.policy.u = 7e-4;
+    config.cameras.push(CameraConfig {
+        key: Some("vehicle/rear".to_owned()),
+        threshold: Some(1e-3),
+        ..CameraConfig::named("rear")
+    });
+    let (_, detector_status) = watch::channel(DetectorStatus::Starting);
+    let board = Board::new(BoardSetup::from_config(&config, detector_status).unwrap());
+    let front = board.camera("front").unwrap();
+    assert_eq!(front.key(), "albireo/node/front/frame");
+    assert_eq!(front.threshold(), Some(7e-4));
+    let rear = board.camera("rear").unwrap();
+    assert_eq!(rear.key(), "vehicle/rear");
+    assert_eq!(rear.threshold(), Some(1e-3));
+    assert_eq!(board.detector_facts().model, "detector.onnx");
+    assert_eq!(board.policy(), "albireo");
+}

@@ -1,0 +1,148 @@
+//! From a closed clip to its report on the wire.
+
+use super::latencies::Latencies;
+use super::share::{CameraShare, Slice};
+use crate::power::{PowerHandle, SpanEnergy};
+use albireo_wire::{
+    BoardState, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates,
+    KnobChange, KnobValue, VERSION,
+};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// A clip that has ended.
+#[derive(Clone, Debug)]
+pub(crate) struct ClosedClip {
+    /// The camera's own name, or `window-N`.
+    pub clip: Arc<str>,
+    /// Why it ended.
+    pub ended_by: ClipEnd,
+    /// Capture time of its first frame, nanoseconds since the Unix epoch.
+    pub started_ns: u64,
+    /// When it began: the arrival of its first frame, or the end of the window before.
+    pub start: Instant,
+    /// When it ended.
+    pub end: Instant,
+    /// Frame states; they add up to the frames.
+    pub states: FrameStates,
+    /// Frames answered from prediction because the detector could not be had.
+    pub degraded: u64,
+    /// Frames not processed, by kind.
+    pub dropped: DroppedFrames,
+    /// Threshold at the end.
+    pub knob: Option<KnobValue>,
+    /// The threshold at the start, then its changes.
+    pub knob_changes: Vec<KnobChange>,
+    /// Latencies from reception to publication.
+    pub total: Latencies,
+    /// Latencies of the detector, over the frames where it ran.
+    pub detector: Latencies,
+}
+
+/// What the report says of the node and is not in the books.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ClipMeta {
+    /// Node.
+    pub node: String,
+    /// Camera.
+    pub camera: String,
+    /// Number of the report within the node's life.
+    pub report: u64,
+    /// Policy.
+    pub policy: String,
+    /// Detector model: file name.
+    pub model: String,
+    /// Execution provider that really ran it.
+    pub provider: String,
+}
+
+impl ClosedClip {
+    /// From the clip's start to its end.
+    pub(crate) fn duration(&self) -> Duration {
+        self.end.saturating_duration_since(self.start)
+    }
+
+    /// The report, with the clip's energy and the board's state during it.
+    pub(crate) fn into_report(
+        self,
+        meta: ClipMeta,
+        energy: ClipEnergy,
+        board: Option<BoardState>,
+    ) -> ClipReport {
+        ClipReport {
+            v: VERSION,
+            node: meta.node,
+            camera: meta.camera,
+            clip: self.clip.to_string(),
+            report: meta.report,
+            ended_by: self.ended_by,
+            started_ns: self.started_ns,
+            duration_s: self.duration().as_secs_f64(),
+            frames: self.states.frames(),
+            states: self.states,
+            skip_rate: self.states.skip_rate(),
+            degraded_frames: self.degraded,
+            dropped: self.dropped,
+            policy: meta.policy,
+            knob: self.knob,
+            knob_changes: self.knob_changes,
+            model: meta.model,
+            provider: meta.provider,
+            total_latency_ms: self.total.percentiles(),
+            detector_latency_ms: self.detector.percentiles(),
+            energy,
+            board,
+        }
+    }
+}
+
+/// The energy of `clip`: waits (less than half a second) for the first sample after the clip's end, then
+/// asks for the node's energy and takes the camera's share of it. To be awaited away from the frames'
+/// way: it never blocks, but the report can wait and the next frame cannot.
+pub(crate) async fn clip_energy(
+    clip: &ClosedClip,
+    power: &PowerHandle,
+    share: &CameraShare,
+) -> ClipEnergy {
+    let node = power.settled_energy(clip.start, clip.end).await;
+    let slices = share.slices(clip.start, clip.end);
+    let joules = match slices.as_slice() {
+        [Slice { share, .. }] => node.total_joules().map(|j| j * share),
+        slices => slices
+            .iter()
+            .filter_map(|s| Some(power.energy(s.start, s.end).total_joules()? * s.share))
+            .reduce(|a, b| a + b),
+    };
+    energy_of(&node, joules, clip.duration(), clip.states.frames())
+}
+
+/// The energy section of a report, from the node's energy and the clip's part of its total.
+pub fn energy_of(
+    node: &SpanEnergy,
+    joules: Option<f64>,
+    duration: Duration,
+    frames: u64,
+) -> ClipEnergy {
+    let known = node.quality != EnergyQuality::Unavailable;
+    let joules = joules.filter(|_| known);
+    ClipEnergy {
+        joules,
+        node_joules: node.total_joules().filter(|_| known),
+        edp: joules.and_then(|j| energy_delay_product(j, duration, frames)),
+        quality: node.quality,
+        source: node.source.clone(),
+        total_from: node.total_from.clone(),
+        samples: node.samples,
+        coverage: node.coverage,
+        domains: node.domains.clone(),
+    }
+}
+
+/// Energy-delay product, J·ms/frame: energy × duration ÷ frames (paper, evaluation). None without frames.
+pub fn energy_delay_product(joules: f64, duration: Duration, frames: u64) -> Option<f64> {
+    (frames > 0).then(|| joules * duration.as_secs_f64() * 1e3 / frames as f64)
+}
+
+#[cfg(test)]
+mod tests;

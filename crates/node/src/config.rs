@@ -1,0 +1,158 @@
+//! The configuration of a node: one TOML file, overridden by environment variables, checked as a whole
+//! before anything starts. Every key with its default is in `config/node.toml`.
+
+mod validate;
+
+use crate::clip::ClipConfig;
+use crate::detector::DetectorConfig;
+use crate::frame::{Delivery, FrameLimits, PayloadFormat};
+use crate::power::PowerConfig;
+use crate::screen::ScreenConfig;
+use albireo_core::policy::PolicyConfig;
+use albireo_service::config::{HttpConfig, LogConfig, ZenohConfig};
+use albireo_wire::{KeyError, NodeKeys};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// All settings of a node.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct NodeConfig {
+    /// Who the node is.
+    pub node: NodeSection,
+    /// How it reaches Zenoh.
+    pub zenoh: ZenohConfig,
+    /// The HTTP interface.
+    pub http: HttpConfig,
+    /// The detector.
+    pub detector: DetectorConfig,
+    /// The empty-scene screen.
+    pub screen: ScreenConfig,
+    /// What decides a frame.
+    pub policy: PolicyConfig,
+    /// When a clip ends.
+    pub clip: ClipConfig,
+    /// Limits of incoming frames.
+    pub frame: FrameLimits,
+    /// Where power figures come from.
+    pub power: PowerConfig,
+    /// The log.
+    pub log: LogConfig,
+    /// The cameras, one `[[camera]]` each.
+    #[serde(rename = "camera")]
+    pub cameras: Vec<CameraConfig>,
+}
+
+impl Default for NodeConfig {
+    fn default() -> Self {
+        Self {
+            node: NodeSection::default(),
+            zenoh: ZenohConfig::default(),
+            http: HttpConfig::default(),
+            detector: DetectorConfig::default(),
+            screen: ScreenConfig::default(),
+            policy: PolicyConfig::default(),
+            clip: ClipConfig::default(),
+            frame: FrameLimits::default(),
+            power: PowerConfig::default(),
+            log: LogConfig::default(),
+            cameras: vec![CameraConfig::named("front")],
+        }
+    }
+}
+
+impl NodeConfig {
+    /// The node's Zenoh keys.
+    ///
+    /// # Errors
+    /// [`KeyError`] when a name cannot be used; a configuration that passed its check has none.
+    pub fn keys(&self) -> Result<NodeKeys, KeyError> {
+        NodeKeys::new(&self.node.prefix, &self.node.name)
+    }
+
+    /// The key a camera's frames come on: its own `key`, else `{prefix}/{node}/{camera}/frame`.
+    ///
+    /// # Errors
+    /// [`KeyError`] when a name cannot be used; a configuration that passed its check has none.
+    pub fn frame_key(&self, camera: &CameraConfig) -> Result<String, KeyError> {
+        match &camera.key {
+            Some(key) => Ok(key.clone()),
+            None => Ok(self.keys()?.camera(&camera.name)?.frame()),
+        }
+    }
+}
+
+/// Who the node is: the `[node]` section.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct NodeSection {
+    /// Its name, one part of every key: letters, digits, `-`, `_`, `.`.
+    pub name: String,
+    /// First part (or parts) of every key.
+    pub prefix: String,
+    /// Folder for what must survive a restart: changed thresholds, undelivered clip reports. Without it
+    /// both are forgotten.
+    pub state_dir: Option<PathBuf>,
+}
+
+impl Default for NodeSection {
+    fn default() -> Self {
+        Self {
+            name: "node".to_owned(),
+            prefix: "albireo".to_owned(),
+            state_dir: None,
+        }
+    }
+}
+
+/// One camera: a `[[camera]]` section.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraConfig {
+    /// Its name, one part of its keys: letters, digits, `-`, `_`, `.`.
+    pub name: String,
+    /// Zenoh key its frames come on; by default `{prefix}/{node}/{camera}/frame`.
+    #[serde(default)]
+    pub key: Option<String>,
+    /// How its payload is to be read.
+    #[serde(default)]
+    pub format: PayloadFormat,
+    /// Which frames are processed when they come faster than the node works.
+    #[serde(default)]
+    pub delivery: Delivery,
+    /// Frames that may wait.
+    #[serde(default = "default_ring")]
+    pub ring: usize,
+    /// Threshold of this camera in place of the policy's.
+    #[serde(default)]
+    pub threshold: Option<f64>,
+    /// Whether a new clip id from the camera makes the policy forget its objects.
+    #[serde(default = "default_reset_at_clip")]
+    pub reset_at_clip: bool,
+}
+
+const fn default_reset_at_clip() -> bool {
+    true
+}
+
+const fn default_ring() -> usize {
+    2
+}
+
+impl CameraConfig {
+    /// A camera of that name with every other setting at its default.
+    pub fn named(name: impl Into<String>) -> Self {
+        Self {
+            name: name.into(),
+            key: None,
+            format: PayloadFormat::default(),
+            delivery: Delivery::default(),
+            ring: default_ring(),
+            threshold: None,
+            reset_at_clip: default_reset_at_clip(),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests;

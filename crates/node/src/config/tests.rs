@@ -1,0 +1,268 @@
+use super::*;
+use albireo_core::policy::{AlbireoSettings, ExpectedLossSettings};
+use albireo_service::config::ConfigError;
+use std::path::Path;
+
+fn shipped() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config/node.toml")
+}
+
+fn load(text: &str) -> Result<NodeConfig, ConfigError> {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("node.toml");
+    std::fs::write(&file, text).unwrap();
+    albireo_service::config::load(Some(&file))
+}
+
+/// The problems of a configuration, one `key: reason` line each.
+fn problems(text: &str) -> Vec<String> {
+    load(text)
+        .expect_err(text)
+        .findings
+        .iter()
+        .map(ToString::to_string)
+        .collect()
+}
+
+/// All keys of a value, `section.key` each; keys of tables in lists count as those of the section.
+fn keys(value: &serde_json::Value, section: &str, found: &mut Vec<String>) {
+    match value {
+        serde_json::Value::Object(map) => {
+            for (key, value) in map {
+                let path = if section.is_empty() {
+                    key.clone()
+                } else {
+                    format!("{section}.{key}")
+                };
+                if value.as_object().is_some_and(|map| !map.is_empty())
+                    || value
+                        .as_array()
+                        .is_some_and(|list| list.iter().any(serde_json::Value::is_object))
+                {
+                    keys(value, &path, found);
+                } else {
+                    found.push(path);
+                }
+            }
+        }
+        serde_json::Value::Array(list) => list.iter().for_each(|value| keys(value, section, found)),
+        _ => {}
+    }
+}
+
+#[test]
+fn the_shipped_file_is_exactly_the_defaults() {
+    assert_eq!(
+        albireo_service::config::load::<NodeConfig>(Some(&shipped())).unwrap(),
+        NodeConfig::default()
+    );
+    assert_eq!(
+        albireo_service::config::load::<NodeConfig>(None).unwrap(),
+        NodeConfig::default()
+    );
+}
+
+/// The key of a line that sets one, also when it is commented out.
+fn key_of(line: &str) -> Option<&str> {
+    let (key, _) = line.strip_prefix("# ").unwrap_or(line).split_once(" = ")?;
+    let is_key = |byte: u8| {
+        byte.is_ascii_lowercase() || byte.is_ascii_digit() || matches!(byte, b'_' | b'.')
+    };
+    key.bytes().all(is_key).then_some(key)
+}
+
+#[test]
+fn every_key_is_in_the_shipped_file_with_a_comment() {
+    let text = std::fs::read_to_string(shipped()).unwrap();
+    let mut section = String::new();
+    let mut shown = Vec::new();
+    let mut commented = false;
+    for line in text.lines() {
+        if line.starts_with('[') {
+            section = line.trim_matches(['[', ']']).to_owned();
+            commented = false;
+        } else if let Some(key) = key_of(line) {
+            assert!(commented, "no comment above: {line}");
+            shown.push(format!("{section}.{key}"));
+            commented = false;
+        } else {
+            commented = line.starts_with('#');
+        }
+    }
+    let mut wanted = Vec::new();
+    let defaults = serde_json::to_value(NodeConfig::default()).unwrap();
+    keys(&defaults, "", &mut wanted);
+    // The settings of a policy are there only where they differ from its profile's.
+    let settings = serde_json::to_value(AlbireoSettings::paper()).unwrap();
+    keys(&settings, "policy.albireo", &mut wanted);
+    let settings = serde_json::to_value(ExpectedLossSettings::default()).unwrap();
+    keys(&settings, "policy.expected_loss", &mut wanted);
+    // Empty in the defaults, and shown key by key.
+    wanted.retain(|key| !matches!(key.as_str(), "policy.albireo" | "policy.expected_loss"));
+    shown.sort();
+    wanted.sort();
+    assert_eq!(shown, wanted);
+}
+
+#[test]
+fn the_keys_shown_as_comments_can_be_used_as_they_stand() {
+    let text: String = std::fs::read_to_string(shipped())
+        .unwrap()
+        .lines()
+        // A token and a token file exclude each other.
+        .filter(|line| key_of(line) != Some("token_file"))
+        .map(|line| match key_of(line) {
+            Some(_) => format!("{}\n", line.trim_start_matches("# ")),
+            None => format!("{line}\n"),
+        })
+        .collect();
+    let config = load(&text).unwrap();
+    assert_eq!(config.http.token.unwrap().secret(), "a-long-random-secret");
+    assert_eq!(
+        config.cameras[0].key.as_deref(),
+        Some("vehicle/camera/front")
+    );
+    // The settings shown are those of the default profile.
+    assert_eq!(
+        serde_json::to_value(config.policy.albireo).unwrap(),
+        serde_json::to_value(AlbireoSettings::of(config.policy.profile)).unwrap()
+    );
+    assert_eq!(
+        serde_json::to_value(config.policy.expected_loss).unwrap(),
+        serde_json::to_value(ExpectedLossSettings::default()).unwrap()
+    );
+}
+
+#[test]
+fn an_unknown_key_is_named_with_the_known_ones() {
+    for (text, key) in [
+        ("[http]\nlisten_on = 1", "http.listen_on"),
+        ("[detector]\nconfidense = 0.5", "detector.confidense"),
+        ("[[camera]]\nname = \"a\"\nformt = \"x\"", "camera[0].formt"),
+        ("[nod]\nname = \"a\"", "nod"),
+        ("colour = 1", "colour"),
+    ] {
+        let found = problems(text);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!(
+            found[0].starts_with(&format!("{key}: unknown key")),
+            "{found:?}"
+        );
+    }
+}
+
+#[test]
+fn an_impossible_value_is_refused_with_its_key() {
+    for (text, key) in [
+        ("[node]\nname = \"a/b\"", "node.name"),
+        ("[node]\nname = 7", "node.name"),
+        ("[node]\nprefix = \"\"", "node.prefix"),
+        ("[node]\nstate_dir = \"\"", "node.state_dir"),
+        ("[zenoh]\nmode = \"boss\"", "zenoh.mode"),
+        ("[zenoh]\nlisten = [\"127.0.0.1:7447\"]", "zenoh.listen"),
+        ("[zenoh]\nmode = \"client\"", "zenoh.connect"),
+        ("[http]\nlisten = \"127.0.0.1:99999\"", "http.listen"),
+        ("[http]\nlisten = \"localhost\"", "http.listen"),
+        ("[http]\nlisten = \"0.0.0.0:8080\"", "http.listen"),
+        ("[http]\nlisten = \"[::]:8080\"", "http.listen"),
+        ("[http]\ntoken = \"\"", "http.token"),
+        ("[http]\ntoken = \"two words\"", "http.token"),
+        ("[http]\ntimeout_ms = 0", "http.timeout_ms"),
+        ("[http]\ncors_origins = [\"*\"]", "http.cors_origins"),
+        ("[detector]\nconfidence = nan", "detector.confidence"),
+        ("[detector]\nconfidence = 1.5", "detector.confidence"),
+        ("[detector]\nproviders = []", "detector.providers"),
+        (
+            "[detector]\nproviders = [\"cpu\", \"cpu\"]",
+            "detector.providers",
+        ),
+        ("[detector]\nproviders = [\"npu\"]", "detector.providers[0]"),
+        ("[detector]\ntimeout_ms = 0", "detector.timeout_ms"),
+        ("[detector]\nqueue = 0", "detector.queue"),
+        ("[detector]\nqueue = -1", "detector.queue"),
+        ("[detector]\nhead = \"ssd\"", "detector.head"),
+        ("[screen]\nempty_class = 2", "screen.empty_class"),
+        ("[clip]\nwindow_s = 0", "clip.window_s"),
+        ("[clip]\nwindow_s = inf", "clip.window_s"),
+        ("[clip]\nsilence_s = -1.0", "clip.silence_s"),
+        ("[frame]\nmax_width = 0", "frame.max_width"),
+        ("[power]\ninterval_ms = 0", "power.interval_ms"),
+        ("[power]\nidle_watts = nan", "power.idle_watts"),
+        ("[power]\nidle_watts = 30.0", "power.busy_watts"),
+        ("[log]\nlevel = \"loud\"", "log.level"),
+        ("[policy]\nname = \"albiro\"", "policy.name"),
+        ("[policy]\nu = 0", "policy.u"),
+        ("[policy]\nu = nan", "policy.u"),
+        ("[policy]\nu = \"small\"", "policy.u"),
+        ("[policy]\nprofile = \"mine\"", "policy.profile"),
+        ("[policy.albireo]\ntmax = 1", "policy.albireo"),
+        ("[policy.albireo]\nt_max = 0", "policy.albireo"),
+        ("[log]\nformat = \"xml\"", "log.format"),
+        ("camera = []", "camera"),
+        ("[[camera]]\nkey = \"a\"", "camera[0]"),
+        ("[[camera]]\nname = \"a b\"", "camera[0].name"),
+        ("[[camera]]\nname = \"..\"", "camera[0].name"),
+        (
+            "[[camera]]\nname = \"a\"\n[[camera]]\nname = \"a\"",
+            "camera[1].name",
+        ),
+        ("[[camera]]\nname = \"a\"\nkey = \"x/**\"", "camera[0].key"),
+        ("[[camera]]\nname = \"a\"\nkey = \"/x\"", "camera[0].key"),
+        ("[[camera]]\nname = \"a\"\nring = 0", "camera[0].ring"),
+        (
+            "[[camera]]\nname = \"a\"\nthreshold = 0",
+            "camera[0].threshold",
+        ),
+        (
+            "[[camera]]\nname = \"a\"\nthreshold = nan",
+            "camera[0].threshold",
+        ),
+        (
+            "[[camera]]\nname = \"a\"\nthreshold = 2.0",
+            "camera[0].threshold",
+        ),
+        (
+            "[policy]\nname = \"vanilla\"\n[[camera]]\nname = \"a\"\nthreshold = 3e-4",
+            "camera[0].threshold",
+        ),
+    ] {
+        let found = problems(text);
+        assert_eq!(found.len(), 1, "{text}: {found:?}");
+        assert!(
+            found[0].starts_with(&format!("{key}: ")),
+            "{text}: {found:?}"
+        );
+    }
+}
+
+#[test]
+fn everything_wrong_is_told_at_once() {
+    let found = problems("[clip]\nwindow_s = 0\nsilence_s = nan\n[frame]\nmax_width = 0");
+    assert_eq!(found.len(), 3, "{found:?}");
+}
+
+#[test]
+fn a_file_that_is_missing_or_no_toml_is_named() {
+    let error = albireo_service::config::load::<NodeConfig>(Some(Path::new("/nowhere/node.toml")))
+        .unwrap_err();
+    assert!(
+        error
+            .to_string()
+            .starts_with("/nowhere/node.toml cannot be used:"),
+        "{error}"
+    );
+    let error = load("[http\nlisten = 1").unwrap_err();
+    assert!(error.to_string().contains("line 1"), "{error}");
+}
+
+#[test]
+fn an_address_that_others_reach_is_accepted_with_a_token_or_a_word() {
+    for rest in [
+        "token = \"s3cret\"",
+        "token_file = \"/run/token\"",
+        "allow_unauthenticated = true",
+    ] {
+        let config = load(&format!("[http]\nlisten = \"0.0.0.0:8080\"\n{rest}")).unwrap();
+        assert!(!format!("{config:?}").contains("s3cret"));
+    }
+}

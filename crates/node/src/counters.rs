@@ -1,0 +1,119 @@
+//! Once a second: every camera's counters on Zenoh, and new power figures on the board.
+
+use super::board::{Board, PowerSnapshot};
+use crate::power::PowerHandle;
+use albireo_wire::{CountersMessage, NodeKeys};
+use anyhow::anyhow;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::time::{Instant, MissedTickBehavior};
+use tokio_util::sync::CancellationToken;
+use zenoh::Session;
+use zenoh::bytes::Encoding;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
+
+/// Time between two counter messages of a camera.
+const PERIOD: Duration = Duration::from_secs(1);
+
+/// Publishes the counters of a node's cameras.
+pub(crate) struct Counters {
+    board: Arc<Board>,
+    power: PowerHandle,
+    publishers: BTreeMap<String, Publisher<'static>>,
+    /// Energy by domain since the node started.
+    joules: BTreeMap<String, f64>,
+    since: Instant,
+}
+
+impl Counters {
+    /// Declares the counters key of every camera on the board.
+    ///
+    /// # Errors
+    /// When Zenoh refuses a declaration.
+    pub(crate) async fn declare(
+        session: &Session,
+        keys: &NodeKeys,
+        board: Arc<Board>,
+        power: PowerHandle,
+    ) -> anyhow::Result<Self> {
+        let mut publishers = BTreeMap::new();
+        for camera in board.cameras() {
+            let publisher = session
+                .declare_publisher(keys.camera(camera.name())?.counters())
+                .congestion_control(CongestionControl::Drop)
+                .await
+                .map_err(|error| anyhow!("counters cannot be published: {error}"))?;
+            publishers.insert(camera.name().to_owned(), publisher);
+        }
+        Ok(Self {
+            board,
+            power,
+            publishers,
+            joules: BTreeMap::new(),
+            since: Instant::now(),
+        })
+    }
+
+    /// Publishes until `shutdown`.
+    pub(crate) async fn run(mut self, shutdown: CancellationToken) {
+        let mut ticks = tokio::time::interval(PERIOD);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            tokio::select! {
+                // The figures at the end are the last ones anybody sees.
+                () = shutdown.cancelled() => return self.update_power(),
+                _ = ticks.tick() => {}
+            }
+            self.update_power();
+            for message in self.board.publish_counters(unix_nanoseconds()) {
+                self.publish(&message).await;
+            }
+        }
+    }
+
+    fn update_power(&mut self) {
+        let until = Instant::now();
+        for domain in self.power.energy(self.since, until).domains {
+            *self.joules.entry(domain.domain).or_default() += domain.joules;
+        }
+        self.since = until;
+        let now = self.power.now();
+        self.board.set_power(PowerSnapshot {
+            source: now.source,
+            quality: now.quality,
+            watts: now.watts,
+            joules: self.joules.clone(),
+            cost: self.power.cost(),
+        });
+    }
+
+    async fn publish(&self, message: &CountersMessage) {
+        let Some(publisher) = self.publishers.get(&message.camera) else {
+            return;
+        };
+        let json = match serde_json::to_vec(message) {
+            Ok(json) => json,
+            Err(error) => {
+                return tracing::error!(camera = message.camera, %error, "counters not written");
+            }
+        };
+        let sent = publisher
+            .put(json)
+            .encoding(Encoding::APPLICATION_JSON)
+            .await;
+        if let Err(error) = sent {
+            tracing::warn!(camera = message.camera, %error, "counters not published");
+        }
+    }
+}
+
+/// This machine's wall clock; 0 before 1970.
+fn unix_nanoseconds() -> u64 {
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .map_or(0, |since| {
+            u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
+        })
+}

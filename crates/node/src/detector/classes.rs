@@ -1,0 +1,223 @@
+//! Which of a model's classes are reported, and under which names and numbers.
+
+use super::{DetectorConfig, StartError};
+use albireo_core::detection::{BDD100K_CLASSES, ClassId};
+
+/// Names that COCO and other data sets have for classes of BDD100K.
+const SYNONYMS: [(&str, &str); 5] = [
+    ("person", "pedestrian"),
+    ("people", "pedestrian"),
+    ("bike", "bicycle"),
+    ("motor", "motorcycle"),
+    ("motorbike", "motorcycle"),
+];
+
+/// What becomes of a model's classes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Classes {
+    /// Names of the reported classes, by the number they are reported under.
+    pub(super) reported: Vec<String>,
+    /// For each class of the model the number it is reported under, if it is.
+    by_model: Vec<Option<ClassId>>,
+}
+
+impl Classes {
+    /// For a model whose classes have these names (empty: does not occur), as `config` wants them reported.
+    ///
+    /// # Errors
+    /// When the configuration has a name that the model has not.
+    pub(super) fn new(names: &[String], config: &DetectorConfig) -> Result<Self, StartError> {
+        let wrong = |key: &str, name: &str| StartError::Configuration {
+            key: format!("detector.{key}"),
+            reason: format!(
+                "the model has no class `{name}`; it has {}",
+                names.join(", ")
+            ),
+        };
+        if let Some(unknown) = config.class_map.keys().find(|&name| !names.contains(name)) {
+            return Err(wrong("class_map", unknown));
+        }
+        let renamed: Vec<&str> = names
+            .iter()
+            .map(|name| config.class_map.get(name).unwrap_or(name).as_str())
+            .collect();
+        let classes = match &config.report_classes {
+            Some(wanted) if wanted.is_empty() => Self::all(&renamed),
+            Some(wanted) => {
+                let wanted: Vec<&str> = wanted.iter().map(String::as_str).collect();
+                let classes = Self::only(&renamed, &wanted);
+                let number = |place: usize| ClassId(place as u16);
+                let unknown = (0..wanted.len())
+                    .find(|&place| !classes.by_model.contains(&Some(number(place))));
+                match unknown {
+                    Some(place) => return Err(wrong("report_classes", wanted[place])),
+                    None => classes,
+                }
+            }
+            None => {
+                let classes = Self::only(&renamed, &BDD100K_CLASSES);
+                if classes.by_model.iter().all(Option::is_none) {
+                    Self::all(&renamed)
+                } else {
+                    classes
+                }
+            }
+        };
+        Ok(classes)
+    }
+
+    /// The number that class `number` of the model is reported under: `None` when the model has no such class,
+    /// `Some(None)` when it is not reported.
+    pub(super) fn reported_as(&self, number: ClassId) -> Option<Option<ClassId>> {
+        self.by_model.get(usize::from(number.0)).copied()
+    }
+
+    /// Those that are `wanted`, under their own name or another for the same.
+    fn only(names: &[&str], wanted: &[&str]) -> Self {
+        let place = |name: &str| wanted.iter().position(|&wanted| wanted == name);
+        let by_model = names
+            .iter()
+            .map(|&name| {
+                let synonym = || {
+                    SYNONYMS
+                        .iter()
+                        .find(|(other, _)| *other == name)
+                        .and_then(|(_, ours)| place(ours))
+                };
+                place(name).or_else(synonym).map(number)
+            })
+            .collect();
+        Self {
+            reported: wanted.iter().map(|&name| name.to_owned()).collect(),
+            by_model,
+        }
+    }
+
+    /// All that have a name. Where no name is there twice, they keep their numbers.
+    fn all(names: &[&str]) -> Self {
+        let mut reported: Vec<String> = Vec::new();
+        let mut by_model = Vec::with_capacity(names.len());
+        for &name in names {
+            let known = reported.iter().position(|known| known == name);
+            let place = known.unwrap_or_else(|| {
+                reported.push(name.to_owned());
+                reported.len() - 1
+            });
+            by_model.push((!name.is_empty()).then(|| number(place)));
+        }
+        Self { reported, by_model }
+    }
+}
+
+/// A place in a list of names as a class number; lists are not longer than numbers go.
+fn number(place: usize) -> ClassId {
+    ClassId(u16::try_from(place).unwrap_or(u16::MAX))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::detector::class_names::COCO_CLASSES;
+
+    fn owned(names: &[&str]) -> Vec<String> {
+        names.iter().map(|&name| name.to_owned()).collect()
+    }
+
+    fn classes(names: &[&str], config: &DetectorConfig) -> Classes {
+        Classes::new(&owned(names), config).unwrap()
+    }
+
+    fn config(report: Option<&[&str]>, map: &[(&str, &str)]) -> DetectorConfig {
+        DetectorConfig {
+            report_classes: report.map(owned),
+            class_map: map
+                .iter()
+                .map(|&(from, to)| (from.to_owned(), to.to_owned()))
+                .collect(),
+            ..DetectorConfig::default()
+        }
+    }
+
+    /// The name that class `number` is reported under.
+    fn name(classes: &Classes, number: u16) -> Option<&str> {
+        let reported = classes.reported_as(ClassId(number)).unwrap()?;
+        Some(&classes.reported[usize::from(reported.0)])
+    }
+
+    #[test]
+    fn by_default_the_seven_classes_of_bdd100k_are_reported_and_no_other() {
+        let coco = classes(&COCO_CLASSES, &DetectorConfig::default());
+        assert_eq!(coco.reported, BDD100K_CLASSES);
+        for (number, expected) in [
+            (0, Some("pedestrian")),
+            (1, Some("bicycle")),
+            (2, Some("car")),
+            (3, Some("motorcycle")),
+            (4, None),
+            (5, Some("bus")),
+            (7, Some("truck")),
+            (9, None),
+        ] {
+            assert_eq!(name(&coco, number), expected);
+        }
+        assert_eq!(coco.reported_as(ClassId(80)), None);
+        let own = classes(&BDD100K_CLASSES, &DetectorConfig::default());
+        for number in 0..7 {
+            assert_eq!(
+                own.reported_as(ClassId(number)),
+                Some(Some(ClassId(number)))
+            );
+        }
+    }
+
+    #[test]
+    fn a_model_with_none_of_the_seven_has_all_of_its_classes_reported() {
+        let fish = classes(&["cod", "", "ray"], &DetectorConfig::default());
+        assert_eq!(name(&fish, 0), Some("cod"));
+        assert_eq!(name(&fish, 1), None);
+        assert_eq!(name(&fish, 2), Some("ray"));
+    }
+
+    #[test]
+    fn an_empty_list_reports_all_under_their_own_numbers() {
+        let coco = classes(&COCO_CLASSES, &config(Some(&[]), &[]));
+        assert_eq!(coco.reported, COCO_CLASSES);
+        assert!(
+            (0..80)
+                .all(|number| { coco.reported_as(ClassId(number)) == Some(Some(ClassId(number))) })
+        );
+    }
+
+    #[test]
+    fn a_list_reports_only_what_is_in_it_under_its_numbers() {
+        let config = config(Some(&["bus", "pedestrian", "person"]), &[("train", "bus")]);
+        let some = classes(&["car", "person", "train", "bus", "people"], &config);
+        let reported: Vec<_> = (0..5).map(|number| name(&some, number)).collect();
+        assert_eq!(
+            reported,
+            [
+                None,
+                Some("person"),
+                Some("bus"),
+                Some("bus"),
+                Some("pedestrian")
+            ]
+        );
+        assert_eq!(some.reported_as(ClassId(3)), Some(Some(ClassId(0))));
+    }
+
+    #[test]
+    fn a_name_that_the_model_has_not_is_an_error_that_lists_those_it_has() {
+        for (config, key) in [
+            (config(Some(&["lorry"]), &[]), "detector.report_classes"),
+            (config(None, &[("lorry", "truck")]), "detector.class_map"),
+        ] {
+            let error = Classes::new(&owned(&["car", "bus"]), &config)
+                .unwrap_err()
+                .to_string();
+            for part in [key, "lorry", "car, bus"] {
+                assert!(error.contains(part), "{error}");
+            }
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! The sessions of this process, so that none is at work when the process ends.
+//!
+//! ONNX Runtime's library is taken down as the process exits. A thread that still loads or runs a model then finds
+//! the library's own types gone: errors that nobody foresaw in the log, and no promise that it does not crash.
+
+use super::model::Interrupter;
+use std::collections::BTreeMap;
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Those of this process.
+pub(super) static SESSIONS: Sessions = Sessions::new();
+
+/// Interrupts every model that is being loaded or run in this process, and waits until all sessions are gone, at most
+/// `patience`. What is loaded afterwards is interrupted at once: this is for the end of the process. `false` when some
+/// are left.
+pub fn end_all_sessions(patience: Duration) -> bool {
+    SESSIONS.end_all(patience)
+}
+
+/// Sessions from before they are loaded until they are gone.
+pub(super) struct Sessions {
+    kept: Mutex<Kept>,
+    one_is_gone: Condvar,
+}
+
+struct Kept {
+    ending: bool,
+    next: u64,
+    interrupters: BTreeMap<u64, Interrupter>,
+}
+
+impl Sessions {
+    const fn new() -> Self {
+        Self {
+            kept: Mutex::new(Kept {
+                ending: false,
+                next: 0,
+                interrupters: BTreeMap::new(),
+            }),
+            one_is_gone: Condvar::new(),
+        }
+    }
+
+    /// Keeps `interrupter` for as long as the answer lives; calls it at once when all sessions are to end.
+    pub(super) fn enter(&self, interrupter: Interrupter) -> Entry<'_> {
+        let mut kept = self.kept();
+        let number = kept.next;
+        kept.next += 1;
+        kept.interrupters.insert(number, interrupter.clone());
+        if kept.ending {
+            drop(kept);
+            interrupter();
+        }
+        Entry {
+            sessions: self,
+            number,
+        }
+    }
+
+    fn end_all(&self, patience: Duration) -> bool {
+        let interrupters: Vec<_> = {
+            let mut kept = self.kept();
+            kept.ending = true;
+            kept.interrupters.values().cloned().collect()
+        };
+        for interrupt in interrupters {
+            interrupt();
+        }
+        let (kept, _) = self
+            .one_is_gone
+            .wait_timeout_while(self.kept(), patience, |kept| !kept.interrupters.is_empty())
+            .unwrap_or_else(PoisonError::into_inner);
+        kept.interrupters.is_empty()
+    }
+
+    fn kept(&self) -> MutexGuard<'_, Kept> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// One session's place among them; given up when dropped.
+pub(super) struct Entry<'a> {
+    sessions: &'a Sessions,
+    number: u64,
+}
+
+impl Drop for Entry<'_> {
+    fn drop(&mut self) {
+        self.sessions.kept().interrupters.remove(&self.number);
+        self.sessions.one_is_gone.notify_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+    use std::sync::mpsc::channel;
+
+    /// Long enough that no test waits for it.
+    const PATIENCE: Duration = Duration::from_secs(60);
+
+    #[test]
+    fn all_are_interrupted_and_waited_for() {
+        let sessions = Sessions::new();
+        drop(sessions.enter(Arc::new(|| panic!("it is gone"))));
+        std::thread::scope(|scope| {
+            let (entered, has_entered) = channel();
+            for _ in 0..3 {
+                let (sessions, entered) = (&sessions, entered.clone());
+                scope.spawn(move || {
+                    let (interrupt, interrupted) = channel();
+                    let entry = sessions.enter(Arc::new(move || interrupt.send(()).unwrap()));
+                    entered.send(()).unwrap();
+                    interrupted.recv().unwrap();
+                    drop(entry);
+                });
+            }
+            (0..3).for_each(|_| has_entered.recv().unwrap());
+            assert!(sessions.end_all(PATIENCE));
+        });
+    }
+
+    #[test]
+    fn one_that_comes_late_is_interrupted_and_one_that_stays_is_not_waited_for_beyond_the_patience()
+    {
+        let sessions = Sessions::new();
+        assert!(sessions.end_all(PATIENCE));
+        let (interrupt, interrupted) = channel();
+        let entry = sessions.enter(Arc::new(move || interrupt.send(()).unwrap()));
+        interrupted.try_recv().unwrap();
+        assert!(!sessions.end_all(Duration::from_millis(1)));
+        drop(entry);
+        assert!(sessions.end_all(PATIENCE));
+    }
+}

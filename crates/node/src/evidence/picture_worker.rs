@@ -1,0 +1,208 @@
+//! Pixel work of one camera, on blocking threads: decoding, grey, the detector's input. Buffers go round.
+
+use crate::detector::{Preparation, PreparedPicture};
+use crate::frame::{
+    EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
+};
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::Need;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::task::JoinHandle;
+
+/// What is to be made of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stage {
+    /// Grey at half its size.
+    Grey,
+    /// The decoded picture.
+    Picture,
+    /// The detector's input, and the decoded picture with it.
+    Prepared,
+}
+
+impl Stage {
+    /// What `need` begins with.
+    pub(super) fn at(need: Need) -> Option<Self> {
+        match need {
+            Need::Nothing => None,
+            Need::GreyPicture => Some(Self::Grey),
+            Need::Screen => Some(Self::Picture),
+            Need::Detections => Some(Self::Prepared),
+        }
+    }
+}
+
+/// What has been made of one picture so far.
+#[derive(Default)]
+pub(super) struct PreparedFrame {
+    /// The decoded picture, if there is one.
+    pub(super) picture: Arc<Picture>,
+    decoded: bool,
+    /// The detector's input, until it is taken.
+    pub(super) prepared: Option<PreparedPicture>,
+    /// The picture in grey, if there is one.
+    pub(super) grey: Picture,
+    greyed: bool,
+    /// How long decoding took, grey included.
+    pub(super) decode: Option<Duration>,
+}
+
+impl PreparedFrame {
+    /// Whether nothing has been made of the picture yet.
+    fn is_empty(&self) -> bool {
+        !(self.decoded || self.greyed)
+    }
+
+    /// Whether nothing more has to be done for `look`.
+    pub(super) fn has(&self, stage: Stage) -> bool {
+        match stage {
+            Stage::Grey => self.greyed,
+            Stage::Picture => self.decoded,
+            Stage::Prepared => self.prepared.is_some(),
+        }
+    }
+
+    fn add(
+        &mut self,
+        stage: Stage,
+        encoded: &EncodedPicture,
+        target: PictureSize,
+        limits: &FrameLimits,
+        preparation: &Preparation,
+    ) -> Result<(), FrameFault> {
+        let start = Instant::now();
+        match stage {
+            Stage::Grey => {
+                decode_grey_half(encoded, limits, &mut self.grey)?;
+                self.greyed = true;
+                self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
+            }
+            Stage::Picture => {
+                // Whoever still holds the old picture keeps it, and this one gets a buffer of its own.
+                let mut picture =
+                    Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
+                let layout = PixelLayout::Rgb8;
+                decode(encoded, limits, layout, Some(target), &mut picture)?;
+                self.picture = Arc::new(picture);
+                self.decoded = true;
+                self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
+            }
+            Stage::Prepared => {
+                if !self.decoded {
+                    self.add(Stage::Picture, encoded, target, limits, preparation)?;
+                }
+                let prepared = preparation.prepare(&self.picture);
+                self.prepared = Some(prepared.map_err(|error| FrameFault::Undecodable {
+                    reason: error.to_string(),
+                })?);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Where pictures are looked at.
+pub(super) struct PictureWorker {
+    limits: FrameLimits,
+    preparation: Preparation,
+    /// A frame of an earlier frame, for its buffers.
+    spare: PreparedFrame,
+}
+
+impl PictureWorker {
+    pub(super) fn new(limits: FrameLimits, preparation: Preparation) -> Self {
+        Self {
+            limits,
+            preparation,
+            spare: PreparedFrame::default(),
+        }
+    }
+
+    /// Takes the buffers of a frame that is done.
+    pub(super) fn take_back(&mut self, frame: PreparedFrame) {
+        // Without anything, the buffers are elsewhere: spare, or with what is made ready ahead.
+        if !frame.is_empty() {
+            self.spare = PreparedFrame {
+                picture: frame.picture,
+                grey: frame.grey,
+                ..PreparedFrame::default()
+            };
+        }
+    }
+
+    /// Makes of the picture what is missing in `frame`. It may be decoded to fewer pixels, down to `target`.
+    pub(super) async fn look(
+        &mut self,
+        frame: PreparedFrame,
+        encoded: &EncodedPicture,
+        target: PictureSize,
+        stage: Stage,
+    ) -> Result<PreparedFrame, FrameFault> {
+        joined(self.spawn(frame, encoded.clone(), target, stage)).await
+    }
+
+    /// Begins with a picture that is needed later.
+    pub(super) fn begin(
+        &mut self,
+        encoded: EncodedPicture,
+        target: PictureSize,
+        stage: Stage,
+    ) -> Prefetch {
+        Prefetch {
+            work: self.spawn(PreparedFrame::default(), encoded.clone(), target, stage),
+            encoded,
+        }
+    }
+
+    fn spawn(
+        &mut self,
+        mut frame: PreparedFrame,
+        encoded: EncodedPicture,
+        target: PictureSize,
+        stage: Stage,
+    ) -> JoinHandle<Result<PreparedFrame, FrameFault>> {
+        if frame.is_empty() {
+            frame = std::mem::take(&mut self.spare);
+        }
+        let (limits, preparation) = (self.limits, self.preparation.clone());
+        tokio::task::spawn_blocking(move || {
+            frame.add(stage, &encoded, target, &limits, &preparation)?;
+            Ok(frame)
+        })
+    }
+}
+
+/// A picture that is being looked at before its frame's turn has come.
+pub(super) struct Prefetch {
+    encoded: EncodedPicture,
+    work: JoinHandle<Result<PreparedFrame, FrameFault>>,
+}
+
+impl Prefetch {
+    /// Whether it is this very picture, not only an equal one.
+    pub(super) fn is_of(&self, encoded: &EncodedPicture) -> bool {
+        // As long as this holds on to the bytes, nothing else can lie where they are.
+        std::ptr::eq(self.encoded.bytes.as_ptr(), encoded.bytes.as_ptr())
+            && self.encoded.bytes.len() == encoded.bytes.len()
+    }
+
+    /// What was made of it.
+    ///
+    /// # Errors
+    /// [`FrameFault`] when it cannot be decoded.
+    pub(super) async fn frame(self) -> Result<PreparedFrame, FrameFault> {
+        joined(self.work).await
+    }
+}
+
+/// A panic in the work is a fault of the picture.
+async fn joined(
+    work: JoinHandle<Result<PreparedFrame, FrameFault>>,
+) -> Result<PreparedFrame, FrameFault> {
+    work.await.unwrap_or_else(|error| {
+        Err(FrameFault::Undecodable {
+            reason: format!("the decoder failed: {error}"),
+        })
+    })
+}

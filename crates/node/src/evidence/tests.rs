@@ -1,0 +1,120 @@
+//! One camera's eyes with the demonstration detector: what is made ready prefetch is used for its own frame.
+
+use super::*;
+use crate::detector::DetectorConfig;
+use crate::screen::ScreenConfig;
+use albireo_core::geometry::PictureSize;
+use albireo_synth::{Dashcam, DashcamSettings};
+use bytes::Bytes;
+use std::path::Path;
+
+/// Pictures of the synthetic dashcam.
+fn pictures() -> [EncodedPicture; 3] {
+    let size = PictureSize::new(640, 360);
+    let mut dashcam = Dashcam::new(DashcamSettings {
+        seed: 5,
+        size,
+        ..DashcamSettings::default()
+    })
+    .unwrap();
+    [0, 10, 30].map(|index| EncodedPicture {
+        format: crate::frame::PictureFormat::Jpeg,
+        bytes: dashcam.frame(index).encode_jpeg(90).unwrap().into(),
+        size,
+    })
+}
+
+async fn evidence() -> LiveEvidence {
+    let config = DetectorConfig {
+        model: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/detector.onnx"),
+        confidence: 0.1,
+        timeout_ms: 60_000,
+        ..DetectorConfig::default()
+    };
+    let slot = CameraSlot(0);
+    LiveEvidence::new(
+        DetectorHandle::start(&config).await.unwrap(),
+        CameraScreen::new(&ScreenConfig::default(), None, slot),
+        slot,
+        FrameLimits::default(),
+    )
+}
+
+/// What is found in `picture` by eyes that have seen nothing before.
+async fn found_alone(picture: &EncodedPicture) -> Detected {
+    let mut evidence = evidence().await;
+    let detected = evidence.detect(picture, std::future::pending()).await;
+    detected.unwrap().unwrap()
+}
+
+#[tokio::test]
+async fn the_next_picture_is_made_ready_while_the_detector_looks_and_used_for_its_frame() {
+    let [first, second, _] = pictures();
+    let mut evidence = evidence().await;
+    let next = std::future::ready((second.clone(), Need::Detections));
+    let detected = evidence.detect(&first, next).await.unwrap().unwrap();
+    assert_eq!(
+        detected.detections,
+        found_alone(&first).await.detections,
+        "looking prefetch changes nothing of the frame in hand"
+    );
+    let prefetch = evidence.prefetch.as_ref().unwrap();
+    assert!(prefetch.is_of(&second) && !prefetch.is_of(&first));
+
+    evidence.next_frame();
+    let next = std::future::pending();
+    let detected = evidence.detect(&second, next).await.unwrap().unwrap();
+    let alone = found_alone(&second).await;
+    assert!(!alone.detections.is_empty());
+    assert_eq!(detected.detections, alone.detections);
+    // It did cost that time, only not now.
+    assert!(evidence.times.decode.unwrap() > Duration::ZERO);
+    assert!(evidence.times.letterbox.unwrap() > Duration::ZERO);
+    assert!(evidence.prefetch.is_none());
+}
+
+#[tokio::test]
+async fn a_picture_made_ready_whose_frame_never_comes_is_not_taken_for_another() {
+    let [first, second, third] = pictures();
+    let mut evidence = evidence().await;
+    let next = std::future::ready((second, Need::Detections));
+    evidence.detect(&first, next).await.unwrap();
+    evidence.next_frame();
+    let next = std::future::pending();
+    let detected = evidence.detect(&third, next).await.unwrap().unwrap();
+    assert_eq!(detected.detections, found_alone(&third).await.detections);
+}
+
+#[tokio::test]
+async fn a_broken_picture_made_ready_ahead_is_the_fault_of_its_own_frame() {
+    let [first, second, _] = pictures();
+    let broken = EncodedPicture {
+        bytes: Bytes::copy_from_slice(&second.bytes[..second.bytes.len() / 2]),
+        ..second.clone()
+    };
+    let mut evidence = evidence().await;
+    let next = std::future::ready((broken.clone(), Need::Detections));
+    assert!(evidence.detect(&first, next).await.unwrap().is_some());
+    evidence.next_frame();
+    let fault = evidence.detect(&broken, std::future::pending()).await;
+    assert!(fault.is_err());
+    evidence.next_frame();
+    let detected = evidence.detect(&second, std::future::pending()).await;
+    assert!(detected.unwrap().is_some());
+}
+
+#[tokio::test]
+async fn decoded_pictures_take_turns_in_the_same_buffers() {
+    let [first, second, third] = pictures();
+    let mut evidence = evidence().await;
+    let mut buffers = std::collections::BTreeSet::new();
+    for _ in 0..3 {
+        for (picture, next) in [(&first, &second), (&second, &third), (&third, &first)] {
+            let next = std::future::ready((next.clone(), Need::Detections));
+            evidence.detect(picture, next).await.unwrap();
+            buffers.insert(evidence.frame.picture.pixels.as_ptr() as usize);
+            evidence.next_frame();
+        }
+    }
+    assert!(buffers.len() <= 2, "{} buffers", buffers.len());
+}

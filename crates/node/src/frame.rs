@@ -1,0 +1,34 @@
+//! What a camera sends: payload formats, sequence numbers, the ring of newest frames, decoding, letterbox.
+
+mod attachment;
+mod config;
+mod decode;
+mod decode_jpeg;
+#[cfg(feature = "turbojpeg")]
+mod decode_jpeg_scaled;
+mod decode_png;
+mod decode_raw;
+mod fault;
+mod header;
+mod letterbox;
+mod limits;
+mod picture;
+mod read;
+mod ring;
+mod ros2;
+mod sequence;
+
+pub use config::{Delivery, FrameLimits, PayloadFormat};
+pub use decode::{decode, decode_grey_half, to_jpeg};
+pub use fault::FrameFault;
+pub use letterbox::{ColorOrder, Fit, InputFormat, Letterbox, TensorLayout, ValueRange};
+pub use letterbox::{InputMapping, LetterboxError};
+pub use picture::{EncodedPicture, Picture, PictureFormat, PixelLayout};
+pub use read::{Frame, RawSample, RejectedFrame, read_frame, read_sample};
+pub use ring::RingSender;
+pub use ring::{Pushed, RingReceiver, frame_ring};
+pub(crate) use sequence::{Arrival, SequenceTracker};
+
+/// Most scans of a progressive JPEG file; encoders use about ten. Each costs a pass over the picture, and a small
+/// file can hold many.
+const MAX_SCANS: u32 = 32;

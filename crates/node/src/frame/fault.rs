@@ -1,0 +1,64 @@
+//! Why a frame that did arrive cannot be used.
+
+use albireo_wire::DroppedFrames;
+
+/// What was wrong with a frame. Each kind has its own counter in [`DroppedFrames`].
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FrameFault {
+    /// The picture cannot be decoded, or contradicts its own header.
+    #[error("undecodable picture: {reason}")]
+    Undecodable {
+        /// What was wrong, for people.
+        reason: String,
+    },
+    /// Payload, picture or decoded size is above its limit.
+    #[error("oversized frame: {reason}")]
+    Oversized {
+        /// What was too large, and the limit.
+        reason: String,
+    },
+    /// The payload is of a kind not known here, or the attachment cannot be read.
+    #[error("unknown format: {reason}")]
+    UnknownFormat {
+        /// What was found and what would do.
+        reason: String,
+    },
+}
+
+impl FrameFault {
+    pub(super) fn undecodable(reason: impl Into<String>) -> Self {
+        Self::Undecodable {
+            reason: reason.into(),
+        }
+    }
+
+    pub(super) fn oversized(reason: impl Into<String>) -> Self {
+        Self::Oversized {
+            reason: reason.into(),
+        }
+    }
+
+    pub(super) fn unknown_format(reason: impl Into<String>) -> Self {
+        Self::UnknownFormat {
+            reason: reason.into(),
+        }
+    }
+
+    /// The counter's name: `undecodable`, `oversized` or `unknown_format`.
+    pub const fn kind(&self) -> &'static str {
+        match self {
+            Self::Undecodable { .. } => "undecodable",
+            Self::Oversized { .. } => "oversized",
+            Self::UnknownFormat { .. } => "unknown_format",
+        }
+    }
+
+    /// Counts the fault under its own name.
+    pub fn count(&self, dropped: &mut DroppedFrames) {
+        match self {
+            Self::Undecodable { .. } => dropped.undecodable += 1,
+            Self::Oversized { .. } => dropped.oversized += 1,
+            Self::UnknownFormat { .. } => dropped.unknown_format += 1,
+        }
+    }
+}

@@ -1,0 +1,309 @@
+//! From a Zenoh sample to a frame, still encoded.
+
+use super::attachment::{Said, read_attachment};
+use super::header::{format_of, jpeg_size, png_size};
+use super::limits::{check_payload, check_picture, check_raw_length};
+use super::{EncodedPicture, FrameFault, FrameLimits, PayloadFormat, PictureFormat, ros2};
+use albireo_core::geometry::PictureSize;
+use bytes::Bytes;
+use std::ops::Range;
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+use tokio::time::Instant;
+use zenoh::bytes::ZBytes;
+use zenoh::sample::Sample;
+
+/// A sample of a frame key, as Zenoh delivers it.
+#[derive(Clone, Debug)]
+pub struct RawSample<'a> {
+    /// The payload.
+    pub payload: Bytes,
+    /// The sample's Zenoh encoding as text, for example `image/jpeg`; empty when it has none.
+    pub encoding: &'a str,
+    /// The sample's attachment.
+    pub attachment: Option<&'a [u8]>,
+    /// The sample's timestamp, nanoseconds since the Unix epoch.
+    pub timestamp_ns: Option<u64>,
+    /// How many samples came on this key before: the sequence number of a camera that sends none.
+    pub arrival: u64,
+    /// When it was received.
+    pub received: Instant,
+}
+
+/// A frame, still encoded.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// The camera's sequence number; by arrival when it sends none.
+    pub sequence: u64,
+    /// Capture time, nanoseconds since the Unix epoch: the camera's, else the sample's timestamp, else
+    /// this machine's clock.
+    pub time_ns: u64,
+    /// The clip the camera says the frame belongs to.
+    pub clip: Option<Arc<str>>,
+    /// The picture, not decoded.
+    pub picture: EncodedPicture,
+    /// When the sample was received.
+    pub received: Instant,
+    /// Size of the payload.
+    pub payload_bytes: usize,
+}
+
+/// A sample that is not a usable frame. Its number still counts as arrived, so that it is not counted
+/// as lost too.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{fault}")]
+pub struct RejectedFrame {
+    /// Its sequence number, where it could be read.
+    pub sequence: Option<u64>,
+    /// Its clip, where it could be read.
+    pub clip: Option<Arc<str>>,
+    /// What was wrong.
+    pub fault: FrameFault,
+}
+
+/// Reads a Zenoh sample as a frame, received now. As [`read_frame`], with the payload's length checked
+/// before it is copied out of Zenoh's buffers.
+///
+/// # Errors
+/// As [`read_frame`].
+pub fn read_sample(
+    sample: &Sample,
+    arrival: u64,
+    format: PayloadFormat,
+    limits: &FrameLimits,
+) -> Result<Frame, RejectedFrame> {
+    let too_large = sample.payload().len() > limits.max_payload_bytes;
+    let payload = if too_large {
+        Bytes::new()
+    } else {
+        shared_bytes(sample.payload())
+    };
+    let encoding = std::borrow::Cow::from(sample.encoding());
+    let attachment = sample.attachment().map(|attachment| attachment.to_bytes());
+    let raw = RawSample {
+        payload,
+        encoding: &encoding,
+        attachment: attachment.as_deref(),
+        timestamp_ns: sample
+            .timestamp()
+            .and_then(|stamp| u64::try_from(stamp.get_time().to_duration().as_nanos()).ok()),
+        arrival,
+        received: Instant::now(),
+    };
+    read_checked(raw, sample.payload().len(), format, limits)
+}
+
+/// The payload as shared bytes: no copy where Zenoh holds it in one piece.
+fn shared_bytes(payload: &ZBytes) -> Bytes {
+    /// Owns the Zenoh buffer behind a `Bytes`; in one piece, as checked at construction.
+    struct OnePiece(ZBytes);
+    impl AsRef<[u8]> for OnePiece {
+        fn as_ref(&self) -> &[u8] {
+            self.0.slices().next().unwrap_or_default()
+        }
+    }
+    let mut slices = payload.slices();
+    match (slices.next(), slices.next()) {
+        (None, _) => Bytes::new(),
+        (Some(_), None) => Bytes::from_owner(OnePiece(payload.clone())),
+        (Some(_), Some(_)) => Bytes::from(payload.to_bytes().into_owned()),
+    }
+}
+
+/// Reads a sample as a frame. Nothing is decoded; all limits are checked here, before memory is taken.
+///
+/// # Errors
+/// [`RejectedFrame`] when the sample is too large, of an unknown format, or not a picture.
+pub fn read_frame(
+    raw: RawSample<'_>,
+    format: PayloadFormat,
+    limits: &FrameLimits,
+) -> Result<Frame, RejectedFrame> {
+    let payload_bytes = raw.payload.len();
+    read_checked(raw, payload_bytes, format, limits)
+}
+
+fn read_checked(
+    raw: RawSample<'_>,
+    payload_bytes: usize,
+    format: PayloadFormat,
+    limits: &FrameLimits,
+) -> Result<Frame, RejectedFrame> {
+    let said = read_attachment(raw.attachment, format).map_err(|fault| RejectedFrame {
+        sequence: None,
+        clip: None,
+        fault,
+    })?;
+    let sequence = said.sequence.unwrap_or(raw.arrival);
+    let read = check_payload(payload_bytes, limits)
+        .and_then(|()| read_picture(&raw, &said, format, limits));
+    match read {
+        Ok((picture, stamp)) => Ok(Frame {
+            sequence,
+            // A ROS header's stamp is when the picture was taken, the attachment's when it was sent.
+            time_ns: stamp
+                .or(said.time_ns)
+                .or(raw.timestamp_ns)
+                .unwrap_or_else(clock_ns),
+            clip: said.clip,
+            picture,
+            received: raw.received,
+            payload_bytes,
+        }),
+        Err(fault) => Err(RejectedFrame {
+            sequence: Some(sequence),
+            clip: said.clip,
+            fault,
+        }),
+    }
+}
+
+fn clock_ns() -> u64 {
+    SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .ok()
+        .and_then(|time| u64::try_from(time.as_nanos()).ok())
+        .unwrap_or(0)
+}
+
+/// The picture, and the capture time where the payload itself tells it.
+fn read_picture(
+    raw: &RawSample<'_>,
+    said: &Said,
+    format: PayloadFormat,
+    limits: &FrameLimits,
+) -> Result<(EncodedPicture, Option<u64>), FrameFault> {
+    match format {
+        PayloadFormat::Encoding => {
+            read_by_encoding(raw, said.size, limits).map(|picture| (picture, None))
+        }
+        PayloadFormat::Ros2CompressedImage => {
+            let message = ros2::read_compressed_image(&raw.payload)?;
+            let bytes = raw.payload.slice(message.data.clone());
+            let Some(format) = format_of(&bytes) else {
+                let text: String = message.format.chars().take(48).collect();
+                return Err(FrameFault::unknown_format(format!(
+                    "the CompressedImage (format {text:?}) holds neither a JPEG nor a PNG file"
+                )));
+            };
+            Ok((file_picture(format, bytes, limits)?, message.time_ns))
+        }
+        PayloadFormat::Ros2Image => {
+            let message = ros2::read_image(&raw.payload)?;
+            check_picture(message.size, limits)?;
+            let bytes = without_padding(&raw.payload, &message)?;
+            let picture = EncodedPicture {
+                format: message.format,
+                bytes,
+                size: message.size,
+            };
+            Ok((picture, message.time_ns))
+        }
+    }
+}
+
+fn read_by_encoding(
+    raw: &RawSample<'_>,
+    size: Option<PictureSize>,
+    limits: &FrameLimits,
+) -> Result<EncodedPicture, FrameFault> {
+    let (kind, schema) = raw.encoding.split_once(';').unwrap_or((raw.encoding, ""));
+    let kind = kind.trim().to_ascii_lowercase();
+    let bytes = raw.payload.clone();
+    match kind.as_str() {
+        "image/jpeg" | "image/jpg" => file_picture(PictureFormat::Jpeg, bytes, limits),
+        "image/png" => file_picture(PictureFormat::Png, bytes, limits),
+        "" | "zenoh/bytes" | "application/octet-stream" => match format_of(&bytes) {
+            Some(format) => file_picture(format, bytes, limits),
+            None => Err(FrameFault::unknown_format(format!(
+                "the payload has no encoding and is neither a JPEG nor a PNG file; {ENCODINGS}"
+            ))),
+        },
+        "image/raw" => {
+            let Some(format) = PictureFormat::raw_from_name(schema.trim()) else {
+                return Err(unknown_encoding(raw.encoding));
+            };
+            let size = size.ok_or_else(|| {
+                FrameFault::unknown_format(
+                    "a raw picture needs `width` and `height` in the attachment",
+                )
+            })?;
+            check_picture(size, limits)?;
+            check_raw_length(format, size, bytes.len())?;
+            Ok(EncodedPicture {
+                format,
+                bytes,
+                size,
+            })
+        }
+        _ => Err(unknown_encoding(raw.encoding)),
+    }
+}
+
+const ENCODINGS: &str =
+    "send image/jpeg, image/png, or image/raw;FORMAT with rgb8, bgr8, rgba8, bgra8, gray8 or nv12";
+
+fn unknown_encoding(encoding: &str) -> FrameFault {
+    let start: String = encoding.chars().take(64).collect();
+    FrameFault::unknown_format(format!("encoding {start:?} is not known; {ENCODINGS}"))
+}
+
+fn file_picture(
+    format: PictureFormat,
+    bytes: Bytes,
+    limits: &FrameLimits,
+) -> Result<EncodedPicture, FrameFault> {
+    let size = match format {
+        PictureFormat::Png => png_size(&bytes)?,
+        _ => jpeg_size(&bytes)?,
+    };
+    check_picture(size, limits)?;
+    Ok(EncodedPicture {
+        format,
+        bytes,
+        size,
+    })
+}
+
+/// The rows of a ROS image, one after the other: the payload itself when its rows have no padding, else
+/// a copy no larger than the payload.
+fn without_padding(payload: &Bytes, image: &ros2::Image) -> Result<Bytes, FrameFault> {
+    let data = &payload[image.data.clone()];
+    let (width, height) = (image.size.width as usize, image.size.height as usize);
+    // Rows of pixels, then, for NV12, rows of chroma: a Cb and a Cr byte for every two columns.
+    let (row, chroma_row, chroma_rows) = match image.format {
+        PictureFormat::Gray8 => (width, 0, 0),
+        PictureFormat::Rgba8 | PictureFormat::Bgra8 => (4 * width, 0, 0),
+        PictureFormat::Nv12 => (width, 2 * width.div_ceil(2), height.div_ceil(2)),
+        _ => (3 * width, 0, 0),
+    };
+    let longest = row.max(chroma_row);
+    if image.step < longest {
+        return Err(FrameFault::undecodable(format!(
+            "a row of the {} image has {longest} bytes, its step says {}",
+            image.size, image.step
+        )));
+    }
+    let rows = height + chroma_rows;
+    if image
+        .step
+        .checked_mul(rows)
+        .is_none_or(|needed| needed > data.len())
+    {
+        return Err(FrameFault::undecodable(format!(
+            "{rows} rows of {} bytes do not fit in the {} bytes of the ROS image",
+            image.step,
+            data.len()
+        )));
+    }
+    if image.step == row {
+        let Range { start, .. } = image.data;
+        return Ok(payload.slice(start..start + row * rows));
+    }
+    let mut packed = Vec::with_capacity(row * height + chroma_row * chroma_rows);
+    for (index, padded) in data.chunks(image.step).take(rows).enumerate() {
+        let used = if index < height { row } else { chroma_row };
+        packed.extend_from_slice(&padded[..used]);
+    }
+    Ok(Bytes::from(packed))
+}

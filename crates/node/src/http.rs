@@ -1,0 +1,139 @@
+//! The routes of a node.
+
+mod cameras;
+mod clips;
+mod detector_metrics;
+mod events;
+mod health;
+mod metrics;
+mod page;
+mod picture;
+mod plain_metrics;
+mod states;
+mod threshold;
+
+use crate::board::{Board, CameraBoard};
+use crate::frame::FrameLimits;
+use albireo_service::http::Problem;
+use axum::Router;
+use axum::http::StatusCode;
+use axum::routing::get;
+use std::sync::Arc;
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+use utoipa::openapi::OpenApi;
+use utoipa::{Modify, OpenApi as _};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+/// What the routes look at.
+#[derive(Clone, Debug)]
+pub struct NodeView {
+    /// The live board.
+    pub board: Arc<Board>,
+    /// Limits for decoding the latest picture of a camera that does not send JPEG.
+    pub limits: FrameLimits,
+}
+
+/// What every handler gets.
+#[derive(Clone)]
+struct RouteState {
+    view: NodeView,
+    metrics: Arc<metrics::Metrics>,
+    /// Places for event streams.
+    streams: Arc<Semaphore>,
+    shutdown: CancellationToken,
+}
+
+impl RouteState {
+    fn board(&self) -> &Arc<Board> {
+        &self.view.board
+    }
+
+    fn camera(&self, name: &str) -> Result<&Arc<CameraBoard>, Problem> {
+        self.board().camera(name).ok_or_else(|| {
+            let names: Vec<_> = self
+                .board()
+                .cameras()
+                .iter()
+                .map(|camera| camera.name().to_owned())
+                .collect();
+            let detail = format!(
+                "there is no camera `{name}`; there is: {}",
+                names.join(", ")
+            );
+            Problem::new(StatusCode::NOT_FOUND, detail).allowing(names)
+        })
+    }
+}
+
+#[derive(utoipa::OpenApi)]
+#[openapi(
+    info(
+        title = "albireo node",
+        description = "Watch a node and turn its uncertainty threshold. Errors are problem documents (RFC 9457). \
+                       Where a token is set, everything but `/`, `/healthz` and `/readyz` needs it.",
+    ),
+    components(schemas(Problem)),
+    modifiers(&Security),
+    security((), ("token" = []))
+)]
+struct Description;
+
+struct Security;
+
+impl Modify for Security {
+    fn modify(&self, openapi: &mut OpenApi) {
+        use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
+        let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
+        openapi
+            .components
+            .get_or_insert_default()
+            .add_security_scheme("token", SecurityScheme::Http(token));
+    }
+}
+
+fn described() -> OpenApiRouter<RouteState> {
+    OpenApiRouter::with_openapi(Description::openapi())
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz))
+        .routes(routes!(threshold::get_all, threshold::put_all))
+        .routes(routes!(threshold::get_one, threshold::put_one))
+        .routes(routes!(states::all))
+        .routes(routes!(states::one))
+        .routes(routes!(cameras::list))
+        .routes(routes!(picture::jpeg))
+        .routes(routes!(clips::list))
+        .routes(routes!(events::stream))
+        .routes(routes!(metrics::text))
+}
+
+/// The OpenAPI document of a node, as `/openapi.json` gives it.
+pub fn openapi() -> OpenApi {
+    described().split_for_parts().1
+}
+
+/// All routes, with their description and the page.
+pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
+    let (router, openapi) = described().split_for_parts();
+    let metrics = Arc::new(metrics::Metrics::new(Arc::clone(&view.board)));
+    #[cfg(feature = "swagger")]
+    let router = router.merge(
+        // The document itself is served below: this only tells the page where it is.
+        utoipa_swagger_ui::SwaggerUi::new("/docs")
+            .config(utoipa_swagger_ui::Config::new(["/openapi.json"])),
+    );
+    let openapi = Arc::new(openapi);
+    router
+        .route("/", get(page::index))
+        .route(
+            "/openapi.json",
+            get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),
+        )
+        .with_state(RouteState {
+            view,
+            metrics,
+            streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),
+            shutdown,
+        })
+}

@@ -1,0 +1,126 @@
+//! Whether the node lives, and whether it works.
+
+use super::RouteState;
+use crate::detector::DetectorStatus;
+use albireo_service::http::{self, Problem};
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// The process answers.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Health {
+    /// Always `ok`.
+    status: &'static str,
+    /// The node.
+    node: String,
+    /// The program's version.
+    version: &'static str,
+    /// Seconds since it started.
+    uptime_s: f64,
+}
+
+/// Why the node is not ready, for one of its parts.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Reason {
+    /// Which part: `detector`, `zenoh`, …
+    part: &'static str,
+    /// What is the matter.
+    reason: String,
+}
+
+/// Whether frames are processed as the configuration wants it, and by what.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Readiness {
+    /// Whether everything works.
+    ready: bool,
+    /// The node.
+    node: String,
+    /// The policy that decides frames.
+    policy: &'static str,
+    /// File name of the detector's model.
+    model: String,
+    /// Execution provider that really runs the detector; absent while it starts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    provider: Option<&'static str>,
+    /// Execution providers asked for, in order.
+    requested_providers: Vec<&'static str>,
+    /// Why it is not ready; empty when it is.
+    reasons: Vec<Reason>,
+}
+
+/// [`Readiness`] as a problem document.
+#[derive(Serialize, ToSchema)]
+pub(super) struct NotReady {
+    #[serde(flatten)]
+    problem: Problem,
+    #[serde(flatten)]
+    readiness: Readiness,
+}
+
+/// The provider in use by a status.
+pub(super) fn provider(status: &DetectorStatus) -> Option<&'static str> {
+    match status {
+        DetectorStatus::Starting => None,
+        DetectorStatus::Ready { provider } | DetectorStatus::Degraded { provider, .. } => {
+            Some(provider.as_str())
+        }
+    }
+}
+
+/// Whether the process answers
+///
+/// Touches neither the detector nor the GPU. `curl http://127.0.0.1:8080/healthz`
+#[utoipa::path(get, path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
+pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
+    let board = shared.board();
+    Json(Health {
+        status: "ok",
+        node: board.node().to_owned(),
+        version: env!("CARGO_PKG_VERSION"),
+        uptime_s: board.uptime().as_secs_f64(),
+    })
+}
+
+/// Whether frames are processed as wanted, and by which execution provider
+///
+/// 503 while starting or degraded. `curl http://127.0.0.1:8080/readyz`
+#[utoipa::path(
+    get, path = "/readyz", tag = "health", security(()),
+    responses(
+        (status = 200, body = Readiness),
+        (status = 503, body = NotReady, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn readyz(State(shared): State<RouteState>) -> Response {
+    let board = shared.board();
+    let facts = board.detector_facts();
+    let reasons: Vec<Reason> = board
+        .reasons_not_ready()
+        .into_iter()
+        .map(|(part, reason)| Reason { part, reason })
+        .collect();
+    let readiness = Readiness {
+        ready: reasons.is_empty(),
+        node: board.node().to_owned(),
+        policy: board.policy(),
+        model: facts.model.clone(),
+        provider: provider(&board.detector_status()),
+        requested_providers: facts.requested.iter().map(|name| name.as_str()).collect(),
+        reasons,
+    };
+    if readiness.ready {
+        return Json(readiness).into_response();
+    }
+    let words: Vec<_> = readiness
+        .reasons
+        .iter()
+        .map(|reason| format!("{}: {}", reason.part, reason.reason))
+        .collect();
+    let status = StatusCode::SERVICE_UNAVAILABLE;
+    let problem = Problem::new(status, words.join("; "));
+    http::response(status, &NotReady { problem, readiness })
+}

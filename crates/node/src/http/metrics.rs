@@ -1,0 +1,398 @@
+//! Metrics for Prometheus, in OpenMetrics text or in the older text format (0.0.4), as the reader asks.
+
+use super::RouteState;
+use super::detector_metrics::detector;
+use super::health::provider;
+use super::plain_metrics::to_plain;
+use crate::board::{Board, CameraBoard, CameraSnapshot};
+use crate::detector::DetectorStatus;
+use albireo_core::policy::FrameState;
+use albireo_service::http::Problem;
+use albireo_wire::EnergyQuality;
+use axum::extract::State;
+use axum::http::header::{ACCEPT, CONTENT_TYPE};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use prometheus_client::collector::Collector;
+use prometheus_client::encoding::{
+    DescriptorEncoder, EncodeGaugeValue, EncodeMetric, MetricEncoder, NoLabelSet, text::encode,
+};
+use prometheus_client::metrics::MetricType;
+use prometheus_client::registry::Registry;
+use std::fmt;
+use std::sync::Arc;
+
+const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+const PLAIN: &str = "text/plain; version=0.0.4; charset=utf-8";
+
+/// The registry over a board.
+pub(super) struct Metrics(Registry);
+
+impl Metrics {
+    /// Metrics of that board.
+    pub(crate) fn new(board: Arc<Board>) -> Self {
+        let mut registry = Registry::with_prefix("albireo");
+        registry.register_collector(Box::new(BoardCollector(board)));
+        Self(registry)
+    }
+}
+
+/// Reads the board at each scrape, so that no figure is kept twice.
+#[derive(Debug)]
+struct BoardCollector(Arc<Board>);
+
+pub(super) type Labels<'a> = Vec<(&'static str, &'a str)>;
+
+/// Writes one family of metrics: its description, then a sample for each set of labels.
+pub(super) struct Family<'a>(MetricEncoder<'a>);
+
+impl Family<'_> {
+    pub(super) fn counter(&mut self, labels: Labels<'_>, value: f64) -> fmt::Result {
+        // A family of an empty set of labels would print empty braces.
+        if labels.is_empty() {
+            self.0.encode_counter::<NoLabelSet, _, u64>(&value, None)
+        } else {
+            self.0
+                .encode_family(&labels)?
+                .encode_counter::<NoLabelSet, _, u64>(&value, None)
+        }
+    }
+
+    fn gauge(&mut self, labels: Labels<'_>, value: impl EncodeGaugeValue) -> fmt::Result {
+        if labels.is_empty() {
+            self.0.encode_gauge(&value)
+        } else {
+            self.0.encode_family(&labels)?.encode_gauge(&value)
+        }
+    }
+
+    fn histogram(&mut self, labels: Labels<'_>, value: &impl EncodeMetric) -> fmt::Result {
+        value.encode(self.0.encode_family(&labels)?)
+    }
+}
+
+pub(super) fn family(
+    encoder: &mut DescriptorEncoder<'_>,
+    name: &str,
+    help: &str,
+    kind: MetricType,
+    write: impl FnOnce(&mut Family<'_>) -> fmt::Result,
+) -> fmt::Result {
+    write(&mut Family(
+        encoder.encode_descriptor(name, help, None, kind)?,
+    ))
+}
+
+fn quality(quality: EnergyQuality) -> &'static str {
+    match quality {
+        EnergyQuality::Measured => "measured",
+        EnergyQuality::Partial => "partial",
+        EnergyQuality::Estimated => "estimated",
+        EnergyQuality::Unavailable => "unavailable",
+    }
+}
+
+impl Collector for BoardCollector {
+    fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
+        let cameras: Vec<_> = self
+            .0
+            .cameras()
+            .iter()
+            .map(|camera| (&**camera, camera.snapshot()))
+            .collect();
+        self.node(&mut encoder)?;
+        detector(&mut encoder, &self.0.detector_counters())?;
+        frames(&mut encoder, &cameras)?;
+        threshold(&mut encoder, &cameras)?;
+        latency(&mut encoder, &cameras)?;
+        self.power(&mut encoder)
+    }
+}
+
+impl BoardCollector {
+    fn node(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        let board = &self.0;
+        let status = board.detector_status();
+        family(
+            encoder,
+            "build_info",
+            "The program that runs, always 1",
+            MetricType::Gauge,
+            |family| {
+                family.gauge(
+                    vec![
+                        ("version", env!("CARGO_PKG_VERSION")),
+                        ("node", board.node()),
+                    ],
+                    1_i64,
+                )
+            },
+        )?;
+        family(
+            encoder,
+            "uptime_seconds",
+            "Time since the node started",
+            MetricType::Gauge,
+            |family| family.gauge(Vec::new(), board.uptime().as_secs_f64()),
+        )?;
+        family(
+            encoder,
+            "ready",
+            "Whether the node works as configured",
+            MetricType::Gauge,
+            |family| family.gauge(Vec::new(), i64::from(board.reasons_not_ready().is_empty())),
+        )?;
+        family(
+            encoder,
+            "detector_ready",
+            "Whether the detector works",
+            MetricType::Gauge,
+            |family| {
+                let ready = matches!(status, DetectorStatus::Ready { .. });
+                family.gauge(Vec::new(), i64::from(ready))
+            },
+        )?;
+        let help = "The detector's model and the execution provider that really runs it, always 1";
+        family(
+            encoder,
+            "detector_info",
+            help,
+            MetricType::Gauge,
+            |family| {
+                let labels = vec![
+                    ("model", board.detector_facts().model.as_str()),
+                    ("provider", provider(&status).unwrap_or("none")),
+                    ("policy", board.policy()),
+                ];
+                family.gauge(labels, 1_i64)
+            },
+        )
+    }
+
+    fn power(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        let power = self.0.power();
+        let labels = |domain| {
+            vec![
+                ("domain", domain),
+                ("source", power.source.as_str()),
+                ("quality", quality(power.quality)),
+            ]
+        };
+        let help = "Power now; `quality` says whether it is measured or estimated";
+        family(encoder, "power_watts", help, MetricType::Gauge, |family| {
+            power
+                .watts
+                .iter()
+                .try_for_each(|entry| family.gauge(labels(entry.domain.as_str()), entry.watts))
+        })?;
+        let help =
+            "Energy since the node started; `quality` says whether it is measured or estimated";
+        family(
+            encoder,
+            "energy_joules",
+            help,
+            MetricType::Counter,
+            |family| {
+                power
+                    .joules
+                    .iter()
+                    .try_for_each(|(domain, joules)| family.counter(labels(domain), *joules))
+            },
+        )?;
+        let help = "CPU time spent on reading the power source";
+        family(
+            encoder,
+            "power_meter_cpu_seconds",
+            help,
+            MetricType::Counter,
+            |family| {
+                let labels = vec![("source", power.source.as_str())];
+                family.counter(labels, power.cost.cpu.as_secs_f64())
+            },
+        )
+    }
+}
+
+type Snapshots<'a> = [(&'a CameraBoard, CameraSnapshot)];
+
+fn frames(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt::Result {
+    family(
+        encoder,
+        "frames",
+        "Frames processed, by frame state",
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                FrameState::ALL.into_iter().try_for_each(|state| {
+                    let labels = vec![("camera", camera.name()), ("state", state.as_str())];
+                    family.counter(labels, snapshot.states.get(state) as f64)
+                })
+            })
+        },
+    )?;
+    family(
+        encoder,
+        "frames_dropped",
+        "Frames not processed, by kind",
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                snapshot
+                    .dropped
+                    .by_kind()
+                    .into_iter()
+                    .try_for_each(|(kind, count)| {
+                        family.counter(
+                            vec![("camera", camera.name()), ("kind", kind)],
+                            count as f64,
+                        )
+                    })
+            })
+        },
+    )?;
+    let help = "Frames the detector looked at against or to check the empty-scene screen: `forced` after \
+                too many empty ones, `audited` by chance, `false_empty` of these with something in view";
+    family(
+        encoder,
+        "screen_overruled",
+        help,
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                let screen = snapshot.screen;
+                [
+                    ("forced", screen.forced),
+                    ("audited", screen.audited),
+                    ("false_empty", screen.false_empty),
+                ]
+                .into_iter()
+                .try_for_each(|(kind, count)| {
+                    let labels = vec![("camera", camera.name()), ("kind", kind)];
+                    family.counter(labels, count as f64)
+                })
+            })
+        },
+    )?;
+    let help = "Frames answered from prediction because the detector could not be had";
+    family(
+        encoder,
+        "frames_degraded",
+        help,
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                family.counter(
+                    vec![("camera", camera.name())],
+                    snapshot.degraded_frames as f64,
+                )
+            })
+        },
+    )?;
+    family(
+        encoder,
+        "clips",
+        "Clips ended",
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                family.counter(vec![("camera", camera.name())], snapshot.clips as f64)
+            })
+        },
+    )?;
+    family(
+        encoder,
+        "last_frame_age_seconds",
+        "Time since the newest frame",
+        MetricType::Gauge,
+        |family| {
+            cameras
+                .iter()
+                .try_for_each(|(camera, snapshot)| match snapshot.last_frame_age {
+                    Some(age) => family.gauge(vec![("camera", camera.name())], age.as_secs_f64()),
+                    None => Ok(()),
+                })
+        },
+    )
+}
+
+fn threshold(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt::Result {
+    let help = "Threshold in force, under the policy's name for it";
+    family(encoder, "threshold", help, MetricType::Gauge, |family| {
+        cameras
+            .iter()
+            .try_for_each(|(camera, _)| match (camera.threshold(), camera.knob()) {
+                (Some(value), Some(knob)) => {
+                    family.gauge(vec![("camera", camera.name()), ("knob", knob.name)], value)
+                }
+                _ => Ok(()),
+            })
+    })?;
+    let help = "Largest uncertainty of the newest frame; absent where it had no objects";
+    family(encoder, "tau_max", help, MetricType::Gauge, |family| {
+        cameras.iter().try_for_each(|(camera, snapshot)| {
+            match snapshot.latest.as_ref().and_then(|latest| latest.tau_max) {
+                Some(tau) => family.gauge(vec![("camera", camera.name())], tau),
+                None => Ok(()),
+            }
+        })
+    })
+}
+
+fn latency(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt::Result {
+    let help = "Time from reception to publication of a frame, by frame state";
+    family(
+        encoder,
+        "frame_latency_seconds",
+        help,
+        MetricType::Histogram,
+        |family| {
+            cameras.iter().try_for_each(|(camera, _)| {
+                FrameState::ALL.into_iter().try_for_each(|state| {
+                    let labels = vec![("camera", camera.name()), ("state", state.as_str())];
+                    family.histogram(labels, camera.total_latency(state))
+                })
+            })
+        },
+    )?;
+    let help = "Time the detector took, over the frames where it ran";
+    family(
+        encoder,
+        "detector_latency_seconds",
+        help,
+        MetricType::Histogram,
+        |family| {
+            cameras.iter().try_for_each(|(camera, _)| {
+                family.histogram(vec![("camera", camera.name())], camera.detector_latency())
+            })
+        },
+    )
+}
+
+/// Metrics for Prometheus
+///
+/// OpenMetrics text for a reader that accepts it, else the older text format.
+/// `curl http://127.0.0.1:8080/metrics`
+#[utoipa::path(
+    get, path = "/metrics", tag = "metrics",
+    responses((status = 200, content((String = "text/plain"), (String = "application/openmetrics-text"))))
+)]
+pub(super) async fn text(
+    State(shared): State<RouteState>,
+    headers: HeaderMap,
+) -> Result<Response, Problem> {
+    let mut text = String::new();
+    encode(&mut text, &shared.metrics.0).map_err(|error| {
+        let detail = format!("the metrics cannot be written: {error}");
+        Problem::new(StatusCode::INTERNAL_SERVER_ERROR, detail)
+    })?;
+    let open = headers
+        .get_all(ACCEPT)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .any(|value| value.contains("application/openmetrics-text"));
+    Ok(if open {
+        ([(CONTENT_TYPE, OPEN_METRICS)], text).into_response()
+    } else {
+        ([(CONTENT_TYPE, PLAIN)], to_plain(&text)).into_response()
+    })
+}

@@ -1,0 +1,112 @@
+//! The frame-state counters.
+
+use super::RouteState;
+use crate::board::CameraBoard;
+use albireo_service::http::Problem;
+use albireo_wire::{DroppedFrames, FrameStates, KnobValue};
+use axum::Json;
+use axum::extract::{Path, State};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// What became of a camera's frames since the node started. The five states add up to `frames`.
+#[derive(Serialize, ToSchema)]
+pub(super) struct CameraStates {
+    /// Camera.
+    camera: String,
+    /// Frames processed.
+    frames: u64,
+    /// How many had each state.
+    states: FrameStates,
+    /// Share of frames with state E or P.
+    skip_rate: f64,
+    /// Frames answered from prediction because the detector could not be had.
+    degraded_frames: u64,
+    /// Frames not processed, by kind.
+    dropped: DroppedFrames,
+    /// Largest uncertainty of the newest frame; absent without objects.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tau_max: Option<f64>,
+    /// Threshold in force, under the knob's name.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    knob: Option<KnobValue>,
+    /// Seconds since the newest frame; absent before the first.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    last_frame_age_s: Option<f64>,
+}
+
+/// What became of all frames since the node started.
+#[derive(Serialize, ToSchema)]
+pub(super) struct NodeStates {
+    /// Node.
+    node: String,
+    /// Seconds since it started.
+    uptime_s: f64,
+    /// Frames processed, all cameras together.
+    frames: u64,
+    /// How many had each state, all cameras together.
+    states: FrameStates,
+    /// Share of frames with state E or P, all cameras together.
+    skip_rate: f64,
+    /// Each camera's.
+    cameras: Vec<CameraStates>,
+}
+
+fn of(camera: &CameraBoard) -> CameraStates {
+    let snapshot = camera.snapshot();
+    CameraStates {
+        camera: camera.name().to_owned(),
+        frames: snapshot.states.frames(),
+        states: snapshot.states,
+        skip_rate: snapshot.states.skip_rate(),
+        degraded_frames: snapshot.degraded_frames,
+        dropped: snapshot.dropped,
+        tau_max: snapshot.latest.and_then(|latest| latest.tau_max),
+        knob: camera.knob_value(),
+        last_frame_age_s: snapshot.last_frame_age.map(|age| age.as_secs_f64()),
+    }
+}
+
+/// The frame-state counters of all cameras
+///
+/// `curl http://127.0.0.1:8080/api/v1/frame-states`
+#[utoipa::path(get, path = "/api/v1/frame-states", tag = "frames", responses((status = 200, body = NodeStates)))]
+pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
+    let board = shared.board();
+    let cameras: Vec<_> = board.cameras().iter().map(|camera| of(camera)).collect();
+    let mut states = FrameStates::default();
+    for camera in &cameras {
+        states.e += camera.states.e;
+        states.p += camera.states.p;
+        states.ei += camera.states.ei;
+        states.i += camera.states.i;
+        states.ai += camera.states.ai;
+    }
+    Json(NodeStates {
+        node: board.node().to_owned(),
+        uptime_s: board.uptime().as_secs_f64(),
+        frames: states.frames(),
+        states,
+        skip_rate: states.skip_rate(),
+        cameras,
+    })
+}
+
+/// The frame-state counters of a camera
+///
+/// `curl http://127.0.0.1:8080/api/v1/cameras/front/frame-states`
+#[utoipa::path(
+    get, path = "/api/v1/cameras/{camera}/frame-states", tag = "frames",
+    params(("camera" = String, Path, description = "The camera's name.")),
+    responses(
+        (status = 200, body = CameraStates),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn one(
+    State(shared): State<RouteState>,
+    Path(camera): Path<String>,
+) -> Result<Json<CameraStates>, Problem> {
+    Ok(Json(of(shared.camera(&camera)?)))
+}

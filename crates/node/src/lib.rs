@@ -1,0 +1,25 @@
+//! The edge node: frames in, and for each the policy's decision, detections and clip reports out. As a library, with
+//! its HTTP routes; [`run`] is the service.
+
+pub mod answer;
+pub mod board;
+mod camera;
+pub mod clip;
+pub mod config;
+mod counters;
+pub mod detector;
+mod evidence;
+pub mod frame;
+pub mod http;
+mod intake;
+pub mod power;
+mod rate_limit;
+mod report;
+mod run;
+pub mod screen;
+mod spool;
+mod start;
+mod threshold;
+
+pub use run::{run, run_prepared};
+pub use start::{Node, PreparedNode};

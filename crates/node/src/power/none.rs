@@ -1,0 +1,23 @@
+//! No meter: clips carry no energy.
+
+use super::meter::{Meter, MeterError, Reading};
+use albireo_wire::EnergyQuality;
+use tokio::time::Instant;
+
+/// Reads nothing, ever.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct NoMeter;
+
+impl Meter for NoMeter {
+    fn source(&self) -> &str {
+        "none"
+    }
+
+    fn quality(&self) -> EnergyQuality {
+        EnergyQuality::Measured
+    }
+
+    fn poll(&mut self, _now: Instant) -> Result<Vec<Reading>, MeterError> {
+        Ok(Vec::new())
+    }
+}

@@ -1,0 +1,209 @@
+//! NVIDIA graphics cards, through NVML, which comes with their driver and is loaded at run time.
+//!
+//! A card's energy counter is used where it has one (Volta and later), else its power. Jetson boards have
+//! an NVML that loads and says "not supported" to every question for power: there, this meter is missing
+//! and the board's own monitors are to be used.
+
+mod driver;
+
+use super::condition::Condition;
+use super::config::PowerConfig;
+use super::counter::Counter;
+use super::meter::{Domain, Meter, MeterError, Rail, Reading, Value, Values};
+use albireo_wire::EnergyQuality;
+use std::path::PathBuf;
+use std::sync::Arc;
+use tokio::time::Instant;
+
+const SOURCE: &str = "nvml";
+
+/// Joules of one count of a card's energy counter, which counts millijoules.
+const UNIT: f64 = 1e-3;
+
+/// Why a card does not answer.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum CardError {
+    /// It cannot tell.
+    NotSupported,
+    /// It could, but does not now.
+    Failed(String),
+}
+
+/// The cards of a machine, as the driver shows them.
+trait Cards: Send {
+    /// How many there are.
+    fn count(&self) -> Result<u32, CardError>;
+    /// The name of one.
+    fn name(&self, card: u32) -> Result<String, CardError>;
+    /// Energy since the driver was loaded, millijoules.
+    fn energy_mj(&self, card: u32) -> Result<u64, CardError>;
+    /// Power now, milliwatts.
+    fn power_mw(&self, card: u32) -> Result<u32, CardError>;
+    /// Temperature, throttling and clock.
+    fn condition(&self, card: u32) -> Condition;
+}
+
+#[derive(Debug)]
+enum Way {
+    Energy(Counter),
+    Power,
+}
+
+#[derive(Debug)]
+struct Card {
+    index: u32,
+    name: Arc<str>,
+    way: Way,
+}
+
+/// The NVIDIA cards of this machine.
+pub struct Nvml {
+    cards: Vec<Card>,
+    driver: Box<dyn Cards>,
+    total_from: Arc<str>,
+}
+
+impl std::fmt::Debug for Nvml {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Nvml")
+            .field("cards", &self.cards)
+            .finish_non_exhaustive()
+    }
+}
+
+impl Nvml {
+    /// Loads NVML and asks each card once.
+    ///
+    /// # Errors
+    /// [`MeterError::Missing`] without a driver, without a card, or when no card can tell its power;
+    /// [`MeterError::Configuration`] when `nvml_cards` names a card that is not there.
+    pub fn open(config: &PowerConfig) -> Result<Self, MeterError> {
+        config.check()?;
+        let driver = driver::Driver::load(&driver::LIBRARIES).map_err(missing)?;
+        Self::with(Box::new(driver), &config.nvml_cards)
+    }
+
+    fn with(driver: Box<dyn Cards>, wanted: &[u32]) -> Result<Self, MeterError> {
+        let failed = |error: CardError| match error {
+            CardError::NotSupported => missing("the driver does not list its cards".to_owned()),
+            CardError::Failed(reason) => missing(reason),
+        };
+        let count = driver.count().map_err(failed)?;
+        if let Some(index) = wanted.iter().find(|i| **i >= count) {
+            return Err(MeterError::Configuration {
+                key: "nvml_cards".to_owned(),
+                reason: format!(
+                    "there is no card {index}; this machine has {count}, numbered from 0"
+                ),
+            });
+        }
+        let mut cards = Vec::new();
+        for index in (0..count).filter(|i| wanted.is_empty() || wanted.contains(i)) {
+            let name = driver.name(index).unwrap_or_else(|_| "card".to_owned());
+            let way = if driver.energy_mj(index).is_ok() {
+                Way::Energy(Counter::new(UNIT, None))
+            } else {
+                match driver.power_mw(index) {
+                    Ok(_) => Way::Power,
+                    Err(CardError::NotSupported) => continue,
+                    Err(CardError::Failed(reason)) => {
+                        return Err(unreadable(index, reason));
+                    }
+                }
+            };
+            cards.push(Card {
+                index,
+                name: format!("{index} {name}").into(),
+                way,
+            });
+        }
+        if cards.is_empty() {
+            return Err(missing(if count == 0 {
+                "the driver is there, but no card".to_owned()
+            } else {
+                "NVML loads, but no card tells its power (Jetson boards are so: use ina or tegrastats there)"
+                    .to_owned()
+            }));
+        }
+        Ok(Self {
+            cards,
+            driver,
+            total_from: "sum_of_rails: graphics cards only".into(),
+        })
+    }
+}
+
+fn missing(reason: String) -> MeterError {
+    MeterError::Missing {
+        source_name: SOURCE,
+        reason,
+    }
+}
+
+fn unreadable(card: u32, reason: String) -> MeterError {
+    MeterError::Unreadable {
+        source_name: SOURCE,
+        path: PathBuf::from(format!("card {card}")),
+        reason,
+    }
+}
+
+impl Meter for Nvml {
+    fn source(&self) -> &str {
+        SOURCE
+    }
+
+    fn quality(&self) -> EnergyQuality {
+        EnergyQuality::Measured
+    }
+
+    fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
+        let mut values = Values::default();
+        let mut rails = Vec::with_capacity(self.cards.len());
+        for card in &mut self.cards {
+            let failed = |error| match error {
+                CardError::NotSupported => {
+                    unreadable(card.index, "it no longer tells its power".to_owned())
+                }
+                CardError::Failed(reason) => unreadable(card.index, reason),
+            };
+            let value = match &mut card.way {
+                Way::Energy(counter) => {
+                    let raw = self.driver.energy_mj(card.index).map_err(failed)?;
+                    if !counter.update(now, raw) {
+                        tracing::warn!(card = %card.name, "its energy counter was reset; counting on from it");
+                    }
+                    Value::counter(counter.joules())
+                }
+                Way::Power => {
+                    let milliwatts = self.driver.power_mw(card.index).map_err(failed)?;
+                    Value::power(f64::from(milliwatts) * 1e-3)
+                }
+            };
+            values.add(Domain::Total, value);
+            values.add(Domain::Gpu, value);
+            rails.push(Rail {
+                name: Arc::clone(&card.name),
+                domain: Some(Domain::Gpu),
+                in_total: true,
+                value,
+            });
+        }
+        Ok(vec![Reading {
+            at: None,
+            values,
+            total_from: Arc::clone(&self.total_from),
+            rails,
+        }])
+    }
+
+    fn condition(&mut self) -> Condition {
+        self.cards
+            .iter()
+            .map(|card| self.driver.condition(card.index))
+            .fold(Condition::default(), Condition::and)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,181 @@
+//! Promises of the NVML meter, on cards that are not there.
+
+use super::*;
+use std::sync::Mutex;
+use std::time::Duration;
+
+/// What one card says.
+#[derive(Clone)]
+struct Fake {
+    energy: Result<u64, CardError>,
+    power: Result<u32, CardError>,
+}
+
+#[derive(Clone)]
+struct FakeMachine(Arc<Mutex<Vec<Fake>>>);
+
+impl FakeMachine {
+    fn new(cards: &[Fake]) -> Self {
+        Self(Arc::new(Mutex::new(cards.to_vec())))
+    }
+
+    fn set(&self, card: usize, fake: Fake) {
+        self.0.lock().unwrap()[card] = fake;
+    }
+
+    fn open(&self, wanted: &[u32]) -> Result<Nvml, MeterError> {
+        Nvml::with(Box::new(self.clone()), wanted)
+    }
+}
+
+impl Cards for FakeMachine {
+    fn count(&self) -> Result<u32, CardError> {
+        Ok(self.0.lock().unwrap().len() as u32)
+    }
+
+    fn name(&self, _card: u32) -> Result<String, CardError> {
+        Ok("Test GPU".to_owned())
+    }
+
+    fn energy_mj(&self, card: u32) -> Result<u64, CardError> {
+        self.0.lock().unwrap()[card as usize].energy.clone()
+    }
+
+    fn power_mw(&self, card: u32) -> Result<u32, CardError> {
+        self.0.lock().unwrap()[card as usize].power.clone()
+    }
+
+    fn condition(&self, card: u32) -> Condition {
+        Condition {
+            hottest: Some(("gpu".into(), 40.0 + f64::from(card))),
+            throttled: Some(card == 1),
+            ..Condition::default()
+        }
+    }
+}
+
+fn counting(mj: u64) -> Fake {
+    Fake {
+        energy: Ok(mj),
+        power: Ok(1),
+    }
+}
+
+fn power_only(mw: u32) -> Fake {
+    Fake {
+        energy: Err(CardError::NotSupported),
+        power: Ok(mw),
+    }
+}
+
+fn jetson() -> Fake {
+    Fake {
+        energy: Err(CardError::NotSupported),
+        power: Err(CardError::NotSupported),
+    }
+}
+
+#[test]
+fn the_energy_counter_is_used_where_there_is_one_and_power_elsewhere() {
+    let machine = FakeMachine::new(&[counting(5_000), power_only(75_500)]);
+    let mut meter = machine.open(&[]).unwrap();
+    let start = Instant::now();
+    meter.poll(start).unwrap();
+    machine.set(0, counting(65_000));
+    let reading = meter
+        .poll(start + Duration::from_secs(1))
+        .unwrap()
+        .remove(0);
+    let total = reading.values.get(Domain::Total);
+    assert_eq!((total.joules, total.watts), (Some(60.0), Some(75.5)));
+    assert_eq!(reading.values.get(Domain::Gpu), total);
+    assert_eq!(reading.values.get(Domain::Cpu), Value::default());
+}
+
+#[test]
+fn a_driver_that_says_not_supported_to_every_power_call_is_no_meter() {
+    let text = FakeMachine::new(&[jetson()])
+        .open(&[])
+        .unwrap_err()
+        .to_string();
+    assert!(text.contains("no card tells its power"), "{text}");
+    assert!(text.contains("ina or tegrastats"), "{text}");
+}
+
+#[test]
+fn a_card_that_tells_nothing_is_left_out_beside_one_that_does() {
+    let meter = FakeMachine::new(&[jetson(), counting(0)])
+        .open(&[])
+        .unwrap();
+    assert_eq!(meter.cards.len(), 1);
+    assert_eq!(&*meter.cards[0].name, "1 Test GPU");
+}
+
+#[test]
+fn only_the_cards_asked_for_count_and_one_that_is_not_there_is_refused() {
+    let machine = FakeMachine::new(&[counting(0), counting(0), counting(0)]);
+    assert_eq!(machine.open(&[2, 0]).unwrap().cards.len(), 2);
+    let text = machine.open(&[3]).unwrap_err().to_string();
+    assert!(text.contains("nvml_cards: there is no card 3"), "{text}");
+    assert!(
+        FakeMachine::new(&[])
+            .open(&[])
+            .unwrap_err()
+            .to_string()
+            .contains("no card")
+    );
+}
+
+#[test]
+fn a_card_that_falls_off_the_bus_is_an_error_and_not_zero() {
+    let machine = FakeMachine::new(&[counting(0), counting(0)]);
+    let mut meter = machine.open(&[]).unwrap();
+    meter.poll(Instant::now()).unwrap();
+    let lost = CardError::Failed("GPU is lost".to_owned());
+    machine.set(
+        1,
+        Fake {
+            energy: Err(lost.clone()),
+            power: Err(lost),
+        },
+    );
+    let text = meter.poll(Instant::now()).unwrap_err().to_string();
+    assert!(
+        text.contains("card 1") && text.contains("GPU is lost"),
+        "{text}"
+    );
+}
+
+#[test]
+fn a_driver_that_was_loaded_anew_does_not_take_energy_back() {
+    let machine = FakeMachine::new(&[counting(9_000_000)]);
+    let mut meter = machine.open(&[]).unwrap();
+    let start = Instant::now();
+    meter.poll(start).unwrap();
+    machine.set(0, counting(10));
+    let reading = meter
+        .poll(start + Duration::from_secs(1))
+        .unwrap()
+        .remove(0);
+    assert_eq!(reading.values.get(Domain::Total).joules, Some(0.0));
+}
+
+#[test]
+fn the_condition_is_that_of_the_hottest_card_and_throttling_of_any() {
+    let mut meter = FakeMachine::new(&[counting(0), counting(0)])
+        .open(&[])
+        .unwrap();
+    let found = meter.condition();
+    assert_eq!(found.hottest, Some(("gpu".into(), 41.0)));
+    assert_eq!(found.throttled, Some(true));
+}
+
+#[test]
+fn without_a_driver_the_reason_is_told() {
+    let error = driver::Driver::load(&["/nowhere/libnvidia-ml.so.1"]).err();
+    let text = missing(error.unwrap()).to_string();
+    assert_eq!(
+        text,
+        "nvml: not on this machine: no NVIDIA driver: libnvidia-ml.so.1 cannot be loaded"
+    );
+}

@@ -1,0 +1,240 @@
+//! Energy counters of Intel and AMD processors, through Linux powercap (`/sys/class/powercap`, kernel
+//! documentation `power/powercap`).
+//!
+//! A package counter includes its subzones `core` and `uncore`; `dram` is outside it. `psys`, on some
+//! client machines, counts the whole platform, packages included. `intel-rapl-mmio` zones count the same
+//! energy as the `intel-rapl` zones of the same name and are left aside. On client processors `uncore`
+//! (PP1) is the integrated GPU (Intel SDM volume 3, "RAPL domains"), so the GPU domain is `uncore` and
+//! the CPU domain is the packages without it: no joule is in two domains.
+
+use super::config::PowerConfig;
+use super::counter::Counter;
+use super::meter::{
+    Domain, INPUT_RAIL, Meter, MeterError, Rail, Reading, SUM_OF_RAILS, Value, Values,
+};
+use super::sysfs;
+use albireo_wire::EnergyQuality;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+const SOURCE: &str = "rapl";
+
+/// How long `psys` is watched before it is believed.
+const WATCH_PLATFORM: Duration = Duration::from_millis(200);
+
+/// Share of its parts' energy that `psys` must show: counters are not renewed at the same moment.
+const PLATFORM_AT_LEAST: f64 = 0.8;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Platform,
+    Package,
+    Core,
+    Uncore,
+    Dram,
+    Other,
+}
+
+impl Kind {
+    fn of(name: &str) -> Self {
+        match name {
+            "psys" => Self::Platform,
+            "core" => Self::Core,
+            "uncore" => Self::Uncore,
+            "dram" => Self::Dram,
+            _ if name.starts_with("package") => Self::Package,
+            _ => Self::Other,
+        }
+    }
+}
+
+/// One counter, made to rise for ever.
+#[derive(Debug)]
+struct Zone {
+    kind: Kind,
+    name: Arc<str>,
+    energy: PathBuf,
+    counter: Counter,
+}
+
+impl Zone {
+    fn open(directory: &Path, label: Option<&str>) -> Result<Self, MeterError> {
+        let name = sysfs::text(SOURCE, &directory.join("name"))?;
+        let energy = directory.join("energy_uj");
+        sysfs::number::<u64>(SOURCE, &energy)?;
+        let range = sysfs::number(SOURCE, &directory.join("max_energy_range_uj"))?;
+        Ok(Self {
+            kind: Kind::of(&name),
+            name: match label {
+                Some(parent) => format!("{parent}/{name}").into(),
+                None => name.into(),
+            },
+            energy,
+            counter: Counter::new(1e-6, Some(range)),
+        })
+    }
+
+    fn read(&mut self, now: Instant) -> Result<(), MeterError> {
+        let raw = sysfs::number(SOURCE, &self.energy)?;
+        if !self.counter.update(now, raw) {
+            tracing::warn!(zone = %self.name, raw, "an energy counter was reset; counting on from it");
+        }
+        Ok(())
+    }
+
+    fn value(&self) -> Value {
+        Value::counter(self.counter.joules())
+    }
+}
+
+/// The RAPL counters of this machine.
+#[derive(Debug)]
+pub struct Rapl {
+    zones: Vec<Zone>,
+    total_from: Arc<str>,
+    platform: bool,
+}
+
+impl Rapl {
+    /// Finds the counters under `{sysfs}/class/powercap`.
+    ///
+    /// # Errors
+    /// [`MeterError::Missing`] where there is none, [`MeterError::Permission`] where this user may not
+    /// read them (they are for root alone since CVE-2020-8694), [`MeterError::Unreadable`] otherwise.
+    pub fn open(config: &PowerConfig) -> Result<Self, MeterError> {
+        config.check()?;
+        let root = config.sysfs.join("class/powercap");
+        let mut zones = find(&root)?;
+        let mut platform = zones.iter().any(|z| z.kind == Kind::Platform);
+        if !platform && !zones.iter().any(|z| z.kind == Kind::Package) {
+            return Err(MeterError::Missing {
+                source_name: SOURCE,
+                reason: format!(
+                    "no package or psys counter under {} (it needs an Intel or AMD processor, Linux, and \
+                     the kernel module intel_rapl_msr; virtual machines and containers often hide it)",
+                    root.display()
+                ),
+            });
+        }
+        if platform {
+            read(&mut zones, Instant::now())?;
+            std::thread::sleep(WATCH_PLATFORM);
+            read(&mut zones, Instant::now())?;
+            platform = includes_its_parts(&zones);
+            if !platform {
+                tracing::warn!(
+                    "the psys counter counts less than the packages in it; it is left out"
+                );
+            }
+        }
+        Ok(Self {
+            zones,
+            total_from: if platform { INPUT_RAIL } else { SUM_OF_RAILS }.into(),
+            platform,
+        })
+    }
+
+    /// Whether the zone is added up into the total.
+    fn in_total(&self, kind: Kind) -> bool {
+        match kind {
+            Kind::Platform => true,
+            Kind::Package | Kind::Dram => !self.platform,
+            Kind::Core | Kind::Uncore | Kind::Other => false,
+        }
+    }
+}
+
+fn read(zones: &mut [Zone], now: Instant) -> Result<(), MeterError> {
+    zones.iter_mut().try_for_each(|zone| zone.read(now))
+}
+
+/// Whether the platform's counter has counted what the packages and their memory have. On some machines it
+/// has a wrong unit or stands still.
+fn includes_its_parts(zones: &[Zone]) -> bool {
+    let sum = |kinds: &[Kind]| -> f64 {
+        let counted = zones.iter().filter(|z| kinds.contains(&z.kind));
+        counted.map(|z| z.counter.joules()).sum()
+    };
+    sum(&[Kind::Platform]) >= PLATFORM_AT_LEAST * sum(&[Kind::Package, Kind::Dram])
+}
+
+fn find(root: &Path) -> Result<Vec<Zone>, MeterError> {
+    let tops = sysfs::entries(root);
+    let tops = |prefix: &'static str| {
+        tops.iter()
+            .filter(move |path| {
+                let name = sysfs::name(path);
+                name.strip_prefix(prefix).is_some_and(|number| {
+                    !number.is_empty() && number.bytes().all(|b| b.is_ascii_digit())
+                })
+            })
+            .cloned()
+    };
+    let mut zones: Vec<Zone> = Vec::new();
+    for top in tops("intel-rapl:").chain(tops("intel-rapl-mmio:")) {
+        let zone = Zone::open(&top, None)?;
+        if zones.iter().any(|known| known.name == zone.name) {
+            continue;
+        }
+        let label = Arc::clone(&zone.name);
+        zones.push(zone);
+        let prefix = format!("{}:", sysfs::name(&top));
+        for sub in sysfs::entries(&top) {
+            if sysfs::name(&sub).starts_with(&prefix) {
+                zones.push(Zone::open(&sub, Some(&label))?);
+            }
+        }
+    }
+    Ok(zones)
+}
+
+impl Meter for Rapl {
+    fn source(&self) -> &str {
+        SOURCE
+    }
+
+    fn quality(&self) -> EnergyQuality {
+        EnergyQuality::Measured
+    }
+
+    fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
+        read(&mut self.zones, now)?;
+        let mut values = Values::default();
+        let mut rails = Vec::with_capacity(self.zones.len());
+        for zone in &self.zones {
+            let in_total = self.in_total(zone.kind);
+            if in_total {
+                values.add(Domain::Total, zone.value());
+            }
+            let domain = match zone.kind {
+                Kind::Package => Some(Domain::Cpu),
+                Kind::Uncore => Some(Domain::Gpu),
+                Kind::Dram => Some(Domain::IoMem),
+                Kind::Platform | Kind::Core | Kind::Other => None,
+            };
+            if let Some(domain) = domain {
+                values.add(domain, zone.value());
+            }
+            if zone.kind == Kind::Uncore {
+                values.add(Domain::Cpu, Value::counter(-zone.counter.joules()));
+            }
+            rails.push(Rail {
+                name: Arc::clone(&zone.name),
+                domain,
+                in_total,
+                value: zone.value(),
+            });
+        }
+        Ok(vec![Reading {
+            at: None,
+            values,
+            total_from: Arc::clone(&self.total_from),
+            rails,
+        }])
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,179 @@
+//! NVIDIA's `tegrastats`, the meter every Jetson has, as a supervised child process (JetPack 4 to 7).
+//!
+//! On several releases it prints the power rails to root only. `power.sudo = true` runs it by `sudo -n`,
+//! which never asks for a password: a rule in sudoers must allow it.
+
+mod line;
+
+pub use line::TegrastatsLine;
+
+use super::child::LineChild;
+use super::condition::Condition;
+use super::config::PowerConfig;
+use super::meter::{Meter, MeterError, Reading};
+use super::rails::RailMap;
+use super::sysfs;
+use albireo_wire::EnergyQuality;
+use std::path::PathBuf;
+use std::time::Duration;
+use tokio::time::Instant;
+
+const SOURCE: &str = "tegrastats";
+
+/// How long the first line may take.
+const FIRST_LINE: Duration = Duration::from_secs(5);
+
+/// A child that prints nothing for this long, and for 20 intervals, is started again.
+const SILENCE: Duration = Duration::from_secs(5);
+
+/// `tegrastats`, running.
+#[derive(Debug)]
+pub struct Tegrastats {
+    child: LineChild,
+    map: RailMap,
+    program: PathBuf,
+    procfs: PathBuf,
+    longest_silence: Duration,
+    newest: Instant,
+    condition: Condition,
+}
+
+impl Tegrastats {
+    /// Starts it and waits for its first line.
+    ///
+    /// # Errors
+    /// [`MeterError::Missing`] where there is no such program, [`MeterError::Permission`] when it prints
+    /// no rails for this user, [`MeterError::Unreadable`] when no line of it can be understood.
+    pub fn open(config: &PowerConfig) -> Result<Self, MeterError> {
+        config.check()?;
+        let interval = config.interval_ms.to_string();
+        let (program, mut arguments) = if config.sudo {
+            let own = config.tegrastats.to_string_lossy().into_owned();
+            (PathBuf::from("sudo"), vec!["-n".to_owned(), own])
+        } else {
+            (config.tegrastats.clone(), Vec::new())
+        };
+        arguments.extend(["--interval".to_owned(), interval]);
+        let child = LineChild::start(&program, &arguments).map_err(|error| match error.kind() {
+            std::io::ErrorKind::NotFound => MeterError::Missing {
+                source_name: SOURCE,
+                reason: format!("no program `{}` (Jetson boards have it)", program.display()),
+            },
+            _ => sysfs::failure(SOURCE, &program, &error),
+        })?;
+        let mut meter = Self {
+            child,
+            map: RailMap::new(config.rails.as_ref())?,
+            program,
+            procfs: config.procfs.clone(),
+            longest_silence: SILENCE.max(Duration::from_millis(20 * config.interval_ms)),
+            newest: Instant::now(),
+            condition: Condition::default(),
+        };
+        meter.first_line(config.sudo)?;
+        Ok(meter)
+    }
+
+    fn first_line(&mut self, sudo: bool) -> Result<(), MeterError> {
+        if !self.child.wait_for_line(FIRST_LINE) {
+            let why = self
+                .child
+                .trouble()
+                .unwrap_or_else(|| "it prints nothing".to_owned());
+            let sudo = if sudo {
+                "; does sudoers allow it without a password?"
+            } else {
+                ""
+            };
+            return Err(self.unreadable(format!("{why}{sudo}")));
+        }
+        let lines = self.child.take();
+        let Some(line) = lines.iter().find_map(|(_, l)| TegrastatsLine::parse(l)) else {
+            return Err(self.unreadable("it does not print lines of tegrastats".to_owned()));
+        };
+        if line.rails.is_empty() {
+            return Err(MeterError::Permission {
+                source_name: SOURCE,
+                path: self.program.clone(),
+                remedy:
+                    "it prints no power rails for this user; run as root, or set `sudo = true` in \
+                         [power] and allow it in sudoers without a password"
+                        .to_owned(),
+            });
+        }
+        self.condition = Condition::of_tegrastats(&line);
+        Ok(())
+    }
+
+    fn unreadable(&self, reason: String) -> MeterError {
+        MeterError::Unreadable {
+            source_name: SOURCE,
+            path: self.program.clone(),
+            reason,
+        }
+    }
+
+    /// How often the program was started; more than once when it died or stalled.
+    pub fn starts(&self) -> u64 {
+        self.child.starts()
+    }
+}
+
+impl Meter for Tegrastats {
+    fn source(&self) -> &str {
+        SOURCE
+    }
+
+    fn quality(&self) -> EnergyQuality {
+        EnergyQuality::Measured
+    }
+
+    fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
+        let mut readings = Vec::new();
+        for (at, text) in self.child.take() {
+            let Some(line) = TegrastatsLine::parse(&text) else {
+                continue;
+            };
+            self.newest = at;
+            self.condition = Condition::of_tegrastats(&line);
+            if !line.rails.is_empty() {
+                let mut reading = self.map.reading(&line.rails);
+                reading.at = Some(at);
+                readings.push(reading);
+            }
+        }
+        self.child.kill_if_silent(now, self.longest_silence);
+        let silent = now.saturating_duration_since(self.newest);
+        if readings.is_empty() && silent > Duration::from_secs(1) {
+            let why = self
+                .child
+                .trouble()
+                .map_or_else(String::new, |t| format!(": {t}"));
+            let text = format!("no line for {:.1} s{why}", silent.as_secs_f64());
+            return Err(self.unreadable(text));
+        }
+        Ok(readings)
+    }
+
+    fn condition(&mut self) -> Condition {
+        self.condition.clone()
+    }
+
+    /// The reading thread's, and that of the program itself since its last start.
+    fn other_cpu(&self) -> Duration {
+        let program = self.child.process().and_then(|process| {
+            let stat = self.procfs.join(process.to_string()).join("stat");
+            cpu_of(&std::fs::read_to_string(stat).ok()?)
+        });
+        self.child.reader_cpu() + program.unwrap_or_default()
+    }
+}
+
+/// User and system time in `/proc/PID/stat` (fields 14 and 15, in ticks of 10 ms).
+fn cpu_of(stat: &str) -> Option<Duration> {
+    let (_, after_name) = stat.rsplit_once(')')?;
+    let mut fields = after_name.split_ascii_whitespace().skip(11);
+    let user: u64 = fields.next()?.parse().ok()?;
+    let system: u64 = fields.next()?.parse().ok()?;
+    Some(Duration::from_millis(10 * (user + system)))
+}

@@ -1,0 +1,50 @@
+//! Log lines that may come with every frame, thinned out: one a period and kind, the rest counted.
+
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Lets one event through a period and tells how many it held back.
+#[derive(Debug)]
+pub(crate) struct RateLimit {
+    period: Duration,
+    last: Option<Instant>,
+    held_back: u64,
+}
+
+impl RateLimit {
+    /// Lets at most one event through each `period`.
+    pub(crate) const fn new(period: Duration) -> Self {
+        Self {
+            period,
+            last: None,
+            held_back: 0,
+        }
+    }
+
+    /// Whether the event at `now` may be told: then the number of events held back since the last one
+    /// told, else `None`.
+    pub(crate) fn admit(&mut self, now: Instant) -> Option<u64> {
+        if self.last.is_some_and(|last| now - last < self.period) {
+            self.held_back += 1;
+            return None;
+        }
+        self.last = Some(now);
+        Some(std::mem::take(&mut self.held_back))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn one_event_a_period_is_told_and_the_rest_are_counted() {
+        let mut limit = RateLimit::new(Duration::from_secs(10));
+        assert_eq!(limit.admit(Instant::now()), Some(0));
+        for _ in 0..7 {
+            assert_eq!(limit.admit(Instant::now()), None);
+        }
+        tokio::time::advance(Duration::from_secs(10)).await;
+        assert_eq!(limit.admit(Instant::now()), Some(7));
+    }
+}

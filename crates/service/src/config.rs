@@ -1,0 +1,19 @@
+//! Configuration: one TOML file, overridden by environment variables, checked as a whole before anything
+//! starts; and the sections that every service has.
+
+mod error;
+mod findings;
+mod http;
+mod load;
+mod log;
+mod zenoh;
+
+pub use error::{ConfigError, Finding};
+pub(crate) use findings::DAY_MS;
+pub use findings::{DAY_S, Findings};
+pub use http::{HttpConfig, Token};
+pub use load::{Configuration, load};
+pub use log::LogConfig;
+pub use log::LogFormat;
+pub use zenoh::ZenohConfig;
+pub use zenoh::ZenohMode;

@@ -1,0 +1,60 @@
+//! Collects what is wrong with a configuration's values beyond their types.
+
+use super::Finding;
+use std::path::Path;
+
+/// Seconds of a day: longer timeouts and windows are slips of the pen.
+pub const DAY_S: f64 = 86_400.0;
+/// Milliseconds of a day.
+pub(crate) const DAY_MS: u64 = 86_400_000;
+
+/// Collects what is wrong.
+#[derive(Debug, Default)]
+pub struct Findings(Vec<Finding>);
+
+impl Findings {
+    /// Notes that something is wrong with `key`.
+    pub fn add(&mut self, key: impl Into<String>, reason: impl Into<String>) {
+        self.0.push(Finding::new(key, reason));
+    }
+
+    /// Wants a value above 0 and at most `high`.
+    pub fn above_zero(&mut self, key: &str, value: f64, high: f64) {
+        // Written so that NaN is refused.
+        if !(value > 0.0 && value <= high) {
+            self.add(
+                key,
+                format!("must be above 0 and at most {high}, not {value}"),
+            );
+        }
+    }
+
+    /// Wants a value from `low` to `high`.
+    pub fn count(&mut self, key: &str, value: u64, low: u64, high: u64) {
+        if !(low..=high).contains(&value) {
+            self.add(key, format!("must be from {low} to {high}, not {value}"));
+        }
+    }
+
+    /// Wants a path that is not empty, where there is one.
+    pub fn path(&mut self, key: &str, path: Option<&Path>) {
+        if path.is_some_and(|path| path.as_os_str().is_empty()) {
+            self.add(key, "is empty; leave the key out instead");
+        }
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Whether nothing is wrong.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// All of them, in the order they were noted.
+    pub fn into_vec(self) -> Vec<Finding> {
+        self.0
+    }
+}

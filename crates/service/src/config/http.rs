@@ -1,0 +1,112 @@
+//! The `[http]` section of the configuration.
+
+use super::{DAY_MS, Findings};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::path::PathBuf;
+
+/// A secret that is not shown when printed for debugging.
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Token(String);
+
+impl Token {
+    /// A token of those characters.
+    pub fn new(secret: impl Into<String>) -> Self {
+        Self(secret.into())
+    }
+
+    /// The secret itself.
+    pub fn secret(&self) -> &str {
+        &self.0
+    }
+
+    /// Why it cannot be sent as a bearer token (RFC 6750, section 2.1), if it cannot.
+    pub fn fault(&self) -> Option<&'static str> {
+        if self.0.is_empty() {
+            Some("is empty; leave it out for no authentication")
+        } else if !self.0.bytes().all(|byte| byte.is_ascii_graphic()) {
+            Some("must be printable ASCII without spaces")
+        } else {
+            None
+        }
+    }
+}
+
+impl fmt::Debug for Token {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Token(…)")
+    }
+}
+
+/// The HTTP interface: where it listens and who may use it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HttpConfig {
+    /// Address and port; port 0 for any free one.
+    pub listen: SocketAddr,
+    /// Bearer token that requests must carry. Prefer `token_file` or the environment variable
+    /// `ALBIREO_HTTP__TOKEN`, so that the secret is not in this file.
+    pub token: Option<Token>,
+    /// File whose first line is the token.
+    pub token_file: Option<PathBuf>,
+    /// Whether anybody may use an address that other machines reach without a token.
+    pub allow_unauthenticated: bool,
+    /// A request other than the event stream that takes longer is answered with an error.
+    pub timeout_ms: u64,
+    /// Web origins whose pages may call the interface (`https://fleet.example`); none by default.
+    pub cors_origins: Vec<String>,
+}
+
+impl Default for HttpConfig {
+    fn default() -> Self {
+        Self {
+            listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8080)),
+            token: None,
+            token_file: None,
+            allow_unauthenticated: false,
+            timeout_ms: 10_000,
+            cors_origins: Vec::new(),
+        }
+    }
+}
+
+impl HttpConfig {
+    /// Notes what is wrong with the section.
+    pub fn check(&self, findings: &mut Findings) {
+        if let Some(fault) = self.token.as_ref().and_then(Token::fault) {
+            findings.add("http.token", fault);
+        }
+        findings.path("http.token_file", self.token_file.as_deref());
+        if self.token.is_some() && self.token_file.is_some() {
+            findings.add("http.token_file", "and http.token are both set; keep one");
+        }
+        if !self.listen.ip().is_loopback()
+            && self.token.is_none()
+            && self.token_file.is_none()
+            && !self.allow_unauthenticated
+        {
+            findings.add(
+                "http.listen",
+                format!(
+                    "{} can be reached from other machines, and no token is set; set http.token_file (or \
+                     http.token), or http.allow_unauthenticated = true if anybody may use it",
+                    self.listen
+                ),
+            );
+        }
+        findings.count("http.timeout_ms", self.timeout_ms, 1, DAY_MS);
+        for origin in &self.cors_origins {
+            let host = origin
+                .strip_prefix("https://")
+                .or_else(|| origin.strip_prefix("http://"));
+            if host.is_none_or(|host| host.is_empty() || host.contains('/')) {
+                findings.add(
+                    "http.cors_origins",
+                    format!("`{origin}` is no origin such as `https://fleet.example`"),
+                );
+            }
+        }
+    }
+}

@@ -1,0 +1,137 @@
+//! The `[zenoh]` section of the configuration.
+
+use super::Findings;
+use ::zenoh::config::EndPoint;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// The part a node plays among Zenoh's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum ZenohMode {
+    /// Talks to others directly, and through routers.
+    #[default]
+    Peer,
+    /// Talks through one router.
+    Client,
+    /// Routes for others too.
+    Router,
+}
+
+impl ZenohMode {
+    /// The name in Zenoh's own configuration.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Peer => "peer",
+            Self::Client => "client",
+            Self::Router => "router",
+        }
+    }
+}
+
+/// How a node reaches Zenoh.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ZenohConfig {
+    /// Its part.
+    pub mode: ZenohMode,
+    /// Endpoints to connect to: `tcp/router.example:7447`.
+    pub connect: Vec<String>,
+    /// Endpoints to listen on.
+    pub listen: Vec<String>,
+    /// Whether to look for others on the local network by multicast.
+    pub multicast_scouting: bool,
+    /// A Zenoh configuration file (JSON5). When it is given, the other keys of this section are not used.
+    pub config_file: Option<PathBuf>,
+}
+
+impl Default for ZenohConfig {
+    fn default() -> Self {
+        Self {
+            mode: ZenohMode::Peer,
+            connect: Vec::new(),
+            listen: vec!["tcp/127.0.0.1:7447".to_owned()],
+            multicast_scouting: false,
+            config_file: None,
+        }
+    }
+}
+
+impl ZenohConfig {
+    /// The same in Zenoh's own terms. `max_payload_bytes` bounds what is taken from the network:
+    /// Zenoh's own bound is 1 GiB.
+    ///
+    /// # Errors
+    /// What Zenoh does not accept, in words.
+    pub(crate) fn to_zenoh(&self, max_payload_bytes: usize) -> Result<::zenoh::Config, String> {
+        if let Some(file) = &self.config_file {
+            return ::zenoh::Config::from_file(file)
+                .map_err(|error| format!("config_file {}: {error}", file.display()));
+        }
+        let mut config = ::zenoh::Config::default();
+        let mut insert = |key: &str, value: serde_json::Value| {
+            config
+                .insert_json5(key, &value.to_string())
+                .map_err(|error| format!("{key} = {value}: {error}"))
+        };
+        insert("mode", self.mode.as_str().into())?;
+        insert("connect/endpoints", self.connect.clone().into())?;
+        insert("listen/endpoints", self.listen.clone().into())?;
+        insert("scouting/multicast/enabled", self.multicast_scouting.into())?;
+        // Room for the attachment beside the payload.
+        let largest = max_payload_bytes.saturating_add(64 << 10);
+        insert("transport/link/rx/max_message_size", largest.into())?;
+        Ok(config)
+    }
+
+    /// Notes what is wrong with the section, called `section` in the file.
+    pub fn check(&self, section: &str, max_payload_bytes: usize, findings: &mut Findings) {
+        let key = |name: &str| format!("{section}.{name}");
+        let before = findings.len();
+        for (name, endpoints) in [
+            (key("connect"), &self.connect),
+            (key("listen"), &self.listen),
+        ] {
+            for endpoint in endpoints {
+                if let Err(error) = endpoint.parse::<EndPoint>() {
+                    findings.add(
+                        name.as_str(),
+                        format!(
+                            "`{endpoint}` is no endpoint such as `tcp/127.0.0.1:7447`: {error}"
+                        ),
+                    );
+                }
+            }
+        }
+        findings.path(&key("config_file"), self.config_file.as_deref());
+        if findings.len() == before
+            && self.config_file.is_none()
+            && let Err(error) = self.to_zenoh(max_payload_bytes)
+        {
+            findings.add(section, error);
+        }
+        if self.mode == ZenohMode::Client
+            && self.connect.is_empty()
+            && self.config_file.is_none()
+            && !self.multicast_scouting
+        {
+            findings.add(
+                key("connect"),
+                "is empty: a client needs a router to connect to (or multicast_scouting = true)",
+            );
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_section_is_something_zenoh_understands() {
+        let mut zenoh = ZenohConfig::default();
+        zenoh.to_zenoh(1 << 20).unwrap();
+        zenoh.config_file = Some("/nowhere/zenoh.json5".into());
+        assert!(zenoh.to_zenoh(1 << 20).unwrap_err().contains("/nowhere"));
+    }
+}

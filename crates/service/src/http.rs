@@ -1,0 +1,12 @@
+//! The HTTP server that services share: it puts authentication, limits and problem documents around a router
+//! and serves it.
+
+mod auth;
+mod error;
+mod problem;
+mod serve;
+
+pub use auth::TokenError;
+pub use error::HttpError;
+pub use problem::{Problem, response};
+pub use serve::{BODY_LIMIT, run};

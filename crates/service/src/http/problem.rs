@@ -1,0 +1,138 @@
+//! Errors as problem documents (RFC 9457), also those the framework makes.
+
+use albireo_wire::{Knob, KnobError};
+use axum::body::{Body, to_bytes};
+use axum::extract::Request;
+use axum::http::header::{ALLOW, CONTENT_TYPE};
+use axum::http::{HeaderValue, StatusCode};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// The media type of a problem document.
+pub(super) const MEDIA_TYPE: &str = "application/problem+json";
+
+/// What went wrong with a request, and what would do.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct Problem {
+    /// Always `about:blank`: the title is that of the status.
+    #[serde(rename = "type")]
+    kind: &'static str,
+    /// The status in words.
+    title: &'static str,
+    /// The HTTP status.
+    status: u16,
+    /// What was wrong with this request.
+    detail: String,
+    /// What is allowed in the place of what was sent: methods, names, media types.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    allowed: Vec<String>,
+    /// The range of the threshold, where the request was about it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Knob>)]
+    knob: Option<Box<Knob>>,
+}
+
+impl Problem {
+    /// A problem of that status.
+    pub fn new(status: StatusCode, detail: impl Into<String>) -> Self {
+        Self {
+            kind: "about:blank",
+            title: status.canonical_reason().unwrap_or("Error"),
+            status: status.as_u16(),
+            detail: detail.into(),
+            allowed: Vec::new(),
+            knob: None,
+        }
+    }
+
+    /// Adds what is allowed.
+    pub fn allowing(mut self, allowed: impl IntoIterator<Item = impl Into<String>>) -> Self {
+        self.allowed = allowed.into_iter().map(Into::into).collect();
+        self
+    }
+
+    /// Adds the range of the threshold.
+    pub fn with_knob(mut self, knob: Option<Knob>) -> Self {
+        self.knob = knob.map(Box::new);
+        self
+    }
+
+    /// A threshold that cannot be set.
+    pub fn from_knob_error(error: &KnobError, knob: Option<Knob>) -> Self {
+        let status = match error {
+            KnobError::Absent { .. } => StatusCode::CONFLICT,
+            KnobError::OutOfRange { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+        };
+        Self::new(status, error.to_string()).with_knob(knob)
+    }
+}
+
+/// A response with a problem document as its body; `body` is a [`Problem`] or one with more members.
+pub fn response(status: StatusCode, body: &impl Serialize) -> Response {
+    let media_type = HeaderValue::from_static(MEDIA_TYPE);
+    let bytes = serde_json::to_vec(body).unwrap_or_default();
+    (status, [(CONTENT_TYPE, media_type)], bytes).into_response()
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+        response(status, &self)
+    }
+}
+
+/// Answers a path that is not there.
+pub(super) async fn not_found(request: Request) -> Problem {
+    Problem::new(
+        StatusCode::NOT_FOUND,
+        format!(
+            "there is nothing at {}; /openapi.json lists what is",
+            request.uri().path()
+        ),
+    )
+}
+
+/// Turns errors that the framework answers in plain text (wrong method, unreadable query) into problem
+/// documents.
+pub(super) async fn translate(request: Request, next: Next) -> Response {
+    let method = request.method().clone();
+    let response = next.run(request).await;
+    let status = response.status();
+    let is_problem = response
+        .headers()
+        .get(CONTENT_TYPE)
+        .is_some_and(|value| value == MEDIA_TYPE);
+    if is_problem || !(status.is_client_error() || status.is_server_error()) {
+        return response;
+    }
+    let (mut parts, body) = response.into_parts();
+    let problem = if status == StatusCode::METHOD_NOT_ALLOWED {
+        let allowed: Vec<String> = parts
+            .headers
+            .get(ALLOW)
+            .and_then(|value| value.to_str().ok())
+            .map(|list| list.split(',').map(|word| word.trim().to_owned()).collect())
+            .unwrap_or_default();
+        Problem::new(
+            status,
+            format!(
+                "{method} is not possible here; possible: {}",
+                allowed.join(", ")
+            ),
+        )
+        .allowing(allowed)
+    } else {
+        let said = to_bytes(body, 4096).await.unwrap_or_default();
+        Problem::new(status, String::from_utf8_lossy(&said))
+    };
+    parts
+        .headers
+        .insert(CONTENT_TYPE, HeaderValue::from_static(MEDIA_TYPE));
+    parts.headers.remove(axum::http::header::CONTENT_LENGTH);
+    Response::from_parts(
+        parts,
+        Body::from(serde_json::to_vec(&problem).unwrap_or_default()),
+    )
+}

@@ -1,0 +1,8 @@
+//! What every service of albireo has in common, node and hub alike: its configuration, its Zenoh session, its
+//! HTTP server, its log, and how it is told to stop. It knows neither node nor hub.
+
+pub mod config;
+pub mod http;
+pub mod logging;
+pub mod session;
+pub mod signals;

@@ -1,0 +1,153 @@
+//! The command line: one file a subcommand. Each has its arguments and a `run` that says how it ended.
+
+mod check;
+#[cfg(feature = "eval")]
+mod compare;
+#[cfg(feature = "eval")]
+mod demo;
+mod detect;
+#[cfg(feature = "eval")]
+pub mod eval;
+mod node;
+mod power;
+#[cfg(feature = "eval")]
+pub mod replay;
+#[cfg(feature = "synth")]
+pub mod synth;
+
+use albireo_node::detector::end_all_sessions;
+use albireo_service::signals;
+use anyhow::Context;
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+use std::time::Duration;
+
+/// How long threads that are still at work may take when everything else has ended.
+const STRAGGLERS: Duration = Duration::from_secs(1);
+
+const EXAMPLES: &str = "\
+Examples:
+  albireo demo                           everything at once, with nothing to configure
+  albireo check config/node.toml         say what is wrong with a configuration
+  albireo detect model.onnx frame.jpg    say what a detector is and what it finds
+  albireo power                          say which power meters work here
+  albireo compare                        see what each policy costs and finds here
+  albireo node --config config/node.toml run a node
+  albireo replay drive.mp4               play a video to it as a camera
+  ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
+
+/// An adaptive efficiency layer around an unchanged video object detector, for nodes on the edge.
+#[derive(Debug, Parser)]
+#[command(version, about, after_help = EXAMPLES, subcommand_required = true, arg_required_else_help = true)]
+pub struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Run a node: frames in, detections and clip reports out.
+    Node(node::Arguments),
+    /// Check a configuration file and say everything that is wrong with it.
+    Check(check::Arguments),
+    /// Say what a detector is, and run it on pictures.
+    Detect(detect::Arguments),
+    /// Say which power sources work on this machine, their rails, and watts now.
+    Power(power::Arguments),
+    #[cfg(feature = "eval")]
+    /// Play a clip to the live node under several policies: what each costs and finds here.
+    Compare(compare::Arguments),
+    #[cfg(feature = "eval")]
+    /// Publish a video, a folder of pictures or the synthetic dashcam as a camera.
+    Replay(replay::ReplayArguments),
+    #[cfg(feature = "eval")]
+    /// Replay recordings through any policy: accuracy against what it saves.
+    Eval(eval::EvalArguments),
+    #[cfg(feature = "synth")]
+    /// Write the synthetic dashcam's pictures with their ground truth into a folder.
+    Synth(synth::SynthArguments),
+    #[cfg(feature = "eval")]
+    /// Run a camera and a node in one process, with nothing to configure.
+    Demo(demo::Arguments),
+}
+
+impl Arguments {
+    /// Does what was asked. Says on standard error what went wrong.
+    pub fn run(self) -> ExitCode {
+        let ended = match self.command {
+            Command::Node(arguments) => node::run(&arguments),
+            Command::Check(arguments) => check::run(&arguments),
+            Command::Detect(arguments) => detect::run(&arguments),
+            Command::Power(arguments) => power::run(&arguments),
+            #[cfg(feature = "eval")]
+            Command::Compare(arguments) => block_on(compare::run(arguments)),
+            #[cfg(feature = "eval")]
+            Command::Replay(arguments) => block_on(async {
+                let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+                replay::run(arguments, shutdown).await.map(drop)
+            }),
+            #[cfg(feature = "eval")]
+            Command::Eval(arguments) => eval::run(&arguments),
+            #[cfg(feature = "synth")]
+            Command::Synth(arguments) => synth::run(&arguments),
+            #[cfg(feature = "eval")]
+            Command::Demo(arguments) => block_on(demo::run(arguments)),
+        };
+        match ended {
+            Ok(()) => ExitCode::SUCCESS,
+            Err(error) => {
+                eprintln!("albireo: {}", in_words(&error));
+                ExitCode::FAILURE
+            }
+        }
+    }
+}
+
+/// An error and its causes in one line. A cause that the text before it already tells is not told again.
+fn in_words(error: &anyhow::Error) -> String {
+    let mut text = error.to_string();
+    for cause in error.chain().skip(1) {
+        let cause = cause.to_string();
+        if !text.contains(&format!(": {cause}")) {
+            text.push_str(": ");
+            text.push_str(&cause);
+        }
+    }
+    text
+}
+
+/// Runs a subcommand that waits for things.
+fn block_on(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .enable_all()
+        .build()
+        .context("the asynchronous runtime cannot be started")?;
+    let ended = runtime.block_on(work);
+    // A thread that waits for a file that never answers (a power monitor whose bus hangs) must not keep the
+    // program alive.
+    runtime.shutdown_timeout(STRAGGLERS);
+    // Nor may one that computes be left alone: the program's end would pull ONNX Runtime from under it.
+    if !end_all_sessions(STRAGGLERS) {
+        tracing::warn!("a model that is being loaded or run could not be interrupted");
+    }
+    ended
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_is_told_with_every_cause_and_none_twice() {
+        let cause = std::io::Error::other("no such file");
+        let error = anyhow::Error::new(cause)
+            .context("cannot read a.csv: no such file")
+            .context("evaluating");
+        assert_eq!(
+            in_words(&error),
+            "evaluating: cannot read a.csv: no such file"
+        );
+        let error = anyhow::anyhow!("b is 3").context("a").context("reading");
+        assert_eq!(in_words(&error), "reading: a: b is 3");
+    }
+}
