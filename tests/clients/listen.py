@@ -46,7 +46,7 @@ def main() -> None:
         else:
             subscriber = session.declare_subscriber(key, zenoh.handlers.Callback(received))
         node = "/".join(key.split("/")[:2])
-        alive = session.liveliness().declare_subscriber(f"{node}/@alive", history=True)
+        alive = session.liveliness().declare_subscriber("{}/@alive/{}".format(*node.rsplit("/", 1)), history=True)
         alive.recv()
         print("ready", flush=True)
         ready.set()

@@ -156,7 +156,7 @@ impl PreparedNode {
         } = parts;
         let alive = session
             .liveliness()
-            .declare_token(keys.alive())
+            .declare_token(keys.fleet().alive())
             .await
             .map_err(|error| anyhow!("liveliness token not declared: {error}"))?;
         board.release("cameras");

@@ -46,7 +46,8 @@ fn check(what: &'static str, name: &str, slashes: bool) -> Result<(), KeyError> 
 /// The keys of one node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeKeys {
-    root: String,
+    prefix: String,
+    node: String,
 }
 
 impl NodeKeys {
@@ -58,13 +59,17 @@ impl NodeKeys {
         check("prefix", prefix, true)?;
         check_segment("node name", node)?;
         Ok(Self {
-            root: format!("{prefix}/{node}"),
+            prefix: prefix.to_owned(),
+            node: node.to_owned(),
         })
     }
 
-    /// The liveliness token: there while the node lives.
-    pub fn alive(&self) -> String {
-        format!("{}/@alive", self.root)
+    /// The node's keys toward a hub.
+    pub fn fleet(&self) -> FleetKeys {
+        FleetKeys {
+            prefix: self.prefix.clone(),
+            node: self.node.clone(),
+        }
     }
 
     /// The keys of `camera`.
@@ -74,8 +79,72 @@ impl NodeKeys {
     pub fn camera(&self, camera: &str) -> Result<CameraKeys, KeyError> {
         check_segment("camera name", camera)?;
         Ok(CameraKeys {
-            root: format!("{}/{camera}", self.root),
+            root: format!("{}/{}/{camera}", self.prefix, self.node),
         })
+    }
+}
+
+/// Keys between a node and a hub. The kind stands before the node: with the node first, a router would match every
+/// message against all nodes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct FleetKeys {
+    prefix: String,
+    node: String,
+}
+
+impl FleetKeys {
+    /// The keys of `node` under `prefix`.
+    ///
+    /// # Errors
+    /// [`KeyError`] when either name cannot be used.
+    pub fn new(prefix: &str, node: &str) -> Result<Self, KeyError> {
+        Ok(NodeKeys::new(prefix, node)?.fleet())
+    }
+
+    /// The keys of all nodes under `prefix`, as a hub subscribes to them.
+    ///
+    /// # Errors
+    /// [`KeyError`] when the prefix cannot be used.
+    pub fn all(prefix: &str) -> Result<Self, KeyError> {
+        check("prefix", prefix, true)?;
+        Ok(Self {
+            prefix: prefix.to_owned(),
+            node: "*".to_owned(),
+        })
+    }
+
+    fn key(&self, kind: &str) -> String {
+        format!("{}/{kind}/{}", self.prefix, self.node)
+    }
+
+    /// [`ReportBatch`](super::ReportBatch)es as queries to the hub.
+    pub fn report(&self) -> String {
+        self.key("@report")
+    }
+
+    /// [`StatusMessage`](super::StatusMessage)s out.
+    pub fn status(&self) -> String {
+        self.key("@status")
+    }
+
+    /// [`PullRequest`](super::PullRequest)s as queries to the hub.
+    pub fn pull(&self) -> String {
+        self.key("@pull")
+    }
+
+    /// [`Poke`](super::Poke)s of the hub.
+    pub fn poke(&self) -> String {
+        self.key("@poke")
+    }
+
+    /// The liveliness token: there while the node lives.
+    pub fn alive(&self) -> String {
+        self.key("@alive")
+    }
+
+    /// The node that a key of this kind belongs to: its last part.
+    pub fn node_of(key: &str) -> Option<&str> {
+        key.rsplit_once('/').map(|(_, node)| node)
     }
 }
 
@@ -120,7 +189,13 @@ mod tests {
     fn the_keys_are_those_of_the_design() {
         let node = NodeKeys::new("albireo", "car-7").unwrap();
         let camera = node.camera("front").unwrap();
-        assert_eq!(node.alive(), "albireo/car-7/@alive");
+        assert_eq!(node.fleet().alive(), "albireo/@alive/car-7");
+        assert_eq!(node.fleet().report(), "albireo/@report/car-7");
+        assert_eq!(
+            FleetKeys::all("albireo").unwrap().status(),
+            "albireo/@status/*"
+        );
+        assert_eq!(FleetKeys::node_of("albireo/@status/car-7"), Some("car-7"));
         assert_eq!(camera.frame(), "albireo/car-7/front/frame");
         assert_eq!(camera.detections(), "albireo/car-7/front/detections");
         assert_eq!(camera.clip(), "albireo/car-7/front/clip");

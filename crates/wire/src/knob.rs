@@ -3,7 +3,7 @@
 //! Albireo's reads `"u": 3e-4`, that of expected-loss `"lambda": 0.3`. So nobody takes one policy's value
 //! for another's, and a message says what was turned.
 
-use super::messages::current_version;
+use crate::version::current_version;
 use albireo_core::policy::{KNOB_NAMES, Knob, short};
 use serde::de::{self, Deserializer, MapAccess, Visitor};
 use serde::ser::{SerializeMap, Serializer};

@@ -1,12 +1,39 @@
 //! What goes over Zenoh: key expressions and the JSON messages on them. Node, hub and clients use these
 //! types and no others.
+//!
+//! On the local network: frames in, [`DetectionsMessage`], [`ClipReport`] and [`CountersMessage`] out, the
+//! knob both ways. Between node and hub: [`ReportBatch`], the only way a report is delivered, [`StatusMessage`],
+//! and what the hub desires, which a node pulls ([`PullRequest`], [`Desired`]).
 
+mod clip;
+mod counters;
+mod desired;
+mod frames;
 mod keys;
 mod knob;
-mod messages;
+mod report;
+mod states;
+mod status;
+#[cfg(test)]
+mod tests;
+mod version;
 
 pub use albireo_core::policy::{Knob, KnobError};
-pub use keys::{CameraKeys, KeyError, NodeKeys, check_segment};
-pub use knob::WrongKnob;
-pub use knob::{KnobChange, KnobValue, ThresholdMessage};
-pub use messages::*;
+pub use clip::{
+    BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, Percentiles,
+};
+pub use counters::{CountersMessage, DomainWatts};
+pub use desired::{Desired, Poke, PullRequest};
+pub use frames::{BoxMessage, DetectionsMessage, FrameAttachment, Latency};
+pub use keys::{CameraKeys, FleetKeys, KeyError, NodeKeys, check_segment};
+pub use knob::{KnobChange, KnobValue, ThresholdMessage, WrongKnob};
+pub use report::{
+    BatchError, LARGEST_BATCH_BYTES, ReceivedBatch, RefusalReason, ReportAnswer, ReportBatch,
+    ReportRefusal,
+};
+pub use states::{DroppedFrames, FrameStates};
+pub use status::{
+    CameraState, CameraStatus, HealthState, HealthStatus, KnobSource, NodeStatus, OutboxStatus,
+    StatusMessage,
+};
+pub use version::{MessageError, VERSION, read};

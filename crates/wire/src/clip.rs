@@ -1,0 +1,170 @@
+//! The report of one clip: frames, latencies, energy.
+
+use crate::{DroppedFrames, FrameStates, KnobChange, KnobValue};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Middle and tail of a set of durations, milliseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Percentiles {
+    /// How many durations.
+    pub count: u64,
+    /// Arithmetic mean.
+    pub mean: f64,
+    /// Median.
+    pub p50: f64,
+    /// 95th percentile.
+    pub p95: f64,
+    /// 99th percentile.
+    pub p99: f64,
+}
+
+/// How far an energy figure can be trusted; the order is from most to least.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EnergyQuality {
+    /// Read from a meter over the whole clip.
+    Measured,
+    /// Read from a meter, but parts of the clip have no samples.
+    Partial,
+    /// Computed from utilisation; no meter was read.
+    Estimated,
+    /// No figure at all.
+    Unavailable,
+}
+
+/// Energy of one domain of the board.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct DomainEnergy {
+    /// `total`, `gpu`, `cpu`, `io_mem`.
+    pub domain: String,
+    /// Joules.
+    pub joules: f64,
+    /// Mean power, watts.
+    pub mean_watts: f64,
+    /// Highest sample, watts; where the source counts energy, the highest mean between two samples. Absent
+    /// without a sample inside the clip.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub peak_watts: Option<f64>,
+}
+
+/// Energy of one clip.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ClipEnergy {
+    /// Joules of this clip; absent when [`EnergyQuality::Unavailable`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub joules: Option<f64>,
+    /// Joules of the whole node over the same time, of which `joules` is the clip's share. The same
+    /// number when the node has one camera.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub node_joules: Option<f64>,
+    /// Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub edp: Option<f64>,
+    /// How far to trust it.
+    pub quality: EnergyQuality,
+    /// Where it comes from: `rapl`, `estimate`, …
+    pub source: String,
+    /// How `joules` of the total domain came about: `input_rail` or `sum_of_rails`, or the estimate's
+    /// formula in words.
+    pub total_from: String,
+    /// Samples inside the clip.
+    pub samples: u64,
+    /// Share of the clip's time that samples cover, 0 to 1.
+    pub coverage: f64,
+    /// Node energy by domain.
+    pub domains: Vec<DomainEnergy>,
+}
+
+/// Why a clip ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ClipEnd {
+    /// The camera began another clip.
+    NextClip,
+    /// The time window was full.
+    Window,
+    /// No frame came for a while.
+    Silence,
+    /// The node stopped.
+    Shutdown,
+}
+
+/// The books of one clip.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ClipReport {
+    /// Version.
+    pub v: u32,
+    /// Node.
+    pub node: String,
+    /// Camera.
+    pub camera: String,
+    /// Clip id: the camera's own, or `window-N`.
+    pub clip: String,
+    /// Number of this report within the node's life, from 0: with `node` and `started_ns` it tells two
+    /// deliveries of the same report from two reports.
+    pub report: u64,
+    /// Why it ended.
+    pub ended_by: ClipEnd,
+    /// First frame's capture time, nanoseconds since the Unix epoch.
+    pub started_ns: u64,
+    /// Seconds from the first frame's arrival to the clip's end.
+    pub duration_s: f64,
+    /// Frames processed; the five states add up to it.
+    pub frames: u64,
+    /// Frame states.
+    pub states: FrameStates,
+    /// Share of frames with state E or P.
+    pub skip_rate: f64,
+    /// Frames answered from prediction because the detector could not be had.
+    pub degraded_frames: u64,
+    /// Frames not processed, by kind.
+    pub dropped: DroppedFrames,
+    /// Policy.
+    pub policy: String,
+    /// Threshold at the end of the clip, under the knob's name; absent when the policy has none.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    pub knob: Option<KnobValue>,
+    /// Every value in force during the clip, in order: the one at the start, then the changes.
+    pub knob_changes: Vec<KnobChange>,
+    /// Detector model: file name.
+    pub model: String,
+    /// Execution provider that really ran it.
+    pub provider: String,
+    /// Latency from reception to publication.
+    pub total_latency_ms: Percentiles,
+    /// Latency of the detector alone, over the frames where it ran.
+    pub detector_latency_ms: Percentiles,
+    /// Energy.
+    pub energy: ClipEnergy,
+    /// The state of the board during the clip; absent where the board tells nothing of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub board: Option<BoardState>,
+}
+
+/// The state of the board during a clip, as far as the board tells: the same clip costs differently in
+/// each.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(default)]
+pub struct BoardState {
+    /// Power mode: `nvpmodel`'s name for it, else the platform profile of ACPI. Several, in order, when it
+    /// changed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub power_mode: Option<String>,
+    /// Highest temperature of any sensor, °C.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hottest_celsius: Option<f64>,
+    /// The sensor that read it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub hottest_sensor: Option<String>,
+    /// Whether clocks were held back by heat, current or power at any time; absent when nothing tells.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub throttled: Option<bool>,
+    /// Mean clock of the CPU cores, MHz.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cpu_mhz: Option<f64>,
+    /// Mean clock of the GPU, MHz.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gpu_mhz: Option<f64>,
+}

@@ -1,0 +1,43 @@
+//! Where a camera stands, once a second.
+
+use crate::{DroppedFrames, EnergyQuality, FrameStates, KnobValue};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Where a camera stands, once a second.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CountersMessage {
+    /// Version.
+    pub v: u32,
+    /// When, nanoseconds since the Unix epoch.
+    pub t_ns: u64,
+    /// Camera.
+    pub camera: String,
+    /// Frames processed since the node started.
+    pub frames: u64,
+    /// Frame states since the node started.
+    pub states: FrameStates,
+    /// Skip rate since the node started.
+    pub skip_rate: f64,
+    /// Frames answered from prediction because the detector could not be had.
+    pub degraded_frames: u64,
+    /// Frames not processed, by kind.
+    pub dropped: DroppedFrames,
+    /// Threshold in force, under the knob's name; absent when the policy has none.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    pub knob: Option<KnobValue>,
+    /// Power now by domain, watts; empty without a source.
+    pub watts: Vec<DomainWatts>,
+    /// How far to trust the watts.
+    pub power_quality: EnergyQuality,
+}
+
+/// Power of one domain now.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct DomainWatts {
+    /// `total`, `gpu`, `cpu`, `io_mem`.
+    pub domain: String,
+    /// Watts.
+    pub watts: f64,
+}

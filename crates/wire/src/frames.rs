@@ -1,0 +1,101 @@
+//! What goes with a frame: the attachment that comes in, the detections that go out.
+
+use crate::KnobValue;
+use albireo_core::detection::ObjectId;
+use albireo_core::policy::{BoxSource, FrameState};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// What a camera may say about a frame, in the attachment of its sample.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FrameAttachment {
+    /// Version.
+    pub v: u32,
+    /// Sequence number, one more for each frame. Without it frames are numbered by arrival.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seq: Option<u64>,
+    /// Capture time, nanoseconds since the Unix epoch. Without it the sample's timestamp counts.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub t_ns: Option<u64>,
+    /// Clip the frame belongs to. Without it clips are fixed time windows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub clip: Option<String>,
+    /// Columns of a raw picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub width: Option<u32>,
+    /// Rows of a raw picture.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub height: Option<u32>,
+}
+
+/// One box of a [`DetectionsMessage`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct BoxMessage {
+    /// Left, top, right, bottom in pixels of the source picture, clipped to it.
+    #[serde(rename = "box")]
+    pub corners: [f32; 4],
+    /// Class name.
+    pub class: String,
+    /// Confidence, 0 to 1.
+    pub confidence: f32,
+    /// How the box is known.
+    pub source: BoxSource,
+    /// Object the box belongs to.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub object: Option<ObjectId>,
+    /// Whether that object is confirmed.
+    pub confirmed: bool,
+}
+
+/// Where the time of one frame went, milliseconds. A step that did not happen is absent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Latency {
+    /// From reception to publication.
+    pub total: f64,
+    /// Waiting in the ring before the camera's loop took the frame.
+    pub waiting: f64,
+    /// Picture decoding.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub decode: Option<f64>,
+    /// The empty-scene screen, with its preprocessing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub screen: Option<f64>,
+    /// The detector: queue, letterbox, model and head.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub detector: Option<f64>,
+    /// The policy itself.
+    pub policy: f64,
+}
+
+/// What was found in one frame.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct DetectionsMessage {
+    /// Version.
+    pub v: u32,
+    /// Sequence number of the frame.
+    pub seq: u64,
+    /// Capture time, nanoseconds since the Unix epoch.
+    pub t_ns: u64,
+    /// Clip the frame belongs to.
+    pub clip: String,
+    /// Frame state.
+    pub state: FrameState,
+    /// The detector was needed but could not be had; the boxes are predictions.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub degraded: bool,
+    /// Largest uncertainty τ before the decision; absent without objects.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tau_max: Option<f64>,
+    /// Threshold `u` in force, or the policy's own knob under its own name; absent when the policy has none.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    pub knob: Option<KnobValue>,
+    /// Columns of the picture.
+    pub width: u32,
+    /// Rows of the picture.
+    pub height: u32,
+    /// What is in view.
+    pub boxes: Vec<BoxMessage>,
+    /// Where the time went.
+    pub latency_ms: Latency,
+}

@@ -1,0 +1,124 @@
+//! Counts of frames: by frame state, and of those that were not processed.
+
+use albireo_core::policy::FrameState;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// How many frames had each state.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct FrameStates {
+    /// Screen says empty, detector skipped.
+    #[serde(rename = "E")]
+    pub e: u64,
+    /// Predicted boxes, detector skipped.
+    #[serde(rename = "P")]
+    pub p: u64,
+    /// Screen, then detector.
+    #[serde(rename = "E+I")]
+    pub ei: u64,
+    /// Detector.
+    #[serde(rename = "I")]
+    pub i: u64,
+    /// Detector with at least one rescue.
+    #[serde(rename = "AI")]
+    pub ai: u64,
+}
+
+impl FrameStates {
+    /// Counts one frame.
+    pub fn count(&mut self, state: FrameState) {
+        match state {
+            FrameState::E => self.e += 1,
+            FrameState::P => self.p += 1,
+            FrameState::EI => self.ei += 1,
+            FrameState::I => self.i += 1,
+            FrameState::AI => self.ai += 1,
+        }
+    }
+
+    /// The number of frames with `state`.
+    pub fn get(&self, state: FrameState) -> u64 {
+        match state {
+            FrameState::E => self.e,
+            FrameState::P => self.p,
+            FrameState::EI => self.ei,
+            FrameState::I => self.i,
+            FrameState::AI => self.ai,
+        }
+    }
+
+    /// All frames: the five add up to it.
+    pub fn frames(&self) -> u64 {
+        self.e + self.p + self.ei + self.i + self.ai
+    }
+
+    /// Share of frames that skipped the detector; 0 without frames.
+    pub fn skip_rate(&self) -> f64 {
+        match self.frames() {
+            0 => 0.0,
+            frames => (self.e + self.p) as f64 / frames as f64,
+        }
+    }
+}
+
+impl std::ops::AddAssign for FrameStates {
+    fn add_assign(&mut self, more: Self) {
+        self.e += more.e;
+        self.p += more.p;
+        self.ei += more.ei;
+        self.i += more.i;
+        self.ai += more.ai;
+    }
+}
+
+/// Frames that were not processed, each kind under its own name.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(default)]
+pub struct DroppedFrames {
+    /// Never arrived: numbers missing in the sequence.
+    pub lost: u64,
+    /// Pushed out of the ring by a newer one before its turn.
+    pub overrun: u64,
+    /// Arrived after a later frame; it had been counted as lost when the later one came.
+    pub late: u64,
+    /// Arrived again with the same sequence number.
+    pub duplicate: u64,
+    /// The picture could not be decoded, or contradicts its own header.
+    pub undecodable: u64,
+    /// Payload, picture or decompressed size above the limit.
+    pub oversized: u64,
+    /// A payload encoding that is not known, or an attachment that cannot be read.
+    pub unknown_format: u64,
+}
+
+impl DroppedFrames {
+    /// Names and numbers, in the order of the fields.
+    pub fn by_kind(&self) -> [(&'static str, u64); 7] {
+        [
+            ("lost", self.lost),
+            ("overrun", self.overrun),
+            ("late", self.late),
+            ("duplicate", self.duplicate),
+            ("undecodable", self.undecodable),
+            ("oversized", self.oversized),
+            ("unknown_format", self.unknown_format),
+        ]
+    }
+
+    /// All of them.
+    pub fn total(&self) -> u64 {
+        self.by_kind().iter().map(|(_, n)| n).sum()
+    }
+}
+
+impl std::ops::AddAssign<&Self> for DroppedFrames {
+    fn add_assign(&mut self, more: &Self) {
+        self.lost += more.lost;
+        self.overrun += more.overrun;
+        self.late += more.late;
+        self.duplicate += more.duplicate;
+        self.undecodable += more.undecodable;
+        self.oversized += more.oversized;
+        self.unknown_format += more.unknown_format;
+    }
+}

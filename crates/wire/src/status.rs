@@ -1,0 +1,132 @@
+//! How a node is, `{prefix}/@status/{node}`: in full when something changed, otherwise a short sign of life every
+//! 30 seconds.
+
+use crate::{EnergyQuality, KnobValue};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use utoipa::ToSchema;
+
+/// A sign of life, with the full status when it changed or was asked for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct StatusMessage {
+    /// Version.
+    pub v: u32,
+    /// Instance of the node.
+    pub instance: String,
+    /// A short digest of the machine's identity; absent where the machine has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub machine: Option<String>,
+    /// When the process started, nanoseconds since the Unix epoch: tells two runs of one instance apart.
+    pub started_ns: u64,
+    /// Number of this message within the run, from 0; a gap makes the hub ask for the full status.
+    pub seq: u64,
+    /// The node's clock, nanoseconds since the Unix epoch.
+    pub t_ns: u64,
+    /// Whether it works as it should.
+    pub health: HealthState,
+    /// Reports that wait in the outbox.
+    pub waiting: u64,
+    /// Generation of the desired value that is in force; 0 when none is.
+    pub generation: u64,
+    /// All of it, when something in it changed since the last message.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub full: Option<Box<NodeStatus>>,
+}
+
+/// Whether a node works as it should.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum HealthState {
+    /// Every part works.
+    Ready,
+    /// It answers frames, but a part does not work.
+    Degraded,
+    /// It does not answer frames: it starts, or a part it cannot do without has failed.
+    NotReady,
+}
+
+/// Health with its reasons.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct HealthStatus {
+    /// Whether it works as it should.
+    pub state: HealthState,
+    /// What is wrong, by part; empty when ready.
+    pub reasons: BTreeMap<String, String>,
+}
+
+/// Everything a hub shows of a node between reports.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct NodeStatus {
+    /// Version of the program.
+    pub version: String,
+    /// Labels of its configuration, for selecting nodes: `region = "north"`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub labels: BTreeMap<String, String>,
+    /// Cameras.
+    pub cameras: Vec<CameraStatus>,
+    /// Policy.
+    pub policy: String,
+    /// Detector model: file name.
+    pub model: String,
+    /// Execution provider that really runs it; absent until the model is loaded.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub provider: Option<String>,
+    /// Where power figures come from: `rapl`, `estimate`, …
+    pub power_source: String,
+    /// How far they can be trusted.
+    pub power_quality: EnergyQuality,
+    /// Health with its reasons.
+    pub health: HealthStatus,
+    /// The outbox.
+    pub outbox: OutboxStatus,
+}
+
+/// Whether frames come from a camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CameraState {
+    /// They come.
+    Live,
+    /// They came, and come no longer.
+    Stale,
+    /// None has come since the start.
+    NeverSeen,
+}
+
+/// Who set the knob's value in force.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum KnobSource {
+    /// The configuration.
+    Configuration,
+    /// Somebody at the node, by HTTP or Zenoh.
+    Local,
+    /// The hub, with the generation of the status.
+    Hub,
+}
+
+/// One camera of a [`NodeStatus`].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct CameraStatus {
+    /// Its name.
+    pub name: String,
+    /// Whether frames come.
+    pub state: CameraState,
+    /// Knob in force, under its own name; absent when the policy has none.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = BTreeMap<String, f64>)]
+    pub knob: Option<KnobValue>,
+    /// Who set it.
+    pub knob_source: KnobSource,
+}
+
+/// The outbox of a [`NodeStatus`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct OutboxStatus {
+    /// Reports that wait.
+    pub waiting: u64,
+    /// Reports lost since the instance began: the outbox was full or its disk broken.
+    pub lost: u64,
+    /// Whether reports survive a power loss; `false` without a state directory or when its disk fails.
+    pub durable: bool,
+}

@@ -1,0 +1,60 @@
+use super::*;
+use albireo_core::policy::FrameState;
+
+#[test]
+fn an_unknown_version_is_refused_by_name() {
+    let error = read::<FrameAttachment>(br#"{"v":9,"seq":1}"#).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "message version 9 is not known here; this program reads version 1"
+    );
+    assert!(read::<FrameAttachment>(br#"{"seq":1}"#).is_err());
+    assert!(read::<FrameAttachment>(b"\xff").is_err());
+}
+
+#[test]
+fn the_five_states_add_up() {
+    let mut states = FrameStates::default();
+    for state in FrameState::ALL {
+        states.count(state);
+        assert_eq!(states.get(state), 1);
+    }
+    assert_eq!(states.frames(), 5);
+    assert!((states.skip_rate() - 0.4).abs() < 1e-12);
+}
+
+#[test]
+fn a_batch_comes_back_as_it_was_sent_and_a_bomb_is_refused() {
+    let batch = ReportBatch {
+        v: VERSION,
+        node: "car-7".into(),
+        instance: "0123456789abcdef0123456789abcdef".into(),
+        machine: None,
+        first: 4,
+        last: 4,
+        lost: 0,
+        reports: Vec::new(),
+    };
+    let error = ReceivedBatch::from_payload(&batch.to_payload().unwrap()).unwrap_err();
+    assert_eq!(error.to_string(), "no reports");
+
+    use std::io::Write;
+    let mut bomb = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
+    bomb.write_all(&vec![b' '; LARGEST_BATCH_BYTES as usize + 1])
+        .unwrap();
+    let error = ReceivedBatch::from_payload(&bomb.finish().unwrap()).unwrap_err();
+    assert!(matches!(error, BatchError::TooLarge), "{error}");
+}
+
+#[test]
+fn a_report_that_cannot_be_read_does_not_make_its_batch_unreadable() {
+    use std::io::Write;
+    let json =
+        br#"{"v":1,"node":"n","instance":"0123456789abcdef0123456789abcdef","first":0,"last":1,
+        "reports":[{"v":1},{"whatever":[1,2]}]}"#;
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    gzip.write_all(json).unwrap();
+    let batch = ReceivedBatch::from_payload(&gzip.finish().unwrap()).unwrap();
+    assert_eq!(batch.reports.len(), 2);
+    assert!(read::<ClipReport>(batch.reports[1].get().as_bytes()).is_err());
+}
