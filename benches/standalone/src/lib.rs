@@ -1,22 +1,9 @@
-//! albireo's pure floors, compiled from the same files as the service but without its dependencies, and
-//! what the benches beside other trackers share.
-//!
-//! That this compiles also shows that these files know nothing but numbers.
-#![allow(dead_code)]
-#![allow(unused_imports)]
+//! What the benches beside other trackers share: albireo's core, average precision, and the scene they track.
 
-#[path = "../../../src/detection.rs"]
-pub mod detection;
-#[path = "../../../src/geometry.rs"]
-pub mod geometry;
-#[path = "../../../src/kalman/mod.rs"]
-pub mod kalman;
-#[path = "../../../src/objects/mod.rs"]
-pub mod objects;
-#[path = "../../../src/policy/mod.rs"]
-pub mod policy;
+pub use albireo_core::{detection, geometry, kalman, objects, policy};
 
-#[path = "../../../src/eval/average_precision.rs"]
+#[allow(dead_code)]
+#[path = "../../../crates/eval/src/average_precision.rs"]
 pub mod average_precision;
 
 pub mod scene;
