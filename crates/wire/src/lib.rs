@@ -34,6 +34,6 @@ pub use report::{
 pub use states::{DroppedFrames, FrameStates};
 pub use status::{
     CameraState, CameraStatus, HealthState, HealthStatus, KnobSource, NodeStatus, OutboxStatus,
-    StatusMessage,
+    RefusedDesired, StatusMessage,
 };
 pub use version::{MessageError, VERSION, read};
