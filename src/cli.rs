@@ -8,6 +8,8 @@ mod demo;
 mod detect;
 #[cfg(feature = "eval")]
 pub mod eval;
+#[cfg(feature = "hub")]
+mod hub;
 mod node;
 mod power;
 #[cfg(feature = "eval")]
@@ -33,6 +35,7 @@ Examples:
   albireo power                          say which power meters work here
   albireo compare                        see what each policy costs and finds here
   albireo node --config config/node.toml run a node
+  albireo hub --config config/hub.toml   run the hub of a fleet
   albireo replay drive.mp4               play a video to it as a camera
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
 
@@ -48,6 +51,9 @@ pub struct Arguments {
 enum Command {
     /// Run a node: frames in, detections and clip reports out.
     Node(node::Arguments),
+    #[cfg(feature = "hub")]
+    /// Run a hub: a fleet's reports, presence and history.
+    Hub(hub::Arguments),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
     /// Say what a detector is, and run it on pictures.
@@ -76,6 +82,8 @@ impl Arguments {
     pub fn run(self) -> ExitCode {
         let ended = match self.command {
             Command::Node(arguments) => node::run(&arguments),
+            #[cfg(feature = "hub")]
+            Command::Hub(arguments) => hub::run(&arguments),
             Command::Check(arguments) => check::run(&arguments),
             Command::Detect(arguments) => detect::run(&arguments),
             Command::Power(arguments) => power::run(&arguments),

@@ -6,6 +6,7 @@ mod findings;
 mod http;
 mod load;
 mod log;
+mod tokens;
 mod zenoh;
 
 pub use error::{ConfigError, Finding};
@@ -15,5 +16,6 @@ pub use http::{HttpConfig, Token};
 pub use load::{Configuration, load};
 pub use log::LogConfig;
 pub use log::LogFormat;
+pub use tokens::{NamedToken, Role};
 pub use zenoh::ZenohConfig;
 pub use zenoh::ZenohMode;

@@ -6,7 +6,7 @@ mod error;
 mod problem;
 mod serve;
 
-pub use auth::TokenError;
+pub use auth::{Caller, TokenError};
 pub use error::HttpError;
 pub use problem::{Problem, response};
-pub use serve::{BODY_LIMIT, run};
+pub use serve::{BODY_LIMIT, run, run_with_tokens};

@@ -1,6 +1,6 @@
 //! The `[http]` section of the configuration.
 
-use super::{DAY_MS, Findings};
+use super::{DAY_MS, Findings, NamedToken};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -75,6 +75,11 @@ impl Default for HttpConfig {
 impl HttpConfig {
     /// Notes what is wrong with the section.
     pub fn check(&self, findings: &mut Findings) {
+        self.check_beside(&[], findings);
+    }
+
+    /// As [`Self::check`], for a service that has named tokens too.
+    pub fn check_beside(&self, tokens: &[NamedToken], findings: &mut Findings) {
         if let Some(fault) = self.token.as_ref().and_then(Token::fault) {
             findings.add("http.token", fault);
         }
@@ -85,6 +90,7 @@ impl HttpConfig {
         if !self.listen.ip().is_loopback()
             && self.token.is_none()
             && self.token_file.is_none()
+            && tokens.is_empty()
             && !self.allow_unauthenticated
         {
             findings.add(

@@ -2,14 +2,14 @@
 
 use super::HttpError;
 use super::Problem;
-use crate::config::{HttpConfig, Token};
+use crate::config::{HttpConfig, NamedToken, Role, Token};
 use axum::extract::{Request, State};
 use axum::http::header::{AUTHORIZATION, HOST, WWW_AUTHENTICATE};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use std::net::IpAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
@@ -21,7 +21,7 @@ const OPEN: [&str; 3] = ["/", "/healthz", "/readyz"];
 #[derive(Debug, thiserror::Error)]
 pub enum TokenError {
     /// It cannot be read.
-    #[error("http.token_file {file}: {source}")]
+    #[error("token_file {file}: {source}")]
     Unreadable {
         /// The file.
         file: PathBuf,
@@ -29,7 +29,7 @@ pub enum TokenError {
         source: std::io::Error,
     },
     /// Its first line is no token.
-    #[error("http.token_file {file}: the first line {fault}")]
+    #[error("token_file {file}: the first line {fault}")]
     Unusable {
         /// The file.
         file: PathBuf,
@@ -42,9 +42,18 @@ pub enum TokenError {
 #[derive(Clone)]
 pub(super) struct Guard(Arc<Rule>);
 
+/// Who a request comes from, as an extension of the request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Caller {
+    /// Name of the token: `token` for that of the section `[http]`, `anonymous` where none is needed.
+    pub name: Arc<str>,
+    /// What the caller may do.
+    pub role: Role,
+}
+
 enum Rule {
-    /// Requests must carry the token.
-    Token(Token),
+    /// Requests must carry one of the tokens.
+    Tokens(Vec<(Caller, Token)>),
     /// Only programs of this machine reach the listener. A web page could still have its own name point
     /// to this machine (DNS rebinding) and so be let in by the browser; the `Host` it was called by
     /// tells.
@@ -59,10 +68,15 @@ impl Guard {
     /// # Errors
     /// [`HttpError`] when the token file cannot be used, or other machines reach the listener without a
     /// token.
-    pub(crate) fn new(config: &HttpConfig, listener: &TcpListener) -> Result<Self, HttpError> {
+    pub(crate) fn new(
+        config: &HttpConfig,
+        named: &[NamedToken],
+        listener: &TcpListener,
+    ) -> Result<Self, HttpError> {
         let address = listener.local_addr().map_err(HttpError::Listener)?;
-        let rule = if let Some(token) = token(config)? {
-            Rule::Token(token)
+        let tokens = tokens(config, named)?;
+        let rule = if !tokens.is_empty() {
+            Rule::Tokens(tokens)
         } else if config.allow_unauthenticated {
             Rule::Anybody
         } else if address.ip().is_loopback() {
@@ -73,44 +87,86 @@ impl Guard {
         Ok(Self(Arc::new(rule)))
     }
 
-    /// The answer to a request that may not pass.
-    fn refuse(&self, uri: &Uri, headers: &HeaderMap) -> Option<Response> {
+    /// Who may pass, or the answer to a request that may not.
+    fn admit(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Caller, Response> {
+        let anonymous = |role| Caller {
+            name: "anonymous".into(),
+            role,
+        };
         match &*self.0 {
-            Rule::Anybody => None,
-            Rule::ThisMachine if called_by_address(uri, headers) => None,
-            Rule::ThisMachine => Some(Problem::new(
+            Rule::Anybody => Ok(anonymous(Role::Tune)),
+            Rule::ThisMachine if called_by_address(uri, headers) => Ok(anonymous(Role::Tune)),
+            Rule::ThisMachine => Err(Problem::new(
                 StatusCode::MISDIRECTED_REQUEST,
                 "without a token this interface answers only when called by address or as `localhost`; \
                  to reach it under another name set a token, or http.allow_unauthenticated = true",
             )
             .into_response()),
-            Rule::Token(_) if OPEN.contains(&uri.path()) => None,
-            Rule::Token(token) if carries(headers, token) => None,
-            Rule::Token(_) => {
-                let detail = "this needs the header `Authorization: Bearer TOKEN` with the node's token";
-                let mut response = Problem::new(StatusCode::UNAUTHORIZED, detail).into_response();
-                response
-                    .headers_mut()
-                    .insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
-                Some(response)
+            Rule::Tokens(tokens) => {
+                let holder = tokens.iter().find(|(_, token)| carries(headers, token));
+                let looks = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
+                match holder {
+                    Some((caller, _)) if looks || caller.role == Role::Tune => Ok(caller.clone()),
+                    Some((caller, _)) => {
+                        let detail = format!(
+                            "the token `{}` may look and not change: this needs one with the role `tune`",
+                            caller.name
+                        );
+                        Err(Problem::new(StatusCode::FORBIDDEN, detail).into_response())
+                    }
+                    None if OPEN.contains(&uri.path()) => Ok(anonymous(Role::Read)),
+                    None => Err(unauthorized()),
+                }
             }
         }
     }
 }
 
-fn token(config: &HttpConfig) -> Result<Option<Token>, TokenError> {
-    let Some(file) = &config.token_file else {
-        return Ok(config.token.clone());
-    };
+fn unauthorized() -> Response {
+    let detail = "this needs the header `Authorization: Bearer TOKEN` with the node's token";
+    let mut response = Problem::new(StatusCode::UNAUTHORIZED, detail).into_response();
+    response
+        .headers_mut()
+        .insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+    response
+}
+
+fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Token)>, TokenError> {
+    let own = (
+        Arc::from("token"),
+        Role::Tune,
+        &config.token,
+        &config.token_file,
+    );
+    let named = named.iter().map(|one| {
+        (
+            one.name.as_str().into(),
+            one.role,
+            &one.token,
+            &one.token_file,
+        )
+    });
+    let mut tokens = Vec::new();
+    for (name, role, token, file) in std::iter::once(own).chain(named) {
+        let token = match file {
+            Some(file) => Some(read(file)?),
+            None => token.clone(),
+        };
+        tokens.extend(token.map(|token| (Caller { name, role }, token)));
+    }
+    Ok(tokens)
+}
+
+fn read(file: &Path) -> Result<Token, TokenError> {
     let text = std::fs::read_to_string(file).map_err(|source| TokenError::Unreadable {
-        file: file.clone(),
+        file: file.to_owned(),
         source,
     })?;
     let token = Token::new(text.lines().next().unwrap_or_default().trim());
     match token.fault() {
-        None => Ok(Some(token)),
+        None => Ok(token),
         Some(fault) => Err(TokenError::Unusable {
-            file: file.clone(),
+            file: file.to_owned(),
             fault,
         }),
     }
@@ -142,10 +198,17 @@ fn called_by_address(uri: &Uri, headers: &HeaderMap) -> bool {
     name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok()
 }
 
-/// Lets a request pass or answers it.
-pub(super) async fn guard(State(guard): State<Guard>, request: Request, next: Next) -> Response {
-    match guard.refuse(request.uri(), request.headers()) {
-        None => next.run(request).await,
-        Some(response) => response,
+/// Lets a request pass, with its [`Caller`], or answers it.
+pub(super) async fn guard(
+    State(guard): State<Guard>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    match guard.admit(request.method(), request.uri(), request.headers()) {
+        Ok(caller) => {
+            request.extensions_mut().insert(caller);
+            next.run(request).await
+        }
+        Err(response) => response,
     }
 }

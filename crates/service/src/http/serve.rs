@@ -3,7 +3,7 @@
 use super::HttpError;
 use super::auth::{Guard, guard};
 use super::problem::{self, Problem};
-use crate::config::HttpConfig;
+use crate::config::{HttpConfig, NamedToken};
 use axum::Router;
 use axum::extract::{DefaultBodyLimit, Request, State};
 use axum::http::header::{AUTHORIZATION, CONTENT_TYPE};
@@ -33,7 +33,21 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), HttpError> {
-    let allowed = Guard::new(config, &listener)?;
+    run_with_tokens(config, &[], router, listener, shutdown).await
+}
+
+/// As [`run`], with named tokens beside the one of the configuration.
+///
+/// # Errors
+/// As [`run`].
+pub async fn run_with_tokens(
+    config: &HttpConfig,
+    tokens: &[NamedToken],
+    router: Router,
+    listener: TcpListener,
+    shutdown: CancellationToken,
+) -> Result<(), HttpError> {
+    let allowed = Guard::new(config, tokens, &listener)?;
     let limit = Duration::from_millis(config.timeout_ms);
     let inner = router
         .fallback(problem::not_found)

@@ -1,0 +1,9 @@
+//! The hub of a fleet: it takes the nodes' clip reports exactly once, knows which nodes are there and how they are,
+//! keeps their history in a database, and shows it by HTTP. [`run()`] is the service.
+
+pub mod config;
+pub mod http;
+pub mod readiness;
+mod run;
+
+pub use run::run;
