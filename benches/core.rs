@@ -6,8 +6,8 @@
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
-    Albireo, AlbireoSettings, Evidence, ExpectedLoss, ExpectedLossSettings, FrameHead, Need,
-    Outcome, Policy, Profile, Trigger,
+    Albireo, AlbireoSettings, ExpectedLoss, ExpectedLossSettings, FrameEvidence, FrameHead,
+    Outcome, Policy, Profile, Trigger, decide_at_once,
 };
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use rand_core::{RngCore, SeedableRng};
@@ -105,20 +105,14 @@ impl<P: Policy> Camera<P> {
 
     fn frame(&mut self, detections: &[Detection]) {
         self.index += 1;
-        let mut need = self.policy.begin(FrameHead {
+        let head = FrameHead {
             // Never a multiple of the periodic cap.
             index: self.index % 29 + 1,
             step: 1,
             picture: PICTURE,
-        });
-        loop {
-            need = match need {
-                Need::Nothing => break,
-                Need::Screen => self.policy.answer(Evidence::Screen { empty: false }),
-                _ => self.policy.answer(Evidence::Detections(detections)),
-            };
-        }
-        self.policy.finish(&mut self.outcome);
+        };
+        let mut known = FrameEvidence::in_view(detections);
+        let Ok(()) = decide_at_once(&mut self.policy, head, &mut known, &mut self.outcome);
     }
 }
 

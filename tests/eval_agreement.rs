@@ -139,9 +139,7 @@ fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
             screen,
             classes: Classes::Pooled,
             interpolation: Interpolation::AllPoints,
-            traces: None,
-            energy_model: None,
-            threads: 0,
+            ..Settings::default()
         };
         let results = run_stored(&clips.clips, &policies, &settings, &|| ()).expect("it runs");
         for result in results {

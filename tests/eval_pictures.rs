@@ -9,7 +9,6 @@ use crate::support::shared;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::Profile;
-use albireo_eval::average_precision::{Classes, Interpolation};
 use albireo_eval::data::{Clip, LoadReport, StoredDetection, recorded};
 use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
 use albireo_eval::pictures::{
@@ -111,11 +110,8 @@ fn settings(confidence: f64, screen: ScreenRule) -> Settings {
         scoring: Scoring::Paper,
         confidence,
         screen,
-        classes: Classes::Pooled,
-        interpolation: Interpolation::AllPoints,
-        traces: None,
-        energy_model: None,
         threads: 2,
+        ..Settings::default()
     }
 }
 

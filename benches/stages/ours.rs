@@ -3,7 +3,9 @@
 use super::decode_for;
 use super::samples::{Samples, Stage};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{Albireo, AlbireoSettings, Evidence, FrameHead, Need, Outcome, Policy};
+use albireo_core::policy::{
+    Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, decide_at_once,
+};
 use albireo_node::answer::{AnswerContext, detections_message};
 use albireo_node::detector::{DetectorConfig, DetectorNetwork};
 use albireo_node::frame::{EncodedPicture, Frame, FrameLimits, Picture};
@@ -122,18 +124,13 @@ impl<'a> OurPath<'a> {
         let found = self.network.detect(&prepared)?;
 
         let start = Instant::now();
-        let mut need = self.policy.begin(FrameHead {
+        let head = FrameHead {
             index: self.frames,
             step: 1,
             picture: encoded.size,
-        });
-        while need != Need::Nothing {
-            need = self.policy.answer(match need {
-                Need::Screen => Evidence::Screen { empty: false },
-                _ => Evidence::Detections(&found.detections),
-            });
-        }
-        self.policy.finish(&mut self.outcome);
+        };
+        let mut known = FrameEvidence::in_view(&found.detections);
+        let Ok(()) = decide_at_once(&mut self.policy, head, &mut known, &mut self.outcome);
         let policy = start.elapsed();
         if self.outcome.state.is_skipped() {
             bail!("the policy skipped a frame that was to be matched");

@@ -7,10 +7,11 @@ use crate::data::{Clip, classes};
 use crate::energy_model::EnergyModel;
 use crate::replay::{Replay, Scoring, replay};
 use crate::result::ClipResult;
-use crate::source::{EvidenceSource, ScreenRule, SourceError, StoredEvidence};
+use crate::source::{ClipEvidence, ScreenRule, SourceError, StoredEvidence};
 use crate::spec::PolicySpec;
 use crate::trace::{self, TraceError};
 use albireo_core::policy::{ExpectedLoss, PolicyConfigError};
+use albireo_node::screen::ScreenConfig;
 use std::path::PathBuf;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -24,6 +25,8 @@ pub struct Settings {
     pub confidence: f64,
     /// What stands in for the screen.
     pub screen: ScreenRule,
+    /// Frames in a row that a real screen may call empty before the detector looks anyway; 0 for any number.
+    pub longest_empty_run: u32,
     /// Whether classes are judged apart.
     pub classes: Classes,
     /// How the area under the curve is taken.
@@ -34,6 +37,23 @@ pub struct Settings {
     pub energy_model: Option<EnergyModel>,
     /// Threads; 0 for as many as the machine has.
     pub threads: usize,
+}
+
+impl Default for Settings {
+    /// What `albireo eval` does unless told otherwise.
+    fn default() -> Self {
+        Self {
+            scoring: Scoring::Paper,
+            confidence: 0.5,
+            screen: ScreenRule::Nonempty,
+            longest_empty_run: ScreenConfig::default().longest_empty_run,
+            classes: Classes::Pooled,
+            interpolation: Interpolation::AllPoints,
+            traces: None,
+            energy_model: None,
+            threads: 0,
+        }
+    }
 }
 
 /// Why a run stopped.
@@ -80,7 +100,7 @@ pub fn run_stored(
     steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(clips[clip].frames));
     in_parallel(&steps, settings.threads, done, &|(policy, clip)| {
         let (clip, policy) = (&clips[clip], &policies[policy]);
-        let mut source = StoredEvidence::new(clip, settings.confidence, settings.screen)
+        let mut source = StoredEvidence::new(clip, None, settings)
             .map_err(|source| no_evidence(clip, policy, source))?;
         run_policy(clip, policy, settings, &mut source).map(|(result, _)| result)
     })
@@ -150,7 +170,7 @@ pub(super) fn run_policy(
     clip: &Clip,
     policy: &PolicySpec,
     settings: &Settings,
-    source: &mut dyn EvidenceSource,
+    source: &mut dyn ClipEvidence,
 ) -> Result<(ClipResult, Replay), RunError> {
     let mut decider = policy.config.build().map_err(|source| RunError::Policy {
         policy: policy.label.clone(),

@@ -8,7 +8,7 @@ use super::intake::{DropCounts, DropKind, Incoming};
 use super::report::ClipAccounts;
 use crate::clip::{FrameArrival, FrameResult};
 use crate::frame::{EncodedPicture, FrameFault, RingReceiver};
-use albireo_core::policy::{Evidence, FrameHead, GreyPicture, Need, Outcome, Policy};
+use albireo_core::policy::{Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, decide};
 use albireo_wire::{KnobValue, Latency};
 use std::future::Future;
 use std::sync::Arc;
@@ -108,17 +108,20 @@ impl Camera {
             arrival: frame.received,
         });
         self.evidence.next_frame();
-        let deciding = match self.decide(&incoming, head).await {
-            Ok(deciding) => deciding,
-            Err(fault) => {
-                return self.ledger.count(DropKind::from(&fault), 1, &fault);
-            }
+        let mut source = FrameSource {
+            evidence: &mut self.evidence,
+            ring: &self.ring,
+            incoming: &incoming,
+            head,
         };
-        let finishing = Instant::now();
-        self.policy.finish(&mut stream.outcome);
-        let policy_time = deciding + finishing.elapsed();
+        let deciding = Instant::now();
+        let decided = decide(&mut *self.policy, head, &mut source, &mut stream.outcome).await;
+        let deciding = deciding.elapsed();
+        if let Err(fault) = decided {
+            return self.ledger.count(DropKind::from(&fault), 1, &fault);
+        }
 
-        let times = self.evidence.times;
+        let times = self.evidence.times();
         let message = detections_message(
             &stream.outcome,
             &AnswerContext {
@@ -136,7 +139,7 @@ impl Camera {
                     decode: times.decode.map(milliseconds),
                     screen: times.screen.map(milliseconds),
                     detector: times.detector().map(milliseconds),
-                    policy: milliseconds(policy_time),
+                    policy: milliseconds(deciding.saturating_sub(times.evidence)),
                 },
             },
         );
@@ -181,48 +184,27 @@ impl Camera {
             tracing::error!(camera = self.board.name(), %error, "threshold not taken by the policy");
         }
     }
+}
 
-    /// Asks and answers until the policy needs nothing more; the time the policy itself took.
-    async fn decide(
+/// One frame's evidence, and a look at the next frame.
+struct FrameSource<'a> {
+    evidence: &'a mut LiveEvidence,
+    ring: &'a RingReceiver<Incoming>,
+    incoming: &'a Incoming,
+    head: FrameHead,
+}
+
+impl EvidenceSource for FrameSource<'_> {
+    type Error = FrameFault;
+
+    async fn evidence(
         &mut self,
-        incoming: &Incoming,
-        head: FrameHead,
-    ) -> Result<Duration, FrameFault> {
-        let picture = &incoming.frame.picture;
-        let mut policy_time = Duration::ZERO;
-        let mut timed = |start: Instant| policy_time += start.elapsed();
-        let start = Instant::now();
-        let mut need = self.policy.begin(head);
-        timed(start);
-        while need != Need::Nothing {
-            let detected;
-            let evidence = match need {
-                Need::Nothing => break,
-                Need::Screen => match self.evidence.screen(picture).await? {
-                    Some(empty) => Evidence::Screen { empty },
-                    None => Evidence::Unavailable,
-                },
-                Need::GreyPicture => {
-                    let grey = self.evidence.grey(picture).await?;
-                    Evidence::GreyPicture(GreyPicture {
-                        size: grey.size,
-                        pixels: &grey.pixels,
-                    })
-                }
-                Need::Detections => {
-                    let next = next_need(&self.ring, incoming, &*self.policy, head);
-                    detected = self.evidence.detect(picture, next).await?;
-                    match &detected {
-                        Some(detected) => Evidence::Detections(&detected.detections),
-                        None => Evidence::Unavailable,
-                    }
-                }
-            };
-            let start = Instant::now();
-            need = self.policy.answer(evidence);
-            timed(start);
-        }
-        Ok(policy_time)
+        need: Need,
+        policy: &dyn Policy,
+    ) -> Result<Evidence<'_>, FrameFault> {
+        let next = || next_need(self.ring, self.incoming, policy, self.head);
+        let picture = &self.incoming.frame.picture;
+        self.evidence.evidence(need, picture, next).await
     }
 }
 

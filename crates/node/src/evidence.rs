@@ -7,9 +7,9 @@ mod picture_worker;
 mod tests;
 
 use crate::detector::{CameraSlot, Detected, DetectorHandle};
-use crate::frame::{EncodedPicture, FrameFault, FrameLimits, Picture};
+use crate::frame::{EncodedPicture, FrameFault, FrameLimits};
 use crate::screen::{CameraScreen, ScreenCounts};
-use albireo_core::policy::Need;
+use albireo_core::policy::{Evidence, GreyPicture, Need};
 use picture_worker::{PictureWorker, Prefetch, PreparedFrame, Stage};
 use std::future::Future;
 use std::time::Duration;
@@ -17,7 +17,7 @@ use tokio::time::Instant;
 
 /// Where the time of one frame went.
 #[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Times {
+pub struct Times {
     /// Decoding the picture, also when that was done while the detector looked at the frame before.
     pub decode: Option<Duration>,
     /// The empty-scene screen.
@@ -26,6 +26,8 @@ pub(crate) struct Times {
     pub letterbox: Option<Duration>,
     /// When the detector was asked and when it had answered, waiting included.
     pub detector_span: Option<(Instant, Instant)>,
+    /// All of it together: what is left of the frame's time is the policy's own.
+    pub evidence: Duration,
 }
 
 impl Times {
@@ -36,8 +38,8 @@ impl Times {
     }
 }
 
-/// One camera's eyes.
-pub(crate) struct LiveEvidence {
+/// One camera's evidence: what its pictures, the screen and the detector say.
+pub struct LiveEvidence {
     detector: DetectorHandle,
     screen: CameraScreen,
     slot: CameraSlot,
@@ -46,13 +48,15 @@ pub(crate) struct LiveEvidence {
     frame: PreparedFrame,
     /// What is being made of the next one.
     prefetch: Option<Prefetch>,
+    /// What the detector found in the frame in hand.
+    detected: Option<Detected>,
     /// Times of the frame in hand.
-    pub times: Times,
+    times: Times,
 }
 
 impl LiveEvidence {
-    /// Eyes for the camera with this `slot` in the detector's queue.
-    pub(crate) fn new(
+    /// For the camera with this `slot` in the detector's queue.
+    pub fn new(
         detector: DetectorHandle,
         screen: CameraScreen,
         slot: CameraSlot,
@@ -65,15 +69,60 @@ impl LiveEvidence {
             slot,
             frame: PreparedFrame::default(),
             prefetch: None,
+            detected: None,
             times: Times::default(),
         }
     }
 
     /// Forgets the last frame's picture and times.
-    pub(crate) fn next_frame(&mut self) {
+    pub fn next_frame(&mut self) {
         self.worker.take_back(std::mem::take(&mut self.frame));
         self.screen.next_frame();
+        self.detected = None;
         self.times = Times::default();
+    }
+
+    /// Where the time of the frame in hand went so far.
+    pub const fn times(&self) -> Times {
+        self.times
+    }
+
+    /// What `need` asks for of the frame in hand, whose picture is `encoded`. While the detector looks, `next` is
+    /// waited for: the next frame's picture and what it will need, to be made ready meanwhile.
+    ///
+    /// # Errors
+    /// [`FrameFault`] when the picture cannot be decoded.
+    pub async fn evidence<Next>(
+        &mut self,
+        need: Need,
+        encoded: &EncodedPicture,
+        next: impl FnOnce() -> Next + Send,
+    ) -> Result<Evidence<'_>, FrameFault>
+    where
+        Next: Future<Output = (EncodedPicture, Need)> + Send,
+    {
+        let start = Instant::now();
+        let mut empty = None;
+        match need {
+            Need::Nothing => {}
+            Need::Screen => empty = self.screen(encoded).await?,
+            Need::GreyPicture => self.look(encoded, Stage::Grey).await?,
+            Need::Detections => self.detected = self.detect(encoded, next()).await?,
+        }
+        self.times.evidence += start.elapsed();
+        let known = match need {
+            Need::Nothing => None,
+            Need::Screen => empty.map(|empty| Evidence::Screen { empty }),
+            Need::GreyPicture => Some(Evidence::GreyPicture(GreyPicture {
+                size: self.frame.grey.size,
+                pixels: &self.frame.grey.pixels,
+            })),
+            Need::Detections => {
+                let detected = self.detected.as_ref();
+                detected.map(|detected| Evidence::Detections(&detected.detections))
+            }
+        };
+        Ok(known.unwrap_or(Evidence::Unavailable))
     }
 
     /// The screen's verdict: whether it says that nothing is in view. `None` when it cannot say, or when
@@ -81,10 +130,7 @@ impl LiveEvidence {
     ///
     /// # Errors
     /// [`FrameFault`] when the picture cannot be decoded.
-    pub(crate) async fn screen(
-        &mut self,
-        encoded: &EncodedPicture,
-    ) -> Result<Option<bool>, FrameFault> {
+    async fn screen(&mut self, encoded: &EncodedPicture) -> Result<Option<bool>, FrameFault> {
         if self.screen.is_none() {
             return Ok(None);
         }
@@ -100,7 +146,7 @@ impl LiveEvidence {
     ///
     /// # Errors
     /// [`FrameFault`] when the picture cannot be decoded.
-    pub(crate) async fn detect(
+    async fn detect(
         &mut self,
         encoded: &EncodedPicture,
         next: impl Future<Output = (EncodedPicture, Need)>,
@@ -139,17 +185,8 @@ impl LiveEvidence {
     }
 
     /// What the screen has counted.
-    pub(crate) fn screen_counts(&self) -> ScreenCounts {
+    pub fn screen_counts(&self) -> ScreenCounts {
         self.screen.counts()
-    }
-
-    /// The picture in grey at half its size.
-    ///
-    /// # Errors
-    /// [`FrameFault`] when the picture cannot be decoded.
-    pub(crate) async fn grey(&mut self, encoded: &EncodedPicture) -> Result<&Picture, FrameFault> {
-        self.look(encoded, Stage::Grey).await?;
-        Ok(&self.frame.grey)
     }
 
     /// Makes of the picture what is needed, unless that is done. Screen and detector share the pixels.

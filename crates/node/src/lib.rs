@@ -14,7 +14,6 @@ pub mod http;
 mod intake;
 pub mod power;
 mod rate_limit;
-pub mod readiness;
 mod report;
 mod run;
 pub mod screen;
@@ -22,5 +21,6 @@ mod spool;
 mod start;
 mod threshold;
 
+pub use evidence::{LiveEvidence, Times};
 pub use run::{run, run_prepared};
 pub use start::{Node, PreparedNode};

@@ -13,9 +13,7 @@ use crate::clip::{ClipTracker, EnergyShares};
 use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use crate::frame::{Delivery, frame_ring};
 use crate::power::{self, PowerHandle};
-use crate::readiness;
 use crate::screen::{CameraScreen, ScreenHandle};
-use albireo_service::readiness::Latch;
 use albireo_service::session;
 use albireo_wire::{CameraKeys, NodeKeys};
 use anyhow::{Context, anyhow};
@@ -57,8 +55,6 @@ pub struct Node {
 #[derive(Debug)]
 pub struct PreparedNode {
     board: Arc<Board>,
-    /// Keeps the node from being ready until the cameras are heard.
-    starting: Latch,
     detector_status: watch::Sender<DetectorStatus>,
 }
 
@@ -70,12 +66,9 @@ impl PreparedNode {
     pub fn new(config: &NodeConfig) -> anyhow::Result<Self> {
         let (detector_status, status) = watch::channel(DetectorStatus::Starting);
         let board = Board::new(BoardSetup::from_config(config, status)?);
-        let starting = board
-            .readiness()
-            .latch(readiness::CAMERAS, "the cameras are not subscribed to yet");
+        board.hold("cameras", "the cameras are not subscribed to yet");
         Ok(Self {
             board,
-            starting,
             detector_status,
         })
     }
@@ -113,7 +106,6 @@ impl PreparedNode {
     ) -> anyhow::Result<Node> {
         let Self {
             board,
-            starting,
             detector_status,
         } = self;
         let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
@@ -130,12 +122,6 @@ impl PreparedNode {
             .await
             .context("[screen]")?;
 
-        if let Some(screen) = &screen {
-            let status = screen.status();
-            (board.readiness()).probe(readiness::SCREEN, "", move || {
-                readiness::of_screen(&status.borrow())
-            });
-        }
         board.attach_detector(detector.meter());
         tokio::spawn(follow(detector.status(), detector_status));
         let mut parts = Parts {
@@ -173,7 +159,7 @@ impl PreparedNode {
             .declare_token(keys.fleet().alive())
             .await
             .map_err(|error| anyhow!("liveliness token not declared: {error}"))?;
-        drop(starting);
+        board.release("cameras");
         Ok(Node {
             session,
             detector,

@@ -4,7 +4,5 @@
 pub mod config;
 pub mod http;
 pub mod logging;
-pub mod readiness;
 pub mod session;
 pub mod signals;
-pub mod supervise;

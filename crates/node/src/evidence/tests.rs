@@ -1,4 +1,4 @@
-//! One camera's eyes with the demonstration detector: what is made ready prefetch is used for its own frame.
+//! One camera's evidence with the demonstration detector: what is made ready ahead is used for its own frame.
 
 use super::*;
 use crate::detector::DetectorConfig;
@@ -40,7 +40,7 @@ async fn evidence() -> LiveEvidence {
     )
 }
 
-/// What is found in `picture` by eyes that have seen nothing before.
+/// What is found in `picture` by a camera that has seen nothing before.
 async fn found_alone(picture: &EncodedPicture) -> Detected {
     let mut evidence = evidence().await;
     let detected = evidence.detect(picture, std::future::pending()).await;
@@ -56,7 +56,7 @@ async fn the_next_picture_is_made_ready_while_the_detector_looks_and_used_for_it
     assert_eq!(
         detected.detections,
         found_alone(&first).await.detections,
-        "looking prefetch changes nothing of the frame in hand"
+        "looking ahead changes nothing of the frame in hand"
     );
     let prefetch = evidence.prefetch.as_ref().unwrap();
     assert!(prefetch.is_of(&second) && !prefetch.is_of(&first));
