@@ -2,13 +2,11 @@
 
 mod cameras;
 mod clips;
-mod detector_metrics;
 mod events;
 mod health;
 mod metrics;
 mod page;
 mod picture;
-mod plain_metrics;
 mod states;
 mod threshold;
 

@@ -1,9 +1,14 @@
 //! Metrics for Prometheus, in OpenMetrics text or in the older text format (0.0.4), as the reader asks.
 
+mod detector;
+mod family;
+mod plain;
+
+use self::detector::detector;
+use self::family::family;
+use self::plain::to_plain;
 use super::RouteState;
-use super::detector_metrics::detector;
 use super::health::provider;
-use super::plain_metrics::to_plain;
 use crate::board::{Board, CameraBoard, CameraSnapshot};
 use crate::detector::DetectorStatus;
 use albireo_core::policy::FrameState;
@@ -14,9 +19,7 @@ use axum::http::header::{ACCEPT, CONTENT_TYPE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use prometheus_client::collector::Collector;
-use prometheus_client::encoding::{
-    DescriptorEncoder, EncodeGaugeValue, EncodeMetric, MetricEncoder, NoLabelSet, text::encode,
-};
+use prometheus_client::encoding::{DescriptorEncoder, text::encode};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::Registry;
 use std::fmt;
@@ -40,48 +43,6 @@ impl Metrics {
 /// Reads the board at each scrape, so that no figure is kept twice.
 #[derive(Debug)]
 struct BoardCollector(Arc<Board>);
-
-pub(super) type Labels<'a> = Vec<(&'static str, &'a str)>;
-
-/// Writes one family of metrics: its description, then a sample for each set of labels.
-pub(super) struct Family<'a>(MetricEncoder<'a>);
-
-impl Family<'_> {
-    pub(super) fn counter(&mut self, labels: Labels<'_>, value: f64) -> fmt::Result {
-        // A family of an empty set of labels would print empty braces.
-        if labels.is_empty() {
-            self.0.encode_counter::<NoLabelSet, _, u64>(&value, None)
-        } else {
-            self.0
-                .encode_family(&labels)?
-                .encode_counter::<NoLabelSet, _, u64>(&value, None)
-        }
-    }
-
-    fn gauge(&mut self, labels: Labels<'_>, value: impl EncodeGaugeValue) -> fmt::Result {
-        if labels.is_empty() {
-            self.0.encode_gauge(&value)
-        } else {
-            self.0.encode_family(&labels)?.encode_gauge(&value)
-        }
-    }
-
-    fn histogram(&mut self, labels: Labels<'_>, value: &impl EncodeMetric) -> fmt::Result {
-        value.encode(self.0.encode_family(&labels)?)
-    }
-}
-
-pub(super) fn family(
-    encoder: &mut DescriptorEncoder<'_>,
-    name: &str,
-    help: &str,
-    kind: MetricType,
-    write: impl FnOnce(&mut Family<'_>) -> fmt::Result,
-) -> fmt::Result {
-    write(&mut Family(
-        encoder.encode_descriptor(name, help, None, kind)?,
-    ))
-}
 
 fn quality(quality: EnergyQuality) -> &'static str {
     match quality {

@@ -1,6 +1,5 @@
 //! The board's condition at one moment, and over a span: temperature, throttling, clocks, power mode.
 
-use super::tegrastats::TegrastatsLine;
 use albireo_wire::BoardState;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -23,22 +22,6 @@ pub struct Condition {
 }
 
 impl Condition {
-    /// What a line of `tegrastats` tells.
-    pub fn of_tegrastats(line: &TegrastatsLine) -> Self {
-        let hottest = line
-            .temperatures
-            .iter()
-            .filter(|(name, _)| is_a_sensor(name))
-            .max_by(|a, b| a.1.total_cmp(&b.1))
-            .map(|(name, celsius)| (Arc::from(name.as_str()), *celsius));
-        Self {
-            hottest,
-            cpu_mhz: line.cpu_mhz,
-            gpu_mhz: line.gpu_mhz,
-            ..Self::default()
-        }
-    }
-
     /// What two sources tell of the same moment: the hotter sensor, throttling by either, and of the rest
     /// what `self` tells first.
     pub fn and(self, other: Self) -> Self {

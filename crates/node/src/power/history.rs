@@ -1,7 +1,7 @@
 //! The bounded memory of samples, and the energy of a span of it.
 
 use super::integrate;
-use super::meter::{Domain, Reading, Value, Values};
+use super::reading::{Domain, Reading, Value, Values};
 use albireo_wire::{DomainEnergy, DomainWatts, EnergyQuality};
 use std::collections::VecDeque;
 use std::sync::Arc;

@@ -1,6 +1,8 @@
 //! No meter: clips carry no energy.
 
-use super::meter::{Meter, MeterError, Reading};
+use super::error::MeterError;
+use super::meter::Meter;
+use super::reading::Reading;
 use albireo_wire::EnergyQuality;
 use tokio::time::Instant;
 

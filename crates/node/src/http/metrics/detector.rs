@@ -1,6 +1,6 @@
 //! The detector's counters as metrics.
 
-use super::metrics::family;
+use super::family::family;
 use crate::detector::DetectorCounters;
 use prometheus_client::encoding::DescriptorEncoder;
 use prometheus_client::metrics::MetricType;
