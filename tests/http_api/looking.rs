@@ -55,13 +55,13 @@ async fn cameras_are_listed_in_the_order_of_the_configuration() {
 #[tokio::test]
 async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready() {
     let node = Served::start().await;
-    node.board.hold("zenoh", "the session is not open yet");
+    let opening = (node.board.readiness()).latch("zenoh", "the session is not open yet");
     let starting = problem(node.get("/readyz").await, 503).await;
     assert_eq!(starting["ready"], false);
     assert_eq!(starting["provider"], json!(null));
     assert_eq!(starting["requested_providers"], json!(["cuda", "cpu"]));
     assert_eq!(starting["reasons"].as_array().unwrap().len(), 2);
-    node.board.release("zenoh");
+    drop(opening);
     node.ready();
     let ready = node.json("/readyz").await;
     assert_eq!(ready["provider"], "cpu");
@@ -72,6 +72,16 @@ async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready()
     });
     let degraded = problem(node.get("/readyz").await, 503).await;
     assert!(degraded["detail"].as_str().unwrap().contains("2000 ms"));
+    node.ready();
+    let power = node.board.readiness().part("power");
+    power.degraded("the meter cannot be read");
+    let degraded = node.json("/readyz").await;
+    assert_eq!(
+        (&degraded["ready"], &degraded["state"]),
+        (&json!(true), &json!("degraded"))
+    );
+    assert_eq!(degraded["reasons"][0]["part"], "power");
+    assert_eq!(degraded["reasons"][0]["effect"], "degraded");
     // The process still lives.
     assert_eq!(node.json("/healthz").await["status"], "ok");
 }

@@ -15,7 +15,10 @@ pub use setup::{BoardSetup, DetectorFacts};
 
 use crate::detector::{DetectorCounters, DetectorMeter, DetectorStatus};
 use crate::power::MeterCost;
+use crate::readiness;
 use albireo_core::policy::KnobError;
+use albireo_service::readiness::Readiness;
+use albireo_service::supervise::TaskTally;
 use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -76,7 +79,8 @@ pub struct Board {
     detector_status: watch::Receiver<DetectorStatus>,
     detector_meter: OnceLock<DetectorMeter>,
     power: Mutex<PowerSnapshot>,
-    holds: Mutex<BTreeMap<&'static str, String>>,
+    readiness: Readiness,
+    tasks: TaskTally,
     store: Option<Arc<ThresholdStore>>,
 }
 
@@ -102,6 +106,11 @@ impl Board {
                 ))
             })
             .collect();
+        let readiness = Readiness::default();
+        let detector_status = setup.detector_status.clone();
+        readiness.probe(readiness::DETECTOR, "", move || {
+            readiness::of_detector(&detector_status.borrow())
+        });
         Arc::new(Self {
             node: setup.node,
             policy: setup.policy,
@@ -113,7 +122,8 @@ impl Board {
             detector_status: setup.detector_status,
             detector_meter: OnceLock::new(),
             power: Mutex::default(),
-            holds: Mutex::default(),
+            readiness,
+            tasks: TaskTally::default(),
             store,
         })
     }
@@ -275,32 +285,14 @@ impl Board {
         lock(&self.power).clone()
     }
 
-    /// Says that the node is not ready because of `part` (`zenoh`, `cameras`, …), in words.
-    pub fn hold(&self, part: &'static str, reason: impl Into<String>) {
-        lock(&self.holds).insert(part, reason.into());
+    /// Whether the node works, part by part.
+    pub fn readiness(&self) -> &Readiness {
+        &self.readiness
     }
 
-    /// Takes back what [`hold`](Self::hold) said about `part`.
-    pub fn release(&self, part: &'static str) {
-        lock(&self.holds).remove(part);
-    }
-
-    /// Why the node is not ready, by part; empty when it is. The detector's part is read from its status.
-    pub(crate) fn reasons_not_ready(&self) -> Vec<(&'static str, String)> {
-        let mut reasons: Vec<_> = lock(&self.holds)
-            .iter()
-            .map(|(part, reason)| (*part, reason.clone()))
-            .collect();
-        match &*self.detector_status.borrow() {
-            DetectorStatus::Starting => {
-                reasons.push(("detector", "the session is being built".to_owned()));
-            }
-            DetectorStatus::Degraded { reason, .. } => {
-                reasons.push(("detector", format!("degraded: {reason}")));
-            }
-            DetectorStatus::Ready { .. } => {}
-        }
-        reasons
+    /// How often the node's tasks failed.
+    pub fn tasks(&self) -> &TaskTally {
+        &self.tasks
     }
 }
 

@@ -14,6 +14,7 @@ pub mod http;
 mod intake;
 pub mod power;
 mod rate_limit;
+pub mod readiness;
 mod report;
 mod run;
 pub mod screen;

@@ -13,7 +13,9 @@ use crate::clip::{ClipTracker, EnergyShares};
 use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use crate::frame::{Delivery, frame_ring};
 use crate::power::{self, PowerHandle};
+use crate::readiness;
 use crate::screen::{CameraScreen, ScreenHandle};
+use albireo_service::readiness::Latch;
 use albireo_service::session;
 use albireo_wire::{CameraKeys, NodeKeys};
 use anyhow::{Context, anyhow};
@@ -55,6 +57,8 @@ pub struct Node {
 #[derive(Debug)]
 pub struct PreparedNode {
     board: Arc<Board>,
+    /// Keeps the node from being ready until the cameras are heard.
+    starting: Latch,
     detector_status: watch::Sender<DetectorStatus>,
 }
 
@@ -66,9 +70,12 @@ impl PreparedNode {
     pub fn new(config: &NodeConfig) -> anyhow::Result<Self> {
         let (detector_status, status) = watch::channel(DetectorStatus::Starting);
         let board = Board::new(BoardSetup::from_config(config, status)?);
-        board.hold("cameras", "the cameras are not subscribed to yet");
+        let starting = board
+            .readiness()
+            .latch(readiness::CAMERAS, "the cameras are not subscribed to yet");
         Ok(Self {
             board,
+            starting,
             detector_status,
         })
     }
@@ -106,6 +113,7 @@ impl PreparedNode {
     ) -> anyhow::Result<Node> {
         let Self {
             board,
+            starting,
             detector_status,
         } = self;
         let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
@@ -122,6 +130,12 @@ impl PreparedNode {
             .await
             .context("[screen]")?;
 
+        if let Some(screen) = &screen {
+            let status = screen.status();
+            (board.readiness()).probe(readiness::SCREEN, "", move || {
+                readiness::of_screen(&status.borrow())
+            });
+        }
         board.attach_detector(detector.meter());
         tokio::spawn(follow(detector.status(), detector_status));
         let mut parts = Parts {
@@ -159,7 +173,7 @@ impl PreparedNode {
             .declare_token(keys.fleet().alive())
             .await
             .map_err(|error| anyhow!("liveliness token not declared: {error}"))?;
-        board.release("cameras");
+        drop(starting);
         Ok(Node {
             session,
             detector,

@@ -4,5 +4,7 @@
 pub mod config;
 pub mod http;
 pub mod logging;
+pub mod readiness;
 pub mod session;
 pub mod signals;
+pub mod supervise;

@@ -141,7 +141,7 @@ fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
 }
 
 #[test]
-fn a_hold_keeps_the_node_from_being_ready_until_it_is_released() {
+fn the_node_is_ready_once_the_detector_and_every_other_part_is() {
     let (status, detector_status) = watch::channel(DetectorStatus::Starting);
     let board = Board::new(BoardSetup {
         node: "n".to_owned(),
@@ -151,14 +151,21 @@ fn a_hold_keeps_the_node_from_being_ready_until_it_is_released() {
         detector: DetectorFacts::default(),
         detector_status,
     });
-    board.hold("zenoh", "the session is not open yet");
-    assert_eq!(board.reasons_not_ready().len(), 2);
+    let latch = board
+        .readiness()
+        .latch(readiness::ZENOH, "the session is not open yet");
+    let reasons = || board.readiness().health().status().reasons;
+    assert_eq!(reasons().len(), 2);
     status.send_replace(DetectorStatus::Ready {
         provider: ExecutionProvider::Cpu,
     });
-    assert_eq!(board.reasons_not_ready()[0].0, "zenoh");
-    board.release("zenoh");
-    assert!(board.reasons_not_ready().is_empty());
+    assert_eq!(reasons().keys().collect::<Vec<_>>(), [readiness::ZENOH]);
+    drop(latch);
+    assert!(board.readiness().health().is_ready());
+    let provider = ExecutionProvider::Cpu;
+    let reason = "a run took too long".to_owned();
+    status.send_replace(DetectorStatus::Degraded { reason, provider });
+    assert!(!board.readiness().health().is_ready());
 }
 
 #[test]

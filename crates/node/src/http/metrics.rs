@@ -101,7 +101,7 @@ impl BoardCollector {
             "ready",
             "Whether the node works as configured",
             MetricType::Gauge,
-            |family| family.gauge(Vec::new(), i64::from(board.reasons_not_ready().is_empty())),
+            |family| family.gauge(Vec::new(), i64::from(board.readiness().health().is_ready())),
         )?;
         family(
             encoder,
