@@ -51,6 +51,10 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
         assert_eq!(after.completed - before.completed, 3);
         if round == 1 {
             assert_eq!(after.batches - before.batches, 1);
+            // Of one run's time each picture used an even part.
+            let all = [&together.0, &together.1, &together.2];
+            assert!(all.iter().all(|found| found.pictures == 3));
+            assert!(all.iter().all(|found| found.took == together.0.took));
         }
         before = after;
     }

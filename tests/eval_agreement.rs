@@ -146,7 +146,7 @@ fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
             let expected = &summary[&(result.clip.clone(), result.policy.clone())];
             let [e, p, ei, i, ai] = result.states.shares();
             let mut figures = vec![
-                ("skip_rate", result.states.skip_rate()),
+                ("skip_rate", result.skip_rate()),
                 ("share_E", e),
                 ("share_P", p),
                 ("share_EI", ei),

@@ -355,6 +355,56 @@ async fn the_open_clip_is_published_when_the_node_stops() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn without_a_meter_every_report_is_out_before_the_node_has_stopped() {
+    const CLIPS: u64 = 40;
+    let mut config = configuration();
+    config.power.source = albireo_node::power::PowerSource::None;
+    config.power.interval_ms = 10_000;
+    let mut bench = Bench::start(&config).await;
+    let mut reports = bench.reports().await;
+    let picture = pictures(1).remove(0);
+    for seq in 0..CLIPS {
+        let clip = format!("clip-{seq}");
+        bench
+            .send_of_clip(picture.clone(), "image/jpeg", seq, Some(&clip))
+            .await;
+        bench.answer().await;
+    }
+    bench.stop().await;
+    for seq in 0..CLIPS {
+        let report = timeout(LONG, reports.recv()).await.unwrap().unwrap();
+        assert_eq!((report.clip, report.frames), (format!("clip-{seq}"), 1));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_begin_anew() {
+    let mut config = configuration();
+    config.policy.name = "fixed-skip".to_owned();
+    config.policy.fixed_skip.n = 4.0;
+    let mut bench = Bench::start(&config).await;
+    let picture = pictures(1).remove(0);
+    for seq in [1000, 1001, 100, 1002] {
+        bench.send(picture.clone(), "image/jpeg", seq).await;
+    }
+    // The camera counts from 0 again; its second number shows it, and is no picture.
+    bench.send(picture.clone(), "image/jpeg", 0).await;
+    bench.send(b"broken".to_vec(), "image/jpeg", 1).await;
+    bench.send(picture, "image/jpeg", 2).await;
+    let mut seen = Vec::new();
+    for _ in 0..4 {
+        let answer = bench.answer().await;
+        seen.push((answer.seq, answer.state.as_str()));
+    }
+    // The stray frame 100 changes nothing: of a stream the first frame is the detector's.
+    assert_eq!(seen, [(1000, "I"), (1001, "P"), (1002, "P"), (2, "I")]);
+    let dropped = bench.board.camera(CAMERA).unwrap().snapshot().dropped;
+    assert_eq!((dropped.late, dropped.undecodable), (2, 1));
+    assert_eq!((dropped.lost, dropped.total()), (0, 3));
+    bench.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_report_nobody_took_is_delivered_when_somebody_comes_after_a_restart() {
     let state = tempfile::tempdir().unwrap();
     let mut config = configuration();

@@ -48,8 +48,10 @@ pub struct PowerSnapshot {
     pub quality: EnergyQuality,
     /// Power by domain, watts; empty without a source.
     pub watts: Vec<DomainWatts>,
-    /// Energy by domain since the node started, joules; only ever grows.
+    /// Energy by domain since the node started, joules, over the time that samples cover; only ever grows.
     pub joules: BTreeMap<String, f64>,
+    /// That time, seconds.
+    pub covered_s: BTreeMap<String, f64>,
     /// What reading the source has cost.
     pub cost: MeterCost,
 }
@@ -61,6 +63,7 @@ impl Default for PowerSnapshot {
             quality: EnergyQuality::Unavailable,
             watts: Vec::new(),
             joules: BTreeMap::new(),
+            covered_s: BTreeMap::new(),
             cost: MeterCost::default(),
         }
     }
@@ -231,7 +234,7 @@ impl Board {
             camera: camera.name().to_owned(),
             frames: snapshot.states.frames(),
             states: snapshot.states,
-            skip_rate: snapshot.states.skip_rate(),
+            skip_rate: snapshot.skip_rate(),
             degraded_frames: snapshot.degraded_frames,
             dropped: snapshot.dropped,
             knob: camera.knob_value(),

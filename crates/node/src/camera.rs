@@ -44,7 +44,10 @@ pub(crate) struct Camera {
 /// What the loop remembers from frame to frame.
 struct Stream {
     threshold: watch::Receiver<Option<f64>>,
+    /// Index of the frame before; none while the policy knows nothing.
     last_index: Option<u64>,
+    /// Highest index and newest stream of the camera so far.
+    newest: Option<(u64, u64)>,
     /// Index of the stream's first frame; the policy counts from there.
     first_index: u64,
     clip: Option<Arc<str>>,
@@ -58,6 +61,7 @@ impl Camera {
         let mut stream = Stream {
             threshold: self.board.watch_threshold(),
             last_index: None,
+            newest: None,
             first_index: 0,
             clip: None,
             outcome: Outcome::default(),
@@ -68,11 +72,12 @@ impl Camera {
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => break,
-                () = at(due) => self.accounts.tick(),
+                // Before the clock: a camera whose frames wait is not silent, only the detector is slow.
                 incoming = self.ring.next() => match incoming {
                     Some(incoming) => self.process(incoming, &mut stream).await,
                     None => break,
                 },
+                () = at(due) => self.accounts.tick(),
             }
         }
         self.ring.close();
@@ -82,8 +87,20 @@ impl Camera {
     async fn process(&mut self, incoming: Incoming, stream: &mut Stream) {
         let taken = Instant::now();
         let frame = &incoming.frame;
+        if stream
+            .newest
+            .is_some_and(|(index, _)| incoming.index <= index)
+        {
+            let sequence = frame.sequence;
+            let reason = format_args!("sequence number {sequence} was overtaken on its way");
+            return self.ledger.count(DropKind::Late, 1, &reason);
+        }
+        let restarted = stream
+            .newest
+            .replace((incoming.index, incoming.epoch))
+            .is_some_and(|(_, epoch)| epoch != incoming.epoch);
         let new_clip = frame.clip.is_some() && frame.clip != stream.clip;
-        if incoming.restarted || (new_clip && self.reset_at_clip && stream.clip.is_some()) {
+        if restarted || (new_clip && self.reset_at_clip && stream.clip.is_some()) {
             self.policy.reset();
             stream.last_index = None;
         }
@@ -158,8 +175,8 @@ impl Camera {
                 tracing::error!(camera = self.board.name(), %error, "detections not written");
             }
         }
-        if let Some((start, end)) = times.detector_span {
-            self.accounts.detector_ran(start, end);
+        if let Some(run) = times.detector_run {
+            self.accounts.detector_ran(run);
         }
         self.accounts.count(&FrameResult {
             seq: frame.sequence,
@@ -224,8 +241,8 @@ fn next_need(
     async move {
         if need != Need::Nothing {
             let follows = |next: &Incoming| {
-                let foreseen = !next.restarted
-                    && next.index == present.index + 1
+                let foreseen = next.epoch == present.epoch
+                    && next.index.checked_sub(present.index) == Some(1)
                     && next.frame.clip == present.frame.clip
                     && next.frame.picture.size == present.frame.picture.size;
                 foreseen.then(|| next.frame.picture.clone())
@@ -249,3 +266,6 @@ async fn at(due: Option<Instant>) {
         None => std::future::pending().await,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -7,7 +7,7 @@ use anyhow::anyhow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
-use tokio::time::{Instant, MissedTickBehavior};
+use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::bytes::Encoding;
@@ -22,9 +22,6 @@ pub(crate) struct Counters {
     board: Arc<Board>,
     power: PowerHandle,
     publishers: BTreeMap<String, Publisher<'static>>,
-    /// Energy by domain since the node started.
-    joules: BTreeMap<String, f64>,
-    since: Instant,
 }
 
 impl Counters {
@@ -51,13 +48,11 @@ impl Counters {
             board,
             power,
             publishers,
-            joules: BTreeMap::new(),
-            since: Instant::now(),
         })
     }
 
     /// Publishes until `shutdown`.
-    pub(crate) async fn run(mut self, shutdown: CancellationToken) {
+    pub(crate) async fn run(self, shutdown: CancellationToken) {
         let mut ticks = tokio::time::interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
@@ -73,18 +68,21 @@ impl Counters {
         }
     }
 
-    fn update_power(&mut self) {
-        let until = Instant::now();
-        for domain in self.power.energy(self.since, until).domains {
-            *self.joules.entry(domain.domain).or_default() += domain.joules;
-        }
-        self.since = until;
+    fn update_power(&self) {
+        let so_far = self.power.so_far();
         let now = self.power.now();
         self.board.set_power(PowerSnapshot {
             source: now.source,
             quality: now.quality,
             watts: now.watts,
-            joules: self.joules.clone(),
+            joules: so_far
+                .iter()
+                .map(|so_far| (so_far.domain.as_str().to_owned(), so_far.joules))
+                .collect(),
+            covered_s: so_far
+                .iter()
+                .map(|so_far| (so_far.domain.as_str().to_owned(), so_far.covered_s))
+                .collect(),
             cost: self.power.cost(),
         });
     }

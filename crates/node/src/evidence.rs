@@ -26,8 +26,22 @@ pub struct Times {
     pub letterbox: Option<Duration>,
     /// When the detector was asked and when it had answered, waiting included.
     pub detector_span: Option<(Instant, Instant)>,
+    /// The run that answered, and this frame's part in it.
+    pub detector_run: Option<DetectorRun>,
     /// All of it together: what is left of the frame's time is the policy's own.
     pub evidence: Duration,
+}
+
+/// The detector's run for a frame: what the frame's camera used of it. A run that failed or took too long is
+/// nobody's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct DetectorRun {
+    /// When it began.
+    pub start: Instant,
+    /// When it had ended.
+    pub end: Instant,
+    /// The frame's part of the time between: an even part for each of the pictures it looked at.
+    pub used: Duration,
 }
 
 impl Times {
@@ -151,6 +165,10 @@ impl LiveEvidence {
         encoded: &EncodedPicture,
         next: impl Future<Output = (EncodedPicture, Need)>,
     ) -> Result<Option<Detected>, FrameFault> {
+        // A picture that nobody will look at is not decoded.
+        if self.detector.accepts().is_err() {
+            return Ok(None);
+        }
         self.look(encoded, Stage::Prepared).await?;
         let Some(prepared) = self.frame.prepared.take() else {
             return Ok(None);
@@ -174,10 +192,16 @@ impl LiveEvidence {
                 answer = &mut answer => answer,
             }
         };
-        self.times.detector_span = Some((start, Instant::now()));
+        let end = Instant::now();
+        self.times.detector_span = Some((start, end));
         // The detector counts and logs its failures itself.
         let detected = answer.ok();
         if let Some(detected) = &detected {
+            self.times.detector_run = Some(DetectorRun {
+                start: end.checked_sub(detected.took).unwrap_or(start),
+                end,
+                used: detected.took / detected.pictures.max(1),
+            });
             self.screen
                 .detected(&self.frame.picture, !detected.detections.is_empty());
         }

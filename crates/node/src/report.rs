@@ -2,13 +2,11 @@
 //! task adds the energy, publishes the report, and keeps what nobody has taken yet.
 
 use super::board::Board;
+use super::evidence::DetectorRun;
 use super::intake::DropCounts;
 use super::spool::Spool;
-use crate::clip::{
-    CameraShare, ClipMeta, ClipTracker, ClosedClip, FrameArrival, FrameResult, clip_energy,
-};
+use crate::clip::{ClipMeta, ClipTracker, ClosedClip, FrameArrival, FrameResult};
 use crate::detector::DetectorHandle;
-use crate::power::PowerHandle;
 use albireo_wire::ClipReport;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -21,7 +19,6 @@ use zenoh_ext::AdvancedPublisher;
 #[derive(Debug)]
 pub(crate) struct ClipAccounts {
     books: ClipTracker,
-    share: CameraShare,
     ledger: Arc<DropCounts>,
     closed: mpsc::UnboundedSender<ClosedClip>,
 }
@@ -30,7 +27,6 @@ impl ClipAccounts {
     /// A accounts with empty books, and the end a [`Reporter`] takes closed clips from.
     pub(crate) fn new(
         books: ClipTracker,
-        share: CameraShare,
         ledger: Arc<DropCounts>,
     ) -> (Self, mpsc::UnboundedReceiver<ClosedClip>) {
         // Unbounded, because a clip is some kilobytes every some seconds and must not be lost; the
@@ -38,7 +34,6 @@ impl ClipAccounts {
         let (closed, clips) = mpsc::unbounded_channel();
         let accounts = Self {
             books,
-            share,
             ledger,
             closed,
         };
@@ -47,7 +42,6 @@ impl ClipAccounts {
 
     /// Takes note of a frame about to be processed and gives the clip it belongs to.
     pub(crate) fn arrive(&mut self, frame: &FrameArrival<'_>) -> Arc<str> {
-        self.share.frame(frame.arrival);
         // What was dropped before this frame belongs to the clip that was open then.
         self.books.dropped(&self.ledger.take());
         let closed = self.books.arrive(frame);
@@ -55,9 +49,9 @@ impl ClipAccounts {
         self.books.clip().map_or_else(|| "".into(), Arc::clone)
     }
 
-    /// Notes that the detector worked for this camera.
-    pub(crate) fn detector_ran(&self, start: Instant, end: Instant) {
-        self.share.detector(start, end);
+    /// Notes what this camera used of a run of the detector.
+    pub(crate) fn detector_ran(&self, run: DetectorRun) {
+        self.books.detector_ran(run.start, run.end, run.used);
     }
 
     /// Counts the outcome of the frame that arrived last.
@@ -101,10 +95,6 @@ pub(crate) struct Reporter {
     pub camera: String,
     /// What ran the detector.
     pub detector: DetectorHandle,
-    /// Where the energy comes from.
-    pub power: PowerHandle,
-    /// The camera's share of it.
-    pub share: CameraShare,
     /// Numbers the node's reports.
     pub numbers: Arc<AtomicU64>,
     /// Where reports go.
@@ -138,20 +128,16 @@ impl Reporter {
     }
 
     async fn report(&mut self, closed: ClosedClip) {
-        let energy = clip_energy(&closed, &self.power, &self.share).await;
-        let board = self.power.board(closed.start, closed.end);
-        let report = closed.into_report(
-            ClipMeta {
+        let report = closed
+            .into_report(ClipMeta {
                 node: self.board.node().to_owned(),
                 camera: self.camera.clone(),
                 report: self.numbers.fetch_add(1, Ordering::Relaxed),
                 policy: self.board.policy().to_owned(),
                 model: self.detector.model_name().to_owned(),
                 provider: self.detector.provider().as_str().to_owned(),
-            },
-            energy,
-            board,
-        );
+            })
+            .await;
         tracing::info!(
             camera = self.camera,
             clip = report.clip,

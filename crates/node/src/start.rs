@@ -9,7 +9,7 @@ use super::intake::{DropCounts, Intake};
 use super::report::{ClipAccounts, Reporter};
 use super::spool::Spool;
 use super::threshold::ThresholdService;
-use crate::clip::{ClipTracker, EnergyShares};
+use crate::clip::ClipTracker;
 use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use crate::frame::{Delivery, frame_ring};
 use crate::power::{self, PowerHandle};
@@ -120,8 +120,7 @@ impl PreparedNode {
         let session = session::open(&config.zenoh, config.frame.max_payload_bytes).await?;
         let sampling = CancellationToken::new();
         let unless_started = sampling.clone().drop_guard();
-        let keep = 2 * Duration::try_from_secs_f64(config.clip.window_s).unwrap_or_default();
-        let (power, _) = power::start(&config.power, keep, sampling).await?;
+        let (power, _) = power::start(&config.power, sampling).await?;
         tracing::info!(model = %config.detector.model.display(), "loading the detector");
         let detector = DetectorHandle::start(&config.detector)
             .await
@@ -145,7 +144,6 @@ impl PreparedNode {
             detector: &detector,
             screen: screen.as_ref(),
             board: &board,
-            ledger: EnergyShares::new(keep),
             numbers: Arc::default(),
             working: JoinSet::new(),
             intakes: Vec::new(),
@@ -235,7 +233,6 @@ struct Parts<'a> {
     detector: &'a DetectorHandle,
     screen: Option<&'a ScreenHandle>,
     board: &'a Arc<Board>,
-    ledger: EnergyShares,
     numbers: Arc<AtomicU64>,
     working: JoinSet<()>,
     intakes: Vec<zenoh::pubsub::Subscriber<()>>,
@@ -256,10 +253,8 @@ impl Parts<'_> {
             .ok_or_else(|| anyhow!("not on the board"))?;
         let drops = Arc::new(DropCounts::new(Arc::clone(board)));
         let (sender, ring) = frame_ring(config.delivery, config.ring);
-        let share = self.ledger.camera(&config.name);
         let (accounts, closed) = ClipAccounts::new(
-            ClipTracker::new(self.config.clip),
-            share.clone(),
+            ClipTracker::new(self.config.clip, self.power.user(&config.name)),
             Arc::clone(&drops),
         );
 
@@ -314,8 +309,6 @@ impl Parts<'_> {
             board: Arc::clone(self.board),
             camera: config.name.clone(),
             detector: self.detector.clone(),
-            power: self.power.clone(),
-            share,
             numbers: Arc::clone(&self.numbers),
             publisher: reports,
             spool,

@@ -20,7 +20,8 @@ mod version;
 
 pub use albireo_core::policy::{Knob, KnobError};
 pub use clip::{
-    BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, Percentiles,
+    BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, FULL_COVERAGE,
+    Percentiles,
 };
 pub use counters::{CountersMessage, DomainWatts};
 pub use desired::{Desired, Poke, PullRequest};

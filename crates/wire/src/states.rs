@@ -52,11 +52,17 @@ impl FrameStates {
         self.e + self.p + self.ei + self.i + self.ai
     }
 
-    /// Share of frames that skipped the detector; 0 without frames.
-    pub fn skip_rate(&self) -> f64 {
+    /// Frames that skipped the detector: state E or P, less those of them that were `degraded`, for which the
+    /// detector was needed and could not be had.
+    pub fn skipped(&self, degraded: u64) -> u64 {
+        (self.e + self.p).saturating_sub(degraded)
+    }
+
+    /// Share of frames that [`skipped`](Self::skipped) the detector; 0 without frames.
+    pub fn skip_rate(&self, degraded: u64) -> f64 {
         match self.frames() {
             0 => 0.0,
-            frames => (self.e + self.p) as f64 / frames as f64,
+            frames => self.skipped(degraded) as f64 / frames as f64,
         }
     }
 }
@@ -79,7 +85,8 @@ pub struct DroppedFrames {
     pub lost: u64,
     /// Pushed out of the ring by a newer one before its turn.
     pub overrun: u64,
-    /// Arrived after a later frame; it had been counted as lost when the later one came.
+    /// Arrived after a later frame (it had been counted as lost when the later one came), or with a number
+    /// far from all others.
     pub late: u64,
     /// Arrived again with the same sequence number.
     pub duplicate: u64,

@@ -98,10 +98,8 @@ impl Player {
             camera.delivery = Delivery::Every;
         }
         config.cameras = vec![camera];
-        // The clip is ended by its end; a detector that is slow must not end it before. The power samples
-        // are kept for twice the window.
+        // The clip is ended by its end; a pause of the machine must not end it before.
         config.clip.silence_s = 3600.0;
-        config.clip.window_s = 3600.0;
         match config.findings().into_iter().next() {
             Some(problem) => bail!("{problem}"),
             None => Ok(config),

@@ -234,7 +234,7 @@ impl Candidate {
         let skipped = replayed
             .frames
             .iter()
-            .filter(|frame| frame.state.is_skipped());
+            .filter(|frame| frame.state.is_skipped() && !frame.degraded);
         let skip_rate = skipped.count() as f64 / replayed.frames.len().max(1) as f64;
         let accuracy = judged
             .then(|| {

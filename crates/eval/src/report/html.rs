@@ -276,7 +276,7 @@ fn clips(page: &mut String, results: &[ClipResult]) {
             escape(&result.clip),
             escape(short(&result.policy)),
             result.frames,
-            cell(Some(result.states.skip_rate() * 100.0), 1),
+            cell(Some(result.skip_rate() * 100.0), 1),
             cell(result.accuracy.map(|accuracy| accuracy.ap50), 4),
             cell(difference.filter(|_| result.policy != BASELINE), 2),
             cell(result.accuracy.map(|accuracy| accuracy.map), 4),

@@ -62,6 +62,13 @@ pub struct CameraSnapshot {
     pub last_frame_age: Option<Duration>,
 }
 
+impl CameraSnapshot {
+    /// Share of frames that skipped the detector, degraded ones not among them.
+    pub fn skip_rate(&self) -> f64 {
+        self.states.skip_rate(self.degraded_frames)
+    }
+}
+
 #[derive(Debug, Default)]
 struct Counts {
     states: FrameStates,

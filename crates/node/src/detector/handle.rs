@@ -32,6 +32,10 @@ pub struct Found {
 pub struct Detected {
     /// Best first, normalised to the source picture, above the configured confidence, overlaps suppressed.
     pub detections: Vec<Detection>,
+    /// From the start of the run to its end.
+    pub took: Duration,
+    /// How many pictures the run looked at; the time this one used is `took` divided by their number.
+    pub pictures: u32,
     /// From being asked to the start of the run, milliseconds.
     pub queue_ms: f64,
     /// Resizing and conversion to the model's input tensor, milliseconds.
@@ -151,11 +155,21 @@ impl DetectorHandle {
         let found = inference.output;
         Ok(Detected {
             detections: found.detections,
+            took: inference.took,
+            pictures: inference.pictures,
             queue_ms: milliseconds(inference.queued),
             letterbox_ms: milliseconds(found.letterbox),
             model_ms: milliseconds(found.model),
             head_ms: milliseconds(found.head),
         })
+    }
+
+    /// Whether a picture would be taken now. A refusal is counted: ask before a picture is decoded for it.
+    ///
+    /// # Errors
+    /// As [`detect_prepared`](Self::detect_prepared) would answer at once.
+    pub(crate) fn accepts(&self) -> Result<(), InferenceError> {
+        self.task.accepts()
     }
 
     /// How the detector is doing, now and from now on.

@@ -152,6 +152,14 @@ impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
         Ok((Self { inner }, facts))
     }
 
+    /// Whether a picture would be taken now; a refusal is counted.
+    ///
+    /// # Errors
+    /// What [`run`](Self::run) would answer at once.
+    pub(crate) fn accepts(&self) -> Result<(), InferenceError> {
+        self.inner.shared.accepts()
+    }
+
     /// Has `picture` answered. Waits for its turn and for the run.
     ///
     /// When this returns `Ok` or [`InferenceError::Failed`] the task no longer holds it; after a time-out a

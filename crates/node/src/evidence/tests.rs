@@ -118,3 +118,30 @@ async fn decoded_pictures_take_turns_in_the_same_buffers() {
     }
     assert!(buffers.len() <= 2, "{} buffers", buffers.len());
 }
+
+#[tokio::test]
+async fn while_the_detector_cannot_be_had_no_picture_is_decoded_for_it() {
+    let [first, ..] = pictures();
+    let mut evidence = evidence().await;
+    evidence.detector.stop().await;
+    let detected = evidence.detect(&first, std::future::pending()).await;
+    assert_eq!(detected.unwrap(), None);
+    assert_eq!(
+        (evidence.times.decode, evidence.times.letterbox),
+        (None, None)
+    );
+}
+
+#[tokio::test]
+async fn a_frame_uses_its_part_of_the_detectors_run_and_no_more() {
+    let [first, ..] = pictures();
+    let mut evidence = evidence().await;
+    let detected = evidence.detect(&first, std::future::pending()).await;
+    let took = detected.unwrap().unwrap().took;
+    let run = evidence.times.detector_run.unwrap();
+    assert_eq!((run.end - run.start, run.used), (took, took));
+    let (asked, answered) = evidence.times.detector_span.unwrap();
+    assert!(asked <= run.start && run.end == answered);
+    evidence.next_frame();
+    assert_eq!(evidence.times.detector_run, None);
+}

@@ -103,6 +103,11 @@ impl<T> Ring<T> {
 }
 
 impl<T> RingSender<T> {
+    /// What happens when the ring is full.
+    pub(crate) fn delivery(&self) -> Delivery {
+        self.0.delivery
+    }
+
     /// Pushes from ordinary code, such as Zenoh's callback thread. [`Delivery::Newest`] never waits;
     /// [`Delivery::Every`] blocks the thread until there is room or the ring closes. Blocking Zenoh's
     /// thread is what holds the publisher back; within a task use [`push`](Self::push).

@@ -132,22 +132,24 @@ impl BoardCollector {
 
     fn power(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
         let power = self.0.power();
-        let labels = |domain| {
-            vec![
-                ("domain", domain),
+        let labels = |domain| vec![("domain", domain), ("source", power.source.as_str())];
+        let help = "Whether power is measured or estimated now, or unavailable: always 1";
+        family(encoder, "power_info", help, MetricType::Gauge, |family| {
+            let labels = vec![
                 ("source", power.source.as_str()),
                 ("quality", quality(power.quality)),
-            ]
-        };
-        let help = "Power now; `quality` says whether it is measured or estimated";
+            ];
+            family.gauge(labels, 1_i64)
+        })?;
+        let help = "Power now; `power_info` says whether it is measured or estimated";
         family(encoder, "power_watts", help, MetricType::Gauge, |family| {
             power
                 .watts
                 .iter()
                 .try_for_each(|entry| family.gauge(labels(entry.domain.as_str()), entry.watts))
         })?;
-        let help =
-            "Energy since the node started; `quality` says whether it is measured or estimated";
+        let help = "Energy since the node started, over the time that samples cover; `power_info` says \
+                    whether it is measured or estimated";
         family(
             encoder,
             "energy_joules",
@@ -158,6 +160,20 @@ impl BoardCollector {
                     .joules
                     .iter()
                     .try_for_each(|(domain, joules)| family.counter(labels(domain), *joules))
+            },
+        )?;
+        let help = "Time that samples of power cover since the node started: `energy_joules` is that time's, \
+                    and divided by it the mean power";
+        family(
+            encoder,
+            "energy_covered_seconds",
+            help,
+            MetricType::Counter,
+            |family| {
+                power
+                    .covered_s
+                    .iter()
+                    .try_for_each(|(domain, seconds)| family.counter(labels(domain), *seconds))
             },
         )?;
         let help = "CPU time spent on reading the power source";
@@ -234,7 +250,21 @@ fn frames(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt::
             })
         },
     )?;
-    let help = "Frames answered from prediction because the detector could not be had";
+    let help = "Frames that skipped the detector: state E or P and not degraded";
+    family(
+        encoder,
+        "frames_skipped",
+        help,
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                let skipped = snapshot.states.skipped(snapshot.degraded_frames);
+                family.counter(vec![("camera", camera.name())], skipped as f64)
+            })
+        },
+    )?;
+    let help = "Frames answered from prediction because the detector could not be had: state P, and not \
+                skipped";
     family(
         encoder,
         "frames_degraded",

@@ -6,13 +6,16 @@ use super::reading::Reading;
 use albireo_wire::EnergyQuality;
 use tokio::time::Instant;
 
+/// Its name.
+pub(super) const SOURCE: &str = "none";
+
 /// Reads nothing, ever.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct NoMeter;
 
 impl Meter for NoMeter {
     fn source(&self) -> &str {
-        "none"
+        SOURCE
     }
 
     fn quality(&self) -> EnergyQuality {

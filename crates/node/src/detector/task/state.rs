@@ -18,6 +18,8 @@ pub(crate) struct Inference<T> {
     pub queued: Duration,
     /// From the start of the run to its end.
     pub took: Duration,
+    /// How many pictures the run looked at: this one's part of it is `took` divided by their number.
+    pub pictures: u32,
 }
 
 pub(super) type Answer<T> = Result<Inference<T>, InferenceError>;
@@ -183,12 +185,14 @@ impl<I, T> TaskState<I, T> {
         Counters::add_many(&self.counters.completed, outputs.len());
         Counters::add(&self.counters.batches);
         let replies = running.map_or_else(Vec::new, |running| running.replies);
+        let pictures = u32::try_from(replies.len()).unwrap_or(u32::MAX);
         for ((reply, queued), output) in replies.into_iter().zip(outputs) {
             // The asker may have gone; that is its right.
             let _ = reply.send(Ok(Inference {
                 output,
                 queued,
                 took,
+                pictures,
             }));
         }
         true
