@@ -12,6 +12,8 @@ mod plain_metrics;
 mod states;
 mod threshold;
 
+pub(crate) use health::provider;
+
 use crate::board::{Board, CameraBoard};
 use crate::frame::FrameLimits;
 use albireo_service::http::Problem;
