@@ -4,6 +4,7 @@ mod support;
 
 mod command_line;
 mod compare;
+mod delivery;
 mod detector_batches;
 mod detector_exports;
 mod detector_models;

@@ -405,32 +405,6 @@ async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_begin_anew() 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_report_nobody_took_is_delivered_when_somebody_comes_after_a_restart() {
-    let state = tempfile::tempdir().unwrap();
-    let mut config = configuration();
-    config.node.state_dir = Some(state.path().to_owned());
-    let mut bench = Bench::start(&config).await;
-    bench
-        .send_of_clip(pictures(1).remove(0), "image/jpeg", 0, Some("alone"))
-        .await;
-    bench.answer().await;
-    bench.stop().await;
-    let waiting = || {
-        std::fs::read_dir(state.path().join("clip-reports/front"))
-            .unwrap()
-            .count()
-    };
-    assert_eq!(waiting(), 1);
-
-    let bench = Bench::start(&config).await;
-    let mut reports = bench.reports().await;
-    let report = timeout(LONG, reports.recv()).await.unwrap().unwrap();
-    assert_eq!(report.clip, "alone");
-    bench.stop().await;
-    assert_eq!(waiting(), 0);
-}
-
-#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_threshold_survives_a_restart() {
     let state = tempfile::tempdir().unwrap();
     let mut config = configuration();

@@ -14,16 +14,16 @@ pub use setup::SetupError;
 pub use setup::{BoardSetup, DetectorFacts};
 
 use crate::detector::{DetectorCounters, DetectorMeter, DetectorStatus};
+use crate::outbox::Outbox;
 use crate::power::MeterCost;
 use crate::readiness;
 use albireo_core::policy::KnobError;
-use albireo_service::readiness::Readiness;
+use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskTally;
 use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
-use thresholds::ThresholdStore;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
 
@@ -84,19 +84,16 @@ pub struct Board {
     power: Mutex<PowerSnapshot>,
     readiness: Readiness,
     tasks: TaskTally,
-    store: Option<Arc<ThresholdStore>>,
+    outbox: Outbox,
 }
 
 impl Board {
-    /// A board with no frames yet. Thresholds kept in `state_dir` by an earlier run are taken over where
+    /// A board with no frames yet. Thresholds kept in the state directory by an earlier run are taken over where
     /// the policy's knob still has that name and range and the configured value is the same as then; a
     /// file that cannot be read is logged and otherwise ignored. Call inside a tokio runtime or not, as
     /// you like.
     pub fn new(setup: BoardSetup) -> Arc<Self> {
         let (events, _) = broadcast::channel(EVENT_BACKLOG);
-        let store = setup
-            .state_dir
-            .map(|directory| Arc::new(ThresholdStore::open(&directory)));
         let cameras = setup
             .cameras
             .into_iter()
@@ -105,7 +102,7 @@ impl Board {
                     camera,
                     setup.policy,
                     events.clone(),
-                    store.clone(),
+                    setup.outbox.clone(),
                 ))
             })
             .collect();
@@ -113,6 +110,10 @@ impl Board {
         let detector_status = setup.detector_status.clone();
         readiness.probe(readiness::DETECTOR, "", move || {
             readiness::of_detector(&detector_status.borrow())
+        });
+        let outbox = setup.outbox.clone();
+        readiness.probe(readiness::DISK, "", move || {
+            outbox.counts().failing.map(Fault::degraded)
         });
         Arc::new(Self {
             node: setup.node,
@@ -127,7 +128,7 @@ impl Board {
             power: Mutex::default(),
             readiness,
             tasks: TaskTally::default(),
-            store,
+            outbox: setup.outbox,
         })
     }
 
@@ -260,7 +261,12 @@ impl Board {
     /// Whether the thresholds in force will still hold after a restart: a `state_dir` is set and the
     /// last write to it went well.
     pub(crate) fn thresholds_are_kept(&self) -> bool {
-        self.store.as_ref().is_some_and(|store| store.is_good())
+        self.outbox.keeps_settings()
+    }
+
+    /// Where reports wait for a hub, and what must survive.
+    pub fn outbox(&self) -> &Outbox {
+        &self.outbox
     }
 
     /// What was known about the detector before it started.

@@ -8,6 +8,7 @@ use super::intake::{DropCounts, DropKind, Incoming};
 use super::report::ClipAccounts;
 use crate::clip::{FrameArrival, FrameResult};
 use crate::frame::{EncodedPicture, FrameFault, RingReceiver};
+use crate::publishing::Detections;
 use albireo_core::policy::{Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, decide};
 use albireo_wire::{KnobValue, Latency};
 use std::future::Future;
@@ -16,8 +17,6 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use zenoh::bytes::Encoding;
-use zenoh::pubsub::Publisher;
 
 /// One camera's loop and all it works with.
 pub(crate) struct Camera {
@@ -32,7 +31,7 @@ pub(crate) struct Camera {
     /// Where its evidence comes from.
     pub evidence: LiveEvidence,
     /// Where detections go.
-    pub detections: Publisher<'static>,
+    pub detections: Detections,
     /// Names of the detector's classes.
     pub class_names: Arc<[String]>,
     /// Where clips are closed and reported.
@@ -162,14 +161,7 @@ impl Camera {
         );
         match serde_json::to_vec(&message) {
             Ok(json) => {
-                let sent = self
-                    .detections
-                    .put(json)
-                    .encoding(Encoding::APPLICATION_JSON)
-                    .await;
-                if let Err(error) = sent {
-                    tracing::warn!(camera = self.board.name(), %error, "detections not published");
-                }
+                self.detections.publish(json).await;
             }
             Err(error) => {
                 tracing::error!(camera = self.board.name(), %error, "detections not written");

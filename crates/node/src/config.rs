@@ -6,12 +6,14 @@ mod validate;
 use crate::clip::ClipConfig;
 use crate::detector::DetectorConfig;
 use crate::frame::{Delivery, FrameLimits, PayloadFormat};
+use crate::outbox::OutboxConfig;
 use crate::power::PowerConfig;
 use crate::screen::ScreenConfig;
 use albireo_core::policy::PolicyConfig;
-use albireo_service::config::{HttpConfig, LogConfig, ZenohConfig};
+use albireo_service::config::{HttpConfig, LogConfig, UplinkConfig, ZenohConfig};
 use albireo_wire::{KeyError, NodeKeys};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 /// All settings of a node.
@@ -22,6 +24,10 @@ pub struct NodeConfig {
     pub node: NodeSection,
     /// How it reaches Zenoh.
     pub zenoh: ZenohConfig,
+    /// A session of its own to the hub.
+    pub uplink: UplinkConfig,
+    /// What waits for the hub.
+    pub outbox: OutboxConfig,
     /// The HTTP interface.
     pub http: HttpConfig,
     /// The detector.
@@ -48,6 +54,8 @@ impl Default for NodeConfig {
         Self {
             node: NodeSection::default(),
             zenoh: ZenohConfig::default(),
+            uplink: UplinkConfig::default(),
+            outbox: OutboxConfig::default(),
             http: HttpConfig::default(),
             detector: DetectorConfig::default(),
             screen: ScreenConfig::default(),
@@ -93,6 +101,11 @@ pub struct NodeSection {
     /// Folder for what must survive a restart: changed thresholds, undelivered clip reports. Without it
     /// both are forgotten.
     pub state_dir: Option<PathBuf>,
+    /// Whether a threshold changed at the node gives way when the hub is next heard to desire another. Otherwise it
+    /// stays until the hub desires something new; the hub shows the difference either way.
+    pub hub_wins: bool,
+    /// Labels by which a hub selects nodes.
+    pub labels: BTreeMap<String, String>,
 }
 
 impl Default for NodeSection {
@@ -101,6 +114,8 @@ impl Default for NodeSection {
             name: "node".to_owned(),
             prefix: "albireo".to_owned(),
             state_dir: None,
+            hub_wins: false,
+            labels: BTreeMap::new(),
         }
     }
 }

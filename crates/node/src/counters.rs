@@ -1,7 +1,9 @@
 //! Once a second: every camera's counters on Zenoh, and new power figures on the board.
 
 use super::board::{Board, PowerSnapshot};
+use crate::outbox::unix_nanoseconds;
 use crate::power::PowerHandle;
+use crate::publishing::{self, PublishLane, PublishingThread};
 use albireo_wire::{CountersMessage, NodeKeys};
 use anyhow::anyhow;
 use std::collections::BTreeMap;
@@ -10,8 +12,6 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
-use zenoh::bytes::Encoding;
-use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
 
 /// Time between two counter messages of a camera.
@@ -21,7 +21,7 @@ const PERIOD: Duration = Duration::from_secs(1);
 pub(crate) struct Counters {
     board: Arc<Board>,
     power: PowerHandle,
-    publishers: BTreeMap<String, Publisher<'static>>,
+    lanes: BTreeMap<String, PublishLane>,
 }
 
 impl Counters {
@@ -31,23 +31,25 @@ impl Counters {
     /// When Zenoh refuses a declaration.
     pub(crate) async fn declare(
         session: &Session,
+        publishing: &PublishingThread,
         keys: &NodeKeys,
         board: Arc<Board>,
         power: PowerHandle,
     ) -> anyhow::Result<Self> {
-        let mut publishers = BTreeMap::new();
+        let mut lanes = BTreeMap::new();
         for camera in board.cameras() {
             let publisher = session
                 .declare_publisher(keys.camera(camera.name())?.counters())
                 .congestion_control(CongestionControl::Drop)
+                .priority(publishing::COUNTERS)
                 .await
                 .map_err(|error| anyhow!("counters cannot be published: {error}"))?;
-            publishers.insert(camera.name().to_owned(), publisher);
+            lanes.insert(camera.name().to_owned(), publishing.lane(publisher, 4));
         }
         Ok(Self {
             board,
             power,
-            publishers,
+            lanes,
         })
     }
 
@@ -63,7 +65,7 @@ impl Counters {
             }
             self.update_power();
             for message in self.board.publish_counters(unix_nanoseconds()) {
-                self.publish(&message).await;
+                self.publish(&message);
             }
         }
     }
@@ -87,31 +89,15 @@ impl Counters {
         });
     }
 
-    async fn publish(&self, message: &CountersMessage) {
-        let Some(publisher) = self.publishers.get(&message.camera) else {
+    fn publish(&self, message: &CountersMessage) {
+        let Some(lane) = self.lanes.get(&message.camera) else {
             return;
         };
-        let json = match serde_json::to_vec(message) {
-            Ok(json) => json,
+        match serde_json::to_vec(message) {
+            Ok(json) => lane.publish(json),
             Err(error) => {
-                return tracing::error!(camera = message.camera, %error, "counters not written");
+                tracing::error!(camera = message.camera, %error, "counters not written");
             }
-        };
-        let sent = publisher
-            .put(json)
-            .encoding(Encoding::APPLICATION_JSON)
-            .await;
-        if let Err(error) = sent {
-            tracing::warn!(camera = message.camera, %error, "counters not published");
         }
     }
-}
-
-/// This machine's wall clock; 0 before 1970.
-fn unix_nanoseconds() -> u64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |since| {
-            u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
-        })
 }

@@ -10,6 +10,8 @@ mod picture;
 mod states;
 mod threshold;
 
+pub(crate) use health::provider;
+
 use crate::board::{Board, CameraBoard};
 use crate::frame::FrameLimits;
 use albireo_service::http::Problem;

@@ -12,15 +12,18 @@ mod evidence;
 pub mod frame;
 pub mod http;
 mod intake;
+
+pub mod outbox;
 pub mod power;
+mod publishing;
 mod rate_limit;
 pub mod readiness;
 mod report;
 mod run;
 pub mod screen;
-mod spool;
 mod start;
 mod threshold;
+mod uplink;
 
 pub use evidence::{LiveEvidence, Times};
 pub use run::{run, run_prepared};

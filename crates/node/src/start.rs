@@ -7,20 +7,20 @@ use super::counters::Counters;
 use super::evidence::LiveEvidence;
 use super::intake::{DropCounts, Intake};
 use super::report::{ClipAccounts, Reporter};
-use super::spool::Spool;
 use super::threshold::ThresholdService;
 use crate::clip::ClipTracker;
 use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use crate::frame::{Delivery, frame_ring};
 use crate::power::{self, PowerHandle};
+use crate::publishing::{self, Detections, PublishingThread};
 use crate::readiness;
 use crate::screen::{CameraScreen, ScreenHandle};
+use crate::uplink::{DesiredKeeper, Uplink, UplinkSetup, Way};
 use albireo_service::readiness::Latch;
 use albireo_service::session;
 use albireo_wire::{CameraKeys, NodeKeys};
 use anyhow::{Context, anyhow};
 use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -34,9 +34,15 @@ use zenoh_ext::{AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 /// Clip reports a publisher keeps for clients that come late.
 const CACHED_REPORTS: usize = 64;
 
+/// Answers of a live camera that may wait to be published; beyond it the oldest go.
+const WAITING_ANSWERS: usize = 8;
+
 /// How long stopping may take in all: longer, and what is not out yet is given up. A service manager's
 /// patience is longer than that.
 const STOP_LIMIT: Duration = Duration::from_millis(4500);
+
+/// How long the last messages for whoever listens may take.
+const FLUSH_LIMIT: Duration = Duration::from_secs(1);
 
 /// A running node.
 pub struct Node {
@@ -48,6 +54,8 @@ pub struct Node {
     /// Power sampler: stopped when the last report is out.
     sampling: CancellationToken,
     alive: LivelinessToken,
+    publishing: PublishingThread,
+    uplink: Uplink,
     intakes: Vec<zenoh::pubsub::Subscriber<()>>,
     _thresholds: Vec<ThresholdService>,
     shutdown: CancellationToken,
@@ -117,7 +125,14 @@ impl PreparedNode {
             detector_status,
         } = self;
         let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
-        let session = session::open(&config.zenoh, config.frame.max_payload_bytes).await?;
+        let zenoh = board.readiness().part(readiness::ZENOH);
+        zenoh.not_ready("the session is not open yet");
+        let session = session::open(&config.zenoh, config.frame.max_payload_bytes, |reason| {
+            zenoh.not_ready(reason);
+        })
+        .await?;
+        zenoh.works();
+        let publishing = PublishingThread::start().context("the publishing thread")?;
         let sampling = CancellationToken::new();
         let unless_started = sampling.clone().drop_guard();
         let (power, _) = power::start(&config.power, sampling).await?;
@@ -144,7 +159,7 @@ impl PreparedNode {
             detector: &detector,
             screen: screen.as_ref(),
             board: &board,
-            numbers: Arc::default(),
+            publishing: &publishing,
             working: JoinSet::new(),
             intakes: Vec::new(),
             thresholds: Vec::new(),
@@ -157,8 +172,14 @@ impl PreparedNode {
                 .await
                 .with_context(|| format!("camera `{}`", camera.name))?;
         }
-        let counters =
-            Counters::declare(&session, &keys, Arc::clone(&board), power.clone()).await?;
+        let counters = Counters::declare(
+            &session,
+            &publishing,
+            &keys,
+            Arc::clone(&board),
+            power.clone(),
+        )
+        .await?;
         parts.working.spawn(counters.run(shutdown.clone()));
         let Parts {
             working,
@@ -171,6 +192,20 @@ impl PreparedNode {
             .declare_token(keys.fleet().alive())
             .await
             .map_err(|error| anyhow!("liveliness token not declared: {error}"))?;
+        let uplink = Uplink::start(UplinkSetup {
+            board: Arc::clone(&board),
+            outbox: board.outbox().clone(),
+            config: config.outbox.clone(),
+            keys: keys.fleet(),
+            labels: config.node.labels.clone(),
+            desired: DesiredKeeper::open(board.outbox(), config.node.hub_wins),
+            way: if config.uplink.is_set() {
+                Way::Own(config.uplink.clone())
+            } else {
+                Way::Local(session.clone())
+            },
+        })
+        .context("the uplink's thread")?;
         drop(starting);
         Ok(Node {
             session,
@@ -179,6 +214,8 @@ impl PreparedNode {
             working,
             sampling: unless_started.disarm(),
             alive,
+            publishing,
+            uplink,
             intakes,
             _thresholds: thresholds,
             shutdown,
@@ -212,6 +249,14 @@ impl Node {
             if let Some(screen) = &self.screen {
                 screen.stop().await;
             }
+            let (uplink, publishing) = (self.uplink, self.publishing);
+            let last_words = tokio::task::spawn_blocking(move || {
+                publishing.flush(std::time::Instant::now() + FLUSH_LIMIT);
+                uplink.stop();
+            });
+            if let Err(error) = last_words.await {
+                tracing::error!(%error, "the last messages failed");
+            }
             let _ = self.alive.undeclare().await;
             if let Err(error) = self.session.close().await {
                 tracing::warn!(%error, "Zenoh session not closed cleanly");
@@ -233,7 +278,7 @@ struct Parts<'a> {
     detector: &'a DetectorHandle,
     screen: Option<&'a ScreenHandle>,
     board: &'a Arc<Board>,
-    numbers: Arc<AtomicU64>,
+    publishing: &'a PublishingThread,
     working: JoinSet<()>,
     intakes: Vec<zenoh::pubsub::Subscriber<()>>,
     thresholds: Vec<ThresholdService>,
@@ -259,31 +304,37 @@ impl Parts<'_> {
         );
 
         // A live camera's answers age with its frames; a replay wants each of them.
-        let congestion = match config.delivery {
-            Delivery::Newest => CongestionControl::Drop,
-            Delivery::Every => CongestionControl::Block,
+        let (congestion, priority) = match config.delivery {
+            Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
+            Delivery::Every => (CongestionControl::Block, publishing::EVERY),
         };
         let detections = self
             .session
             .declare_publisher(keys.detections())
             .congestion_control(congestion)
+            .priority(priority)
             .await
             .map_err(|error| anyhow!("detections cannot be published: {error}"))?;
+        let detections = match config.delivery {
+            Delivery::Newest => Detections::Live(self.publishing.lane(detections, WAITING_ANSWERS)),
+            Delivery::Every => {
+                let (detections, thread) = Detections::every(detections);
+                self.working.spawn(async move {
+                    let _ = thread.await;
+                });
+                detections
+            }
+        };
         let reports = self
             .session
             .declare_publisher(keys.clip())
-            .congestion_control(CongestionControl::Block)
+            .congestion_control(CongestionControl::Drop)
+            .priority(publishing::CLIPS)
             .cache(CacheConfig::default().max_samples(CACHED_REPORTS))
             .sample_miss_detection(MissDetectionConfig::default())
             .publisher_detection()
             .await
             .map_err(|error| anyhow!("clip reports cannot be published: {error}"))?;
-        let spool = match &self.config.node.state_dir {
-            Some(state_dir) => Some(Spool::open(state_dir, &config.name).with_context(|| {
-                format!("node.state_dir {} cannot be used", state_dir.display())
-            })?),
-            None => None,
-        };
 
         let mut policy = self.config.policy.build()?;
         if let Some(threshold) = board.threshold() {
@@ -309,9 +360,8 @@ impl Parts<'_> {
             board: Arc::clone(self.board),
             camera: config.name.clone(),
             detector: self.detector.clone(),
-            numbers: Arc::clone(&self.numbers),
-            publisher: reports,
-            spool,
+            listeners: self.publishing.lane(reports, CACHED_REPORTS),
+            outbox: self.board.outbox().clone(),
         };
         self.working.spawn(camera.run(self.shutdown.clone()));
         self.working.spawn(reporter.run(closed));

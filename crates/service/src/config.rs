@@ -7,6 +7,7 @@ mod http;
 mod load;
 mod log;
 mod tokens;
+mod uplink;
 mod zenoh;
 
 pub use error::{ConfigError, Finding};
@@ -17,5 +18,6 @@ pub use load::{Configuration, load};
 pub use log::LogConfig;
 pub use log::LogFormat;
 pub use tokens::{NamedToken, Role};
+pub use uplink::UplinkConfig;
 pub use zenoh::ZenohConfig;
 pub use zenoh::ZenohMode;

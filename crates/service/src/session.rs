@@ -1,25 +1,48 @@
-//! Opens the Zenoh session a node, a hub or a tool talks through.
+//! Opens the Zenoh sessions a service or a tool talks through. Opening waits for the network, so it never runs on an
+//! async worker.
 
-use super::config::ZenohConfig;
+use super::config::{UplinkConfig, ZenohConfig, ZenohMode};
 use anyhow::anyhow;
+use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 use zenoh::{Session, Wait};
 
-/// The longest pause between two attempts of [`open_patiently`].
-const LONGEST_PAUSE: Duration = Duration::from_secs(30);
+/// First and longest pause between two attempts of a client to reach its router, without the jitter.
+const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(15));
 
-/// Opens a session as configured. `max_payload_bytes` bounds what is taken from the network.
+/// Opens a session as configured. `max_payload_bytes` bounds what is taken from the network. A client waits for its
+/// router, for ever: drop the future to give up. `waiting` is told why, at each attempt that failed.
 ///
 /// # Errors
-/// When the configuration makes no sense to Zenoh, or an endpoint cannot be reached or listened on.
-pub async fn open(config: &ZenohConfig, max_payload_bytes: usize) -> anyhow::Result<Session> {
-    let zenoh = config
+/// When the configuration makes no sense to Zenoh, or an endpoint cannot be listened on.
+pub async fn open(
+    config: &ZenohConfig,
+    max_payload_bytes: usize,
+    waiting: impl Fn(&str),
+) -> anyhow::Result<Session> {
+    // A configuration that cannot be used is told at once, however often the network is tried.
+    config
         .to_zenoh(max_payload_bytes)
         .map_err(|reason| anyhow!("[zenoh] {reason}"))?;
-    zenoh::open(zenoh)
-        .await
-        .map_err(|error| not_opened(config, &error))
+    let mut pause = RETRY.0;
+    loop {
+        let zenoh = config
+            .to_zenoh(max_payload_bytes)
+            .map_err(|reason| anyhow!("[zenoh] {reason}"))?;
+        let opened = tokio::task::spawn_blocking(|| zenoh::open(zenoh).wait()).await?;
+        let error = match opened {
+            Ok(session) => return Ok(session),
+            Err(error) => not_opened(config, &error),
+        };
+        if config.mode != ZenohMode::Client || config.config_file.is_some() {
+            return Err(error);
+        }
+        tracing::warn!("{error}; tried again");
+        waiting(&format!("the router cannot be reached: {error}"));
+        tokio::time::sleep(jittered(pause)).await;
+        pause = (pause * 2).min(RETRY.1);
+    }
 }
 
 /// What [`open_patiently`] sets beyond the `[zenoh]` section: settings in Zenoh's own terms, as
@@ -62,11 +85,28 @@ pub async fn open_patiently(
         };
         failed(&error);
         tokio::select! {
-            () = tokio::time::sleep(pause) => {}
+            () = tokio::time::sleep(jittered(pause)) => {}
             () = shutdown.cancelled() => return Ok(None),
         }
-        pause = (pause * 2).min(LONGEST_PAUSE);
+        pause = (pause * 2).min(RETRY.1);
     }
+}
+
+/// Opens the session to the hub: one attempt. Blocks.
+///
+/// # Errors
+/// When no router can be reached, or the configuration makes no sense to Zenoh.
+pub fn open_uplink(uplink: &UplinkConfig) -> anyhow::Result<Session> {
+    let config = uplink
+        .to_zenoh(jittered(Duration::from_millis(1000)))
+        .map_err(|reason| anyhow!("[uplink] {reason}"))?;
+    zenoh::open(config).wait().map_err(|error| {
+        anyhow!(
+            "the hub's router cannot be reached ({}): {}",
+            uplink.connect.join(", "),
+            plain(&error)
+        )
+    })
 }
 
 fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> anyhow::Error {
@@ -74,5 +114,58 @@ fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> anyhow::Error {
         Some(file) => format!("configuration file {}", file.display()),
         None => format!("listen {:?}, connect {:?}", config.listen, config.connect),
     };
-    anyhow!("Zenoh session not opened ({place}): {error}")
+    anyhow!("Zenoh session not opened ({place}): {}", plain(error))
+}
+
+/// Between half and one and a half of a pause, so that many nodes do not come together.
+fn jittered(pause: Duration) -> Duration {
+    let random = RandomState::new().hash_one(pause) % 1000;
+    pause.mul_f64(0.5 + random as f64 / 1000.0)
+}
+
+/// Zenoh's error without the places in its sources, which are paths of the machine that built it.
+pub fn plain(error: &zenoh::Error) -> String {
+    without_places(&error.to_string())
+}
+
+fn without_places(text: &str) -> String {
+    let mut rest = text;
+    let mut plain = String::new();
+    while let Some(found) = rest.find(".rs:") {
+        let (before, after) = rest.split_at(found);
+        let after = after
+            .trim_start_matches(".rs:")
+            .trim_start_matches(|c: char| c.is_ascii_digit());
+        match before.rfind(" at ") {
+            Some(at) => plain.push_str(&before[..at]),
+            None => plain.push_str(before),
+        }
+        rest = after;
+    }
+    plain.push_str(rest);
+    plain.trim().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_of_zenoh_is_told_without_the_paths_of_its_sources() {
+        assert_eq!(
+            without_places(
+                "Can not create listener [Address in use at /home/x/.cargo/registry/src/a-1/b.rs:75.] at /y/o.rs:910."
+            ),
+            "Can not create listener [Address in use.]."
+        );
+        assert_eq!(without_places("nothing to hide"), "nothing to hide");
+    }
+
+    #[test]
+    fn pauses_are_spread() {
+        let pause = Duration::from_secs(2);
+        let spread: std::collections::BTreeSet<_> = (0..50).map(|_| jittered(pause)).collect();
+        assert!(spread.len() > 10);
+        assert!(spread.iter().all(|p| (1.0..3.0).contains(&p.as_secs_f64())));
+    }
 }

@@ -122,8 +122,8 @@ pub struct ClipReport {
     pub camera: String,
     /// Clip id: the camera's own, or `window-N`.
     pub clip: String,
-    /// Number of this report within the node's life, from 0: with `node` and `started_ns` it tells two
-    /// deliveries of the same report from two reports.
+    /// Number of this report within the instance of the node that made it, from 1, without a restart: instance and
+    /// number tell two deliveries of the same report from two reports.
     pub report: u64,
     /// Why it ended.
     pub ended_by: ClipEnd,

@@ -67,27 +67,10 @@ impl ClosedClip {
         self.end.saturating_duration_since(self.start)
     }
 
-    /// The report, with the clip's energy and the board's state during it. Waits until the meter was read
-    /// after the clip's end, which is asked for at once: some milliseconds for a meter that answers, and not at
-    /// all without one. To be awaited away from the frames' way.
-    pub(crate) async fn into_report(self, meta: ClipMeta) -> ClipReport {
+    /// The report as far as it is known at once, without energy: what a hub is told should the node die before the
+    /// meter has answered.
+    pub(crate) fn without_energy(&self, meta: ClipMeta) -> ClipReport {
         let duration = self.duration();
-        let patience = match self.ended_by {
-            ClipEnd::Shutdown => PATIENCE_AT_THE_END,
-            ClipEnd::NextClip | ClipEnd::Window | ClipEnd::Silence => Duration::MAX,
-        };
-        let spent = self.energy.close(self.end, patience).await;
-        let (energy, board) = match spent {
-            Some(spent) => {
-                let frames = self.states.frames();
-                let energy = energy_of(&spent.node, spent.joules, duration, frames);
-                (energy, spent.board)
-            }
-            None => (
-                energy_of(&SpanEnergy::unavailable(""), None, duration, 0),
-                None,
-            ),
-        };
         ClipReport {
             v: VERSION,
             node: meta.node,
@@ -104,14 +87,31 @@ impl ClosedClip {
             dropped: self.dropped,
             policy: meta.policy,
             knob: self.knob,
-            knob_changes: self.knob_changes,
+            knob_changes: self.knob_changes.clone(),
             model: meta.model,
             provider: meta.provider,
             total_latency_ms: self.total.percentiles(),
             detector_latency_ms: self.detector.percentiles(),
-            energy,
-            board,
+            energy: energy_of(&SpanEnergy::unavailable(""), None, duration, 0),
+            board: None,
         }
+    }
+
+    /// The report, with the clip's energy and the board's state during it. Waits until the meter was read
+    /// after the clip's end, which is asked for at once: some milliseconds for a meter that answers, and not at
+    /// all without one. To be awaited away from the frames' way.
+    pub(crate) async fn into_report(self, meta: ClipMeta) -> ClipReport {
+        let mut report = self.without_energy(meta);
+        let patience = match self.ended_by {
+            ClipEnd::Shutdown => PATIENCE_AT_THE_END,
+            ClipEnd::NextClip | ClipEnd::Window | ClipEnd::Silence => Duration::MAX,
+        };
+        let duration = self.duration();
+        if let Some(spent) = self.energy.close(self.end, patience).await {
+            report.energy = energy_of(&spent.node, spent.joules, duration, report.frames);
+            report.board = spent.board;
+        }
+        report
     }
 }
 

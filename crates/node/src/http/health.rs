@@ -85,7 +85,7 @@ pub(super) struct NotReady {
 }
 
 /// The provider in use by a status.
-pub(super) fn provider(status: &DetectorStatus) -> Option<&'static str> {
+pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
     match status {
         DetectorStatus::Starting => None,
         DetectorStatus::Ready { provider } | DetectorStatus::Degraded { provider, .. } => {

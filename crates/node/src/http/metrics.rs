@@ -66,6 +66,7 @@ impl Collector for BoardCollector {
         frames(&mut encoder, &cameras)?;
         threshold(&mut encoder, &cameras)?;
         latency(&mut encoder, &cameras)?;
+        self.outbox(&mut encoder)?;
         self.power(&mut encoder)
     }
 }
@@ -128,6 +129,57 @@ impl BoardCollector {
                 family.gauge(labels, 1_i64)
             },
         )
+    }
+
+    fn outbox(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        let counts = self.0.outbox().counts();
+        let gauges = [
+            (
+                "outbox_waiting",
+                "Clip reports that no hub has acknowledged",
+                counts.waiting,
+            ),
+            (
+                "outbox_in_memory",
+                "Of these, reports that are not on disk",
+                counts.in_memory,
+            ),
+            (
+                "outbox_durable",
+                "Whether clip reports survive a power loss",
+                u64::from(counts.durable),
+            ),
+        ];
+        for (name, help, value) in gauges {
+            let value = i64::try_from(value).unwrap_or(i64::MAX);
+            family(encoder, name, help, MetricType::Gauge, |family| {
+                family.gauge(Vec::new(), value)
+            })?;
+        }
+        let counters = [
+            ("outbox_kept", "Clip reports taken in", counts.kept),
+            (
+                "outbox_acknowledged",
+                "Clip reports that a hub has acknowledged",
+                counts.acknowledged,
+            ),
+            (
+                "outbox_lost",
+                "Clip reports lost since the instance began: the outbox was full or its disk broken",
+                counts.lost,
+            ),
+            (
+                "outbox_disk_failures",
+                "Times the state directory failed",
+                counts.disk_failures,
+            ),
+        ];
+        for (name, help, value) in counters {
+            family(encoder, name, help, MetricType::Counter, |family| {
+                family.counter(Vec::new(), value as f64)
+            })?;
+        }
+        Ok(())
     }
 
     fn power(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
