@@ -29,9 +29,8 @@ lint: ## formatting and clippy, as the continuous integration does
 bench: onnxruntime ## the benches, optimised (takes a while the first time)
 	cargo bench --locked
 
-bench-peers: ## the decision core beside other trackers, and average precision up to a million boxes
-	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml --bin trackers
-	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml --bin average_precision
+bench-peers: ## the decision core beside other trackers
+	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
 
 parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
 	cargo build --locked
