@@ -49,8 +49,8 @@ Examples:
   albireo node --config config/node.toml run a node
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name
 
-This program was built for a board, without the feature `eval`: demo, replay, compare and eval are those of a
-program built with it, which can play to and watch this node from another machine.";
+This program was built for a board, without the feature `eval`: demo, replay, compare and eval are in a program
+built with it, which can play a camera to this node from another machine.";
 
 /// An adaptive efficiency layer around an unchanged video object detector, for nodes on the edge.
 #[derive(Debug, Parser)]

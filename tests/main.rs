@@ -29,3 +29,4 @@ mod power_sysfs;
 mod power_tegrastats;
 mod power_telemetry;
 mod replay;
+mod structure;

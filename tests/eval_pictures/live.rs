@@ -166,6 +166,7 @@ pub(crate) fn assert_live_alike(
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn a_policy_that_asks_for_itself_decides_as_its_replay_does() {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 60);
