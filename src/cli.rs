@@ -14,11 +14,11 @@ mod node;
 mod power;
 #[cfg(feature = "eval")]
 pub mod replay;
+mod size;
 #[cfg(feature = "synth")]
 pub mod synth;
 
 use albireo_node::detector::end_all_sessions;
-use albireo_service::signals;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
@@ -27,6 +27,7 @@ use std::time::Duration;
 /// How long threads that are still at work may take when everything else has ended.
 const STRAGGLERS: Duration = Duration::from_secs(1);
 
+#[cfg(feature = "eval")]
 const EXAMPLES: &str = "\
 Examples:
   albireo demo                           everything at once, with nothing to configure
@@ -38,6 +39,18 @@ Examples:
   albireo hub --config config/hub.toml   run the hub of a fleet
   albireo replay drive.mp4               play a video to it as a camera
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
+
+#[cfg(not(feature = "eval"))]
+const EXAMPLES: &str = "\
+Examples:
+  albireo check config/node.toml         say what is wrong with a configuration
+  albireo detect model.onnx frame.jpg    say what a detector is and what it finds
+  albireo power                          say which power meters work here
+  albireo node --config config/node.toml run a node
+  ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name
+
+This program was built for a board, without the feature `eval`: demo, replay, compare and eval are in a program
+built with it, which can play a camera to this node from another machine.";
 
 /// An adaptive efficiency layer around an unchanged video object detector, for nodes on the edge.
 #[derive(Debug, Parser)]
@@ -91,7 +104,8 @@ impl Arguments {
             Command::Compare(arguments) => block_on(compare::run(arguments)),
             #[cfg(feature = "eval")]
             Command::Replay(arguments) => block_on(async {
-                let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+                let shutdown = albireo_service::signals::shutdown()
+                    .context(albireo_service::signals::CONTEXT)?;
                 replay::run(arguments, shutdown).await.map(drop)
             }),
             #[cfg(feature = "eval")]

@@ -147,6 +147,7 @@ async fn wait_for(node: &Node, name: &str, wanted: f64) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn reports_reach_the_hub_once_and_are_removed_then() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
@@ -168,6 +169,7 @@ async fn reports_reach_the_hub_once_and_are_removed_then() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_subscriber_that_only_listens_never_counts_as_delivery() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
@@ -199,6 +201,7 @@ async fn a_subscriber_that_only_listens_never_counts_as_delivery() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn twenty_waiting_reports_survive_a_hub_that_dies_at_once() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
@@ -217,6 +220,7 @@ async fn twenty_waiting_reports_survive_a_hub_that_dies_at_once() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
@@ -235,6 +239,7 @@ async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_hub_that_refuses_is_asked_again_after_the_time_it_names() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
@@ -259,6 +264,7 @@ async fn a_hub_that_refuses_is_asked_again_after_the_time_it_names() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_clip_that_just_closed_survives_a_kill() {
     let (mut folder, settings) = folder();
     let mut closed = 0;
@@ -276,6 +282,7 @@ async fn a_clip_that_just_closed_survives_a_kill() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn thousands_of_waiting_reports_drain_in_seconds() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
@@ -296,6 +303,7 @@ async fn thousands_of_waiting_reports_drain_in_seconds() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_second_node_with_the_same_state_directory_is_refused_in_words() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
@@ -318,6 +326,7 @@ async fn a_second_node_with_the_same_state_directory_is_refused_in_words() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_node_starts_without_its_router_answers_health_and_survives_its_replacement() {
     let port = free_port();
     let endpoint = format!("tcp/127.0.0.1:{port}");

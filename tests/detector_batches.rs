@@ -30,6 +30,7 @@ fn confidences(detected: &Detected) -> Vec<(u16, i64)> {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
     let detector = DetectorHandle::start(&config("yolo_open.onnx"))
         .await
@@ -61,6 +62,7 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_batch_for_a_model_that_takes_one_picture_is_refused_with_what_to_do() {
     let refused = DetectorHandle::start(&config("demonstration.onnx")).await;
     let error = refused.err().unwrap().to_string();

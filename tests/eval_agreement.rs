@@ -46,6 +46,7 @@ fn pooled(boxes: &[Vec<ScoredBox>], clip: &Clip) -> Accuracy {
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_average_precision_of_the_golden_traces_is_the_published_evaluators() {
     let summary = golden_summary();
     let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
@@ -107,6 +108,7 @@ fn shared_average_precision_of_the_golden_traces_is_the_published_evaluators() {
 
 /// Every policy of the published summary, run by this program, gives the published figures.
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_every_policy_of_the_published_summary_gives_the_published_figures() {
     let summary = golden_summary();
     let clips = recorded::read(&shared("data/recorded")).expect("the recordings");

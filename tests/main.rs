@@ -30,3 +30,4 @@ mod power_sysfs;
 mod power_tegrastats;
 mod power_telemetry;
 mod replay;
+mod structure;

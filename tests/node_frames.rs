@@ -181,6 +181,7 @@ fn pictures(count: u64) -> Vec<Vec<u8>> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_corrupt_frame_is_counted_and_the_next_one_is_answered() {
     let mut bench = Bench::start(&configuration()).await;
     let picture = pictures(1).remove(0);
@@ -199,6 +200,7 @@ async fn a_corrupt_frame_is_counted_and_the_next_one_is_answered() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn every_kind_of_dropped_frame_is_counted_under_its_own_name() {
     let mut config = configuration();
     config.frame.max_payload_bytes = 400_000;
@@ -236,6 +238,7 @@ async fn every_kind_of_dropped_frame_is_counted_under_its_own_name() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_predicted_frame_is_never_decoded() {
     let mut config = configuration();
     config.policy.name = "albireo".to_owned();
@@ -277,6 +280,7 @@ async fn dropped_one(board: &Board) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_a_bad_one_is_refused() {
     let mut config = configuration();
     config.policy.name = "albireo".to_owned();
@@ -334,6 +338,7 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn the_open_clip_is_published_when_the_node_stops() {
     let mut bench = Bench::start(&configuration()).await;
     let mut reports = bench.reports().await;
@@ -355,6 +360,7 @@ async fn the_open_clip_is_published_when_the_node_stops() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn without_a_meter_every_report_is_out_before_the_node_has_stopped() {
     const CLIPS: u64 = 40;
     let mut config = configuration();
@@ -378,6 +384,7 @@ async fn without_a_meter_every_report_is_out_before_the_node_has_stopped() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_begin_anew() {
     let mut config = configuration();
     config.policy.name = "fixed-skip".to_owned();
@@ -405,6 +412,7 @@ async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_begin_anew() 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_threshold_survives_a_restart() {
     let state = tempfile::tempdir().unwrap();
     let mut config = configuration();
@@ -420,6 +428,7 @@ async fn a_threshold_survives_a_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
     let mut config = configuration();
     config.cameras.push(CameraConfig {

@@ -99,6 +99,7 @@ fn watts(message: &Value, domain: &str) -> f64 {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime and Python"]
 async fn measured_watts_are_told_by_zenoh_by_events_by_metrics_and_in_the_clip_report() {
     let folder = tempfile::tempdir().unwrap();
     let node = Node::start(&settings(&board(folder.path()))).await;
@@ -190,6 +191,7 @@ async fn measured_watts_are_told_by_zenoh_by_events_by_metrics_and_in_the_clip_r
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime and Python"]
 async fn a_clip_has_all_its_energy_when_the_meter_is_read_every_second() {
     let folder = tempfile::tempdir().unwrap();
     let settings =
@@ -228,6 +230,7 @@ async fn a_clip_has_all_its_energy_when_the_meter_is_read_every_second() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime and Python"]
 async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
     let folder = tempfile::tempdir().unwrap();
     let sysfs = board(folder.path());

@@ -48,6 +48,7 @@ async fn found_alone(picture: &EncodedPicture) -> Detected {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn the_next_picture_is_made_ready_while_the_detector_looks_and_used_for_its_frame() {
     let [first, second, _] = pictures();
     let mut evidence = evidence().await;
@@ -74,6 +75,7 @@ async fn the_next_picture_is_made_ready_while_the_detector_looks_and_used_for_it
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_picture_made_ready_whose_frame_never_comes_is_not_taken_for_another() {
     let [first, second, third] = pictures();
     let mut evidence = evidence().await;
@@ -86,6 +88,7 @@ async fn a_picture_made_ready_whose_frame_never_comes_is_not_taken_for_another()
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_broken_picture_made_ready_ahead_is_the_fault_of_its_own_frame() {
     let [first, second, _] = pictures();
     let broken = EncodedPicture {
@@ -104,6 +107,7 @@ async fn a_broken_picture_made_ready_ahead_is_the_fault_of_its_own_frame() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn decoded_pictures_take_turns_in_the_same_buffers() {
     let [first, second, third] = pictures();
     let mut evidence = evidence().await;

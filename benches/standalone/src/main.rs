@@ -1,14 +1,14 @@
 //! Time of a detector frame in the decision core, beside the trackers of `trackforge` on the same boxes, in
 //! the same run: processor time of the one thread they run on. Prints a table in Markdown.
 //!
-//! `cargo run --release --manifest-path benches/standalone/Cargo.toml --bin trackers`
+//! `make bench-peers`, or `cargo run --release --manifest-path benches/standalone/Cargo.toml`
 
-use albireo_standalone_benches::detection::Detection;
-use albireo_standalone_benches::policy::{
+use albireo_bench_scene::{PICTURE, Scene, processor_seconds, quartiles};
+use albireo_core::detection::Detection;
+use albireo_core::policy::{
     Albireo, AlbireoSettings, Evidence, ExpectedLoss, ExpectedLossSettings, FrameHead, Need,
     Outcome, Policy, Profile, Trigger,
 };
-use albireo_standalone_benches::scene::{PICTURE, ROUNDS, Scene, processor_seconds, quartiles};
 use std::error::Error;
 use std::hint::black_box;
 use trackforge::trackers::byte_track::ByteTrack;
@@ -17,6 +17,8 @@ use trackforge::trackers::sort::Sort;
 
 const OBJECTS: [usize; 3] = [10, 30, 100];
 const FRAMES: usize = 100;
+/// Rounds of each contestant; they take turns, so that a slow minute is slow for all of them alike.
+const ROUNDS: usize = 101;
 
 /// A box as trackforge takes it: left, top, width, height in pixels; score; class.
 type Measured = ([f32; 4], f32, i64);

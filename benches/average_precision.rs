@@ -1,12 +1,10 @@
 //! Processor time of average precision (AP@50 and mAP@50:95, classes pooled) over 10⁴, 10⁵ and 10⁶ predictions with as
 //! many ground-truth boxes. Prints a table in Markdown.
 //!
-//! `cargo run --release --manifest-path benches/standalone/Cargo.toml --bin average_precision`
+//! `cargo bench --bench average_precision`
 
-use albireo_standalone_benches::average_precision::{
-    Classes, Interpolation, ScoredBox, TruthBox, accuracy,
-};
-use albireo_standalone_benches::scene::{PICTURE, Scene, processor_seconds, quartiles};
+use albireo_bench_scene::{PICTURE, Scene, processor_seconds, quartiles};
+use albireo_eval::average_precision::{Classes, Interpolation, ScoredBox, TruthBox, accuracy};
 use std::hint::black_box;
 
 const BOXES: [usize; 3] = [10_000, 100_000, 1_000_000];

@@ -1,7 +1,8 @@
-//! Boxes that wander about slowly, with noise and now and then a miss, as a detector would report them.
+//! What the benches share: boxes that wander about slowly, with noise and now and then a miss, as a detector would
+//! report them; the clock that is read, and how a figure is drawn from many rounds.
 
-use crate::detection::{ClassId, Detection};
-use crate::geometry::{BoundingBox, PictureSize};
+use albireo_core::detection::{ClassId, Detection};
+use albireo_core::geometry::{BoundingBox, PictureSize};
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use rustix::time::{ClockId, clock_gettime};
@@ -10,6 +11,7 @@ use rustix::time::{ClockId, clock_gettime};
 pub const PICTURE: PictureSize = PictureSize::new(1280, 720);
 
 /// A scene with a fixed number of objects, the same at every run.
+#[derive(Debug)]
 pub struct Scene {
     objects: Vec<(BoundingBox, [f64; 2])>,
     random: Pcg64Mcg,
@@ -79,10 +81,7 @@ pub fn processor_seconds() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// Rounds of each contestant; they take turns, so that a slow minute is slow for all of them alike.
-pub const ROUNDS: usize = 101;
-
-/// The median of `values` and their quartiles.
+/// The lower quartile, the median and the upper quartile of `values`.
 pub fn quartiles(mut values: Vec<f64>) -> [f64; 3] {
     values.sort_by(f64::total_cmp);
     [1, 2, 3].map(|quarter| values[(values.len() - 1) * quarter / 4])
