@@ -13,6 +13,8 @@ use std::collections::BTreeMap;
 
 /// The value that every node begins with.
 pub(crate) const FIRST_U: f64 = 3e-4;
+/// Number of an instance's first report.
+const FIRST_REPORT: u64 = 1;
 /// Its one camera.
 const CAMERA: &str = "front";
 /// Frames of a second.
@@ -99,8 +101,8 @@ impl SimNode {
             node: self.name.clone(),
             instance: self.instance.clone(),
             machine: Some(self.instance[..8].to_owned()),
-            first: self.acknowledged,
-            last: self.acknowledged + count - 1,
+            first: FIRST_REPORT + self.acknowledged,
+            last: FIRST_REPORT + self.acknowledged + count - 1,
             lost: 0,
             reports: (self.acknowledged..self.acknowledged + count)
                 .map(|n| self.report(n))
@@ -110,7 +112,9 @@ impl SimNode {
 
     /// Takes an acknowledgement. Returns how many reports it was for.
     pub(crate) fn answered(&mut self, answer: &ReportAnswer) -> u64 {
-        let upto = (answer.stored + 1).min(self.made);
+        let upto = (answer.stored + 1)
+            .saturating_sub(FIRST_REPORT)
+            .min(self.made);
         let news = upto.saturating_sub(self.acknowledged);
         self.acknowledged += news;
         news
@@ -215,7 +219,7 @@ impl SimNode {
         }
     }
 
-    /// Report number `number`: a day of a street, drawn from the node's seed.
+    /// The report that is number `number` from 0: a day of a street, drawn from the node's seed.
     fn report(&self, number: u64) -> ClipReport {
         let u = self
             .values
@@ -260,7 +264,7 @@ impl SimNode {
             node: self.name.clone(),
             camera: CAMERA.to_owned(),
             clip: format!("window-{number}"),
-            report: number,
+            report: FIRST_REPORT + number,
             ended_by: ClipEnd::Window,
             started_ns: started,
             duration_s: self.clip_s,
@@ -406,8 +410,8 @@ mod tests {
             for (more, most, stored) in steps {
                 node.made += more;
                 if let Some(batch) = node.batch(most) {
-                    prop_assert_eq!(batch.first, node.acknowledged);
-                    prop_assert!(batch.last < node.made);
+                    prop_assert_eq!(batch.first, FIRST_REPORT + node.acknowledged);
+                    prop_assert!(batch.last < FIRST_REPORT + node.made);
                     prop_assert_eq!(batch.reports.len() as u64, batch.last - batch.first + 1);
                     let before = node.acknowledged;
                     node.answered(&ReportAnswer::new(stored, None));
