@@ -14,6 +14,8 @@ mod node;
 mod power;
 #[cfg(feature = "eval")]
 pub mod replay;
+#[cfg(feature = "simulate")]
+mod simulate;
 mod size;
 #[cfg(feature = "synth")]
 pub mod synth;
@@ -85,6 +87,9 @@ enum Command {
     #[cfg(feature = "synth")]
     /// Write the synthetic dashcam's pictures with their ground truth into a folder.
     Synth(synth::SynthArguments),
+    #[cfg(feature = "simulate")]
+    /// Play a fleet of nodes to a hub: load, outages, reactions to what is desired.
+    Simulate(Box<simulate::Arguments>),
     #[cfg(feature = "eval")]
     /// Run a camera and a node in one process, with nothing to configure.
     Demo(demo::Arguments),
@@ -112,6 +117,8 @@ impl Arguments {
             Command::Eval(arguments) => eval::run(&arguments),
             #[cfg(feature = "synth")]
             Command::Synth(arguments) => synth::run(&arguments),
+            #[cfg(feature = "simulate")]
+            Command::Simulate(arguments) => block_on(simulate::run(*arguments)),
             #[cfg(feature = "eval")]
             Command::Demo(arguments) => block_on(demo::run(arguments)),
         };

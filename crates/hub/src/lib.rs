@@ -5,5 +5,6 @@ pub mod config;
 pub mod http;
 pub mod readiness;
 mod run;
+pub mod tuning;
 
 pub use run::run;

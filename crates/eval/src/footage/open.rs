@@ -1,9 +1,10 @@
 //! Opens the footage that a name on the command line means.
 
-use super::folder::{PictureFolder, is_picture};
+use super::folder::PictureFolder;
 use super::source::FrameSource;
 use super::synthetic::Synthetic;
 use super::video::{Ffmpeg, Video, VideoEncoding};
+use albireo_node::frame::is_picture_file;
 use anyhow::{Context, bail};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -36,7 +37,7 @@ impl FromStr for SourceName {
                 .map_err(|_| format!("`{seed}` is not a seed: use a whole number, as in synth:7"));
         }
         let path = Path::new(text);
-        if path.is_dir() || is_picture(path) {
+        if path.is_dir() || is_picture_file(path) {
             return Ok(Self::Pictures(path.to_path_buf()));
         }
         Ok(Self::Video(text.to_owned()))
