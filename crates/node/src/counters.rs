@@ -8,7 +8,7 @@ use albireo_wire::{CountersMessage, NodeKeys};
 use anyhow::anyhow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;

@@ -27,7 +27,7 @@ pub struct Times {
     /// When the detector was asked and when it had answered, waiting included.
     pub detector_span: Option<(Instant, Instant)>,
     /// The run that answered, and this frame's part in it.
-    pub detector_run: Option<DetectorRun>,
+    pub(crate) detector_run: Option<DetectorRun>,
     /// All of it together: what is left of the frame's time is the policy's own.
     pub evidence: Duration,
 }

@@ -269,7 +269,7 @@ impl SimNode {
             started_ns: started,
             duration_s: self.clip_s,
             frames: frames as u64,
-            skip_rate: states.skip_rate(),
+            skip_rate: states.skip_rate(0),
             states,
             degraded_frames: 0,
             dropped: DroppedFrames::default(),

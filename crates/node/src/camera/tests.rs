@@ -14,6 +14,7 @@ use albireo_synth::{Dashcam, DashcamSettings};
 use albireo_wire::ClipEnd;
 use std::path::Path;
 use tokio::sync::mpsc::UnboundedReceiver;
+use zenoh::pubsub::Publisher;
 
 /// A camera whose frames are put into its ring by hand.
 struct Bench {
@@ -64,7 +65,7 @@ impl Bench {
                 slot,
                 FrameLimits::default(),
             ),
-            detections: silent_publisher().await,
+            detections: Detections::every(silent_publisher().await).0,
             class_names: detector.class_names().into(),
             accounts,
             reset_at_clip: false,
