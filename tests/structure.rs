@@ -14,10 +14,13 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("synth", &["core"]),
     ("node", &["core", "service", "wire"]),
     ("hub", &["service", "wire"]),
+    ("simulate", &["wire"]),
     ("eval", &["core", "node", "synth", "wire"]),
     (
         "the program",
-        &["core", "eval", "hub", "node", "service", "synth", "wire"],
+        &[
+            "core", "eval", "hub", "node", "service", "simulate", "synth", "wire",
+        ],
     ),
     ("bench-scene", &["core"]),
 ];
@@ -60,16 +63,12 @@ const METHOD: &[&str] = &[
 
 /// Dependencies laid for work under way, which the sources do not use yet: crate and dependency.
 const LAID: &[(&str, &str)] = &[
-    ("eval", "rayon"),
     ("hub", "bytes"),
     ("hub", "csv"),
     ("hub", "futures-util"),
     ("hub", "prometheus-client"),
-    ("hub", "proptest"),
     ("hub", "reqwest"),
     ("hub", "sqlx"),
-    ("hub", "thiserror"),
-    ("node", "rusqlite"),
     ("service", "tempfile"),
     ("service", "toml"),
 ];

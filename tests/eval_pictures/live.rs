@@ -221,6 +221,7 @@ fn a_policy_that_asks_for_itself_decides_as_its_replay_does() {
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn a_model_is_believed_no_longer_in_the_evaluation_than_in_the_node() {
     let screen = ScreenConfig {
         longest_empty_run: 3,
@@ -232,6 +233,7 @@ fn a_model_is_believed_no_longer_in_the_evaluation_than_in_the_node() {
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn the_agnostic_screen_learns_alike_in_the_evaluation_and_in_the_node() {
     let screen = ScreenConfig {
         kind: Some(ScreenKind::Agnostic),

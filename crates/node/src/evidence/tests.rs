@@ -124,6 +124,7 @@ async fn decoded_pictures_take_turns_in_the_same_buffers() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn while_the_detector_cannot_be_had_no_picture_is_decoded_for_it() {
     let [first, ..] = pictures();
     let mut evidence = evidence().await;
@@ -137,6 +138,7 @@ async fn while_the_detector_cannot_be_had_no_picture_is_decoded_for_it() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_frame_uses_its_part_of_the_detectors_run_and_no_more() {
     let [first, ..] = pictures();
     let mut evidence = evidence().await;
