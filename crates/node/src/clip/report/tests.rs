@@ -191,7 +191,7 @@ async fn a_closed_clip_waits_for_no_interval() {
             if until_s == f64::MAX {
                 let joules = report.energy.joules.unwrap();
                 assert!((joules - 10.0).abs() < 0.01, "{joules} J at {interval} ms");
-                assert_eq!(report.energy.coverage, 1.0);
+                assert!(report.energy.coverage > 1.0 - 1e-9);
             }
             books.shutdown(Instant::now());
         }
