@@ -124,3 +124,84 @@ async fn a_database_that_is_not_the_hubs_is_refused_and_left_alone() {
     assert!(error.to_string().contains("database.url"), "{error}");
     assert_eq!(std::fs::read(&file).unwrap(), before);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reader_that_comes_back_gets_the_events_it_missed_and_is_told_to_look_anew_when_it_cannot()
+ {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let session = uplink(&hub.zenoh).await;
+    let start = now_ns() - 3_600_000_000_000;
+    let one = instance('a');
+    assert_eq!(
+        deliver(&session, &batch("car-1", &one, 1..=1, start)).await,
+        Said::Stored(1)
+    );
+    assert_eq!(
+        deliver(&session, &batch("car-1", &one, 4..=4, start)).await,
+        Said::Stored(4)
+    );
+    let told = read_events(&hub, "0", "event: gap").await;
+    assert!(
+        told.contains("\"first\":2") && told.contains("id: "),
+        "{told}"
+    );
+    let told = read_events(&hub, "999999", "event: resync").await;
+    assert!(told.contains("another database"), "{told}");
+    session.close().await.unwrap();
+    hub.stop().await;
+}
+
+/// What the stream says until `wanted` is in it.
+async fn read_events(hub: &Hub, last: &str, wanted: &str) -> String {
+    let client = reqwest::Client::new();
+    let request = client
+        .get(format!("{}/api/v1/events", hub.http))
+        .header("Last-Event-ID", last);
+    let mut response = request.send().await.unwrap();
+    let mut told = String::new();
+    let reading = async {
+        while let Some(chunk) = response.chunk().await.unwrap() {
+            told.push_str(&String::from_utf8_lossy(&chunk));
+            // An event ends with an empty line.
+            if told
+                .split(wanted)
+                .nth(1)
+                .is_some_and(|rest| rest.contains("\n\n"))
+            {
+                break;
+            }
+        }
+    };
+    tokio::time::timeout(crate::support::PATIENCE, reading)
+        .await
+        .unwrap();
+    told
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tables_of_a_newer_program_or_of_another_one_are_refused() {
+    use albireo_hub::config::DatabaseConfig;
+    use albireo_hub::store::{Store, StoreError};
+    use sqlx::Connection as _;
+    for (statements, wanted) in [
+        (
+            "UPDATE hub_meta SET value = '999' WHERE key = 'version'",
+            "newer",
+        ),
+        ("DROP TABLE hub_meta", "not a hub's"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let config = DatabaseConfig {
+            url: sqlite(folder.path()),
+            ..DatabaseConfig::default()
+        };
+        Store::open(&config).await.unwrap().close().await;
+        let mut raw = sqlx::AnyConnection::connect(&config.url).await.unwrap();
+        sqlx::query(statements).execute(&mut raw).await.unwrap();
+        raw.close().await.unwrap();
+        let error = Store::open(&config).await.unwrap_err();
+        assert!(matches!(error, StoreError::Refused(_)), "{error:?}");
+        assert!(error.to_string().contains(wanted), "{error}");
+    }
+}

@@ -276,3 +276,36 @@ async fn postgres_a_database_that_is_gone_holds_acknowledgements_back_and_loses_
     session.close().await.unwrap();
     hub.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_two_hubs_on_one_database_store_a_report_once() {
+    let server = Postgres::start();
+    let one = Hub::start(config(&server.url())).await;
+    let two = Hub::start(config(&server.url())).await;
+    let (to_one, to_two) = (uplink(&one.zenoh).await, uplink(&two.zenoh).await);
+    let start = now_ns() - 3_600_000_000_000;
+    let name = instance('3');
+    for first in (1..400).step_by(20) {
+        let same = batch("car-8", &name, first..=first + 19, start);
+        let (here, there) = tokio::join!(deliver(&to_one, &same), deliver(&to_two, &same));
+        assert_eq!(
+            (here, there),
+            (Said::Stored(first + 19), Said::Stored(first + 19))
+        );
+    }
+    let clips = two.get("/api/v1/clips?node=car-8&limit=1000").await;
+    assert_eq!(clips["clips"].as_array().unwrap().len(), 400);
+    let energy = one.get("/api/v1/energy?by=node").await;
+    let clips: i64 = energy["groups"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|group| group["clips"].as_i64().unwrap())
+        .sum();
+    assert_eq!(clips, 400);
+    to_one.close().await.unwrap();
+    to_two.close().await.unwrap();
+    one.stop().await;
+    two.stop().await;
+}

@@ -133,7 +133,7 @@ impl Options {
             return Err("no time may be longer than a day".to_owned());
         }
         for (what, seconds) in [("status", self.status_s), ("clip", self.clip_s)] {
-            if !(seconds >= 0.1 && seconds <= 86_400.0) {
+            if !(0.1..=86_400.0).contains(&seconds) {
                 return Err(format!(
                     "the time of a {what} must be from 0.1 to 86400 seconds"
                 ));

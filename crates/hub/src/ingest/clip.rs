@@ -94,20 +94,17 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
         let found = energy.domains.iter().find(|domain| domain.domain == name);
         joules(name, found.map(|domain| domain.joules * share))
     };
-    // What the calls that were avoided would have cost: the time of a call at the clip's mean power.
-    let avoided_uj = match (energy_uj, detector_calls > 0 && duration_us > 0) {
-        (Some(_), _) if avoided_calls == 0 => Some(0),
-        (Some(energy_uj), true) => {
-            // Joules are those of the covered time only.
-            let covered = if energy.is_whole() {
-                1.0
-            } else {
-                energy.coverage
-            };
-            if covered <= 0.0 {
-                return Err("energy without a share of the time that it is of".to_owned());
-            }
-            let watts = energy_uj as f64 / (duration_us as f64 * covered);
+    // What the calls that were avoided would have cost: the time of a call at the clip's mean power, over the time that
+    // the joules are of.
+    let covered_us = if energy.is_whole() {
+        duration_us as f64
+    } else {
+        duration_us as f64 * energy.coverage
+    };
+    let avoided_uj = match energy_uj {
+        Some(_) if avoided_calls == 0 => Some(0),
+        Some(energy_uj) if detector_calls > 0 && covered_us > 0.0 => {
+            let watts = energy_uj as f64 / covered_us;
             let uj = avoided_calls as f64 * detector_mean_us as f64 * watts;
             (uj <= MOST_JOULES * 1e6).then_some(uj.round() as i64)
         }

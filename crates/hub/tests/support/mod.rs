@@ -223,7 +223,7 @@ pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
             joules: Some(joules),
             node_joules: Some(joules * 2.0),
             edp: Some(joules * 40_000.0 / 1200.0),
-            quality: if number % 3 == 0 {
+            quality: if number.is_multiple_of(3) {
                 EnergyQuality::Measured
             } else if number % 3 == 1 {
                 EnergyQuality::Partial

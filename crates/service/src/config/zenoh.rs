@@ -152,16 +152,17 @@ mod tests {
 
     #[test]
     fn an_endpoint_whose_transport_is_not_built_in_is_refused_in_words() {
-        let mut zenoh = ZenohConfig::default();
-        zenoh.connect = [
+        let endpoints = [
             "quic/hub:1",
             "ws/hub:1",
             "serial/dev/tty",
             "tls/hub:1",
             "tcp/hub:1",
-        ]
-        .map(str::to_owned)
-        .to_vec();
+        ];
+        let zenoh = ZenohConfig {
+            connect: endpoints.map(str::to_owned).to_vec(),
+            ..ZenohConfig::default()
+        };
         let mut findings = Findings::default();
         zenoh.check("zenoh", 1 << 20, &mut findings);
         let findings = findings.into_vec();

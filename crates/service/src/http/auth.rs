@@ -88,7 +88,12 @@ impl Guard {
     }
 
     /// Who may pass, or the answer to a request that may not.
-    fn admit(&self, method: &Method, uri: &Uri, headers: &HeaderMap) -> Result<Caller, Response> {
+    fn admit(
+        &self,
+        method: &Method,
+        uri: &Uri,
+        headers: &HeaderMap,
+    ) -> Result<Caller, Box<Response>> {
         let anonymous = |role| Caller {
             name: "anonymous".into(),
             role,
@@ -96,12 +101,12 @@ impl Guard {
         match &*self.0 {
             Rule::Anybody => Ok(anonymous(Role::Tune)),
             Rule::ThisMachine if called_by_address(uri, headers) => Ok(anonymous(Role::Tune)),
-            Rule::ThisMachine => Err(Problem::new(
+            Rule::ThisMachine => Err(Box::new(Problem::new(
                 StatusCode::MISDIRECTED_REQUEST,
                 "without a token this interface answers only when called by address or as `localhost`; \
                  to reach it under another name set a token, or http.allow_unauthenticated = true",
             )
-            .into_response()),
+            .into_response())),
             Rule::Tokens(tokens) => {
                 let holder = tokens.iter().find(|(_, token)| carries(headers, token));
                 let looks = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
@@ -112,10 +117,10 @@ impl Guard {
                             "the token `{}` may look and not change: this needs one with the role `tune`",
                             caller.name
                         );
-                        Err(Problem::new(StatusCode::FORBIDDEN, detail).into_response())
+                        Err(Box::new(Problem::new(StatusCode::FORBIDDEN, detail).into_response()))
                     }
                     None if OPEN.contains(&uri.path()) => Ok(anonymous(Role::Read)),
-                    None => Err(unauthorized()),
+                    None => Err(Box::new(unauthorized())),
                 }
             }
         }
@@ -209,6 +214,6 @@ pub(super) async fn guard(
             request.extensions_mut().insert(caller);
             next.run(request).await
         }
-        Err(response) => response,
+        Err(response) => *response,
     }
 }

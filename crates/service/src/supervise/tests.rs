@@ -132,10 +132,7 @@ async fn an_essential_task_that_fails_ends_the_service() {
     let mut supervisor = Supervisor::new(readiness.clone(), TaskTally::default(), shutdown.clone());
     let stop = shutdown.clone();
     supervisor.essential("http", Span::none(), async move { stop.cancelled().await });
-    let disk: Option<()> = None;
-    supervisor.essential("ingest", Span::none(), async move {
-        disk.expect("the disk is gone");
-    });
+    supervisor.essential("ingest", Span::none(), async { the_disk_is_gone() });
     let failed = supervisor.watch().await.unwrap_err();
     assert_eq!(
         (failed.task.as_str(), failed.reason.as_str()),
@@ -155,4 +152,8 @@ async fn a_supervisor_without_tasks_waits_for_the_shutdown() {
         Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());
     shutdown.cancel();
     assert_eq!(supervisor.watch().await, Ok(()));
+}
+
+fn the_disk_is_gone() {
+    panic!("the disk is gone");
 }
