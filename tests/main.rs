@@ -31,3 +31,4 @@ mod power_tegrastats;
 mod power_telemetry;
 mod replay;
 mod structure;
+mod supervision;

@@ -6,7 +6,7 @@
 use albireo_core::geometry::PictureSize;
 use albireo_node::board::Board;
 use albireo_node::config::{CameraConfig, NodeConfig};
-use albireo_node::{Node, PreparedNode};
+use albireo_node::{Node, NodeError, PreparedNode};
 use albireo_synth::{Dashcam, DashcamSettings};
 use albireo_wire::{ClipReport, DetectionsMessage, FrameAttachment, VERSION};
 use std::path::{Path, PathBuf};
@@ -20,16 +20,16 @@ use zenoh::Session;
 use zenoh::bytes::Encoding;
 
 /// Far longer than anything here takes: reached only when something hangs.
-const LONG: Duration = Duration::from_secs(120);
+pub(crate) const LONG: Duration = Duration::from_secs(120);
 
-const CAMERA: &str = "front";
+pub(crate) const CAMERA: &str = "front";
 
-fn project(path: &str) -> PathBuf {
+pub(crate) fn project(path: &str) -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
 /// A node on a free port, with one camera that loses nothing.
-fn configuration() -> NodeConfig {
+pub(crate) fn configuration() -> NodeConfig {
     let mut config = NodeConfig::default();
     config.zenoh.listen = vec!["tcp/127.0.0.1:0".to_owned()];
     config.detector.model = project("models/detector.onnx");
@@ -43,18 +43,22 @@ fn configuration() -> NodeConfig {
 }
 
 /// A running node and a camera of its own session.
-struct Bench {
-    board: Arc<Board>,
-    shutdown: CancellationToken,
-    stopped: JoinHandle<()>,
-    session: Session,
+pub(crate) struct Bench {
+    pub(crate) board: Arc<Board>,
+    pub(crate) shutdown: CancellationToken,
+    pub(crate) stopped: JoinHandle<Result<(), NodeError>>,
+    pub(crate) session: Session,
     detections: UnboundedReceiver<DetectionsMessage>,
 }
 
 impl Bench {
-    async fn start(config: &NodeConfig) -> Self {
+    pub(crate) async fn start(config: &NodeConfig) -> Self {
+        Self::start_prepared(config, PreparedNode::new(config).unwrap()).await
+    }
+
+    /// As [`start`](Self::start), with a node that was prepared in a way of its own.
+    pub(crate) async fn start_prepared(config: &NodeConfig, prepared: PreparedNode) -> Self {
         let shutdown = CancellationToken::new();
-        let prepared = PreparedNode::new(config).unwrap();
         let board = Arc::clone(prepared.board());
         let node = prepared.start(config, shutdown.clone()).await.unwrap();
         let node: Node = node.unwrap();
@@ -101,11 +105,16 @@ impl Bench {
         while replies.recv_async().await.is_ok() {}
     }
 
-    async fn send(&self, payload: impl Into<zenoh::bytes::ZBytes>, encoding: &str, seq: u64) {
+    pub(crate) async fn send(
+        &self,
+        payload: impl Into<zenoh::bytes::ZBytes>,
+        encoding: &str,
+        seq: u64,
+    ) {
         self.send_of_clip(payload, encoding, seq, None).await;
     }
 
-    async fn send_of_clip(
+    pub(crate) async fn send_of_clip(
         &self,
         payload: impl Into<zenoh::bytes::ZBytes>,
         encoding: &str,
@@ -129,7 +138,7 @@ impl Bench {
     }
 
     /// The clip reports of the camera from now on.
-    async fn reports(&self) -> UnboundedReceiver<ClipReport> {
+    pub(crate) async fn reports(&self) -> UnboundedReceiver<ClipReport> {
         let (sender, reports) = unbounded_channel();
         self.session
             .declare_subscriber("albireo/node/front/clip")
@@ -143,16 +152,16 @@ impl Bench {
         reports
     }
 
-    async fn answer(&mut self) -> DetectionsMessage {
+    pub(crate) async fn answer(&mut self) -> DetectionsMessage {
         timeout(LONG, self.detections.recv())
             .await
             .unwrap()
             .unwrap()
     }
 
-    async fn stop(self) {
+    pub(crate) async fn stop(self) {
         self.shutdown.cancel();
-        timeout(LONG, self.stopped).await.unwrap().unwrap();
+        timeout(LONG, self.stopped).await.unwrap().unwrap().unwrap();
         self.session.close().await.unwrap();
     }
 }
@@ -168,7 +177,7 @@ fn frame_key() -> String {
 }
 
 /// Pictures of the synthetic dashcam, small to be quick.
-fn pictures(count: u64) -> Vec<Vec<u8>> {
+pub(crate) fn pictures(count: u64) -> Vec<Vec<u8>> {
     let mut dashcam = Dashcam::new(DashcamSettings {
         seed: 5,
         size: PictureSize::new(640, 360),
@@ -254,7 +263,7 @@ async fn a_predicted_frame_is_never_decoded() {
         }
         bench.send(payload, "image/jpeg", seq as u64).await;
         let message = tokio::select! {
-            message = bench.detections.recv() => message.unwrap(),
+            message = timeout(LONG, bench.detections.recv()) => message.unwrap().unwrap(),
             () = dropped_one(&bench.board) => break,
         };
         if message.state == albireo_core::policy::FrameState::P {

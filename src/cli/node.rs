@@ -36,5 +36,5 @@ async fn serve(config: NodeConfig) -> anyhow::Result<()> {
     let listener = TcpListener::bind(config.http.listen)
         .await
         .with_context(|| format!("http.listen: {} cannot be listened on", config.http.listen))?;
-    albireo_node::run(&config, listener, shutdown).await
+    Ok(albireo_node::run(&config, listener, shutdown).await?)
 }

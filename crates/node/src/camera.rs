@@ -12,6 +12,7 @@ use crate::publishing::Detections;
 use albireo_core::policy::{Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, decide};
 use albireo_wire::{KnobValue, Latency};
 use std::future::Future;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -31,7 +32,7 @@ pub(crate) struct Camera {
     /// Where its evidence comes from.
     pub evidence: LiveEvidence,
     /// Where detections go.
-    pub detections: Detections,
+    pub detections: Arc<Detections>,
     /// Names of the detector's classes.
     pub class_names: Arc<[String]>,
     /// Where clips are closed and reported.
@@ -79,7 +80,16 @@ impl Camera {
                 () = at(due) => self.accounts.tick(),
             }
         }
-        self.ring.close();
+        self.end();
+    }
+
+    /// Takes no more frames, counts those that wait, and ends the open clip. The second time there is nothing to do.
+    fn end(&mut self) {
+        let waiting = self.ring.close_and_clear() as u64;
+        if waiting > 0 {
+            let reason = "the camera's loop ended before their turn";
+            self.ledger.count(DropKind::Stopped, waiting, &reason);
+        }
         self.accounts.shutdown();
     }
 
@@ -214,6 +224,16 @@ impl EvidenceSource for FrameSource<'_> {
         let next = || next_need(self.ring, self.incoming, policy, self.head);
         let picture = &self.incoming.frame.picture;
         self.evidence.evidence(need, picture, next).await
+    }
+}
+
+/// Also where the loop panicked or was given up: what was counted until then is reported.
+impl Drop for Camera {
+    fn drop(&mut self) {
+        // What panicked may be what is asked here; a second panic must not end the process.
+        if catch_unwind(AssertUnwindSafe(|| self.end())).is_err() {
+            tracing::error!(camera = self.board.name(), "the open clip is lost");
+        }
     }
 }
 

@@ -15,6 +15,7 @@ use albireo_wire::{KeyError, NodeKeys};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// All settings of a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -91,7 +92,7 @@ impl NodeConfig {
 }
 
 /// Who the node is: the `[node]` section.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct NodeSection {
     /// Its name, one part of every key: letters, digits, `-`, `_`, `.`.
@@ -106,6 +107,22 @@ pub struct NodeSection {
     pub hub_wins: bool,
     /// Labels by which a hub selects nodes.
     pub labels: BTreeMap<String, String>,
+    /// Longest time stopping may take, seconds, whatever hangs.
+    pub stop_timeout_s: f64,
+    /// A camera without a frame for so long makes the node degraded, seconds.
+    pub camera_silence_s: f64,
+}
+
+impl NodeSection {
+    /// [`stop_timeout_s`](Self::stop_timeout_s) as a time.
+    pub fn stop_timeout(&self) -> Duration {
+        Duration::try_from_secs_f64(self.stop_timeout_s).unwrap_or(Duration::from_secs(5))
+    }
+
+    /// [`camera_silence_s`](Self::camera_silence_s) as a time.
+    pub fn camera_silence(&self) -> Duration {
+        Duration::try_from_secs_f64(self.camera_silence_s).unwrap_or(Duration::MAX)
+    }
 }
 
 impl Default for NodeSection {
@@ -116,6 +133,8 @@ impl Default for NodeSection {
             state_dir: None,
             hub_wins: false,
             labels: BTreeMap::new(),
+            stop_timeout_s: 5.0,
+            camera_silence_s: 30.0,
         }
     }
 }

@@ -1,11 +1,11 @@
 //! Once a second: every camera's counters on Zenoh, and new power figures on the board.
 
 use super::board::{Board, PowerSnapshot};
+use super::error::NodeError;
 use crate::outbox::unix_nanoseconds;
 use crate::power::PowerHandle;
 use crate::publishing::{self, PublishLane, PublishingThread};
 use albireo_wire::{CountersMessage, NodeKeys};
-use anyhow::anyhow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -35,7 +35,7 @@ impl Counters {
         keys: &NodeKeys,
         board: Arc<Board>,
         power: PowerHandle,
-    ) -> anyhow::Result<Self> {
+    ) -> Result<Self, NodeError> {
         let mut lanes = BTreeMap::new();
         for camera in board.cameras() {
             let publisher = session
@@ -43,7 +43,9 @@ impl Counters {
                 .congestion_control(CongestionControl::Drop)
                 .priority(publishing::COUNTERS)
                 .await
-                .map_err(|error| anyhow!("counters cannot be published: {error}"))?;
+                .map_err(|error| {
+                    NodeError::Zenoh(format!("counters cannot be published: {error}"))
+                })?;
             lanes.insert(camera.name().to_owned(), publishing.lane(publisher, 4));
         }
         Ok(Self {
@@ -54,7 +56,7 @@ impl Counters {
     }
 
     /// Publishes until `shutdown`.
-    pub(crate) async fn run(self, shutdown: CancellationToken) {
+    pub(crate) async fn run(&self, shutdown: CancellationToken) {
         let mut ticks = tokio::time::interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {

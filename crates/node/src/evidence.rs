@@ -14,6 +14,7 @@ use picture_worker::{PictureWorker, Prefetch, PreparedFrame, Stage};
 use std::future::Future;
 use std::time::Duration;
 use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
 
 /// Where the time of one frame went.
 #[derive(Clone, Copy, Debug, Default)]
@@ -66,6 +67,8 @@ pub struct LiveEvidence {
     detected: Option<Detected>,
     /// Times of the frame in hand.
     times: Times,
+    /// Once cancelled neither detector nor screen is waited for.
+    hurry: CancellationToken,
 }
 
 impl LiveEvidence {
@@ -85,7 +88,15 @@ impl LiveEvidence {
             prefetch: None,
             detected: None,
             times: Times::default(),
+            hurry: CancellationToken::new(),
         }
+    }
+
+    /// Once `hurry` is cancelled no answer is waited for: the node stops, and a frame must not keep it.
+    #[must_use]
+    pub fn hurried_by(mut self, hurry: CancellationToken) -> Self {
+        self.hurry = hurry;
+        self
     }
 
     /// Forgets the last frame's picture and times.
@@ -150,7 +161,11 @@ impl LiveEvidence {
         }
         self.look(encoded, Stage::Picture).await?;
         let start = Instant::now();
-        let empty = self.screen.ask(self.slot, &self.frame.picture).await;
+        let empty = tokio::select! {
+            biased;
+            empty = self.screen.ask(self.slot, &self.frame.picture) => empty,
+            () = self.hurry.cancelled() => None,
+        };
         self.times.screen = Some(start.elapsed());
         Ok(empty)
     }
@@ -177,7 +192,16 @@ impl LiveEvidence {
         let start = Instant::now();
         let input = self.detector.preparation().format();
         let answer = {
+            let hurry = &self.hurry;
             let answer = self.detector.detect_prepared(self.slot, prepared);
+            let answer = async {
+                tokio::select! {
+                    biased;
+                    // The detector counts and logs its failures itself.
+                    answer = answer => answer.ok(),
+                    () = hurry.cancelled() => None,
+                }
+            };
             tokio::pin!(answer);
             // A frame that waits already is begun with before the detector is asked: that is only a word to
             // another thread.
@@ -194,9 +218,7 @@ impl LiveEvidence {
         };
         let end = Instant::now();
         self.times.detector_span = Some((start, end));
-        // The detector counts and logs its failures itself.
-        let detected = answer.ok();
-        if let Some(detected) = &detected {
+        if let Some(detected) = &answer {
             self.times.detector_run = Some(DetectorRun {
                 start: end.checked_sub(detected.took).unwrap_or(start),
                 end,
@@ -205,7 +227,7 @@ impl LiveEvidence {
             self.screen
                 .detected(&self.frame.picture, !detected.detections.is_empty());
         }
-        Ok(detected)
+        Ok(answer)
     }
 
     /// What the screen has counted.

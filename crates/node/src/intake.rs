@@ -101,6 +101,8 @@ pub(crate) enum DropKind {
     Oversized,
     /// Of a kind not known.
     UnknownFormat,
+    /// The camera's loop did not run.
+    Stopped,
 }
 
 impl DropKind {
@@ -114,6 +116,7 @@ impl DropKind {
             Self::Undecodable => "undecodable",
             Self::Oversized => "oversized",
             Self::UnknownFormat => "unknown_format",
+            Self::Stopped => "stopped",
         }
     }
 
@@ -126,6 +129,7 @@ impl DropKind {
             Self::Undecodable => &mut dropped.undecodable,
             Self::Oversized => &mut dropped.oversized,
             Self::UnknownFormat => &mut dropped.unknown_format,
+            Self::Stopped => &mut dropped.stopped,
         }
     }
 }
@@ -267,8 +271,12 @@ impl Intake {
             self.ring.push_blocking(incoming)
         };
         match pushed {
-            // A camera stopped on purpose takes no more frames: nothing to count.
-            Pushed::Queued | Pushed::Closed(_) => {}
+            Pushed::Queued => {}
+            Pushed::Closed(_) => self.ledger.count(
+                DropKind::Stopped,
+                1,
+                &"the camera's loop does not run: it has failed, or the node stops",
+            ),
             Pushed::Replaced(_) => self.ledger.count(
                 DropKind::Overrun,
                 1,

@@ -8,6 +8,7 @@ pub mod clip;
 pub mod config;
 mod counters;
 pub mod detector;
+mod error;
 mod evidence;
 pub mod frame;
 pub mod http;
@@ -25,6 +26,7 @@ mod start;
 mod threshold;
 mod uplink;
 
+pub use error::NodeError;
 pub use evidence::{LiveEvidence, Times};
 pub use run::{run, run_prepared};
-pub use start::{Node, PreparedNode};
+pub use start::{Node, PolicyMaker, PreparedNode};

@@ -12,8 +12,13 @@
 //! | `disk` | | the state directory cannot be written |
 //! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or one that frames do not need does not run |
 
+use crate::board::Board;
 use crate::detector::DetectorStatus;
+use crate::power::PowerHandle;
 use albireo_service::readiness::Fault;
+use albireo_wire::EnergyQuality;
+use std::sync::Arc;
+use std::time::Duration;
 
 /// The detector.
 pub const DETECTOR: &str = "detector";
@@ -34,6 +39,9 @@ pub const DISK: &str = "disk";
 /// The tasks; the subject is a task's name.
 pub const TASKS: &str = albireo_service::supervise::PART;
 
+/// A meter may take so long for its first sample.
+const FIRST_SAMPLE: Duration = Duration::from_secs(15);
+
 /// All parts, as metrics list them.
 pub const PARTS: [&str; 9] = [
     DETECTOR, SCREEN, CAMERAS, POWER, OUTBOX, ZENOH, UPLINK, DISK, TASKS,
@@ -53,4 +61,34 @@ pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
 /// What the status of the screen means for the node: without it the detector is asked.
 pub(crate) fn of_screen(status: &DetectorStatus) -> Option<Fault> {
     of_detector(status).map(|fault| Fault::degraded(fault.reason))
+}
+
+/// Looks from now on whether frames come from every camera.
+pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
+    let start = tokio::time::Instant::now();
+    for camera in board.cameras() {
+        let name = camera.name().to_owned();
+        let camera = Arc::clone(camera);
+        board.readiness().probe(CAMERAS, name, move || {
+            let seconds = silence.as_secs_f64();
+            match camera.snapshot().last_frame_age {
+                Some(age) => (age > silence)
+                    .then(|| Fault::degraded(format!("no frame for more than {seconds} s"))),
+                None => (start.elapsed() > silence)
+                    .then(|| Fault::degraded("no frame has come since the start")),
+            }
+        });
+    }
+}
+
+/// Looks from now on whether the power meter gives samples.
+pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
+    let power = power.clone();
+    let begun = tokio::time::Instant::now();
+    board.readiness().probe(POWER, "", move || {
+        let silent = power.source() != "none"
+            && begun.elapsed() > FIRST_SAMPLE
+            && power.now().quality == EnergyQuality::Unavailable;
+        silent.then(|| Fault::degraded(format!("{} gives no samples", power.source())))
+    });
 }

@@ -22,20 +22,18 @@ pub(crate) struct ClipAccounts {
 }
 
 impl ClipAccounts {
-    /// A accounts with empty books, and the end a [`Reporter`] takes closed clips from.
+    /// Accounts with empty books that give closed clips to a [`Reporter`]. The channel is unbounded, because a
+    /// clip is some kilobytes every some seconds and must not be lost; the reporter's own waiting is bounded.
     pub(crate) fn new(
         books: ClipTracker,
         ledger: Arc<DropCounts>,
-    ) -> (Self, mpsc::UnboundedReceiver<ClosedClip>) {
-        // Unbounded, because a clip is some kilobytes every some seconds and must not be lost; the
-        // reporter's own waiting is bounded.
-        let (closed, clips) = mpsc::unbounded_channel();
-        let accounts = Self {
+        closed: mpsc::UnboundedSender<ClosedClip>,
+    ) -> Self {
+        Self {
             books,
             ledger,
             closed,
-        };
-        (accounts, clips)
+        }
     }
 
     /// Takes note of a frame about to be processed and gives the clip it belongs to.
@@ -104,7 +102,7 @@ const TOGETHER: usize = 256;
 
 impl Reporter {
     /// Reports until the accounts are gone and the last clip is kept.
-    pub(crate) async fn run(self, mut clips: mpsc::UnboundedReceiver<ClosedClip>) {
+    pub(crate) async fn run(&self, clips: &mut mpsc::UnboundedReceiver<ClosedClip>) {
         let mut closed = Vec::new();
         while clips.recv_many(&mut closed, TOGETHER).await > 0 {
             self.report(std::mem::take(&mut closed)).await;

@@ -7,7 +7,7 @@ mod tests;
 
 pub use tally::{TaskCounts, TaskTally};
 
-use crate::readiness::{Effect, Part, Readiness};
+use crate::readiness::{Effect, Fault, Part, Readiness};
 use std::collections::HashMap;
 use std::fmt::Display;
 use std::future::Future;
@@ -81,9 +81,19 @@ struct Task {
     span: Span,
     part: Part,
     count: Count,
-    /// `None` for one that cannot be started anew.
-    again: Option<(Arc<Run>, Restarts)>,
+    after: After,
     pause: Duration,
+}
+
+/// What happens when a task has failed.
+#[derive(Clone)]
+enum After {
+    /// It is started anew.
+    Restart(Arc<Run>, Restarts),
+    /// The service goes on without it.
+    Without(Effect),
+    /// The service ends.
+    End,
 }
 
 /// How one run of a task ended by itself.
@@ -129,7 +139,7 @@ impl Supervisor {
             let task = task();
             Box::pin(async move { task.await.into() })
         });
-        let task = self.task(name.into(), span, Some((run, restarts)));
+        let task = self.task(name.into(), span, After::Restart(run, restarts));
         self.start(task, Duration::ZERO);
     }
 
@@ -138,7 +148,23 @@ impl Supervisor {
     where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
     {
-        let known = self.task(name.into(), span, None);
+        self.once(name.into(), span, After::End, task);
+    }
+
+    /// Runs `task` in `span`; when that ends before the shutdown, or panics, the service goes on without it, and its
+    /// readiness says so with that effect.
+    pub fn dispensable<F>(&mut self, name: impl Into<String>, span: Span, effect: Effect, task: F)
+    where
+        F: Future<Output: Into<TaskEnd>> + Send + 'static,
+    {
+        self.once(name.into(), span, After::Without(effect), task);
+    }
+
+    fn once<F>(&mut self, name: String, span: Span, after: After, task: F)
+    where
+        F: Future<Output: Into<TaskEnd>> + Send + 'static,
+    {
+        let known = self.task(name, span, after);
         let run = async move {
             Ended {
                 end: task.await.into(),
@@ -149,22 +175,23 @@ impl Supervisor {
         self.tasks.insert(id, known);
     }
 
-    fn task(&self, name: String, span: Span, again: Option<(Arc<Run>, Restarts)>) -> Task {
+    fn task(&self, name: String, span: Span, after: After) -> Task {
         Task {
             part: self.readiness.part_of(PART, name.clone()),
             count: self.tally.of(&name),
-            pause: again
-                .as_ref()
-                .map_or(Duration::ZERO, |(_, r)| r.first_pause),
+            pause: match &after {
+                After::Restart(_, restarts) => restarts.first_pause,
+                After::Without(_) | After::End => Duration::ZERO,
+            },
             name,
             span,
-            again,
+            after,
         }
     }
 
     /// Starts a task that can be made anew, after `pause`.
     fn start(&mut self, task: Task, pause: Duration) {
-        let Some((run, restarts)) = task.again.clone() else {
+        let After::Restart(run, restarts) = task.after.clone() else {
             return;
         };
         let again = pause > Duration::ZERO;
@@ -256,22 +283,27 @@ impl Supervisor {
         };
         task.count.failed();
         tracing::error!(parent: &task.span, task = task.name, "the task {reason}");
-        match &task.again {
+        match &task.after {
             _ if stopping => Ok(()),
-            Some((_, restarts)) => {
+            After::Restart(_, restarts) => {
                 if was_calm {
                     task.pause = restarts.first_pause;
                 }
                 let pause = task.pause;
                 task.pause = (pause * 2).min(restarts.longest_pause);
-                task.part.fault(crate::readiness::Fault {
+                task.part.fault(Fault {
                     effect: restarts.effect,
                     reason: format!("{reason}; it is started anew"),
                 });
                 self.start(task, pause);
                 Ok(())
             }
-            None => {
+            After::Without(effect) => {
+                let effect = *effect;
+                task.part.fault(Fault { effect, reason });
+                Ok(())
+            }
+            After::End => {
                 task.part.not_ready(reason.clone());
                 Err(TaskFailed {
                     task: task.name,

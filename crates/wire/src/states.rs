@@ -96,11 +96,13 @@ pub struct DroppedFrames {
     pub oversized: u64,
     /// A payload encoding that is not known, or an attachment that cannot be read.
     pub unknown_format: u64,
+    /// Arrived, or waited in the ring, while the camera's loop did not run: it had failed, or the node stopped.
+    pub stopped: u64,
 }
 
 impl DroppedFrames {
     /// Names and numbers, in the order of the fields.
-    pub fn by_kind(&self) -> [(&'static str, u64); 7] {
+    pub fn by_kind(&self) -> [(&'static str, u64); 8] {
         [
             ("lost", self.lost),
             ("overrun", self.overrun),
@@ -109,6 +111,7 @@ impl DroppedFrames {
             ("undecodable", self.undecodable),
             ("oversized", self.oversized),
             ("unknown_format", self.unknown_format),
+            ("stopped", self.stopped),
         ]
     }
 
@@ -127,5 +130,6 @@ impl std::ops::AddAssign<&Self> for DroppedFrames {
         self.undecodable += more.undecodable;
         self.oversized += more.oversized;
         self.unknown_format += more.unknown_format;
+        self.stopped += more.stopped;
     }
 }

@@ -137,7 +137,7 @@ impl Player {
         };
         // The clip ends with the node, and its report is on the board when the node has stopped.
         stop.cancel();
-        stopped.await.context("the node")?;
+        stopped.await.context("the node")??;
         let measured = played?;
         let report = board
             .recent_clips(Some(CAMERA), usize::MAX)

@@ -46,7 +46,8 @@ impl Bench {
         let slot = CameraSlot(0);
         let (frames, ring) = frame_ring(Delivery::Every, 64);
         let books = ClipTracker::new(clip, without_a_meter().user("front"));
-        let (accounts, clips) = ClipAccounts::new(books, Arc::clone(&ledger));
+        let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
+        let accounts = ClipAccounts::new(books, Arc::clone(&ledger), closed);
         let size = PictureSize::new(640, 360);
         let mut dashcam = Dashcam::new(DashcamSettings {
             seed: 5,
@@ -65,7 +66,7 @@ impl Bench {
                 slot,
                 FrameLimits::default(),
             ),
-            detections: Detections::every(silent_publisher().await).0,
+            detections: Arc::new(Detections::every(silent_publisher().await).0),
             class_names: detector.class_names().into(),
             accounts,
             reset_at_clip: false,

@@ -211,6 +211,11 @@ impl DetectorHandle {
         }
     }
 
+    /// Returns when it has been stopped, or what watches over it is gone.
+    pub(crate) async fn ended(&self) {
+        self.task.ended().await;
+    }
+
     /// Takes no more pictures and returns when the run in hand has ended or has taken too long.
     pub async fn stop(&self) {
         self.task.stop().await;

@@ -230,6 +230,11 @@ impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
     /// has taken too long. Safe to call more than once.
     pub(crate) async fn stop(&self) {
         self.inner.stop();
+        self.ended().await;
+    }
+
+    /// Returns when the task has been stopped, or its supervisor is gone.
+    pub(crate) async fn ended(&self) {
         let mut stopped = self.inner.stopped.clone();
         // An error means that the supervisor is gone, which is what is waited for.
         let _ = stopped.wait_for(|stopped| *stopped).await;

@@ -147,6 +147,17 @@ impl<T> RingSender<T> {
     pub fn close(&self) {
         self.0.close();
     }
+
+    /// Opens the ring anew, empty, for another receiver in the place of one that is gone.
+    pub(crate) fn reopen(&self) -> RingReceiver<T> {
+        let mut state = self.0.state();
+        state.items.clear();
+        state.closed = false;
+        state.overrun = false;
+        state.overrun_before = false;
+        drop(state);
+        RingReceiver(Arc::clone(&self.0))
+    }
 }
 
 impl<T> Clone for RingSender<T> {
@@ -217,6 +228,12 @@ impl<T> RingReceiver<T> {
     /// Closes the ring and wakes blocked senders; what waits can still be taken.
     pub fn close(&self) {
         self.0.close();
+    }
+
+    /// Closes the ring and throws away what waits; how many items that were.
+    pub(crate) fn close_and_clear(&self) -> usize {
+        self.0.close();
+        std::mem::take(&mut self.0.state().items).len()
     }
 }
 
@@ -345,6 +362,19 @@ mod tests {
         let (sender, receiver) = frame_ring(Delivery::Every, 1);
         drop(receiver);
         assert_eq!(sender.push(1).await, Pushed::Closed(1));
+    }
+
+    #[tokio::test]
+    async fn a_ring_whose_receiver_failed_is_closed_until_it_is_opened_anew() {
+        let (sender, receiver) = frame_ring(Delivery::Newest, 4);
+        sender.push(1).await;
+        sender.push(2).await;
+        assert_eq!(receiver.close_and_clear(), 2);
+        drop(receiver);
+        assert_eq!(sender.push_blocking(3), Pushed::Closed(3));
+        let mut again = sender.reopen();
+        assert_eq!(sender.push_blocking(4), Pushed::Queued);
+        assert_eq!(again.next().await, Some(4));
     }
 
     #[tokio::test(start_paused = true)]
