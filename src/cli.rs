@@ -27,7 +27,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 /// How long threads that are still at work may take when everything else has ended.
-const STRAGGLERS: Duration = Duration::from_secs(1);
+const STRAGGLERS: Duration = Duration::from_millis(500);
 
 #[cfg(feature = "eval")]
 const EXAMPLES: &str = "\

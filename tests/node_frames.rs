@@ -49,6 +49,8 @@ pub(crate) struct Bench {
     pub(crate) stopped: JoinHandle<Result<(), NodeError>>,
     pub(crate) session: Session,
     detections: UnboundedReceiver<DetectionsMessage>,
+    /// Where the node's session listens.
+    pub(crate) endpoints: Vec<String>,
 }
 
 impl Bench {
@@ -62,7 +64,8 @@ impl Bench {
         let board = Arc::clone(prepared.board());
         let node = prepared.start(config, shutdown.clone()).await.unwrap();
         let node: Node = node.unwrap();
-        let session = connect(&node.endpoints().await).await;
+        let endpoints = node.endpoints().await;
+        let session = connect(&endpoints).await;
         let (sender, detections) = unbounded_channel();
         session
             .declare_subscriber("albireo/node/*/detections")
@@ -79,6 +82,7 @@ impl Bench {
             stopped: tokio::spawn(node.stopped()),
             session,
             detections,
+            endpoints,
         };
         bench.both_ways().await;
         bench

@@ -215,3 +215,23 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     assert_eq!(report.dropped.stopped, 2);
     assert_eq!(board.camera(CAMERA).unwrap().snapshot().dropped.stopped, 2);
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() {
+    let first = Bench::start(&configuration()).await;
+    let mut config = configuration();
+    config.zenoh.connect = first.endpoints.clone();
+    let second = Bench::start(&config).await;
+    let mut changes = second.board.readiness().subscribe();
+    let told = timeout(
+        LONG,
+        changes.wait_for(|status| {
+            (status.reasons.get("zenoh")).is_some_and(|reason| reason.contains("of this name"))
+        }),
+    );
+    assert_eq!(told.await.unwrap().unwrap().state, HealthState::Degraded);
+    first.stop().await;
+    let free = timeout(LONG, changes.wait_for(|status| !status.reasons.contains_key("zenoh")));
+    free.await.expect("the name is free").unwrap();
+    second.stop().await;
+}

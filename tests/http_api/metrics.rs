@@ -42,6 +42,7 @@ async fn filled() -> Served {
             cpu: Duration::from_millis(250),
             ..MeterCost::default()
         },
+        failed_reads: 3,
     });
     node
 }

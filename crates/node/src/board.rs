@@ -8,11 +8,11 @@ mod thresholds;
 
 pub use camera::CameraSnapshot;
 pub use camera::{CameraBoard, CameraSetup, LatestFrame};
-pub use event::Event;
-pub use event::{FrameEvent, ThresholdEvent};
+pub use event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
 pub use setup::SetupError;
 pub use setup::{BoardSetup, DetectorFacts};
 
+use crate::detector::task::{TaskCounters, TaskMeter};
 use crate::detector::{DetectorCounters, DetectorMeter, DetectorStatus};
 use crate::outbox::Outbox;
 use crate::power::MeterCost;
@@ -54,6 +54,8 @@ pub struct PowerSnapshot {
     pub covered_s: BTreeMap<String, f64>,
     /// What reading the source has cost.
     pub cost: MeterCost,
+    /// How often it could not be read.
+    pub failed_reads: u64,
 }
 
 impl Default for PowerSnapshot {
@@ -65,6 +67,7 @@ impl Default for PowerSnapshot {
             joules: BTreeMap::new(),
             covered_s: BTreeMap::new(),
             cost: MeterCost::default(),
+            failed_reads: 0,
         }
     }
 }
@@ -77,10 +80,11 @@ pub struct Board {
     started: Instant,
     cameras: Vec<Arc<CameraBoard>>,
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
-    events: broadcast::Sender<Event>,
+    events: broadcast::Sender<SharedEvent>,
     detector: DetectorFacts,
     detector_status: watch::Receiver<DetectorStatus>,
     detector_meter: OnceLock<DetectorMeter>,
+    screen_meter: OnceLock<TaskMeter>,
     power: Mutex<PowerSnapshot>,
     readiness: Readiness,
     tasks: TaskTally,
@@ -125,6 +129,7 @@ impl Board {
             detector: setup.detector,
             detector_status: setup.detector_status,
             detector_meter: OnceLock::new(),
+            screen_meter: OnceLock::new(),
             power: Mutex::default(),
             readiness,
             tasks: TaskTally::default(),
@@ -140,6 +145,19 @@ impl Board {
     /// The policy's name.
     pub fn policy(&self) -> &'static str {
         self.policy
+    }
+
+    /// Where to read what the screen counts, once it has started. The first one stays.
+    pub(crate) fn attach_screen(&self, meter: TaskMeter) {
+        let _ = self.screen_meter.set(meter);
+    }
+
+    /// What the screen has counted; all 0 before it has started, and where there is none.
+    pub(crate) fn screen_counters(&self) -> TaskCounters {
+        self.screen_meter
+            .get()
+            .map(TaskMeter::read)
+            .unwrap_or_default()
     }
 
     /// Where to read what the detector counts, once it has started. The first one stays.
@@ -172,7 +190,7 @@ impl Board {
 
     /// What happens from now on. A reader that falls more than 1024 events behind gets
     /// `RecvError::Lagged` with the number it lost.
-    pub fn subscribe(&self) -> broadcast::Receiver<Event> {
+    pub fn subscribe(&self) -> broadcast::Receiver<SharedEvent> {
         self.events.subscribe()
     }
 
@@ -189,7 +207,7 @@ impl Board {
         clips.push_back(Arc::clone(&report));
         drop(clips);
         // An error only says that nobody listens.
-        let _ = self.events.send(Event::Clip(report));
+        let _ = self.events.send(Event::Clip(report).into());
     }
 
     /// The newest clip reports, newest first: of one camera or of all, at most `limit`.
@@ -210,7 +228,7 @@ impl Board {
             .iter()
             .map(|camera| {
                 let message = Arc::new(self.counters(camera, t_ns));
-                let _ = self.events.send(Event::Counters(Arc::clone(&message)));
+                let _ = (self.events).send(Event::Counters(Arc::clone(&message)).into());
                 message
             })
             .collect()

@@ -88,6 +88,7 @@ impl Counters {
                 .map(|so_far| (so_far.domain.as_str().to_owned(), so_far.covered_s))
                 .collect(),
             cost: self.power.cost(),
+            failed_reads: self.power.failed_reads(),
         });
     }
 

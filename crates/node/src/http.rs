@@ -7,6 +7,7 @@ mod health;
 mod metrics;
 mod page;
 mod picture;
+mod pictures;
 mod states;
 mod threshold;
 
@@ -40,6 +41,7 @@ pub struct NodeView {
 struct RouteState {
     view: NodeView,
     metrics: Arc<metrics::Metrics>,
+    pictures: Arc<pictures::Pictures>,
     /// Places for event streams.
     streams: Arc<Semaphore>,
     shutdown: CancellationToken,
@@ -72,7 +74,7 @@ impl RouteState {
     info(
         title = "albireo node",
         description = "Watch a node and turn its uncertainty threshold. Errors are problem documents (RFC 9457). \
-                       Where a token is set, everything but `/`, `/healthz` and `/readyz` needs it.",
+                       Where a token is set, everything but `/`, `/healthz`, `/readyz`, `/openapi.json` and `/docs` needs it.",
     ),
     components(schemas(Problem)),
     modifiers(&Security),
@@ -133,6 +135,7 @@ pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
         .with_state(RouteState {
             view,
             metrics,
+            pictures: Arc::default(),
             streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),
             shutdown,
         })

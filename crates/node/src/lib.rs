@@ -14,7 +14,8 @@ pub mod frame;
 pub mod http;
 mod intake;
 
-pub mod outbox;
+pub mod name;
+mod outbox;
 pub mod power;
 mod publishing;
 mod rate_limit;

@@ -7,6 +7,7 @@ use super::counters::Counters;
 use super::error::NodeError;
 use super::evidence::LiveEvidence;
 use super::intake::{DropCounts, Incoming, Intake};
+use super::name::NodeName;
 use super::report::{ClipAccounts, Reporter};
 use super::threshold::ThresholdService;
 use crate::clip::{ClipConfig, ClipTracker, ClosedClip};
@@ -28,7 +29,6 @@ use std::time::Duration;
 use tokio::sync::{Mutex, mpsc, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
@@ -61,7 +61,7 @@ pub struct Node {
     stop_timeout: Duration,
     /// Power sampler: stopped when the last report is out.
     sampling: CancellationToken,
-    alive: LivelinessToken,
+    alive: NodeName,
     publishing: PublishingThread,
     uplink: Uplink,
     intakes: Vec<zenoh::pubsub::Subscriber<()>>,
@@ -179,6 +179,7 @@ impl PreparedNode {
             .map_err(NodeError::Screen)?;
 
         if let Some(screen) = &screen {
+            board.attach_screen(screen.meter());
             let status = screen.status();
             (board.readiness()).probe(readiness::SCREEN, "", move || {
                 readiness::of_screen(&status.borrow())
@@ -287,16 +288,27 @@ impl PreparedNode {
             },
         );
         let Parts {
-            tasks,
+            mut tasks,
             intakes,
             hurry,
             ..
         } = parts;
-        let alive = session
-            .liveliness()
-            .declare_token(keys.fleet().alive())
-            .await
-            .map_err(refused("liveliness token not declared"))?;
+        let alive = NodeName::default();
+        let (name, key, part) = (
+            alive.clone(),
+            keys.fleet().alive(),
+            board.readiness().part_of(readiness::ZENOH, "name"),
+        );
+        let (held, stop) = (session.clone(), shutdown.clone());
+        tasks.restarting(
+            "name",
+            tracing::info_span!("name"),
+            Restarts::new(Effect::Degraded),
+            move || {
+                let (held, key) = (held.clone(), key.clone());
+                name.clone().hold(held, key, part.clone(), stop.clone())
+            },
+        );
         let uplink = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             outbox: board.outbox().clone(),
@@ -384,12 +396,14 @@ impl Node {
         }
         // The sampler is the last of the tasks: the clips' energy comes from it.
         self.sampling.cancel();
-        let (alive, session) = (self.alive, self.session);
+        let (alive, session) = (self.alive.take().await, self.session);
         let (uplink, publishing) = (self.uplink, self.publishing);
         let closed = tokio::task::spawn_blocking(move || {
             publishing.flush(std::time::Instant::now() + FLUSH_LIMIT);
             uplink.stop();
-            let _ = alive.undeclare().wait();
+            if let Some(alive) = alive {
+                let _ = alive.undeclare().wait();
+            }
             session.close().wait()
         });
         let closing = async {

@@ -2,9 +2,11 @@
 //! and serves it.
 
 mod auth;
+mod connections;
 mod error;
 mod problem;
 mod serve;
+mod stalled;
 
 pub use auth::{Caller, TokenError};
 pub use error::HttpError;

@@ -4,6 +4,7 @@
 pub mod config;
 pub mod http;
 pub mod logging;
+pub mod panics;
 pub mod readiness;
 pub mod session;
 pub mod signals;

@@ -16,7 +16,7 @@ const QUIET: [&str; 6] = [
     "hyper=warn",
 ];
 
-/// Sends the log to standard error, as the configuration wants it.
+/// Sends the log to standard error, as the configuration wants it, and panics with it.
 ///
 /// # Errors
 /// When the level cannot be read, or a log was set up before.
@@ -31,7 +31,9 @@ pub fn start(config: &LogConfig) -> anyhow::Result<()> {
             .try_init(),
         LogFormat::Json => subscriber.json().flatten_event(true).try_init(),
     };
-    started.map_err(|error| anyhow::anyhow!("the log cannot be set up: {error}"))
+    started.map_err(|error| anyhow::anyhow!("the log cannot be set up: {error}"))?;
+    crate::panics::log_panics();
+    Ok(())
 }
 
 fn filter(level: &str) -> anyhow::Result<EnvFilter> {

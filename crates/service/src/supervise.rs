@@ -8,6 +8,7 @@ mod tests;
 pub use tally::{TaskCounts, TaskTally};
 
 use crate::readiness::{Effect, Fault, Part, Readiness};
+use crate::panics::message;
 use std::collections::HashMap;
 use std::fmt::Display;
 use std::future::Future;
@@ -334,11 +335,4 @@ fn panicked(error: JoinError) -> String {
         Ok(payload) => format!("panicked: {}", message(&*payload)),
         Err(error) => error.to_string(),
     }
-}
-
-/// What a panic said.
-fn message(payload: &(dyn std::any::Any + Send)) -> &str {
-    (payload.downcast_ref::<&str>().copied())
-        .or_else(|| payload.downcast_ref::<String>().map(String::as_str))
-        .unwrap_or("no message")
 }

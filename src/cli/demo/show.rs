@@ -1,6 +1,6 @@
 //! What the demonstration prints: an address, a live line, a line for every clip, a summary.
 
-use albireo_node::board::{Board, Event};
+use albireo_node::board::{Board, Event, SharedEvent};
 use albireo_node::config::NodeConfig;
 use albireo_wire::{ClipEnergy, ClipReport, DetectionsMessage, EnergyQuality, FrameStates};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -18,7 +18,7 @@ const LAST_REPORT: Duration = Duration::from_secs(3);
 /// Follows a node's board and prints.
 pub(super) struct Show {
     board: Arc<Board>,
-    events: Receiver<Event>,
+    events: Receiver<SharedEvent>,
     address: SocketAddr,
     model: String,
     started: Instant,
@@ -92,7 +92,7 @@ impl Show {
                 event = self.events.recv() => event,
                 () = &mut end => break,
             };
-            match event {
+            match event.as_deref() {
                 Ok(Event::Frame(frame)) => {
                     if summary.first_detection.is_none() && !frame.detections.boxes.is_empty() {
                         let seconds = self.started.elapsed().as_secs_f64();
@@ -105,8 +105,8 @@ impl Show {
                     self.bar.tick();
                 }
                 Ok(Event::Clip(report)) => {
-                    self.say(&clip_line(&report));
-                    summary.add(&report);
+                    self.say(&clip_line(report));
+                    summary.add(report);
                     if shutdown.is_cancelled() {
                         break;
                     }

@@ -1,6 +1,6 @@
 //! One camera's part of the live board.
 
-use super::event::{Event, FrameEvent, ThresholdEvent};
+use super::event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
 use super::lock;
 use super::thresholds;
 use crate::frame::EncodedPicture;
@@ -96,7 +96,7 @@ pub struct CameraBoard {
     latest_frame: Mutex<Option<LatestFrame>>,
     total_latency: [Histogram; 5],
     detector_latency: Histogram,
-    events: broadcast::Sender<Event>,
+    events: broadcast::Sender<SharedEvent>,
     outbox: Outbox,
     source: Mutex<KnobSource>,
 }
@@ -105,7 +105,7 @@ impl CameraBoard {
     pub(super) fn new(
         setup: CameraSetup,
         policy: &'static str,
-        events: broadcast::Sender<Event>,
+        events: broadcast::Sender<SharedEvent>,
         outbox: Outbox,
     ) -> Self {
         let configured = setup.knob.map(|knob| {
@@ -183,10 +183,11 @@ impl CameraBoard {
         counts.latest = Some(Arc::clone(&detections));
         drop(counts);
         if self.events.receiver_count() > 0 {
-            let _ = self.events.send(Event::Frame(FrameEvent {
+            let event = Event::Frame(FrameEvent {
                 camera: Arc::clone(&self.name),
                 detections,
-            }));
+            });
+            let _ = self.events.send(event.into());
         }
     }
 
@@ -307,7 +308,7 @@ impl CameraBoard {
             thresholds::keep(&self.outbox, &self.name, &knob, configured, value, source);
         }
         if let Some(event) = self.threshold_event() {
-            let _ = self.events.send(event);
+            let _ = self.events.send(event.into());
         }
         drop(changing);
         tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold changed");

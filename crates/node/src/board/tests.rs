@@ -64,7 +64,7 @@ fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
         camera.record_frame(frame(seq as u64, state));
         let event = events.try_recv().unwrap();
         assert_eq!((event.name(), event.camera()), ("frame", "front"));
-        let json = serde_json::to_value(&event).unwrap();
+        let json: serde_json::Value = serde_json::from_str(event.json().unwrap()).unwrap();
         assert_eq!(json["seq"], seq as u64);
         assert_eq!(json["camera"], "front");
     }
@@ -193,4 +193,18 @@ fn a_configuration_describes_its_cameras_with_their_own_thresholds() {
     assert_eq!(rear.threshold(), Some(1e-3));
     assert_eq!(board.detector_facts().model, "detector.onnx");
     assert_eq!(board.policy(), "albireo");
+}
+
+#[test]
+fn an_event_is_written_as_json_once_however_many_read_it() {
+    let board = board(None, KNOB, None);
+    let mut readers: Vec<_> = (0..64).map(|_| board.subscribe()).collect();
+    let camera = board.camera("front").unwrap();
+    camera.record_frame(frame(0, FrameState::I));
+    let events: Vec<_> = (readers.iter_mut())
+        .map(|reader| reader.try_recv().unwrap())
+        .collect();
+    // The very same text, not only an equal one.
+    let first = events[0].json().unwrap();
+    assert!(events.iter().all(|event| std::ptr::eq(event.json().unwrap(), first)));
 }

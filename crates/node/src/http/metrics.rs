@@ -3,6 +3,7 @@
 mod detector;
 mod family;
 mod plain;
+mod tasks;
 
 use self::detector::detector;
 use self::family::family;
@@ -62,7 +63,9 @@ impl Collector for BoardCollector {
             .map(|camera| (&**camera, camera.snapshot()))
             .collect();
         self.node(&mut encoder)?;
+        tasks::parts(&mut encoder, &self.0)?;
         detector(&mut encoder, &self.0.detector_counters())?;
+        tasks::screen(&mut encoder, &self.0)?;
         frames(&mut encoder, &cameras)?;
         threshold(&mut encoder, &cameras)?;
         latency(&mut encoder, &cameras)?;
@@ -226,6 +229,17 @@ impl BoardCollector {
                     .covered_s
                     .iter()
                     .try_for_each(|(domain, seconds)| family.counter(labels(domain), *seconds))
+            },
+        )?;
+        let help = "Times the power source could not be read";
+        family(
+            encoder,
+            "power_failed_reads",
+            help,
+            MetricType::Counter,
+            |family| {
+                let labels = vec![("source", power.source.as_str())];
+                family.counter(labels, power.failed_reads as f64)
             },
         )?;
         let help = "CPU time spent on reading the power source";

@@ -2,7 +2,7 @@
 
 use super::network::ScreenNetwork;
 use super::{Logits, ScreenConfig, ScreenKind};
-use crate::detector::task::{InferenceTask, TaskCounters, TaskSettings};
+use crate::detector::task::{InferenceTask, TaskCounters, TaskMeter, TaskSettings};
 use crate::detector::{
     CameraSlot, DetectorStatus, InferenceError, Preparation, PreparedPicture, StartError,
     prepare_off_thread,
@@ -97,6 +97,11 @@ impl ScreenHandle {
     /// How the screen is doing, now and from now on.
     pub fn status(&self) -> watch::Receiver<DetectorStatus> {
         self.task.status()
+    }
+
+    /// Its counters for whoever shows them: does not keep the screen running.
+    pub(crate) fn meter(&self) -> TaskMeter {
+        self.task.meter()
     }
 
     /// What it has counted since it started.

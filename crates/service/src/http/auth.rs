@@ -14,8 +14,15 @@ use std::sync::Arc;
 use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
 
-/// Open to all: whether the node lives and works, and the page, which asks for the token itself.
-const OPEN: [&str; 3] = ["/", "/healthz", "/readyz"];
+/// Open to all: whether the service lives and works, the page, which asks for the token itself, and the description
+/// of the interface with the page that reads it, which are the same wherever this version runs and tell nothing of this
+/// service.
+const OPEN: [&str; 5] = ["/", "/healthz", "/readyz", "/openapi.json", "/docs"];
+
+/// Whether a path is open to all.
+fn is_open(path: &str) -> bool {
+    OPEN.contains(&path) || path.starts_with("/docs/")
+}
 
 /// Why a token file cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -114,7 +121,7 @@ impl Guard {
                         );
                         Err(Problem::new(StatusCode::FORBIDDEN, detail).into_response())
                     }
-                    None if OPEN.contains(&uri.path()) => Ok(anonymous(Role::Read)),
+                    None if is_open(uri.path()) => Ok(anonymous(Role::Read)),
                     None => Err(unauthorized()),
                 }
             }
