@@ -153,6 +153,11 @@ impl Node {
         timeout(PATIENCE, ready).await.expect("the node gets ready");
     }
 
+    /// The process's id.
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id().expect("the node runs")
+    }
+
     /// Sends the signal a service manager sends.
     pub(crate) fn terminate(&self) {
         let id = self.child.id().expect("the node runs").to_string();

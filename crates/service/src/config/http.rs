@@ -6,6 +6,9 @@ use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
 
+/// A token has at least so many characters.
+const LEAST_TOKEN: usize = 16;
+
 /// A secret that is not shown when printed for debugging.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
@@ -28,6 +31,8 @@ impl Token {
             Some("is empty; leave it out for no authentication")
         } else if !self.0.bytes().all(|byte| byte.is_ascii_graphic()) {
             Some("must be printable ASCII without spaces")
+        } else if self.0.len() < LEAST_TOKEN {
+            Some("has fewer than 16 characters, which can be guessed; `openssl rand -hex 16` makes one")
         } else {
             None
         }
@@ -55,6 +60,10 @@ pub struct HttpConfig {
     pub allow_unauthenticated: bool,
     /// A request other than the event stream that takes longer is answered with an error.
     pub timeout_ms: u64,
+    /// A connection that says nothing, or takes nothing of what is sent to it, for so long is closed.
+    pub idle_timeout_ms: u64,
+    /// Connections at a time. When all are taken, the one that was idle longest is closed for a new one.
+    pub max_connections: usize,
     /// Web origins whose pages may call the interface (`https://fleet.example`); none by default.
     pub cors_origins: Vec<String>,
 }
@@ -67,6 +76,8 @@ impl Default for HttpConfig {
             token_file: None,
             allow_unauthenticated: false,
             timeout_ms: 10_000,
+            idle_timeout_ms: 30_000,
+            max_connections: 256,
             cors_origins: Vec::new(),
         }
     }
@@ -103,6 +114,9 @@ impl HttpConfig {
             );
         }
         findings.count("http.timeout_ms", self.timeout_ms, 1, DAY_MS);
+        findings.count("http.idle_timeout_ms", self.idle_timeout_ms, 100, DAY_MS);
+        let connections = self.max_connections as u64;
+        findings.count("http.max_connections", connections, 1, 100_000);
         for origin in &self.cors_origins {
             let host = origin
                 .strip_prefix("https://")

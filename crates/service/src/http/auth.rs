@@ -8,7 +8,7 @@ use axum::http::header::{AUTHORIZATION, HOST, WWW_AUTHENTICATE};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use std::net::IpAddr;
+use std::net::{Ipv4Addr, Ipv6Addr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use subtle::ConstantTimeEq;
@@ -191,18 +191,36 @@ fn carries(headers: &HeaderMap, token: &Token) -> bool {
     sent.ct_eq(token.secret().as_bytes()).into()
 }
 
+/// Whether the request names this machine by address or as `localhost`, and nothing else. A name that cannot be read,
+/// or two of them, is another name.
 fn called_by_address(uri: &Uri, headers: &HeaderMap) -> bool {
-    let host = uri
-        .authority()
-        .map(|authority| authority.as_str())
-        .or_else(|| headers.get(HOST).and_then(|value| value.to_str().ok()));
-    // HTTP/1.0 has no Host; no browser sends that.
-    let Some(host) = host else { return true };
-    let name = match host.strip_prefix('[') {
-        Some(rest) => rest.split(']').next().unwrap_or_default(),
-        None => host.rsplit_once(':').map_or(host, |(name, _)| name),
+    let mut hosts = headers.get_all(HOST).iter();
+    let host = match (uri.authority(), hosts.next()) {
+        (Some(authority), _) => Some(authority.as_str()),
+        (None, Some(host)) => match host.to_str() {
+            Ok(host) => Some(host),
+            Err(_) => return false,
+        },
+        (None, None) => None,
     };
-    name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok()
+    if hosts.next().is_some() {
+        return false;
+    }
+    // HTTP/1.0 has no Host; no browser sends that.
+    host.is_none_or(is_address)
+}
+
+fn is_address(host: &str) -> bool {
+    let is_port = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit());
+    if let Some(rest) = host.strip_prefix('[') {
+        let Some((name, port)) = rest.split_once(']') else {
+            return false;
+        };
+        let port_is_right = port.is_empty() || port.strip_prefix(':').is_some_and(is_port);
+        return port_is_right && name.parse::<Ipv6Addr>().is_ok();
+    }
+    let (name, port) = host.split_once(':').unwrap_or((host, ""));
+    is_port(port) && (name.eq_ignore_ascii_case("localhost") || name.parse::<Ipv4Addr>().is_ok())
 }
 
 /// Lets a request pass, with its [`Caller`], or answers it.
@@ -217,5 +235,31 @@ pub(super) async fn guard(
             next.run(request).await
         }
         Err(response) => response,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_address;
+
+    #[test]
+    fn only_addresses_and_localhost_are_this_machine() {
+        for host in ["localhost", "LOCALHOST:80", "127.0.0.1:8080", "[::1]", "[::1]:8080"] {
+            assert!(is_address(host), "{host}");
+        }
+        for host in [
+            "",
+            "evil.example",
+            "[::1].evil.example",
+            "[::1]evil",
+            "[::1",
+            "localhost:80@evil",
+            "localhost@evil",
+            "localhost:evil",
+            "127.0.0.1.evil.example",
+            "127.0.0.1:80:80",
+        ] {
+            assert!(!is_address(host), "{host}");
+        }
     }
 }
