@@ -187,7 +187,7 @@ pub enum BoxSource {
 pub struct OutputBox {
     /// Where, in normalised coordinates, not clipped to the picture.
     pub bounding_box: BoundingBox,
-    /// What.
+    /// Its class, by the detector's number.
     pub class: ClassId,
     /// The confidence to report, 0 to 1.
     pub confidence: f64,

@@ -99,7 +99,7 @@ async fn open(
     readiness: &Arc<Readiness>,
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Option<Session>> {
-    session::open_patiently(
+    let session = session::open_patiently(
         &config.zenoh,
         MAX_PAYLOAD_BYTES,
         SESSION,
@@ -109,5 +109,6 @@ async fn open(
             readiness.hold("zenoh", &error.to_string());
         },
     )
-    .await
+    .await?;
+    Ok(session)
 }

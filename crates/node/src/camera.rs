@@ -10,10 +10,10 @@ use crate::clip::{FrameArrival, FrameResult};
 use crate::frame::{EncodedPicture, FrameFault, RingReceiver};
 use crate::publishing::Detections;
 use albireo_core::policy::{Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, decide};
+use albireo_service::clock::milliseconds;
 use albireo_wire::{KnobValue, Latency};
 use std::future::Future;
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -245,10 +245,6 @@ fn next_need(
         }
         std::future::pending().await
     }
-}
-
-fn milliseconds(duration: Duration) -> f64 {
-    duration.as_secs_f64() * 1e3
 }
 
 /// Waits until `due`; for ever without one.

@@ -1,9 +1,9 @@
 //! Once a second: every camera's counters on Zenoh, and new power figures on the board.
 
 use super::board::{Board, PowerSnapshot};
-use crate::outbox::unix_nanoseconds;
 use crate::power::PowerHandle;
 use crate::publishing::{self, PublishLane, PublishingThread};
+use albireo_service::clock::unix_nanoseconds;
 use albireo_wire::{CountersMessage, NodeKeys};
 use anyhow::anyhow;
 use std::collections::BTreeMap;

@@ -12,7 +12,6 @@ mod store;
 mod tests;
 
 pub use config::OutboxConfig;
-pub(crate) use identity::unix_nanoseconds;
 
 use albireo_wire::{ClipReport, OutboxStatus, ReportBatch, VERSION};
 use parking_lot::{Condvar, Mutex, MutexGuard};

@@ -12,6 +12,7 @@ pub(crate) use desired::DesiredKeeper;
 
 use crate::board::Board;
 use crate::outbox::{Acknowledged, Outbox, OutboxConfig};
+use albireo_service::clock::unix_nanoseconds;
 use albireo_service::config::UplinkConfig;
 use albireo_service::session;
 use albireo_wire::{Desired, FleetKeys, PullRequest, RefusalReason, ReportAnswer, VERSION};
@@ -471,7 +472,7 @@ impl Worker {
             let Some(camera) = self.setup.board.camera(camera) else {
                 continue;
             };
-            let message = (self.setup.board).counters(camera, crate::outbox::unix_nanoseconds());
+            let message = (self.setup.board).counters(camera, unix_nanoseconds());
             if let Ok(json) = serde_json::to_vec(&message) {
                 publisher.put(json).wait()?;
             }

@@ -2,7 +2,6 @@
 //! async worker.
 
 use super::config::{UplinkConfig, ZenohConfig, ZenohMode};
-use anyhow::anyhow;
 use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
@@ -10,6 +9,45 @@ use zenoh::{Session, Wait};
 
 /// First and longest pause between two attempts of a client to reach its router, without the jitter.
 const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(15));
+
+/// Why there is no session.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// A section makes no sense to Zenoh: that does not pass by itself.
+    #[error("[{section}] {reason}")]
+    Configuration {
+        /// The section: `zenoh` or `uplink`.
+        section: &'static str,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// An endpoint cannot be reached or listened on.
+    #[error("Zenoh session not opened ({place}): {reason}")]
+    NotOpened {
+        /// The endpoints that were tried, or the file that names them.
+        place: String,
+        /// What Zenoh says.
+        reason: String,
+    },
+    /// No router of the hub can be reached.
+    #[error("the hub's router cannot be reached ({endpoints}): {reason}")]
+    Uplink {
+        /// The endpoints that were tried.
+        endpoints: String,
+        /// What Zenoh says.
+        reason: String,
+    },
+    /// The thread that opens it ended without an answer.
+    #[error("opening the Zenoh session failed: {0}")]
+    Failed(#[from] tokio::task::JoinError),
+}
+
+impl SessionError {
+    fn zenoh(reason: String) -> Self {
+        let section = "zenoh";
+        Self::Configuration { section, reason }
+    }
+}
 
 /// Opens a session as configured. `max_payload_bytes` bounds what is taken from the network. A client waits for its
 /// router, for ever: drop the future to give up. `waiting` is told why, at each attempt that failed.
@@ -20,16 +58,16 @@ pub async fn open(
     config: &ZenohConfig,
     max_payload_bytes: usize,
     waiting: impl Fn(&str),
-) -> anyhow::Result<Session> {
+) -> Result<Session, SessionError> {
     // A configuration that cannot be used is told at once, however often the network is tried.
     config
         .to_zenoh(max_payload_bytes)
-        .map_err(|reason| anyhow!("[zenoh] {reason}"))?;
+        .map_err(SessionError::zenoh)?;
     let mut pause = RETRY.0;
     loop {
         let zenoh = config
             .to_zenoh(max_payload_bytes)
-            .map_err(|reason| anyhow!("[zenoh] {reason}"))?;
+            .map_err(SessionError::zenoh)?;
         let opened = tokio::task::spawn_blocking(|| zenoh::open(zenoh).wait()).await?;
         let error = match opened {
             Ok(session) => return Ok(session),
@@ -60,15 +98,15 @@ pub async fn open_patiently(
     max_payload_bytes: usize,
     settings: Settings<'_>,
     shutdown: &CancellationToken,
-    mut failed: impl FnMut(&anyhow::Error),
-) -> anyhow::Result<Option<Session>> {
+    mut failed: impl FnMut(&SessionError),
+) -> Result<Option<Session>, SessionError> {
     let mut zenoh = config
         .to_zenoh(max_payload_bytes)
-        .map_err(|reason| anyhow!("[zenoh] {reason}"))?;
+        .map_err(SessionError::zenoh)?;
     for (key, value) in settings {
         zenoh
             .insert_json5(key, value)
-            .map_err(|error| anyhow!("[zenoh] {key} = {value}: {error}"))?;
+            .map_err(|error| SessionError::zenoh(format!("{key} = {value}: {error}")))?;
     }
     let mut pause = Duration::from_millis(500);
     loop {
@@ -81,7 +119,7 @@ pub async fn open_patiently(
         let error = match opened {
             Ok(Ok(session)) => return Ok(Some(session)),
             Ok(Err(error)) => not_opened(config, &error),
-            Err(error) => anyhow!("opening the Zenoh session failed: {error}"),
+            Err(error) => error.into(),
         };
         failed(&error);
         tokio::select! {
@@ -96,25 +134,28 @@ pub async fn open_patiently(
 ///
 /// # Errors
 /// When no router can be reached, or the configuration makes no sense to Zenoh.
-pub fn open_uplink(uplink: &UplinkConfig) -> anyhow::Result<Session> {
+pub fn open_uplink(uplink: &UplinkConfig) -> Result<Session, SessionError> {
     let config = uplink
         .to_zenoh(jittered(Duration::from_millis(1000)))
-        .map_err(|reason| anyhow!("[uplink] {reason}"))?;
-    zenoh::open(config).wait().map_err(|error| {
-        anyhow!(
-            "the hub's router cannot be reached ({}): {}",
-            uplink.connect.join(", "),
-            plain(&error)
-        )
-    })
+        .map_err(|reason| SessionError::Configuration {
+            section: "uplink",
+            reason,
+        })?;
+    zenoh::open(config)
+        .wait()
+        .map_err(|error| SessionError::Uplink {
+            endpoints: uplink.connect.join(", "),
+            reason: plain(&error),
+        })
 }
 
-fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> anyhow::Error {
+fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> SessionError {
     let place = match &config.config_file {
         Some(file) => format!("configuration file {}", file.display()),
         None => format!("listen {:?}, connect {:?}", config.listen, config.connect),
     };
-    anyhow!("Zenoh session not opened ({place}): {}", plain(error))
+    let reason = plain(error);
+    SessionError::NotOpened { place, reason }
 }
 
 /// Between half and one and a half of a pause, so that many nodes do not come together.

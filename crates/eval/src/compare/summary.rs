@@ -113,12 +113,12 @@ pub struct Change {
 pub enum Basis {
     /// A meter was read through every run.
     Measured {
-        /// Which.
+        /// The meter's name, as clip reports have it: `rapl`, `tegrastats`, …
         source: String,
     },
     /// A meter was read, with gaps.
     Partial {
-        /// Which.
+        /// The meter's name, as clip reports have it: `rapl`, `tegrastats`, …
         source: String,
     },
     /// Computed from utilisation; no meter was read.

@@ -10,6 +10,7 @@ use super::{
 };
 use crate::frame::Picture;
 use albireo_core::detection::Detection;
+use albireo_service::clock::milliseconds;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -222,8 +223,4 @@ fn model_name(config: &DetectorConfig) -> String {
         .model
         .file_name()
         .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
-}
-
-fn milliseconds(duration: Duration) -> f64 {
-    duration.as_secs_f64() * 1e3
 }

@@ -14,10 +14,11 @@ pub(crate) use counters::TaskMeter;
 pub(crate) use state::Inference;
 
 use super::{CameraSlot, DetectorStatus, InferenceError, Model, StartError};
+use parking_lot::Mutex;
 use queue::{Batching, Job};
 use state::TaskState;
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use supervisor::Supervisor;
 use tokio::sync::{Semaphore, oneshot, watch};
@@ -205,7 +206,6 @@ impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
         self.inner
             .cameras
             .lock()
-            .unwrap_or_else(PoisonError::into_inner)
             .entry(camera)
             .or_insert_with(|| Arc::new(Semaphore::new(1)))
             .clone()

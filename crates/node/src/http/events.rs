@@ -4,6 +4,7 @@ use super::RouteState;
 use super::health::provider;
 use crate::board::Event;
 use crate::detector::DetectorStatus;
+use albireo_service::clock::unix_nanoseconds;
 use albireo_service::http::Problem;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
@@ -217,7 +218,7 @@ pub(super) async fn stream(
         ));
         reader.detector = Some(detector);
     }
-    for happened in board.current(now_ns()) {
+    for happened in board.current(unix_nanoseconds()) {
         first.extend(reader.select(&happened));
     }
     reader.first = first;
@@ -226,13 +227,4 @@ pub(super) async fn stream(
         Some((Ok(event), reader))
     });
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
-}
-
-/// The wall clock, nanoseconds since the Unix epoch; 0 for a clock set before it.
-fn now_ns() -> u64 {
-    std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .ok()
-        .and_then(|since| u64::try_from(since.as_nanos()).ok())
-        .unwrap_or(0)
 }

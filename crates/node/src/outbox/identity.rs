@@ -1,9 +1,9 @@
 //! Who numbers the reports: the instance, and the machine it is bound to.
 
+use albireo_service::clock::unix_nanoseconds;
 use sha3::{Digest, Sha3_256};
 use std::hash::{BuildHasher, RandomState};
 use std::path::Path;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// A new instance: 32 hexadecimal digits that no other has.
 pub(super) fn new_instance() -> String {
@@ -25,15 +25,6 @@ pub(super) fn machine_digest(file: &Path) -> Option<String> {
     hash.update(id.as_bytes());
     let digest = hash.finalize();
     Some(digest.iter().take(8).map(|b| format!("{b:02x}")).collect())
-}
-
-/// This machine's wall clock; 0 before 1970.
-pub(crate) fn unix_nanoseconds() -> u64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |since| {
-            u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
-        })
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! The file of what must survive: SQLite in the state directory, synced at each commit.
 
 use super::identity;
+use albireo_service::clock::unix_nanoseconds;
 use rusqlite::{Connection, ErrorCode, OptionalExtension, params};
 use std::fs;
 use std::os::unix::fs::MetadataExt;
@@ -378,7 +379,7 @@ impl Store {
         reports: &[(u64, Vec<u8>)],
     ) -> Result<(), StoreError> {
         self.check()?;
-        let now = signed(identity::unix_nanoseconds());
+        let now = signed(unix_nanoseconds());
         let transaction = self.db.transaction()?;
         let mut added = Waiting::default();
         {
@@ -509,7 +510,7 @@ impl Store {
         most_bytes: u64,
         most_age_ns: u64,
     ) -> Result<Vec<(i64, u64)>, StoreError> {
-        let now = identity::unix_nanoseconds();
+        let now = unix_nanoseconds();
         let oldest = now.saturating_sub(most_age_ns);
         let aged: u64 = self.db.query_row(
             "SELECT count(*) FROM report WHERE kept_ns BETWEEN ? AND ?",

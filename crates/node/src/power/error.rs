@@ -30,7 +30,7 @@ pub enum MeterError {
         source_name: &'static str,
         /// The file or device.
         path: PathBuf,
-        /// Why.
+        /// What the system or the driver said, or what was read instead of a figure.
         reason: String,
     },
     /// The configuration asks for something impossible.

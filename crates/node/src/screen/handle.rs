@@ -8,6 +8,7 @@ use crate::detector::{
     prepare_off_thread,
 };
 use crate::frame::{InputFormat, Picture};
+use albireo_service::clock::milliseconds;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -89,8 +90,8 @@ impl ScreenHandle {
         Ok(ScreenVerdict {
             empty: logits[self.empty_class] > logits[1 - self.empty_class],
             logits,
-            queue_ms: inference.queued.as_secs_f64() * 1e3,
-            run_ms: (letterbox + inference.took).as_secs_f64() * 1e3,
+            queue_ms: milliseconds(inference.queued),
+            run_ms: milliseconds(letterbox + inference.took),
         })
     }
 

@@ -2,7 +2,8 @@
 
 use super::DesiredKeeper;
 use crate::board::Board;
-use crate::outbox::{Outbox, unix_nanoseconds};
+use crate::outbox::Outbox;
+use albireo_service::clock::unix_nanoseconds;
 use albireo_wire::{CameraState, CameraStatus, NodeStatus, StatusMessage, VERSION};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

@@ -25,7 +25,7 @@ pub enum TokenError {
     Unreadable {
         /// The file.
         file: PathBuf,
-        /// Why.
+        /// What the system says.
         source: std::io::Error,
     },
     /// Its first line is no token.

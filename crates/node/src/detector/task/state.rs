@@ -3,7 +3,8 @@
 use super::counters::Counters;
 use super::queue::{Batching, Job, Queue};
 use crate::detector::{CameraSlot, DetectorStatus, ExecutionProvider, InferenceError};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use parking_lot::{Condvar, Mutex, MutexGuard};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::{Notify, oneshot, watch};
@@ -88,8 +89,7 @@ impl<I, T> TaskState<I, T> {
     }
 
     fn lock(&self) -> MutexGuard<'_, State<I, T>> {
-        // Nothing that runs under this lock can leave the state half changed.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock()
     }
 
     /// Whether a picture would be taken now.
@@ -134,10 +134,7 @@ impl<I, T> TaskState<I, T> {
             let now = Instant::now();
             match state.queue.batch_complete_at() {
                 None => {
-                    state = self
-                        .work
-                        .wait(state)
-                        .unwrap_or_else(PoisonError::into_inner);
+                    self.work.wait(&mut state);
                 }
                 Some(time) if time > now => {
                     drop(state);
