@@ -63,6 +63,7 @@ pub use decide::{EvidenceAtHand, EvidenceSource, FrameEvidence, decide, decide_a
 pub(crate) use erd_only::ErdOnly;
 pub use expected_loss::{Call, Confidence, ExpectedLoss, ExpectedLossSettings, Motion, Trigger};
 pub use expected_loss::{CallRule, ExpectedLossAssociation, InTracker, Life, Surprise};
+pub use expected_loss::{Flow, Pixels};
 pub use fixed_skip::FixedSkip;
 pub use fixed_skip::FixedSkipSettings;
 pub use fixed_skip::SkippedBoxes;
@@ -177,6 +178,8 @@ pub enum BoxSource {
     Detected,
     /// The detector did not look at this frame; the filter says so, or an earlier frame does.
     Predicted,
+    /// The detector did not look at this frame, but optical flow followed the object into it.
+    Followed,
     /// The detector looked and missed it; the filter says it is still there. Only a policy that rescues
     /// makes the frame [`FrameState::AI`] by it: `ctd` does not.
     Rescued,

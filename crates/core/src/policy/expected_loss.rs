@@ -14,6 +14,7 @@
 //! | matching: by overlap, then by Mahalanobis distance, both optimal | [`association`] |
 //! | the velocity a new object should be expected to have | [`velocity`] |
 //! | how much may have appeared since the last call | [`birth`] |
+//! | boxes followed by optical flow, and what that says of them | [`follow`] |
 //! | when the detector is called | below, and [`trigger`] |
 //! | every number | [`settings`] |
 //!
@@ -36,9 +37,15 @@
 //! not as much more often as a threshold on L would have it. [`CallRule::Frame`] is that threshold.
 //!
 //! Lost frames advance everything but the sums: a frame that never came cannot be answered badly.
+//!
+//! With `pixels = "flow"` there are three choices a frame, under one price: answer blind, look, call. A look at a
+//! grey picture follows the boxes ([`follow`]) and costs `price·λ` where a call costs λ. It is taken when the
+//! boxes that it is expected to save on this frame are worth that, and always before a call, which it may spare;
+//! the frames that were looked at count their looks among their losses.
 
 mod association;
 mod birth;
+mod follow;
 mod motion;
 mod object;
 mod objects;
@@ -47,13 +54,14 @@ mod trigger;
 mod velocity;
 
 use super::{
-    Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome, Policy,
-    PolicyConfig, PolicyConfigError, config::with_overrides, tracker::check_setting,
+    Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, ObjectRecord, Outcome,
+    Policy, PolicyConfig, PolicyConfigError, config::with_overrides, tracker::check_setting,
 };
 use crate::detection::Detection;
 use birth::BirthRate;
+use follow::Follower;
 use objects::Objects;
-pub use settings::{Call, Confidence, ExpectedLossSettings, Motion};
+pub use settings::{Call, Confidence, ExpectedLossSettings, Flow, Motion, Pixels};
 pub use settings::{CallRule, ExpectedLossAssociation, InTracker, Life, Surprise};
 use trigger::Pause;
 pub use trigger::Trigger;
@@ -63,6 +71,13 @@ pub use trigger::Trigger;
 enum ExpectedLossPhase {
     /// The screen was asked.
     AwaitsScreen,
+    /// A grey picture was asked for. Without it the detector would be called if `due`; and it is called whatever is
+    /// seen if `certain`.
+    AwaitsPicture {
+        due: bool,
+        certain: bool,
+        screened: bool,
+    },
     /// The detector was asked, after the screen said "not empty" or without its verdict.
     AwaitsDetections { screened: bool },
     /// The screen said "empty".
@@ -83,10 +98,12 @@ pub struct ExpectedLoss {
     /// N̄, the moving average of the summed confidence of reported boxes.
     crowd: f64,
     pause: Pause,
+    /// What looks at pictures, if anything does.
+    follower: Option<Box<Follower>>,
     /// Whether the detector has answered since the stream began.
     started: bool,
     progress: ExpectedLossPhase,
-    /// L of the frame in hand.
+    /// L of the frame in hand, the price of a look included.
     loss: f64,
     /// g of the frame in hand.
     weight: f64,
@@ -126,6 +143,8 @@ impl ExpectedLoss {
             births: BirthRate::new(&settings.call),
             crowd: settings.call.crowd_prior,
             pause: Pause::START,
+            follower: (settings.pixels == Pixels::Flow)
+                .then(|| Box::new(Follower::new(&settings.flow))),
             started: false,
             progress: ExpectedLossPhase::Skipped,
             loss: 0.0,
@@ -169,13 +188,13 @@ impl ExpectedLoss {
         self.weight
     }
 
-    /// Sums up what would be lost on this frame without the detector.
-    fn survey(&mut self) {
+    /// Sums up what would be lost on this frame without the detector, and adds what it has `cost` already.
+    fn survey(&mut self, cost: f64) {
         let call = &self.settings.call;
-        self.objects.judge();
+        self.objects.judge(self.settings.flow.health_weight);
         let aspect = self.objects.aspect();
         let mut tau_max = f64::NEG_INFINITY;
-        let mut loss = self.births.expected_loss(call, self.pause.frames);
+        let mut loss = cost + self.births.expected_loss(call, self.pause.frames);
         for object in self.objects.iter() {
             loss += object.expected_loss(call.miss);
             tau_max = tau_max.max(object.tau(aspect));
@@ -185,6 +204,75 @@ impl ExpectedLoss {
         self.weight = self.pause.weigh(call.rule, loss, crowd);
         self.active = self.objects.len();
         self.tau_max = (self.active > 0).then_some(tau_max);
+    }
+
+    /// Whether the trigger calls the detector for what the survey found.
+    fn is_due(&self) -> bool {
+        self.is_certain() || (self.pause).is_over(&self.trigger, &self.settings.call, self.weight)
+    }
+
+    /// Whether it does whatever is seen.
+    fn is_certain(&self) -> bool {
+        !self.started || (self.pause).is_over(&self.trigger, &self.settings.call, f64::NEG_INFINITY)
+    }
+
+    /// What a look costs, in boxes.
+    fn price_of_look(&self) -> f64 {
+        let crowd = self.crowd.max(self.settings.call.least_crowd);
+        match self.trigger {
+            Trigger::ExpectedLoss { lambda } => self.settings.flow.price * lambda * crowd,
+            // A schedule knows no prices.
+            Trigger::FixedSkip { .. } | Trigger::Even { .. } => 0.0,
+        }
+    }
+
+    /// Whether a look is expected to save as much as it costs.
+    fn is_worth_a_look(&self, follower: &Follower) -> bool {
+        if !follower.can_follow() || self.active == 0 {
+            return false;
+        }
+        let (flow, miss) = (&self.settings.flow, self.settings.call.miss);
+        let gain = |object| {
+            let variance = follower.expected_variance(flow, object);
+            object.weight(miss) * object.gain_of_look(&variance, flow.health_weight)
+        };
+        self.objects.iter().map(gain).sum::<f64>() >= self.price_of_look()
+    }
+
+    /// Asks for the picture, if pictures are looked at, and else for the detector.
+    fn call(&mut self, screened: bool) -> Need {
+        if self.follower.is_some() {
+            let (due, certain) = (true, self.is_certain());
+            return self.ask_for_picture(due, certain, screened);
+        }
+        self.progress = ExpectedLossPhase::AwaitsDetections { screened };
+        Need::Detections
+    }
+
+    fn ask_for_picture(&mut self, due: bool, certain: bool, screened: bool) -> Need {
+        self.progress = ExpectedLossPhase::AwaitsPicture {
+            due,
+            certain,
+            screened,
+        };
+        Need::GreyPicture
+    }
+
+    /// Follows the boxes into the picture and decides anew.
+    fn look(&mut self, picture: GreyPicture<'_>, certain: bool, screened: bool) -> Need {
+        let aspect = self.objects.aspect();
+        if let Some(follower) = &mut self.follower {
+            let objects = self.objects.as_mut_slice();
+            follower.look(&self.settings.flow, objects, aspect, picture);
+        }
+        self.survey(self.price_of_look());
+        if certain || self.is_due() {
+            self.progress = ExpectedLossPhase::AwaitsDetections { screened };
+            Need::Detections
+        } else {
+            self.progress = ExpectedLossPhase::Skipped;
+            Need::Nothing
+        }
     }
 
     fn take_detections(&mut self, detections: &[Detection]) {
@@ -233,19 +321,23 @@ impl Policy for ExpectedLoss {
                 self.objects.predict(&self.settings);
             }
         }
-        self.survey();
-        let called =
-            !self.started || (self.pause).is_over(&self.trigger, &self.settings.call, self.weight);
-        let (progress, need) = if !called {
-            (ExpectedLossPhase::Skipped, Need::Nothing)
-        } else if self.active == 0 && self.settings.call.ask_screen_when_empty {
-            (ExpectedLossPhase::AwaitsScreen, Need::Screen)
-        } else {
-            let progress = ExpectedLossPhase::AwaitsDetections { screened: false };
-            (progress, Need::Detections)
-        };
-        self.progress = progress;
-        need
+        self.survey(0.0);
+        if let Some(follower) = &mut self.follower {
+            follower.advance(&self.settings.flow, step);
+        }
+        if self.is_due() {
+            if self.active == 0 && self.settings.call.ask_screen_when_empty {
+                self.progress = ExpectedLossPhase::AwaitsScreen;
+                return Need::Screen;
+            }
+            return self.call(false);
+        }
+        let follower = self.follower.as_deref();
+        if follower.is_some_and(|follower| self.is_worth_a_look(follower)) {
+            return self.ask_for_picture(false, false, false);
+        }
+        self.progress = ExpectedLossPhase::Skipped;
+        Need::Nothing
     }
 
     /// The screen can only spare a call that is due: one that never says "empty" changes no decision. If
@@ -259,8 +351,21 @@ impl Policy for ExpectedLoss {
             }
             (ExpectedLossPhase::AwaitsScreen, evidence) => {
                 let screened = matches!(evidence, Evidence::Screen { .. });
+                self.call(screened)
+            }
+            (
+                ExpectedLossPhase::AwaitsPicture {
+                    certain, screened, ..
+                },
+                Evidence::GreyPicture(picture),
+            ) => self.look(picture, certain, screened),
+            (ExpectedLossPhase::AwaitsPicture { due, screened, .. }, _) if due => {
                 self.progress = ExpectedLossPhase::AwaitsDetections { screened };
                 Need::Detections
+            }
+            (ExpectedLossPhase::AwaitsPicture { .. }, _) => {
+                self.progress = ExpectedLossPhase::Skipped;
+                Need::Nothing
             }
             (
                 ExpectedLossPhase::AwaitsDetections { screened },
@@ -283,6 +388,9 @@ impl Policy for ExpectedLoss {
         if !detected {
             self.pause.skip(self.loss);
         }
+        if let Some(follower) = &mut self.follower {
+            follower.remember(self.objects.as_mut_slice());
+        }
         outcome.state = match self.progress {
             ExpectedLossPhase::Empty => FrameState::E,
             ExpectedLossPhase::Detected { screened: true } => FrameState::EI,
@@ -292,7 +400,9 @@ impl Policy for ExpectedLoss {
         };
         outcome.degraded = matches!(
             self.progress,
-            ExpectedLossPhase::AwaitsScreen | ExpectedLossPhase::AwaitsDetections { .. }
+            ExpectedLossPhase::AwaitsScreen
+                | ExpectedLossPhase::AwaitsPicture { due: true, .. }
+                | ExpectedLossPhase::AwaitsDetections { .. }
         );
         outcome.tau_max = self.tau_max;
         outcome.active = self.active;
@@ -303,6 +413,9 @@ impl Policy for ExpectedLoss {
         self.births = BirthRate::new(&self.settings.call);
         self.crowd = self.settings.call.crowd_prior;
         self.pause = Pause::START;
+        if let Some(follower) = &mut self.follower {
+            follower.clear();
+        }
         self.started = false;
         self.progress = ExpectedLossPhase::Skipped;
         self.tau_max = None;
