@@ -249,6 +249,7 @@ impl IngestWriter {
         }
         for ((waiting, batch), outcome) in waiting.into_iter().zip(batches).zip(committed.outcomes)
         {
+            setup.fleet.reported(&batch.node, now_ms());
             match outcome {
                 Outcome::Stored(number) => {
                     counters.batches(1);

@@ -171,21 +171,35 @@ impl Fleet {
         }
     }
 
+    /// Makes a node known that has sent reports and no status yet.
+    pub(crate) fn reported(&self, node: &str, now_ms: i64) {
+        if self.nodes.read().contains_key(node) {
+            return;
+        }
+        let mut nodes = self.nodes.write();
+        nodes
+            .entry(node.into())
+            .or_insert_with(|| Entry::new(now_ms));
+    }
+
     /// Looks at a tenth of the nodes for those that time made silent or offline.
     pub(crate) fn sweep(&self, now: Instant, now_ms: i64) {
         let mut swept = self.swept.lock();
         let mut nodes = self.nodes.write();
         let most = nodes.len() / 10 + 1;
-        let mut last = None;
-        let from = match swept.take() {
-            Some(name) => Excluded(name),
-            None => Unbounded,
-        };
-        for (name, entry) in nodes.range_mut::<Arc<str>, _>((from, Unbounded)).take(most) {
-            self.settle(name, entry, now, now_ms);
-            last = Some(Arc::clone(name));
+        // Behind the last one it begins anew.
+        for from in [swept.take().map_or(Unbounded, Excluded), Unbounded] {
+            let mut last = None;
+            let range = nodes.range_mut::<Arc<str>, _>((from, Unbounded));
+            for (name, entry) in range.take(most) {
+                self.settle(name, entry, now, now_ms);
+                last = Some(Arc::clone(name));
+            }
+            *swept = last;
+            if swept.is_some() {
+                break;
+            }
         }
-        *swept = last;
     }
 
     /// Judges, and notes a change.
