@@ -23,6 +23,8 @@ mod frame_formats;
 mod golden_traces;
 mod head_fixtures;
 mod http_api;
+#[cfg(feature = "hub")]
+mod hub_kills;
 mod node_frames;
 mod power_live;
 mod power_published;
