@@ -59,7 +59,7 @@ $(PYTHON_ENVIRONMENT): tests/requirements.txt
 	@touch $@
 
 debian: ## Debian packages the tests use, installed when missing and when allowed
-	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm
+	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql
 
 clean: ## remove what was built and fetched
 	cargo clean

@@ -38,6 +38,12 @@ for what in ${missing[@]+"${missing[@]}"}; do
     while read -r name; do skip+=(--skip "$name"); done < <(that_need "$what")
 done
 
+if ! command -v initdb > /dev/null && ! ls /usr/lib/postgresql/*/bin/initdb > /dev/null 2>&1; then
+    echo "no initdb: the tests that start PostgreSQL are skipped"
+    skip+=(--skip postgres_)
+    skipped=$((skipped + $(grep -rhc 'async fn postgres_' crates tests | awk '{ n += $1 } END { print n }')))
+fi
+
 log=$(mktemp)
 trap 'rm -f "$log" "$log.marked"' EXIT
 ALBIREO_SHARED=/nowhere ORT_DYLIB_PATH=/nowhere ALBIREO_PYTHON=/nowhere \

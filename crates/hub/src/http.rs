@@ -1,12 +1,27 @@
 //! The routes of a hub.
 
+mod clips;
+mod energy;
+mod events;
 mod health;
+mod metrics;
+mod nodes;
 
+use crate::config::HubConfig;
+use crate::desired::Desires;
+use crate::events::Events;
+use crate::ingest::IngestCounters;
+use crate::presence::{Fleet, ListenCounters};
 use crate::readiness::Readiness;
+use crate::store::{Store, StoreError};
 use albireo_service::http::Problem;
 use axum::Router;
+use axum::extract::Query;
+use axum::extract::rejection::QueryRejection;
+use axum::http::StatusCode;
 use axum::routing::get;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
+use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 use utoipa::{Modify, OpenApi as _};
 use utoipa_axum::router::OpenApiRouter;
@@ -17,6 +32,72 @@ use utoipa_axum::routes;
 pub struct HubView {
     /// Which parts do not work.
     pub readiness: Arc<Readiness>,
+    /// Every node.
+    pub fleet: Arc<Fleet>,
+    /// What is desired of the nodes.
+    pub desires: Arc<Desires>,
+    /// What ingest counts.
+    pub ingest: Arc<IngestCounters>,
+    /// What is heard and could not be taken.
+    pub listen: Arc<ListenCounters>,
+    /// Events as they happen.
+    pub events: Events,
+    /// Cancelled when the hub stops.
+    pub shutdown: CancellationToken,
+    store: Arc<OnceLock<Store>>,
+}
+
+impl HubView {
+    /// A hub that knows nobody yet.
+    pub fn new(config: &HubConfig, readiness: Arc<Readiness>, shutdown: CancellationToken) -> Self {
+        Self {
+            readiness,
+            fleet: Arc::new(Fleet::new(&config.presence)),
+            desires: Arc::default(),
+            ingest: Arc::default(),
+            listen: Arc::default(),
+            events: Events::new(),
+            shutdown,
+            store: Arc::default(),
+        }
+    }
+
+    /// Gives the routes the database, once it is open.
+    pub fn attach(&self, store: Store) {
+        // It is opened once.
+        let _ = self.store.set(store);
+    }
+
+    /// The database.
+    ///
+    /// # Errors
+    /// A problem document while it is not open yet.
+    pub fn store(&self) -> Result<&Store, Problem> {
+        self.store.get().ok_or_else(|| {
+            Problem::new(
+                StatusCode::SERVICE_UNAVAILABLE,
+                "the database is not open yet; /readyz says why",
+            )
+        })
+    }
+}
+
+/// The parameters of a query, or what is wrong with them.
+fn query<T>(parameters: Result<Query<T>, QueryRejection>) -> Result<T, Problem> {
+    match parameters {
+        Ok(Query(parameters)) => Ok(parameters),
+        Err(rejection) => Err(Problem::new(StatusCode::BAD_REQUEST, rejection.body_text())),
+    }
+}
+
+/// A database that does not answer, as a problem document.
+fn unavailable(error: &StoreError) -> Problem {
+    let status = if error.passes() {
+        StatusCode::SERVICE_UNAVAILABLE
+    } else {
+        StatusCode::INTERNAL_SERVER_ERROR
+    };
+    Problem::new(status, error.to_string())
 }
 
 #[derive(utoipa::OpenApi)]
@@ -50,6 +131,14 @@ fn described() -> OpenApiRouter<HubView> {
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
+        .routes(routes!(metrics::text))
+        .routes(routes!(nodes::list))
+        .routes(routes!(nodes::one))
+        .routes(routes!(clips::list))
+        .routes(routes!(clips::csv))
+        .routes(routes!(clips::set_aside))
+        .routes(routes!(energy::sums))
+        .routes(routes!(events::stream))
 }
 
 /// The OpenAPI document of a hub, as `/openapi.json` gives it.

@@ -1,0 +1,1 @@
+//! Tests of presence: the state function by table, and the fleet over time.

@@ -1,0 +1,9 @@
+//! Promises of the hub, over real Zenoh sessions and real databases. Tests named `postgres_…` start a server.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod support;
+
+mod history;
+mod ingest;
+mod presence;
