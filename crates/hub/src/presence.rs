@@ -13,5 +13,4 @@ pub(crate) use fleet::Remembered;
 pub use fleet::{Fleet, NodeView};
 pub use listen::ListenCounters;
 pub(crate) use listen::{ListenSetup, listen};
-pub(crate) use news::News;
 pub use state::{Facts, Limits, PresenceState, Token, judge};

@@ -12,7 +12,6 @@ pub(crate) struct Batch {
     pub(crate) node: String,
     pub(crate) instance: String,
     pub(crate) machine: Option<String>,
-    pub(crate) first: i64,
     pub(crate) last: i64,
     pub(crate) lost: i64,
     /// In the order of their numbers, which grow.
@@ -77,7 +76,6 @@ pub(crate) fn decode(node: &str, payload: &[u8]) -> Result<Batch, DecodeError> {
         node: received.node,
         instance: received.instance.to_ascii_lowercase(),
         machine: received.machine,
-        first,
         last,
         lost: i64::try_from(received.lost).unwrap_or(i64::MAX),
         reports,

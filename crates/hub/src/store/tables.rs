@@ -176,22 +176,6 @@ row! {
 }
 
 row! {
-    /// A change of a knob.
-    pub(crate) struct ChangeRow {
-        at_ms: i64,
-        node: String,
-        camera: String,
-        knob: String,
-        from_value: Option<String>,
-        to_value: Option<String>,
-        generation: i64,
-        who: String,
-        why: String,
-        outcome: String,
-    }
-}
-
-row! {
     /// Something that happened.
     pub(crate) struct EventRow {
         at_ms: i64,
