@@ -18,6 +18,7 @@ need "Python" "$ALBIREO_PYTHON" -c ""
 need "ffmpeg" command -v ffmpeg
 need "promtool" command -v promtool
 need "curl" command -v curl
+need "PostgreSQL" bash -c "command -v initdb || ls /usr/lib/postgresql/*/bin/initdb"
 
 # With the feature turbojpeg where it can be built; its tests are named scaled_…
 read -ra options <<< "--locked --workspace $(bash tests/features.sh)"
@@ -37,12 +38,6 @@ for what in ${missing[@]+"${missing[@]}"}; do
     echo "no $what: the tests that need it are skipped"
     while read -r name; do skip+=(--skip "$name"); done < <(that_need "$what")
 done
-
-if ! command -v initdb > /dev/null && ! ls /usr/lib/postgresql/*/bin/initdb > /dev/null 2>&1; then
-    echo "no initdb: the tests that start PostgreSQL are skipped"
-    skip+=(--skip postgres_)
-    skipped=$((skipped + $(grep -rhc 'async fn postgres_' crates tests | awk '{ n += $1 } END { print n }')))
-fi
 
 log=$(mktemp)
 trap 'rm -f "$log" "$log.marked"' EXIT

@@ -62,16 +62,7 @@ const METHOD: &[&str] = &[
 ];
 
 /// Dependencies laid for work under way, which the sources do not use yet: crate and dependency.
-const LAID: &[(&str, &str)] = &[
-    ("hub", "bytes"),
-    ("hub", "csv"),
-    ("hub", "futures-util"),
-    ("hub", "prometheus-client"),
-    ("hub", "reqwest"),
-    ("hub", "sqlx"),
-    ("service", "tempfile"),
-    ("service", "toml"),
-];
+const LAID: &[(&str, &str)] = &[("service", "tempfile"), ("service", "toml")];
 
 /// Pages that tell where things are.
 const PAGES: &[&str] = &["ARCHITECTURE.md", "CONTRIBUTING.md", "README.md"];

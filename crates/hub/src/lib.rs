@@ -10,10 +10,7 @@ pub mod ingest;
 pub mod presence;
 pub mod readiness;
 mod run;
-<<<<<<< HEAD
-pub mod tuning;
-=======
 pub mod store;
->>>>>>> 37abeca (wip)
+pub mod tuning;
 
 pub use run::run;

@@ -97,6 +97,7 @@ async fn sums_are_those_of_the_clips_and_qualities_are_never_added() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
 async fn postgres_sums_are_those_of_the_clips_and_qualities_are_never_added() {
     let server = Postgres::start();
     sums_are_exact(&server.url()).await;

@@ -50,6 +50,7 @@ async fn a_batch_that_comes_again_in_any_cut_is_stored_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
 async fn postgres_a_batch_that_comes_again_in_any_cut_is_stored_once() {
     let server = Postgres::start();
     taken_once(&server.url()).await;
@@ -240,6 +241,7 @@ async fn a_node_whose_clock_is_years_off_loses_nothing_and_is_counted() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
 async fn postgres_a_database_that_is_gone_holds_acknowledgements_back_and_loses_nothing() {
     let server = Postgres::start();
     let hub = Hub::start(config(&server.url())).await;

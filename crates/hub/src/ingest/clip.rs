@@ -98,7 +98,16 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
     let avoided_uj = match (energy_uj, detector_calls > 0 && duration_us > 0) {
         (Some(_), _) if avoided_calls == 0 => Some(0),
         (Some(energy_uj), true) => {
-            let watts = energy_uj as f64 / duration_us as f64;
+            // Joules are those of the covered time only.
+            let covered = if energy.is_whole() {
+                1.0
+            } else {
+                energy.coverage
+            };
+            if covered <= 0.0 {
+                return Err("energy without a share of the time that it is of".to_owned());
+            }
+            let watts = energy_uj as f64 / (duration_us as f64 * covered);
             let uj = avoided_calls as f64 * detector_mean_us as f64 * watts;
             (uj <= MOST_JOULES * 1e6).then_some(uj.round() as i64)
         }

@@ -147,7 +147,7 @@ fn gaps(batch: &Batch, instance: &Instance) -> (Vec<Gap>, i64) {
         }
         expected = expected.max(number + 1);
     }
-    let unknown = instance.next_report == 0 && instance.reports + instance.set_aside == 0;
+    let unknown = instance.next_report <= 1 && instance.reports + instance.set_aside == 0;
     let total: i64 = ranges.iter().map(|(first, last)| last - first + 1).sum();
     let lost = batch.lost.saturating_sub(instance.lost).max(0);
     let cause = if lost >= total {

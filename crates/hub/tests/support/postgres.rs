@@ -26,7 +26,7 @@ fn tools() -> PathBuf {
             versions.sort();
             versions.pop()
         })
-        .expect("PostgreSQL's initdb is not installed: `make debian`, or leave tests named postgres_ out")
+        .expect("PostgreSQL's initdb is not installed: `make debian`")
 }
 
 impl Postgres {

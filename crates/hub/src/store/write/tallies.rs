@@ -58,7 +58,7 @@ impl Writing<'_> {
         self.with(
             "INSERT INTO instances (node_id, instance, next_report, first_ms, last_ms, latest_started_ns, reports, \
              set_aside, missing, lost, conflicts) \
-             SELECT CAST(r.value ->> 0 AS BIGINT), CAST(r.value ->> 1 AS TEXT), 0, CAST(r.value ->> 2 AS BIGINT), \
+             SELECT CAST(r.value ->> 0 AS BIGINT), CAST(r.value ->> 1 AS TEXT), 1, CAST(r.value ->> 2 AS BIGINT), \
              CAST(r.value ->> 2 AS BIGINT), 0, 0, 0, 0, 0, 0 FROM {ROWS} WHERE true ON CONFLICT DO NOTHING",
             &rows,
         )
