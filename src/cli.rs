@@ -9,6 +9,8 @@ mod detect;
 #[cfg(feature = "eval")]
 pub mod eval;
 #[cfg(feature = "hub")]
+mod fleet;
+#[cfg(feature = "hub")]
 mod hub;
 mod node;
 mod power;
@@ -69,6 +71,9 @@ enum Command {
     #[cfg(feature = "hub")]
     /// Run a hub: a fleet's reports, presence and history.
     Hub(hub::Arguments),
+    #[cfg(feature = "hub")]
+    /// See and tune a fleet through its hub, from the terminal.
+    Fleet(Box<fleet::Arguments>),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
     /// Say what a detector is, and run it on pictures.
@@ -102,6 +107,8 @@ impl Arguments {
             Command::Node(arguments) => node::run(&arguments),
             #[cfg(feature = "hub")]
             Command::Hub(arguments) => hub::run(&arguments),
+            #[cfg(feature = "hub")]
+            Command::Fleet(arguments) => return fleet::run(*arguments),
             Command::Check(arguments) => check::run(&arguments),
             Command::Detect(arguments) => detect::run(&arguments),
             Command::Power(arguments) => power::run(&arguments),

@@ -2,9 +2,11 @@
 //! starts. Every key with its default is in `config/hub.toml`.
 
 mod sections;
+mod tuning;
 #[cfg(test)]
 mod tests;
 
+pub use tuning::{LocalChange, TuningConfig};
 pub use sections::{DatabaseConfig, HistoryConfig, HubSection, IngestConfig, PresenceConfig};
 
 use albireo_service::config::{
@@ -38,6 +40,8 @@ pub struct HubConfig {
     pub presence: PresenceConfig,
     /// How long history is kept.
     pub history: HistoryConfig,
+    /// How values are set.
+    pub tuning: TuningConfig,
     /// The log.
     pub log: LogConfig,
     /// Tokens of the HTTP interface beside `http.token`, one `[[token]]` each.
@@ -55,6 +59,7 @@ impl Default for HubConfig {
             ingest: IngestConfig::default(),
             presence: PresenceConfig::default(),
             history: HistoryConfig::default(),
+            tuning: TuningConfig::default(),
             log: LogConfig::default(),
             tokens: Vec::new(),
         }
@@ -111,7 +116,7 @@ impl HubConfig {
 
 impl Configuration for HubConfig {
     const SECTIONS: &'static [&'static str] = &[
-        "HUB", "ZENOH", "HTTP", "DATABASE", "INGEST", "PRESENCE", "HISTORY", "LOG", "TOKEN",
+        "HUB", "ZENOH", "HTTP", "DATABASE", "INGEST", "PRESENCE", "HISTORY", "TUNING", "LOG", "TOKEN",
     ];
 
     fn findings(&self) -> Vec<Finding> {
@@ -126,6 +131,7 @@ impl Configuration for HubConfig {
         self.ingest.check(&mut findings);
         self.presence.check(&mut findings);
         self.history.check(&mut findings);
+        self.tuning.check(&mut findings);
         self.log.check(&mut findings);
         findings.into_vec()
     }

@@ -1,11 +1,14 @@
 //! The routes of a hub.
 
+mod body;
+mod campaigns;
 mod clips;
 mod energy;
 mod events;
 mod health;
 mod metrics;
 mod nodes;
+mod threshold;
 
 use crate::config::HubConfig;
 use crate::desired::Desires;
@@ -14,6 +17,7 @@ use crate::ingest::IngestCounters;
 use crate::presence::{Fleet, ListenCounters};
 use crate::readiness::Readiness;
 use crate::store::{Store, StoreError};
+use crate::tuning::Tuner;
 use albireo_service::http::Problem;
 use axum::Router;
 use axum::extract::Query;
@@ -45,6 +49,7 @@ pub struct HubView {
     /// Cancelled when the hub stops.
     pub shutdown: CancellationToken,
     store: Arc<OnceLock<Store>>,
+    tuner: Arc<OnceLock<Arc<Tuner>>>,
 }
 
 impl HubView {
@@ -59,6 +64,7 @@ impl HubView {
             events: Events::new(),
             shutdown,
             store: Arc::default(),
+            tuner: Arc::default(),
         }
     }
 
@@ -66,6 +72,25 @@ impl HubView {
     pub fn attach(&self, store: Store) {
         // It is opened once.
         let _ = self.store.set(store);
+    }
+
+    /// Gives the routes what tunes the fleet, once it runs.
+    pub(crate) fn attach_tuner(&self, tuner: Arc<Tuner>) {
+        // It is started once.
+        let _ = self.tuner.set(tuner);
+    }
+
+    /// What tunes the fleet.
+    ///
+    /// # Errors
+    /// A problem document while it does not run yet.
+    pub(crate) fn tuner(&self) -> Result<&Arc<Tuner>, Problem> {
+        self.tuner.get().ok_or_else(|| {
+            Problem::new(
+                StatusCode::SERVICE_UNAVAILABLE,
+                "the hub is not ready yet; /readyz says why",
+            )
+        })
     }
 
     /// The database.
@@ -139,6 +164,16 @@ fn described() -> OpenApiRouter<HubView> {
         .routes(routes!(clips::set_aside))
         .routes(routes!(energy::sums))
         .routes(routes!(events::stream))
+        .routes(routes!(threshold::put))
+        .routes(routes!(threshold::changes))
+        .routes(routes!(threshold::change))
+        .routes(routes!(threshold::drift))
+        .routes(routes!(campaigns::rollouts, campaigns::begin_rollout))
+        .routes(routes!(campaigns::one_rollout))
+        .routes(routes!(campaigns::command_rollout))
+        .routes(routes!(campaigns::trials, campaigns::begin_trial))
+        .routes(routes!(campaigns::one_trial))
+        .routes(routes!(campaigns::end_trial))
 }
 
 /// The OpenAPI document of a hub, as `/openapi.json` gives it.

@@ -12,5 +12,5 @@ mod tests;
 pub(crate) use fleet::Remembered;
 pub use fleet::{Fleet, NodeView};
 pub use listen::ListenCounters;
-pub(crate) use listen::{ListenSetup, listen};
+pub(crate) use listen::{ListenSetup, Pokes, listen};
 pub use state::{Facts, Limits, PresenceState, Token, judge};

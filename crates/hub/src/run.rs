@@ -7,6 +7,7 @@ use crate::ingest::{IngestWriter, Intake, Replies, WriterSetup};
 use crate::presence::{ListenSetup, listen};
 use crate::readiness::Readiness;
 use crate::store::Store;
+use crate::tuning::{self, Tuner};
 use albireo_service::session;
 use anyhow::{Context, anyhow};
 use std::sync::Arc;
@@ -139,6 +140,17 @@ async fn parts(
         .callback(move |query| intake.take(query))
         .await
         .map_err(|error| anyhow!("reports cannot be taken: {error}"))?;
+    let tuner = Tuner::open(
+        store.clone(),
+        view.fleet.clone(),
+        Arc::clone(&view.desires),
+        listening.pokes.clone(),
+        config.tuning.clone(),
+        session.zid().to_string(),
+    );
+    let tuner = Arc::new(tuner.await?);
+    view.attach_tuner(Arc::clone(&tuner));
+    let tuning = tokio::spawn(tuning::follow(tuner, shutdown.clone()));
     // Who was known tells where it stands now, and not at its next period.
     for node in view.fleet.names() {
         listening
@@ -162,6 +174,7 @@ async fn parts(
     let stop = async {
         let _ = writing.await;
         let _ = following.await;
+        let _ = tuning.await;
         drop(listening);
         // The last answers go before the session does.
         let _ = tokio::task::spawn_blocking(move || replier.join()).await;

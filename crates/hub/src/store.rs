@@ -20,6 +20,8 @@ pub use read::{
     ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, InstanceView, Resolution, StoredClip,
     StoredEvent, StoredSetAside,
 };
+pub(crate) use rows::Key;
+pub(crate) use write::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, knob};
 pub(crate) use write::{Instance, Known, SetupKey, Writer, Writing};
 
 use crate::config::DatabaseConfig;

@@ -2,9 +2,11 @@
 
 mod names;
 mod tallies;
+mod tuning;
 
 pub(crate) use names::SetupKey;
 pub(crate) use tallies::{Instance, Known};
+pub(crate) use tuning::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, knob};
 
 use super::rows::{Row, insert, parameter};
 use super::{Dialect, Store, StoreError};

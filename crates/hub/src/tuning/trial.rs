@@ -23,12 +23,14 @@ const MOST_ARMS: usize = 20;
 const FEWEST_NODES: usize = 2;
 
 /// A comparison of values.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrialPlan {
     /// The values, two or more of one knob.
+    #[schema(value_type = Vec<std::collections::BTreeMap<String, f64>>)]
     pub values: Vec<KnobValue>,
     /// Which nodes.
+    #[schema(value_type = Vec<String>)]
     pub select: Selector,
     /// How long the values hold once the nodes have reported them, seconds.
     pub duration_s: f64,

@@ -116,12 +116,14 @@ pub enum OnFailure {
 }
 
 /// A change in stages.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, utoipa::ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RolloutPlan {
     /// Which nodes.
+    #[schema(value_type = Vec<String>)]
     pub select: Selector,
     /// How many nodes have the new value in each stage, all stages before included.
+    #[schema(value_type = Vec<String>)]
     pub stages: Vec<StageSize>,
     /// How long a stage is held before its gates are judged, seconds.
     pub soak_s: f64,
@@ -130,6 +132,7 @@ pub struct RolloutPlan {
     /// How far back the measurements before the change go, seconds.
     pub baseline_s: f64,
     /// What the change may cost.
+    #[schema(value_type = Vec<String>)]
     pub gates: Vec<Gate>,
     /// How sure a verdict is to be: 0.95 lets one of twenty be wrong on each side, over all looks at one gate.
     pub confidence: f64,
