@@ -7,3 +7,4 @@ mod support;
 mod history;
 mod ingest;
 mod presence;
+mod tuning;
