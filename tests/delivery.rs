@@ -339,10 +339,17 @@ async fn a_node_starts_without_its_router_answers_health_and_survives_its_replac
         .await
         .unwrap();
     assert!(health.status().is_success());
-    let ready = reqwest::get(format!("{}/readyz", node.http)).await.unwrap();
-    assert_eq!(ready.status(), 503);
-    let reasons = ready.text().await.unwrap();
-    assert!(reasons.contains("router cannot be reached"), "{reasons}");
+    let start = Instant::now();
+    let reasons = loop {
+        let ready = reqwest::get(format!("{}/readyz", node.http)).await.unwrap();
+        assert_eq!(ready.status(), 503);
+        let reasons = ready.text().await.unwrap();
+        if reasons.contains("router cannot be reached") {
+            break reasons;
+        }
+        assert!(start.elapsed() < PATIENCE, "{reasons}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    };
     assert!(!reasons.contains(".rs:"), "{reasons}");
 
     let router = hub::router(&endpoint).await;

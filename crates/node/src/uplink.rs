@@ -307,7 +307,7 @@ impl Worker {
             }
         };
         let timeout = Duration::from_millis(self.setup.config.answer_timeout_ms);
-        match ask::<ReportAnswer>(reports, payload, timeout) {
+        match ask::<ReportAnswer>(reports, payload, timeout, (&self.stop, LAST_TRY)) {
             Asked::Answered(answer) => {
                 self.last_answer = Instant::now();
                 let taken = self.setup.outbox.acknowledge(&batch, answer.stored);
@@ -388,7 +388,7 @@ impl Worker {
             return;
         };
         let timeout = Duration::from_millis(self.setup.config.answer_timeout_ms);
-        match ask::<Desired>(pulls, json, timeout) {
+        match ask::<Desired>(pulls, json, timeout, (&self.stop, LAST_TRY)) {
             Asked::Answered(desired) => {
                 self.pull_due = false;
                 self.last_answer = Instant::now();

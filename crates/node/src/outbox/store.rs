@@ -409,14 +409,26 @@ impl Store {
     ) -> Result<(), StoreError> {
         self.check()?;
         let transaction = self.db.transaction()?;
+        let mut bytes = self.waiting.bytes;
         {
+            let mut length = transaction
+                .prepare("SELECT length(json) FROM report WHERE instance = ? AND number = ?")?;
             let mut update = transaction
                 .prepare("UPDATE report SET json = ? WHERE instance = ? AND number = ?")?;
             for (number, json) in reports {
-                update.execute(params![json, instance.id, signed(*number)])?;
+                let before = length
+                    .query_row(params![instance.id, signed(*number)], |row| {
+                        unsigned(row, 0)
+                    })
+                    .optional()?;
+                if let Some(before) = before {
+                    update.execute(params![json, instance.id, signed(*number)])?;
+                    bytes = (bytes + json.len() as u64).saturating_sub(before);
+                }
             }
         }
         transaction.commit()?;
+        self.waiting.bytes = bytes;
         Ok(())
     }
 
@@ -481,8 +493,8 @@ impl Store {
             params![instance, signed(upto)],
         )?;
         transaction.commit()?;
-        self.waiting.reports -= reports;
-        self.waiting.bytes -= bytes;
+        self.waiting.reports = self.waiting.reports.saturating_sub(reports);
+        self.waiting.bytes = self.waiting.bytes.saturating_sub(bytes);
         Ok(())
     }
 
@@ -540,7 +552,7 @@ impl Store {
                     }
                     continue;
                 }
-                bytes -= unsigned(row, 3)?;
+                bytes = bytes.saturating_sub(unsigned(row, 3)?);
                 chosen.push((instance, number));
             }
             drop(rows);

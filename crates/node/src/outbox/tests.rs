@@ -414,3 +414,32 @@ fn reports_whose_numbers_another_has_taken_get_a_new_instance() {
     assert!(outbox.conflict(&batch));
     assert_eq!(clips(&outbox.batch("n").unwrap()), ["window-4"]);
 }
+
+#[test]
+fn a_report_that_grows_by_its_energy_is_counted_with_its_size() {
+    let bench = Bench::new();
+    let outbox = bench.open();
+    for clip in 0..3 {
+        let mut reports = [report(clip)];
+        outbox.keep(&mut reports);
+        reports[0].policy = "a longer name than the one it was kept with".into();
+        outbox.settle(&reports);
+        let batch = outbox.batch("n").unwrap();
+        let state = outbox.0.state.lock();
+        let waiting = state.store.as_ref().unwrap().waiting();
+        assert_eq!(
+            waiting.bytes,
+            serde_json::to_vec(&reports[0]).unwrap().len() as u64
+        );
+        drop(state);
+        assert_eq!(
+            outbox.acknowledge(&batch, clip + 1),
+            Acknowledged::Removed(1)
+        );
+        let state = outbox.0.state.lock();
+        assert_eq!(
+            state.store.as_ref().unwrap().waiting(),
+            store::Waiting::default()
+        );
+    }
+}

@@ -2,6 +2,7 @@
 
 use albireo_wire::{ReportRefusal, read};
 use serde::de::DeserializeOwned;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{RecvTimeoutError, channel};
 use std::time::{Duration, Instant};
 use zenoh::Wait;
@@ -17,11 +18,15 @@ pub(super) enum Asked<T> {
     Nobody(String),
 }
 
-/// Asks, and waits for the first answer.
+/// How often is looked whether the node stops.
+const GLANCE: Duration = Duration::from_millis(100);
+
+/// Asks, and waits for the first answer; once `stop` is set no longer than `patience`.
 pub(super) fn ask<T: DeserializeOwned>(
     querier: &Querier<'_>,
     payload: Vec<u8>,
     timeout: Duration,
+    (stop, patience): (&AtomicBool, Duration),
 ) -> Asked<T> {
     let (sender, replies) = channel();
     let sent = querier
@@ -37,11 +42,19 @@ pub(super) fn ask<T: DeserializeOwned>(
     }
     let until = Instant::now() + timeout;
     let mut reason = "no reply".to_owned();
+    let mut stopped = None;
     loop {
-        let reply = match replies.recv_timeout(until.saturating_duration_since(Instant::now())) {
+        let now = Instant::now();
+        if stop.load(Ordering::Acquire) && stopped.is_none() {
+            stopped = Some(now + patience);
+        }
+        if now >= until || stopped.is_some_and(|until| now >= until) {
+            return Asked::Nobody("no reply in time".to_owned());
+        }
+        let reply = match replies.recv_timeout(GLANCE.min(until - now)) {
             Ok(reply) => reply,
             Err(RecvTimeoutError::Disconnected) => return Asked::Nobody(reason),
-            Err(RecvTimeoutError::Timeout) => return Asked::Nobody("no reply in time".to_owned()),
+            Err(RecvTimeoutError::Timeout) => continue,
         };
         match reply.result() {
             Ok(sample) => match read::<T>(&sample.payload().to_bytes()) {
