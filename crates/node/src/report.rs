@@ -1,4 +1,4 @@
-//! From closed clips to published reports. Each camera has a accounts that keeps its books; behind the accounts a
+//! From closed clips to published reports. Each camera's loop keeps its accounts; behind them a
 //! task adds the energy, publishes the report, and keeps what nobody has taken yet.
 
 use super::board::Board;
@@ -27,7 +27,7 @@ pub(crate) struct ClipAccounts {
 }
 
 impl ClipAccounts {
-    /// A accounts with empty books, and the end a [`Reporter`] takes closed clips from.
+    /// Accounts with empty books, and the end a [`Reporter`] takes closed clips from.
     pub(crate) fn new(
         books: ClipTracker,
         share: CameraShare,
@@ -114,7 +114,7 @@ pub(crate) struct Reporter {
 }
 
 impl Reporter {
-    /// Reports until the accounts is gone and its last clip is out.
+    /// Reports until the accounts are gone and their last clip is out.
     pub(crate) async fn run(mut self, mut clips: mpsc::UnboundedReceiver<ClosedClip>) {
         let listener = match self.publisher.matching_listener().await {
             Ok(listener) => listener,
