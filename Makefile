@@ -21,17 +21,17 @@ demo: onnxruntime ## camera, node and live output in one process, with nothing t
 test: onnxruntime python debian ## fetch what the tests need and run them all
 	@bash tests/run.sh
 
-lint: ## formatting and clippy, as the continuous integration does
+lint: ## formatting and clippy of every combination of features that is shipped, as the continuous integration does
 	cargo fmt --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
+	cargo clippy --locked --no-default-features -- -D warnings
 	cargo clippy --locked --workspace --all-targets $$(bash tests/features.sh) -- -D warnings
 
 bench: onnxruntime ## the benches, optimised (takes a while the first time)
 	cargo bench --locked
 
-bench-peers: ## the decision core beside other trackers, and average precision up to a million boxes
-	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml --bin trackers
-	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml --bin average_precision
+bench-peers: ## the decision core beside other trackers
+	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
 
 parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
 	cargo build --locked
@@ -59,7 +59,7 @@ $(PYTHON_ENVIRONMENT): tests/requirements.txt
 	@touch $@
 
 debian: ## Debian packages the tests use, installed when missing and when allowed
-	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm
+	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql
 
 clean: ## remove what was built and fetched
 	cargo clean

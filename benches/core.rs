@@ -3,89 +3,18 @@
 
 #![allow(clippy::expect_used)]
 
-use albireo_core::detection::{ClassId, Detection};
-use albireo_core::geometry::{BoundingBox, PictureSize};
+use albireo_bench_scene::{PICTURE, Scene};
+use albireo_core::detection::Detection;
 use albireo_core::policy::{
-    Albireo, AlbireoSettings, Evidence, ExpectedLoss, ExpectedLossSettings, FrameHead, Need,
-    Outcome, Policy, Profile, Trigger,
+    Albireo, AlbireoSettings, ExpectedLoss, ExpectedLossSettings, FrameEvidence, FrameHead,
+    Outcome, Policy, Profile, Trigger, decide_at_once,
 };
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
-use rand_core::{RngCore, SeedableRng};
-use rand_pcg::Pcg64Mcg;
 use std::time::{Duration, Instant};
 
-const PICTURE: PictureSize = PictureSize::new(1280, 720);
 const OBJECTS: [usize; 5] = [1, 10, 30, 100, 300];
 /// So few that no uncertainty grows to the highest threshold.
 const PREDICTED_IN_A_ROW: u64 = 15;
-
-/// Boxes that wander about slowly, with noise and now and then a miss, as a detector would report them.
-struct Scene {
-    boxes: Vec<(BoundingBox, [f64; 2])>,
-    random: Pcg64Mcg,
-}
-
-impl Scene {
-    fn new(objects: usize) -> Self {
-        let mut scene = Self {
-            boxes: Vec::new(),
-            random: Pcg64Mcg::seed_from_u64(7),
-        };
-        for _ in 0..objects {
-            let x = scene.between(0.05, 0.95);
-            let y = scene.between(0.05, 0.95);
-            let side = scene.between(0.03, 0.12);
-            let velocity = [scene.between(-2e-3, 2e-3), scene.between(-2e-3, 2e-3)];
-            let b = BoundingBox::new(x, y, side, side);
-            scene.boxes.push((b, velocity));
-        }
-        scene
-    }
-
-    fn between(&mut self, low: f64, high: f64) -> f64 {
-        low + (high - low) * (self.random.next_u64() >> 11) as f64 / (1u64 << 53) as f64
-    }
-
-    /// Moves on by one frame, and sees every object but `missed` of them.
-    fn detections(&mut self, missed: usize) -> Vec<Detection> {
-        for (b, velocity) in &mut self.boxes {
-            for (value, step) in [&mut b.center_x, &mut b.center_y].into_iter().zip(velocity) {
-                if !(0.05..0.95).contains(&(*value + *step)) {
-                    *step = -*step;
-                }
-                *value += *step;
-            }
-        }
-        let skip = (self.random.next_u64() % self.boxes.len() as u64) as usize;
-        let count = self.boxes.len();
-        let mut seen = Vec::new();
-        for index in 0..count {
-            if (index + skip) % count < missed {
-                continue;
-            }
-            let b = self.boxes[index].0;
-            let mut noise = || self.between(-1e-3, 1e-3);
-            seen.push(Detection {
-                bounding_box: BoundingBox::new(
-                    b.center_x + noise(),
-                    b.center_y + noise(),
-                    b.width + noise(),
-                    b.height + noise(),
-                ),
-                class: ClassId((index % 7) as u16),
-                confidence: 0.9,
-            });
-        }
-        // The detector's order says nothing of which object is which.
-        for index in (1..seen.len()).rev() {
-            seen.swap(
-                index,
-                (self.random.next_u64() % (index as u64 + 1)) as usize,
-            );
-        }
-        seen
-    }
-}
 
 /// A policy at work.
 struct Camera<P> {
@@ -105,20 +34,14 @@ impl<P: Policy> Camera<P> {
 
     fn frame(&mut self, detections: &[Detection]) {
         self.index += 1;
-        let mut need = self.policy.begin(FrameHead {
+        let head = FrameHead {
             // Never a multiple of the periodic cap.
             index: self.index % 29 + 1,
             step: 1,
             picture: PICTURE,
-        });
-        loop {
-            need = match need {
-                Need::Nothing => break,
-                Need::Screen => self.policy.answer(Evidence::Screen { empty: false }),
-                _ => self.policy.answer(Evidence::Detections(detections)),
-            };
-        }
-        self.policy.finish(&mut self.outcome);
+        };
+        let mut known = FrameEvidence::in_view(detections);
+        let Ok(()) = decide_at_once(&mut self.policy, head, &mut known, &mut self.outcome);
     }
 }
 
@@ -146,9 +69,8 @@ fn frames(criterion: &mut Criterion) {
 fn detector_frames<P: Policy + Clone>(criterion: &mut Criterion, name: &str, policy: &P) {
     let mut group = criterion.benchmark_group(format!("detector_frame/{name}"));
     for objects in OBJECTS {
-        let mut scene = Scene::new(objects);
         let mut camera = Camera::new(policy.clone());
-        let recorded: Vec<_> = (0..400).map(|_| scene.detections(objects / 20)).collect();
+        let recorded = Scene::new(objects).film(400, objects / 20);
         for detections in &recorded {
             camera.frame(detections);
         }
@@ -173,10 +95,8 @@ fn predicted_frames<P: Policy + Clone>(
 ) {
     let mut group = criterion.benchmark_group(format!("predicted_frame/{name}"));
     for objects in OBJECTS {
-        let mut scene = Scene::new(objects);
         let mut camera = Camera::new(policy.clone());
-        for _ in 0..10 {
-            let detections = scene.detections(0);
+        for detections in Scene::new(objects).film(10, 0) {
             camera.frame(&detections);
         }
         let turned = camera.policy.set_knob(highest);

@@ -8,23 +8,30 @@ mod demo;
 mod detect;
 #[cfg(feature = "eval")]
 pub mod eval;
+#[cfg(feature = "hub")]
+mod fleet;
+#[cfg(feature = "hub")]
+mod hub;
 mod node;
 mod power;
 #[cfg(feature = "eval")]
 pub mod replay;
+#[cfg(feature = "simulate")]
+mod simulate;
+mod size;
 #[cfg(feature = "synth")]
 pub mod synth;
 
 use albireo_node::detector::end_all_sessions;
-use albireo_service::signals;
 use anyhow::Context;
 use clap::{Parser, Subcommand};
 use std::process::ExitCode;
 use std::time::Duration;
 
 /// How long threads that are still at work may take when everything else has ended.
-const STRAGGLERS: Duration = Duration::from_secs(1);
+const STRAGGLERS: Duration = Duration::from_millis(500);
 
+#[cfg(feature = "eval")]
 const EXAMPLES: &str = "\
 Examples:
   albireo demo                           everything at once, with nothing to configure
@@ -33,8 +40,21 @@ Examples:
   albireo power                          say which power meters work here
   albireo compare                        see what each policy costs and finds here
   albireo node --config config/node.toml run a node
+  albireo hub --config config/hub.toml   run the hub of a fleet
   albireo replay drive.mp4               play a video to it as a camera
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
+
+#[cfg(not(feature = "eval"))]
+const EXAMPLES: &str = "\
+Examples:
+  albireo check config/node.toml         say what is wrong with a configuration
+  albireo detect model.onnx frame.jpg    say what a detector is and what it finds
+  albireo power                          say which power meters work here
+  albireo node --config config/node.toml run a node
+  ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name
+
+This program was built for a board, without the feature `eval`: demo, replay, compare and eval are in a program
+built with it, which can play a camera to this node from another machine.";
 
 /// An adaptive efficiency layer around an unchanged video object detector, for nodes on the edge.
 #[derive(Debug, Parser)]
@@ -48,6 +68,12 @@ pub struct Arguments {
 enum Command {
     /// Run a node: frames in, detections and clip reports out.
     Node(node::Arguments),
+    #[cfg(feature = "hub")]
+    /// Run a hub: a fleet's reports, presence and history.
+    Hub(hub::Arguments),
+    #[cfg(feature = "hub")]
+    /// See and tune a fleet through its hub, from the terminal.
+    Fleet(Box<fleet::Arguments>),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
     /// Say what a detector is, and run it on pictures.
@@ -66,6 +92,9 @@ enum Command {
     #[cfg(feature = "synth")]
     /// Write the synthetic dashcam's pictures with their ground truth into a folder.
     Synth(synth::SynthArguments),
+    #[cfg(feature = "simulate")]
+    /// Play a fleet of nodes to a hub: load, outages, reactions to what is desired.
+    Simulate(Box<simulate::Arguments>),
     #[cfg(feature = "eval")]
     /// Run a camera and a node in one process, with nothing to configure.
     Demo(demo::Arguments),
@@ -76,6 +105,10 @@ impl Arguments {
     pub fn run(self) -> ExitCode {
         let ended = match self.command {
             Command::Node(arguments) => node::run(&arguments),
+            #[cfg(feature = "hub")]
+            Command::Hub(arguments) => hub::run(&arguments),
+            #[cfg(feature = "hub")]
+            Command::Fleet(arguments) => return fleet::run(*arguments),
             Command::Check(arguments) => check::run(&arguments),
             Command::Detect(arguments) => detect::run(&arguments),
             Command::Power(arguments) => power::run(&arguments),
@@ -83,13 +116,16 @@ impl Arguments {
             Command::Compare(arguments) => block_on(compare::run(arguments)),
             #[cfg(feature = "eval")]
             Command::Replay(arguments) => block_on(async {
-                let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+                let shutdown = albireo_service::signals::shutdown()
+                    .context(albireo_service::signals::CONTEXT)?;
                 replay::run(arguments, shutdown).await.map(drop)
             }),
             #[cfg(feature = "eval")]
             Command::Eval(arguments) => eval::run(&arguments),
             #[cfg(feature = "synth")]
             Command::Synth(arguments) => synth::run(&arguments),
+            #[cfg(feature = "simulate")]
+            Command::Simulate(arguments) => block_on(simulate::run(*arguments)),
             #[cfg(feature = "eval")]
             Command::Demo(arguments) => block_on(demo::run(arguments)),
         };

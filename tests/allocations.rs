@@ -6,7 +6,8 @@
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
-    Evidence, FrameHead, FrameState, GreyPicture, Need, Outcome, Policy, PolicyConfig, Profile,
+    FrameEvidence, FrameHead, FrameState, GreyPicture, Outcome, Policy, PolicyConfig, Profile,
+    decide_at_once,
 };
 use std::collections::BTreeMap;
 
@@ -56,22 +57,18 @@ fn period(policy: &mut dyn Policy, outcome: &mut Outcome, start: usize) -> Vec<(
         .collect();
     let mut counted = Vec::with_capacity(PERIOD);
     for (offset, (found, pixels)) in film.iter().enumerate() {
-        let before = dhat::HeapStats::get().total_blocks;
-        let mut need = policy.begin(FrameHead {
+        let head = FrameHead {
             index: (start + offset) as u64,
             step: 1,
             picture: PictureSize::new(1280, 720),
-        });
-        while need != Need::Nothing {
-            need = policy.answer(match need {
-                Need::Screen => Evidence::Screen {
-                    empty: offset % 7 == 0,
-                },
-                Need::GreyPicture => Evidence::GreyPicture(GreyPicture { size: GREY, pixels }),
-                Need::Detections | Need::Nothing => Evidence::Detections(found),
-            });
-        }
-        policy.finish(outcome);
+        };
+        let mut known = FrameEvidence {
+            empty: Some(offset % 7 == 0),
+            grey: Some(GreyPicture { size: GREY, pixels }),
+            detections: Some(found),
+        };
+        let before = dhat::HeapStats::get().total_blocks;
+        let Ok(()) = decide_at_once(policy, head, &mut known, outcome);
         let after = dhat::HeapStats::get().total_blocks;
         counted.push((outcome.state, after - before));
     }

@@ -25,6 +25,33 @@ fn check_accepts_the_shipped_configuration() {
 }
 
 #[test]
+fn check_says_what_it_did_not_look_at() {
+    let output = albireo(
+        &["check", "config/node.toml"],
+        &[("ALBIREO_DETECTOR__MODEL", "/nowhere/model.onnx")],
+    );
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let said = text(&output.stdout);
+    assert!(said.contains("Not looked at: whether models"), "{said}");
+}
+
+#[test]
+fn a_token_that_can_be_guessed_is_refused_in_words_by_check_and_at_the_start() {
+    for arguments in [
+        ["check", "config/node.toml"].as_slice(),
+        &["node", "--config", "config/node.toml"],
+    ] {
+        let output = albireo(arguments, &[("ALBIREO_HTTP__TOKEN", "secret")]);
+        assert_eq!(output.status.code(), Some(1));
+        let said = text(&output.stderr);
+        assert!(
+            said.contains("http.token: has fewer than 16 characters"),
+            "{said}"
+        );
+    }
+}
+
+#[test]
 fn check_names_file_key_and_reason_and_exits_1() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("bad.toml");
@@ -68,7 +95,16 @@ fn environment_variables_override_the_file_and_are_named_when_wrong() {
         text(&output.stderr)
     );
     for (name, value, expected) in [
-        ("ALBIREO_CLIP__WINDOW_S", "soon", "clip.window_s: must be"),
+        (
+            "ALBIREO_CLIP__WINDOW_S",
+            "soon",
+            "clip.window_s: must be a number",
+        ),
+        (
+            "ALBIREO_CLIP__WINDOW_S",
+            "-1",
+            "(from `ALBIREO_` environment variable(s))",
+        ),
         ("ALBIREO_CLIP__WINDOW", "1", "clip.window: unknown key"),
         ("ALBIREO_CLIP_WINDOW_S", "1", "ALBIREO_CLIP__WINDOW_S"),
         (

@@ -71,6 +71,7 @@ fn written(folder: &Path, output: &Output) -> Value {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_marked_estimated() {
     let folder = tempfile::tempdir().unwrap();
     let config = configuration(folder.path(), "source = \"estimate\"");
@@ -136,6 +137,7 @@ async fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn the_boards_own_meter_is_read_in_every_run() {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("tegrastats");

@@ -61,6 +61,7 @@ async fn refusal(config: DetectorConfig) -> String {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn an_export_with_open_batch_and_size_is_run_at_the_size_of_its_metadata() {
     let network = DetectorNetwork::open(&config("yolo_open.onnx")).unwrap();
     assert_eq!(network.head(), HeadName::Yolo);
@@ -81,6 +82,7 @@ async fn an_export_with_open_batch_and_size_is_run_at_the_size_of_its_metadata()
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn float16_and_bytes_with_colours_last_give_what_float32_gives() {
     for name in ["yolo_float16.onnx", "yolo_bytes.onnx"] {
         let detector = started(&named(name)).await;
@@ -97,6 +99,7 @@ async fn float16_and_bytes_with_colours_last_give_what_float32_gives() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn classes_are_filtered_and_renamed_as_configured() {
     // By default only the classes of BDD100K: a traffic light is none.
     let detector = started(&config("yolo_open.onnx")).await;
@@ -115,6 +118,7 @@ async fn classes_are_filtered_and_renamed_as_configured() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn impossible_unknown_and_outside_boxes_are_counted_and_the_sound_one_is_reported() {
     let detector = started(&config("end_to_end.onnx")).await;
     let found = detected(&detector, [230, 0, 0]).await;
@@ -128,6 +132,7 @@ async fn impossible_unknown_and_outside_boxes_are_counted_and_the_sound_one_is_r
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn more_boxes_than_the_cap_are_counted_and_the_cap_holds() {
     let detector = started(&config("crowd.onnx")).await;
     let found = detected(&detector, [204, 0, 0]).await;
@@ -143,6 +148,7 @@ async fn more_boxes_than_the_cap_are_counted_and_the_cap_holds() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_model_that_changes_its_output_shape_fails_that_frame_and_works_on_the_next() {
     let detector = started(&config("changing.onnx")).await;
     assert!(detected(&detector, [51, 0, 0]).await.detections.is_empty());
@@ -163,6 +169,7 @@ async fn a_model_that_changes_its_output_shape_fails_that_frame_and_works_on_the
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_hostile_or_unsupported_file_is_refused_with_what_is_wrong() {
     for (name, parts) in [
         ("wrong_opset.onnx", &["cannot be loaded", "opset"][..]),
@@ -187,6 +194,7 @@ async fn a_hostile_or_unsupported_file_is_refused_with_what_is_wrong() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_model_whose_classes_nobody_names_is_refused() {
     let error = refusal(config("yolo_float16.onnx")).await;
     assert!(

@@ -73,6 +73,7 @@ fn assert_found(
 }
 
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ../shared and ONNX Runtime and ffmpeg"]
 async fn shared_yolox_finds_the_two_cars_of_its_readme() {
     let size = PictureSize::new(720, 576);
     let detector = DetectorHandle::start(&DetectorConfig {
@@ -93,6 +94,7 @@ async fn shared_yolox_finds_the_two_cars_of_its_readme() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ../shared and ONNX Runtime and ffmpeg"]
 async fn shared_fastestdet_finds_the_two_cars_of_its_readme() {
     let size = PictureSize::new(720, 576);
     let detector = DetectorHandle::start(&DetectorConfig {
@@ -114,6 +116,7 @@ async fn shared_fastestdet_finds_the_two_cars_of_its_readme() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ../shared and ONNX Runtime and ffmpeg"]
 async fn shared_the_upstream_screen_gives_the_logits_of_its_readme() {
     let size = PictureSize::new(768, 432);
     let screen = ScreenHandle::start(

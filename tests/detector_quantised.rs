@@ -65,6 +65,7 @@ fn median(values: &mut [f64]) -> f64 {
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn a_quantised_export_is_recognised_with_the_classes_of_the_model_it_was_made_from() {
     let [float, quantised] = [
         "models/detector.onnx",
@@ -83,6 +84,7 @@ fn a_quantised_export_is_recognised_with_the_classes_of_the_model_it_was_made_fr
 /// 8-bit dot products (VNNI). Without them ONNX Runtime adds pairs of products in 16 bits, which saturates: on such a
 /// machine 3 of 141 are missed.
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn a_quantised_export_finds_what_the_model_it_was_made_from_finds() {
     let mut float = network("models/detector.onnx", FOUND);
     let mut quantised = network("tests/fixtures/models/detector_int8.onnx", FOUND);

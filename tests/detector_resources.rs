@@ -15,6 +15,7 @@ use tokio::time::timeout;
 const CAMERA: CameraSlot = CameraSlot(0);
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_run_without_enough_memory_is_counted_and_the_next_picture_is_answered() {
     let detector = DetectorHandle::start(&DetectorConfig {
         confidence: 0.3,
@@ -56,6 +57,7 @@ async fn a_run_without_enough_memory_is_counted_and_the_next_picture_is_answered
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_model_that_needs_more_memory_than_there_is_is_refused_with_its_name_and_why() {
     let error = match DetectorHandle::start(&config("starving.onnx")).await {
         Ok(_) => panic!("it was accepted"),
@@ -72,6 +74,7 @@ async fn a_model_that_needs_more_memory_than_there_is_is_refused_with_its_name_a
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn an_input_of_signed_bytes_is_refused_with_what_is_taken() {
     let error = match DetectorHandle::start(&config("yolo_signed.onnx")).await {
         Ok(_) => panic!("it was accepted"),
@@ -87,6 +90,7 @@ async fn an_input_of_signed_bytes_is_refused_with_what_is_taken() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_node_whose_model_never_finishes_loading_stops_when_told() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("node.toml");

@@ -22,6 +22,7 @@ async fn refusal(config: DetectorConfig) -> String {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
     let detector = DetectorHandle::start(&config("demonstration.onnx"))
         .await
@@ -68,6 +69,7 @@ async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn only_the_classes_to_report_are_reported() {
     let only = |names: &[&str]| DetectorConfig {
         report_classes: Some(names.iter().map(|&name| name.to_owned()).collect()),
@@ -87,6 +89,7 @@ async fn only_the_classes_to_report_are_reported() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_model_that_no_head_or_not_the_named_one_reads_is_refused_with_what_was_looked_for() {
     let error = refusal(config("screen.onnx")).await;
     for part in [
@@ -118,6 +121,7 @@ async fn a_model_that_no_head_or_not_the_named_one_reads_is_refused_with_what_wa
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_truncated_missing_or_foreign_file_is_refused_with_its_name() {
     let text = DetectorConfig {
         model: model("make_models.py"),
@@ -134,6 +138,7 @@ async fn a_truncated_missing_or_foreign_file_is_refused_with_its_name() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_missing_provider_is_an_error_unless_the_list_may_fall_back() {
     use ExecutionProvider::{Cpu, Cuda, TensorRt};
     for (providers, named) in [(vec![Cuda, Cpu], "`cuda`"), (vec![TensorRt], "`tensorrt`")] {
@@ -170,6 +175,7 @@ async fn a_missing_provider_is_an_error_unless_the_list_may_fall_back() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn numbers_that_are_none_are_counted_and_reported_as_nothing() {
     let detector = DetectorHandle::start(&config("not_a_number.onnx"))
         .await
@@ -184,6 +190,7 @@ async fn numbers_that_are_none_are_counted_and_reported_as_nothing() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_picture_with_too_few_bytes_fails_alone() {
     let detector = DetectorHandle::start(&config("demonstration.onnx"))
         .await
@@ -204,6 +211,7 @@ async fn a_picture_with_too_few_bytes_fails_alone() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn the_screen_says_empty_as_its_class_and_colour_order_have_it() {
     // The fixture calls a picture empty while the mean of its first plane is below one half.
     let screen = |color_order, empty_class| ScreenConfig {
@@ -276,6 +284,7 @@ async fn a_number_that_cannot_be_is_refused_with_its_key() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_detector_is_refused_as_a_screen() {
     let config = ScreenConfig {
         model: Some(model("demonstration.onnx")),

@@ -102,6 +102,7 @@ fn parsed_by_prometheus(metrics: &str) -> BTreeMap<String, u64> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ../shared and ONNX Runtime and Python and ffmpeg"]
 async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
     let node = Node::start(&yolox_settings("albireo")).await;
     let mut client = Client::listen(&node.zenoh, "albireo/bench/front/*", false).await;
@@ -186,6 +187,7 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ../shared and ONNX Runtime and Python and ffmpeg"]
 async fn shared_the_check_values_of_yolox_nano_come_out_at_the_far_end() {
     let node = Node::start(&yolox_settings("vanilla")).await;
     let mut client = Client::listen(&node.zenoh, "albireo/bench/front/*", false).await;

@@ -90,6 +90,7 @@ fn compare(what: &str, predictions: &[Vec<ScoredBox>], truth: &[Vec<TruthBox>], 
 }
 
 #[test]
+#[ignore = "needs Python"]
 fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
     let mut random = rand_pcg::Pcg64Mcg::seed_from_u64(7);
     let mut uniform = move || (random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
@@ -135,6 +136,7 @@ fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
 }
 
 #[test]
+#[ignore = "needs ../shared and Python"]
 fn shared_python_recorded_detections_score_as_in_pycocotools() {
     let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
     let mut cases: Vec<Case> = Vec::new();

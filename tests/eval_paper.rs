@@ -23,6 +23,7 @@ fn assert_rounds(what: &str, value: f64, expected: f64, digits: i32) {
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_the_papers_main_table_is_recomputed_from_its_clips() {
     let table = table(&rows());
     let [vanilla, albireo] = &table[..] else {
@@ -90,6 +91,7 @@ fn shared_the_papers_main_table_is_recomputed_from_its_clips() {
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_the_papers_edp_is_not_its_own_definitions() {
     let table = table(&rows());
     let (vanilla, albireo) = (&table[0].edp, &table[1].edp);
@@ -120,6 +122,7 @@ fn shared_the_papers_edp_is_not_its_own_definitions() {
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_the_shipped_model_of_agx_thor_is_the_fit_it_says_it_is() {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("config/energy/agx-thor.toml");
     let shipped = EnergyModel::load(&path).expect("the shipped model");

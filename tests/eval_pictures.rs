@@ -9,7 +9,6 @@ use crate::support::shared;
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::Profile;
-use albireo_eval::average_precision::{Classes, Interpolation};
 use albireo_eval::data::{Clip, LoadReport, StoredDetection, recorded};
 use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
 use albireo_eval::pictures::{
@@ -111,11 +110,8 @@ fn settings(confidence: f64, screen: ScreenRule) -> Settings {
         scoring: Scoring::Paper,
         confidence,
         screen,
-        classes: Classes::Pooled,
-        interpolation: Interpolation::AllPoints,
-        traces: None,
-        energy_model: None,
         threads: 2,
+        ..Settings::default()
     }
 }
 
@@ -151,6 +147,7 @@ fn assert_replays_alike(pictured: &PicturedClip, confidence: f64) -> Vec<ClipRes
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn stored_detections_give_the_frame_states_of_the_pictures_at_any_confidence() {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 60);
@@ -174,6 +171,7 @@ fn stored_detections_give_the_frame_states_of_the_pictures_at_any_confidence() {
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_against() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).display().to_string();
@@ -224,6 +222,7 @@ fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_a
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn the_dashcam_is_judged_by_its_own_ground_truth() {
     let detector = model("demonstration.onnx");
     let output = albireo(&[
@@ -364,6 +363,7 @@ fn real_clip() -> Video {
 }
 
 #[test]
+#[ignore = "needs ../shared and ONNX Runtime and ffmpeg"]
 fn shared_a_real_clip_is_decided_alike_live_replayed_and_from_stored_detections() {
     let (detector, screen) = real_models();
     let mut video = real_clip();

@@ -50,17 +50,20 @@ fn reaches(view: &View, figures: &[(f64, f64)]) {
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_expected_loss_reaches_its_figures_as_recorded() {
     let figures = [(0.24, 0.757), (0.38, 0.750), (0.49, 0.743), (0.60, 0.725)];
     reaches(&View::as_recorded(0.5), &figures);
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_expected_loss_reaches_its_figures_at_half_the_frame_rate() {
     reaches(&View::half_rate(0.5), &[(0.38, 0.715), (0.49, 0.690)]);
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_expected_loss_is_as_accurate_as_vanilla_while_skipping_two_frames_of_three() {
     let clips = looked_at(&View::as_recorded(0.5));
     let vanilla = Candidate::as_reported("vanilla").expect("it is a policy");
@@ -72,6 +75,7 @@ fn shared_expected_loss_is_as_accurate_as_vanilla_while_skipping_two_frames_of_t
 /// With detections that the detector is unsure of, expected-loss beats Vanilla with the same ones while it
 /// calls the detector on less than half the frames.
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_unsure_detections_pay_more_than_vanilla_with_the_same() {
     let clips = looked_at(&View::as_recorded(0.1));
     let vanilla = Candidate::as_reported("vanilla").expect("it is a policy");

@@ -83,6 +83,7 @@ fn golden_excerpt_with_rescues_and_removals() {
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_golden_traces_at_3e_4_with_a_screen_that_is_never_empty() {
     compare_all(
         "albireo-u3e-4-erd-nonempty",
@@ -92,6 +93,7 @@ fn shared_golden_traces_at_3e_4_with_a_screen_that_is_never_empty() {
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_golden_traces_at_3e_4_with_a_screen_that_is_always_right() {
     compare_all(
         "albireo-u3e-4-erd-detections",
@@ -101,6 +103,7 @@ fn shared_golden_traces_at_3e_4_with_a_screen_that_is_always_right() {
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_golden_traces_at_1e_3_with_a_screen_that_is_never_empty() {
     compare_all(
         "albireo-u1e-3-erd-nonempty",
@@ -130,11 +133,13 @@ fn golden_excerpt_of_ctd() {
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_golden_traces_of_fixed_skip() {
     compare_all("fixedskip-2", "fixed-skip:2", Screen::NeverEmpty);
 }
 
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_golden_traces_of_ctd() {
     compare_all("ctd-0.50", "ctd:0.5", Screen::NeverEmpty);
 }
@@ -142,6 +147,7 @@ fn shared_golden_traces_of_ctd() {
 /// Every row of the table of figures, those without a trace included: each policy and setting, and
 /// each sequence.
 #[test]
+#[ignore = "needs ../shared"]
 fn shared_summary_has_the_same_shares_of_frame_states_and_as_many_boxes() {
     let sequences: BTreeMap<_, _> = sequences()
         .into_iter()

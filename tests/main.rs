@@ -4,6 +4,7 @@ mod support;
 
 mod command_line;
 mod compare;
+mod delivery;
 mod detector_batches;
 mod detector_exports;
 mod detector_models;
@@ -22,6 +23,8 @@ mod frame_formats;
 mod golden_traces;
 mod head_fixtures;
 mod http_api;
+#[cfg(feature = "hub")]
+mod hub_kills;
 mod node_frames;
 mod power_live;
 mod power_published;
@@ -29,3 +32,5 @@ mod power_sysfs;
 mod power_tegrastats;
 mod power_telemetry;
 mod replay;
+mod structure;
+mod supervision;

@@ -79,9 +79,7 @@ async fn open(tree: &Tree, source: PowerSource) -> (PowerHandle, CancellationTok
         sysfs: tree.path().to_owned(),
         ..PowerConfig::default()
     };
-    let (power, _task) = power::start(&config, Duration::ZERO, stop.clone())
-        .await
-        .unwrap();
+    let (power, _task) = power::start(&config, stop.clone()).await.unwrap();
     (power, stop)
 }
 

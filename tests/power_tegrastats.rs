@@ -40,9 +40,7 @@ struct Running {
 async fn run(task: &Value) -> Running {
     let (folder, config) = stand_in(task);
     let stop = CancellationToken::new();
-    let (power, task) = power::start(&config, Duration::ZERO, stop.clone())
-        .await
-        .unwrap();
+    let (power, task) = power::start(&config, stop.clone()).await.unwrap();
     Running {
         power,
         task,

@@ -307,6 +307,7 @@ fn ffmpeg_is_killed_with_us_even_while_it_says_nothing() {
 
 /// Needs the real `ffmpeg`.
 #[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
 async fn needs_ffmpeg_a_real_video_arrives_frame_by_frame() {
     let folder = tempfile::tempdir().unwrap();
     let file = folder.path().join("test.mp4");

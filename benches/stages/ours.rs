@@ -3,7 +3,9 @@
 use super::decode_for;
 use super::samples::{Samples, Stage};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{Albireo, AlbireoSettings, Evidence, FrameHead, Need, Outcome, Policy};
+use albireo_core::policy::{
+    Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, decide_at_once,
+};
 use albireo_node::answer::{AnswerContext, detections_message};
 use albireo_node::detector::{DetectorConfig, DetectorNetwork};
 use albireo_node::frame::{EncodedPicture, Frame, FrameLimits, Picture};
@@ -40,8 +42,8 @@ impl Line {
             ..ZenohConfig::default()
         };
         let limit = FrameLimits::default().max_payload_bytes;
-        let node = session::open(&listening, limit).await?;
-        let client = session::open(&connecting, limit).await?;
+        let node = session::open(&listening, limit, |_| {}).await?;
+        let client = session::open(&connecting, limit, |_| {}).await?;
         let failed = |error: zenoh::Error| anyhow!("Zenoh: {error}");
         client
             .declare_subscriber(KEY)
@@ -122,18 +124,13 @@ impl<'a> OurPath<'a> {
         let found = self.network.detect(&prepared)?;
 
         let start = Instant::now();
-        let mut need = self.policy.begin(FrameHead {
+        let head = FrameHead {
             index: self.frames,
             step: 1,
             picture: encoded.size,
-        });
-        while need != Need::Nothing {
-            need = self.policy.answer(match need {
-                Need::Screen => Evidence::Screen { empty: false },
-                _ => Evidence::Detections(&found.detections),
-            });
-        }
-        self.policy.finish(&mut self.outcome);
+        };
+        let mut known = FrameEvidence::in_view(&found.detections);
+        let Ok(()) = decide_at_once(&mut self.policy, head, &mut known, &mut self.outcome);
         let policy = start.elapsed();
         if self.outcome.state.is_skipped() {
             bail!("the policy skipped a frame that was to be matched");

@@ -28,5 +28,9 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         config.cameras.len(),
         if config.cameras.len() == 1 { "" } else { "s" },
     );
+    println!(
+        "Looked at: every key and value. Not looked at: whether models, tokens, class names and folders are there, \
+         whether ports are free, and whether anybody answers."
+    );
     Ok(())
 }

@@ -98,7 +98,8 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         camera.await.context("camera")?,
         show.await.context("output")?,
     );
-    camera.and(node)?;
+    camera?;
+    node?;
     summary.print();
     Ok(())
 }

@@ -1,12 +1,13 @@
 //! `albireo detect`: says what a detector is, and runs it on pictures.
 
-use super::synth::parse_size;
+use super::size::parse_size;
 use albireo_core::geometry::PictureSize;
-use albireo_eval::footage::{FrameSource, PictureFolder};
 use albireo_node::detector::{
     ClassNames, DetectorConfig, DetectorNetwork, ExecutionProvider, Found, HeadName,
 };
-use albireo_node::frame::{FrameLimits, Picture, PixelLayout, decode};
+use albireo_node::frame::{
+    FrameLimits, Picture, PixelLayout, decode, picture_files, read_picture_file,
+};
 use albireo_node::screen::decoding_target;
 use anyhow::Context;
 use indicatif::ProgressBar;
@@ -130,9 +131,8 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         );
     }
     for path in &arguments.pictures {
-        let mut folder = PictureFolder::open(path, PictureFolder::RATE)?;
-        for file in folder.files().to_vec() {
-            let Some(encoded) = folder.next()? else { break };
+        for file in picture_files(path)? {
+            let encoded = read_picture_file(&file)?;
             let started = Instant::now();
             let mut picture = Picture::default();
             decode(

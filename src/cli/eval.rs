@@ -154,6 +154,10 @@ struct RunArguments {
     /// What the empty-scene screen says: never "empty", or "empty" exactly when nothing is detected.
     #[arg(long, value_enum, default_value_t = ScreenRule::Nonempty)]
     screen: ScreenRule,
+    /// Frames in a row that a real screen may call empty before the detector looks anyway, as
+    /// `screen.longest_empty_run` of a node; 0 for any number.
+    #[arg(long, value_name = "COUNT", default_value_t = 100)]
+    longest_empty_run: u32,
     /// Detections below this confidence are not used.
     #[arg(long, default_value_t = 0.5, allow_negative_numbers = true)]
     confidence: f64,
@@ -344,6 +348,7 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
         scoring: arguments.profile,
         confidence: arguments.confidence,
         screen: arguments.screen,
+        longest_empty_run: arguments.longest_empty_run,
         classes: if arguments.per_class {
             Classes::Separate
         } else {

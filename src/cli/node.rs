@@ -32,9 +32,10 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
 }
 
 async fn serve(config: NodeConfig) -> anyhow::Result<()> {
-    let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+    let shutdown =
+        signals::shutdown_within(config.node.stop_timeout()).context(signals::CONTEXT)?;
     let listener = TcpListener::bind(config.http.listen)
         .await
         .with_context(|| format!("http.listen: {} cannot be listened on", config.http.listen))?;
-    albireo_node::run(&config, listener, shutdown).await
+    Ok(albireo_node::run(&config, listener, shutdown).await?)
 }

@@ -4,6 +4,7 @@
 //! the start of the world of that seed), and `ground_truth.jsonl`: one JSON object a line and frame,
 //! [`FrameLine`]. The scripts in `models/` train on it.
 
+use super::size::parse_size;
 use albireo_core::detection::BDD100K_CLASSES;
 use albireo_core::geometry::PictureSize;
 use albireo_synth::{Dashcam, DashcamSettings, GroundTruthBox, SyntheticFrame};
@@ -191,14 +192,6 @@ fn write_frame(
         .context("cannot write ground_truth.jsonl")
 }
 
-/// Reads `1280x720`.
-pub(super) fn parse_size(text: &str) -> Result<PictureSize, String> {
-    let wrong = || format!("`{text}`: a size is columns x rows, such as 1280x720");
-    let (width, height) = text.split_once('x').ok_or_else(wrong)?;
-    let side = |text: &str| text.parse().map_err(|_| wrong());
-    Ok(PictureSize::new(side(width)?, side(height)?))
-}
-
 /// Reads `1-40,90`.
 pub(super) fn parse_seeds(text: &str) -> Result<Seeds, String> {
     let wrong =
@@ -227,14 +220,6 @@ mod tests {
         assert_eq!(parse_seeds("3-5,9").unwrap().0, [3, 4, 5, 9]);
         for wrong in ["", "x", "5-3", "1-", "0-99999999"] {
             assert!(parse_seeds(wrong).is_err(), "{wrong}");
-        }
-    }
-
-    #[test]
-    fn sizes_are_columns_by_rows() {
-        assert_eq!(parse_size("640x360").unwrap(), PictureSize::new(640, 360));
-        for wrong in ["640", "x", "640x", "ax3", "-1x5"] {
-            assert!(parse_size(wrong).is_err(), "{wrong}");
         }
     }
 

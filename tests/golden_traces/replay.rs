@@ -3,8 +3,8 @@
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, Corners, PictureSize};
 use albireo_core::policy::{
-    Albireo, BoxSource, Evidence, FrameHead, Need, ObjectRecord, Outcome, Policy, PolicyConfig,
-    Profile,
+    Albireo, BoxSource, FrameEvidence, FrameHead, ObjectRecord, Outcome, Policy, PolicyConfig,
+    Profile, decide_at_once,
 };
 use serde::Deserialize;
 use std::collections::BTreeMap;
@@ -93,25 +93,21 @@ pub(crate) fn decide(
     detections: &[Detection],
     outcome: &mut Outcome,
 ) {
-    let mut need = policy.begin(FrameHead {
+    let head = FrameHead {
         index,
         step: 1,
         picture,
-    });
-    loop {
-        need = match need {
-            Need::Nothing => break,
-            Need::Screen => policy.answer(Evidence::Screen {
-                empty: match screen {
-                    Screen::NeverEmpty => false,
-                    Screen::EmptyWithoutDetections => detections.is_empty(),
-                },
-            }),
-            Need::Detections => policy.answer(Evidence::Detections(detections)),
-            Need::GreyPicture => panic!("{}: there are no pictures here", policy.name()),
-        };
-    }
-    policy.finish(outcome);
+    };
+    let empty = match screen {
+        Screen::NeverEmpty => false,
+        Screen::EmptyWithoutDetections => detections.is_empty(),
+    };
+    let mut known = FrameEvidence {
+        empty: Some(empty),
+        grey: None,
+        detections: Some(detections),
+    };
+    let Ok(()) = decide_at_once(policy, head, &mut known, outcome);
 }
 
 /// Replays `recorded` and compares every frame of `golden`. Returns the number of frames compared.

@@ -19,12 +19,11 @@ fn with_token() -> HttpConfig {
 async fn with_a_token_all_but_health_and_the_page_needs_it() {
     let node = Served::with(with_token(), Some(KNOB)).await;
     node.ready();
-    for path in ["/", "/healthz", "/readyz"] {
+    for path in ["/", "/healthz", "/readyz", "/openapi.json", "/docs/"] {
         assert_eq!(node.get(path).await.status(), StatusCode::OK, "{path}");
     }
     for path in [
         "/metrics",
-        "/openapi.json",
         "/api/v1/threshold",
         "/api/v1/events",
         "/api/v1/cameras/front/frame.jpg",
@@ -66,14 +65,18 @@ async fn only_the_whole_token_passes() {
 async fn the_token_file_gives_the_token() {
     let directory = tempfile::tempdir().unwrap();
     let file = directory.path().join("token");
-    std::fs::write(&file, "from-the-file\nsecond line\n").unwrap();
+    std::fs::write(&file, "a-token-of-the-file\nsecond line\n").unwrap();
     let config = HttpConfig {
         token_file: Some(file),
         ..HttpConfig::default()
     };
     let node = Served::with(config, Some(KNOB)).await;
     let request = node.request(Method::GET, "/metrics");
-    let response = request.bearer_auth("from-the-file").send().await.unwrap();
+    let response = request
+        .bearer_auth("a-token-of-the-file")
+        .send()
+        .await
+        .unwrap();
     assert_eq!(response.status(), StatusCode::OK);
     problem(node.get("/metrics").await, 401).await;
 }
@@ -142,6 +145,8 @@ async fn without_a_token_a_page_that_points_its_own_name_here_is_not_let_in() {
         ("LOCALHOST", 200),
         ("127.0.0.1", 200),
         ("[::1]:8080", 200),
+        ("[::1].evil.example", 421),
+        ("localhost:80@evil", 421),
         ("192.168.1.7:8080", 200),
     ] {
         let response = node

@@ -151,8 +151,13 @@ async fn wrong_wishes_and_too_many_streams_are_refused() {
     problem(node.get("/api/v1/events").await, 503).await;
     // Once one is closed and its end noticed, there is a place again.
     drop(open.pop());
-    while node.get("/api/v1/events").await.status() != 200 {
-        node.detector.send_replace(DetectorStatus::Starting);
-        tokio::task::yield_now().await;
-    }
+    let again = async {
+        while node.get("/api/v1/events").await.status() != 200 {
+            node.detector.send_replace(DetectorStatus::Starting);
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(60), again)
+        .await
+        .expect("a place is free again");
 }

@@ -1,11 +1,11 @@
 use super::served::{Served, clip, frame, problem};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
-use albireo_node::board::LatestFrame;
+use albireo_node::board::{LatestFrame, PowerSnapshot};
 use albireo_node::detector::{DetectorStatus, ExecutionProvider};
 use albireo_node::frame::{EncodedPicture, PictureFormat};
 use albireo_service::config::HttpConfig;
-use albireo_wire::DroppedFrames;
+use albireo_wire::{DroppedFrames, EnergyQuality};
 use reqwest::{Method, StatusCode};
 use serde_json::json;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -39,6 +39,58 @@ async fn the_frame_states_add_up_for_each_camera_and_for_all() {
 }
 
 #[tokio::test]
+async fn a_degraded_frame_is_told_apart_and_never_counted_as_skipped() {
+    let node = Served::start().await;
+    let front = node.board.camera("front").unwrap();
+    for (seq, state) in [FrameState::I, FrameState::P, FrameState::P, FrameState::P]
+        .into_iter()
+        .enumerate()
+    {
+        let mut message = (*frame(seq as u64, state)).clone();
+        message.degraded = seq > 1;
+        front.record_frame(message.into());
+    }
+    let all = node.json("/api/v1/frame-states").await;
+    assert_eq!(
+        (&all["skip_rate"], &all["degraded_frames"]),
+        (&json!(0.25), &json!(2))
+    );
+    let one = node.json("/api/v1/cameras/front/frame-states").await;
+    assert_eq!(
+        (&one["skip_rate"], &one["degraded_frames"]),
+        (&json!(0.25), &json!(2))
+    );
+    assert_eq!(node.board.counters(front, 0).skip_rate, 0.25);
+    let metrics = node.get("/metrics").await.text().await.unwrap();
+    for line in [
+        r#"albireo_frames_skipped_total{camera="front"} 1"#,
+        r#"albireo_frames_degraded_total{camera="front"} 2"#,
+    ] {
+        assert!(metrics.contains(line), "no {line} in {metrics}");
+    }
+}
+
+#[tokio::test]
+async fn the_quality_of_power_is_an_info_and_no_label_of_a_counter() {
+    let node = Served::start().await;
+    let joules = std::collections::BTreeMap::from([("total".to_owned(), 5.0)]);
+    for quality in [EnergyQuality::Measured, EnergyQuality::Unavailable] {
+        node.board.set_power(PowerSnapshot {
+            source: "ina".to_owned(),
+            quality,
+            joules: joules.clone(),
+            ..node.board.power()
+        });
+        let metrics = node.get("/metrics").await.text().await.unwrap();
+        let counter = r#"albireo_energy_joules_total{domain="total",source="ina"} 5"#;
+        assert!(metrics.contains(counter), "{metrics}");
+        let quality = serde_json::to_value(quality).unwrap();
+        let info = format!(r#"albireo_power_info{{source="ina",quality={quality}}} 1"#);
+        assert!(metrics.contains(&info), "no {info} in {metrics}");
+    }
+}
+
+#[tokio::test]
 async fn cameras_are_listed_in_the_order_of_the_configuration() {
     let node = Served::start().await;
     node.board
@@ -55,13 +107,13 @@ async fn cameras_are_listed_in_the_order_of_the_configuration() {
 #[tokio::test]
 async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready() {
     let node = Served::start().await;
-    node.board.hold("zenoh", "the session is not open yet");
+    let opening = (node.board.readiness()).latch("zenoh", "the session is not open yet");
     let starting = problem(node.get("/readyz").await, 503).await;
     assert_eq!(starting["ready"], false);
     assert_eq!(starting["provider"], json!(null));
     assert_eq!(starting["requested_providers"], json!(["cuda", "cpu"]));
     assert_eq!(starting["reasons"].as_array().unwrap().len(), 2);
-    node.board.release("zenoh");
+    drop(opening);
     node.ready();
     let ready = node.json("/readyz").await;
     assert_eq!(ready["provider"], "cpu");
@@ -72,6 +124,16 @@ async fn readiness_names_the_provider_that_really_runs_and_why_it_is_not_ready()
     });
     let degraded = problem(node.get("/readyz").await, 503).await;
     assert!(degraded["detail"].as_str().unwrap().contains("2000 ms"));
+    node.ready();
+    let power = node.board.readiness().part("power");
+    power.degraded("the meter cannot be read");
+    let degraded = node.json("/readyz").await;
+    assert_eq!(
+        (&degraded["ready"], &degraded["state"]),
+        (&json!(true), &json!("degraded"))
+    );
+    assert_eq!(degraded["reasons"][0]["part"], "power");
+    assert_eq!(degraded["reasons"][0]["effect"], "degraded");
     // The process still lives.
     assert_eq!(node.json("/healthz").await["status"], "ok");
 }

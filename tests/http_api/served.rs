@@ -55,7 +55,11 @@ pub(crate) fn board(
     let board = Board::new(BoardSetup {
         node: "car-7".to_owned(),
         cameras: vec![camera("front"), camera("rear")],
-        state_dir,
+        outbox: albireo_node::outbox::Outbox::open(
+            &albireo_node::outbox::OutboxConfig::default(),
+            state_dir.as_deref(),
+        )
+        .unwrap(),
         policy: "albireo",
         detector: DetectorFacts {
             model: "detector.onnx".to_owned(),

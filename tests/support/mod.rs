@@ -85,10 +85,27 @@ impl Node {
 
     /// As [`Self::start`], with the folder of an earlier node.
     pub(crate) async fn start_in(folder: tempfile::TempDir, settings: &str) -> Self {
+        let node = Self::start_unready_in(folder, settings).await;
+        node.wait_until_ready().await;
+        node
+    }
+
+    /// Starts a node that cannot be ready yet.
+    pub(crate) async fn start_unready(settings: &str) -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        Self::start_unready_in(folder, settings).await
+    }
+
+    async fn start_unready_in(folder: tempfile::TempDir, settings: &str) -> Self {
         let zenoh = format!("tcp/127.0.0.1:{}", free_port());
         let file = folder.path().join("node.toml");
+        let listen = if settings.contains("zenoh.mode = \"client\"") {
+            "[]".to_owned()
+        } else {
+            format!("[\"{zenoh}\"]")
+        };
         let addresses = format!(
-            "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"{zenoh}\"]\nlog.format = \"json\"\n"
+            "http.listen = \"127.0.0.1:0\"\nzenoh.listen = {listen}\nlog.format = \"json\"\n"
         );
         std::fs::write(&file, addresses + settings).expect("the configuration is written");
         let mut child = albireo()
@@ -109,18 +126,22 @@ impl Node {
             }
             log
         });
-        let node = Self {
+        Self {
             child,
             folder,
             http,
             zenoh,
             log,
-        };
-        node.wait_until_ready().await;
-        node
+        }
     }
 
-    async fn wait_until_ready(&self) {
+    /// Kills the node as a power cut does; its folder.
+    pub(crate) async fn kill(mut self) -> tempfile::TempDir {
+        self.child.kill().await.expect("the node can be killed");
+        self.folder
+    }
+
+    pub(crate) async fn wait_until_ready(&self) {
         let ready = async {
             while reqwest::get(format!("{}/readyz", self.http))
                 .await
@@ -130,6 +151,11 @@ impl Node {
             }
         };
         timeout(PATIENCE, ready).await.expect("the node gets ready");
+    }
+
+    /// The process's id.
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id().expect("the node runs")
     }
 
     /// Sends the signal a service manager sends.

@@ -13,7 +13,7 @@ pub struct ClassId(pub u16);
 pub struct Detection {
     /// Where, in normalised coordinates of the source picture.
     pub bounding_box: BoundingBox,
-    /// What.
+    /// Its class, by the detector's number.
     pub class: ClassId,
     /// How sure the detector is, 0 to 1.
     pub confidence: f64,

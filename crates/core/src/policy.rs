@@ -25,8 +25,8 @@
 //! | `fixed-skip-in-tracker[:n]` | on every n-th frame | predicted boxes of expected-loss | comparison: the object keeping alone |
 //! | `even-skip-in-tracker[:skip_rate]` | evenly spaced, at any rate | predicted boxes of expected-loss | comparison: the object keeping alone |
 //!
-//! It knows no clock, no picture format and no network, so the live node, the evaluation and the tests
-//! drive the same code, and a frame that needs nothing costs no decoding.
+//! It knows no clock, no picture format and no network, and a frame that needs nothing costs no decoding. The live
+//! node, the evaluation and the tests all drive it by [`decide`], with evidence of their own.
 
 use crate::detection::{ClassId, Detection, ObjectId};
 use crate::geometry::{BoundingBox, PictureSize};
@@ -38,6 +38,7 @@ mod albireo_settings;
 mod changed_region;
 mod config;
 mod ctd;
+mod decide;
 mod detector_boxes;
 mod erd_only;
 mod expected_loss;
@@ -58,6 +59,7 @@ pub use albireo_settings::{DetectorFrameBoxes, PeriodicCap, ReportedConfidence};
 pub use config::{KNOB_NAMES, PolicyConfig, PolicyConfigError};
 pub use ctd::Ctd;
 pub use ctd::CtdSettings;
+pub use decide::{EvidenceAtHand, EvidenceSource, FrameEvidence, decide, decide_at_once};
 pub(crate) use erd_only::ErdOnly;
 pub use expected_loss::{Call, Confidence, ExpectedLoss, ExpectedLossSettings, Motion, Trigger};
 pub use expected_loss::{CallRule, ExpectedLossAssociation, InTracker, Life, Surprise};
@@ -185,7 +187,7 @@ pub enum BoxSource {
 pub struct OutputBox {
     /// Where, in normalised coordinates, not clipped to the picture.
     pub bounding_box: BoundingBox,
-    /// What.
+    /// Its class, by the detector's number.
     pub class: ClassId,
     /// The confidence to report, 0 to 1.
     pub confidence: f64,
@@ -316,13 +318,13 @@ impl Knob {
     }
 }
 
-/// What decides a frame.
+/// What decides a frame. [`decide`] makes its calls.
 ///
 /// Calls for one frame: [`begin`](Policy::begin), then [`answer`](Policy::answer) as long as the last
 /// need was not [`Need::Nothing`], then [`finish`](Policy::finish). A frame may be given up after
 /// `begin` (its picture turned out to be broken) by beginning the next one: what `begin` advanced stays
 /// advanced, which is exactly what a lost frame does.
-pub trait Policy: Send {
+pub trait Policy: Send + Sync {
     /// The name used in configuration and reports.
     fn name(&self) -> &'static str;
 

@@ -27,7 +27,7 @@ pub(crate) const IOU_THRESHOLDS: [f64; 10] =
 pub struct ScoredBox {
     /// Where, in pixels.
     pub corners: Corners,
-    /// What.
+    /// The class it is of; compared only where classes are judged apart.
     pub class: ClassId,
     /// How sure; ranks the boxes. Must not be NaN (a NaN ranks first).
     pub confidence: f64,
@@ -38,7 +38,7 @@ pub struct ScoredBox {
 pub struct TruthBox {
     /// Where, in pixels.
     pub corners: Corners,
-    /// What.
+    /// The class it is of; compared only where classes are judged apart.
     pub class: ClassId,
     /// Which object, the same number in every frame that shows it.
     pub object: Option<u64>,

@@ -28,7 +28,7 @@ use std::path::{Path, PathBuf};
 pub struct StoredDetection {
     /// Where, in pixels.
     pub corners: Corners,
-    /// What.
+    /// Its class, by COCO's number.
     pub class: ClassId,
     /// How sure, 0 to 1.
     pub confidence: f64,
@@ -206,7 +206,7 @@ pub enum DataError {
     /// A file or folder cannot be opened or read.
     #[error("cannot read {}: {source}; {help}", path.display())]
     Read {
-        /// Which.
+        /// The file or folder.
         path: PathBuf,
         /// What the system says.
         source: std::io::Error,
@@ -216,7 +216,7 @@ pub enum DataError {
     /// A line of a text file is broken.
     #[error("{}:{line}: {what}", path.display())]
     Line {
-        /// Which file.
+        /// The broken file.
         path: PathBuf,
         /// Which line, from 1.
         line: u64,
@@ -226,7 +226,7 @@ pub enum DataError {
     /// A file is broken in a way no single line shows.
     #[error("{}: {what}", path.display())]
     File {
-        /// Which file.
+        /// The broken file.
         path: PathBuf,
         /// What is wrong and what was expected.
         what: String,

@@ -89,7 +89,7 @@ pub enum EnergyModelError {
     /// It cannot be read.
     #[error("energy model {}: {source}", path.display())]
     Read {
-        /// Which file.
+        /// The file that `--energy-model` names.
         path: PathBuf,
         /// What the system says.
         source: std::io::Error,
@@ -97,7 +97,7 @@ pub enum EnergyModelError {
     /// It is no model.
     #[error("energy model {}: {reason}", path.display())]
     Content {
-        /// Which file.
+        /// The file that `--energy-model` names.
         path: PathBuf,
         /// What is wrong.
         reason: String,

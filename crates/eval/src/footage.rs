@@ -2,11 +2,13 @@
 //! form in which a camera sends them. `replay` publishes it; `eval` looks at it.
 
 mod folder;
+mod open;
 mod source;
 mod synthetic;
 mod video;
 
 pub use folder::PictureFolder;
-pub use source::{FrameSource, SourceName, Stopper, clip_name};
+pub use open::SourceName;
+pub use source::{FrameSource, Stopper, clip_name};
 pub use synthetic::Synthetic;
 pub use video::{Ffmpeg, Video, VideoEncoding};

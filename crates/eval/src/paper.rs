@@ -132,7 +132,7 @@ fn system_row(system: &str, rows: &[&PublishedRow]) -> SystemRow {
             by_definition: over(&|row| row.energy_j * row.wall_s * 1e3 / row.frames() as f64),
             by_frame_time: over(&|row| row.energy_j * row.frame_time_ms),
         },
-        skip_rate: over(&|row| row.states.skip_rate()),
+        skip_rate: over(&|row| row.states.skip_rate(0)),
         skip_rate_pooled: sum(&|row| row.states.e + row.states.p) / sum(&PublishedRow::frames),
         states: std::array::from_fn(|state| over(&|row| row.states.shares()[state])),
         ai_of_detector_frames: sum(&|row| row.states.ai) / sum(&|row| row.detector_frames),

@@ -1,11 +1,14 @@
-//! The driver: takes one policy through one clip, answers what it asks, and writes down what it did.
+//! Takes one policy through one clip and writes down what it did.
 
 use crate::average_precision::ScoredBox;
 use crate::scoring::{decayed_confidence, score_object, score_reported, score_truncated};
-use crate::source::{EvidenceSource, SourceError};
+use crate::source::{ClipEvidence, SourceError};
 use crate::trace::{TraceFrame, TraceObject};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{Evidence, FrameHead, FrameState, Need, ObjectRecord, Outcome, Policy};
+use albireo_core::policy::{
+    Evidence, EvidenceAtHand, FrameHead, FrameState, Need, ObjectRecord, Outcome, Policy,
+    decide_at_once,
+};
 use serde::{Deserialize, Serialize};
 use std::time::{Duration, Instant};
 
@@ -62,7 +65,7 @@ pub struct Replay {
 /// [`SourceError`] when the source cannot give what the policy asks for.
 pub fn replay(
     policy: &mut dyn Policy,
-    source: &mut dyn EvidenceSource,
+    source: &mut dyn ClipEvidence,
     scoring: Scoring,
     decay_u: f64,
     keep_trace: bool,
@@ -90,7 +93,7 @@ pub fn replay(
             step,
             picture,
         };
-        let record = decide(policy, source, head, frame, &mut outcome)?;
+        let record = decide_frame(policy, source, head, frame, &mut outcome)?;
         result.frames.push(record);
         objects.clear();
         collect_objects(policy, &mut objects);
@@ -122,54 +125,69 @@ pub fn replay(
     Ok(result)
 }
 
-/// One frame: asks, answers, finishes; times the policy and the evidence apart.
-fn decide(
+/// One frame of a clip as evidence; notes what was asked for, and times it.
+struct ClipFrame<'a> {
+    clip: &'a mut dyn ClipEvidence,
+    frame: usize,
+    detector: bool,
+    screen: bool,
+    waited: Duration,
+}
+
+impl EvidenceAtHand for ClipFrame<'_> {
+    type Error = SourceError;
+
+    fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, SourceError> {
+        let start = Instant::now();
+        let known = match need {
+            Need::Nothing => None,
+            Need::Screen => {
+                self.screen = true;
+                self.clip
+                    .screen_says_empty(self.frame)?
+                    .map(|empty| Evidence::Screen { empty })
+            }
+            Need::GreyPicture => {
+                let grey = self.clip.grey_picture(self.frame)?;
+                grey.map(Evidence::GreyPicture)
+            }
+            Need::Detections => {
+                let found = self.clip.detections(self.frame)?;
+                self.detector |= found.is_some();
+                found.map(Evidence::Detections)
+            }
+        };
+        self.waited += start.elapsed();
+        Ok(known.unwrap_or(Evidence::Unavailable))
+    }
+}
+
+/// One frame; times the policy and the evidence apart.
+fn decide_frame(
     policy: &mut dyn Policy,
-    source: &mut dyn EvidenceSource,
+    clip: &mut dyn ClipEvidence,
     head: FrameHead,
     frame: usize,
     outcome: &mut Outcome,
 ) -> Result<FrameRecord, SourceError> {
-    let (mut detector, mut screen) = (false, false);
-    let (mut decision, mut evidence) = (Duration::ZERO, Duration::ZERO);
-    let mut mark = Instant::now();
-    let mut lap = |into: &mut Duration| {
-        let now = Instant::now();
-        *into += now - mark;
-        mark = now;
+    let mut source = ClipFrame {
+        clip,
+        frame,
+        detector: false,
+        screen: false,
+        waited: Duration::ZERO,
     };
-    let mut need = policy.begin(head);
-    loop {
-        lap(&mut decision);
-        let answer = match need {
-            Need::Nothing => break,
-            Need::Screen => {
-                screen = true;
-                source
-                    .screen_says_empty(frame)?
-                    .map(|empty| Evidence::Screen { empty })
-            }
-            Need::GreyPicture => source.grey_picture(frame)?.map(Evidence::GreyPicture),
-            Need::Detections => {
-                let found = source.detections(frame)?;
-                detector |= found.is_some();
-                found.map(Evidence::Detections)
-            }
-        };
-        lap(&mut evidence);
-        need = policy.answer(answer.unwrap_or(Evidence::Unavailable));
-    }
-    policy.finish(outcome);
-    lap(&mut decision);
+    let start = Instant::now();
+    decide_at_once(policy, head, &mut source, outcome)?;
     Ok(FrameRecord {
         state: outcome.state,
         tau_max: outcome.tau_max,
         active: outcome.active,
         degraded: outcome.degraded,
-        detector,
-        screen,
-        decision,
-        evidence,
+        detector: source.detector,
+        screen: source.screen,
+        decision: start.elapsed().saturating_sub(source.waited),
+        evidence: source.waited,
     })
 }
 

@@ -42,9 +42,9 @@ pub enum ReportError {
     /// Something could not be put into its format.
     #[error("cannot make {}: {reason}", path.display())]
     Format {
-        /// Which file.
+        /// The file that could not be made.
         path: PathBuf,
-        /// Why.
+        /// What its format refused.
         reason: String,
     },
 }

@@ -137,9 +137,15 @@ impl StateCounts {
         self.in_order().iter().sum()
     }
 
-    /// Share of frames with state E or P.
-    pub fn skip_rate(self) -> f64 {
-        (self.e + self.p) as f64 / self.total() as f64
+    /// Frames that skipped the detector: state E or P, less those of them that were `degraded`, for which the
+    /// detector was needed and could not be had.
+    pub fn skipped(self, degraded: usize) -> usize {
+        (self.e + self.p).saturating_sub(degraded)
+    }
+
+    /// Share of frames that [`skipped`](Self::skipped) the detector.
+    pub fn skip_rate(self, degraded: usize) -> f64 {
+        self.skipped(degraded) as f64 / self.total() as f64
     }
 
     /// Share of each state in the order E, P, E+I, I, AI.
@@ -197,6 +203,11 @@ pub struct ClipResult {
 }
 
 impl ClipResult {
+    /// Share of frames that skipped the detector, degraded ones not among them.
+    pub fn skip_rate(&self) -> f64 {
+        self.states.skip_rate(self.degraded_frames)
+    }
+
     /// Fills in what the driver's records say; accuracy, time and energy are left open.
     pub(crate) fn from_replay(clip: &str, policy: &str, replay: &Replay) -> Self {
         let mut states = StateCounts::default();
@@ -248,14 +259,15 @@ mod tests {
     }
 
     #[test]
-    fn shares_add_up_and_skipped_are_e_and_p() {
+    fn shares_add_up_and_skipped_are_e_and_p_but_for_degraded_frames() {
         let mut states = StateCounts::default();
         for state in FrameState::ALL {
             states.count(state);
         }
         states.count(FrameState::P);
         assert_eq!(states.total(), 6);
-        assert!((states.skip_rate() - 0.5).abs() < 1e-15);
+        assert!((states.skip_rate(0) - 0.5).abs() < 1e-15);
+        assert!((states.skip_rate(1) - 2.0 / 6.0).abs() < 1e-15);
         assert!((states.shares().iter().sum::<f64>() - 1.0).abs() < 1e-15);
     }
 }

@@ -7,13 +7,13 @@ use crate::data::{Clip, classes};
 use crate::energy_model::EnergyModel;
 use crate::replay::{Replay, Scoring, replay};
 use crate::result::ClipResult;
-use crate::source::{EvidenceSource, ScreenRule, SourceError, StoredEvidence};
+use crate::source::{ClipEvidence, ScreenRule, SourceError, StoredEvidence};
 use crate::spec::PolicySpec;
 use crate::trace::{self, TraceError};
 use albireo_core::policy::{ExpectedLoss, PolicyConfigError};
+use albireo_node::screen::ScreenConfig;
+use rayon::iter::{ParallelBridge, ParallelIterator};
 use std::path::PathBuf;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 /// How a run judges.
 #[derive(Clone, Debug)]
@@ -24,6 +24,8 @@ pub struct Settings {
     pub confidence: f64,
     /// What stands in for the screen.
     pub screen: ScreenRule,
+    /// Frames in a row that a real screen may call empty before the detector looks anyway; 0 for any number.
+    pub longest_empty_run: u32,
     /// Whether classes are judged apart.
     pub classes: Classes,
     /// How the area under the curve is taken.
@@ -36,6 +38,23 @@ pub struct Settings {
     pub threads: usize,
 }
 
+impl Default for Settings {
+    /// What `albireo eval` does unless told otherwise.
+    fn default() -> Self {
+        Self {
+            scoring: Scoring::Paper,
+            confidence: 0.5,
+            screen: ScreenRule::Nonempty,
+            longest_empty_run: ScreenConfig::default().longest_empty_run,
+            classes: Classes::Pooled,
+            interpolation: Interpolation::AllPoints,
+            traces: None,
+            energy_model: None,
+            threads: 0,
+        }
+    }
+}
+
 /// Why a run stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum RunError {
@@ -44,7 +63,7 @@ pub enum RunError {
     Policy {
         /// Its label.
         policy: String,
-        /// Why.
+        /// Which setting cannot be, and what can.
         source: PolicyConfigError,
     },
     /// A clip's evidence does not suffice.
@@ -54,12 +73,15 @@ pub enum RunError {
         policy: String,
         /// Name of the clip.
         clip: String,
-        /// Why.
+        /// What the clip does not have.
         source: SourceError,
     },
     /// A trace cannot be written.
     #[error(transparent)]
     Trace(#[from] TraceError),
+    /// The threads cannot be started.
+    #[error("the threads of the evaluation cannot be started: {0}; try fewer with --threads")]
+    Threads(#[from] rayon::ThreadPoolBuildError),
 }
 
 /// Runs `policies` over the stored detections of `clips`. The results are in order of policies, then
@@ -80,56 +102,40 @@ pub fn run_stored(
     steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(clips[clip].frames));
     in_parallel(&steps, settings.threads, done, &|(policy, clip)| {
         let (clip, policy) = (&clips[clip], &policies[policy]);
-        let mut source = StoredEvidence::new(clip, settings.confidence, settings.screen)
+        let mut source = StoredEvidence::new(clip, None, settings)
             .map_err(|source| no_evidence(clip, policy, source))?;
         run_policy(clip, policy, settings, &mut source).map(|(result, _)| result)
     })
 }
 
-/// Does `work` for every step, in any order, on `threads` threads; the results are sorted by step. `done` is
-/// called after each.
+/// Does `work` for every step on `threads` threads, 0 for as many as the machine has: begun in the order given, the
+/// results sorted by step. `done` is called after each.
 ///
 /// # Errors
-/// The first [`RunError`] in order of steps; after one, no thread begins another step.
+/// A [`RunError`] that was met; after one, no thread begins another step.
 pub(super) fn in_parallel<S: Copy + Ord + Send + Sync, T: Send>(
     steps: &[S],
     threads: usize,
     done: &(dyn Fn() + Sync),
     work: &(dyn Fn(S) -> Result<T, RunError> + Sync),
 ) -> Result<Vec<T>, RunError> {
-    let next = AtomicUsize::new(0);
-    let stop = AtomicBool::new(false);
-    let results = Mutex::new(Vec::with_capacity(steps.len()));
-    let thread = || {
-        while !stop.load(Ordering::Relaxed)
-            && let Some(&step) = steps.get(next.fetch_add(1, Ordering::Relaxed))
-        {
-            let result = work(step);
-            if result.is_err() {
-                stop.store(true, Ordering::Relaxed);
-            }
-            // A poisoned lock still holds good results: each was pushed whole.
-            results
-                .lock()
-                .unwrap_or_else(std::sync::PoisonError::into_inner)
-                .push((step, result));
-            done();
-        }
-    };
-    let threads = match threads {
-        0 => std::thread::available_parallelism().map_or(1, usize::from),
-        threads => threads,
-    };
-    std::thread::scope(|scope| {
-        for _ in 0..threads.min(steps.len()).max(1) {
-            scope.spawn(thread);
-        }
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()?;
+    // A bridge hands the steps out in their order, so that the longest begin first.
+    let results: Result<Vec<_>, _> = pool.install(|| {
+        let steps = steps.iter().par_bridge();
+        steps
+            .map(|&step| {
+                let result = work(step);
+                done();
+                Ok::<_, RunError>((step, result?))
+            })
+            .collect()
     });
-    let mut results = results
-        .into_inner()
-        .unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut results = results?;
     results.sort_by_key(|(step, _)| *step);
-    results.into_iter().map(|(_, result)| result).collect()
+    Ok(results.into_iter().map(|(_, result)| result).collect())
 }
 
 /// The error of a clip whose evidence does not suffice for a policy.
@@ -150,7 +156,7 @@ pub(super) fn run_policy(
     clip: &Clip,
     policy: &PolicySpec,
     settings: &Settings,
-    source: &mut dyn EvidenceSource,
+    source: &mut dyn ClipEvidence,
 ) -> Result<(ClipResult, Replay), RunError> {
     let mut decider = policy.config.build().map_err(|source| RunError::Policy {
         policy: policy.label.clone(),

@@ -1,17 +1,18 @@
 //! Where the evidence that a policy asks for comes from: stored detections here, a real detector elsewhere.
 
 use crate::data::Clip;
+use crate::run::Settings;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::GreyPicture;
+use albireo_node::screen::{ScreenConfig, ScreenJudge, ScreenKind, Thumbnail};
 use serde::{Deserialize, Serialize};
 
-/// Evidence about the frames of one clip. The driver asks only for what the policy needs, in order of
-/// frames.
+/// Evidence about the frames of one clip. Only what the policy needs is asked for, in order of frames.
 ///
 /// Every question answers `Ok(None)` when this one frame's evidence cannot be had (the policy is told so),
 /// and an error when the clip cannot be evaluated at all.
-pub trait EvidenceSource {
+pub trait ClipEvidence {
     /// Size of the clip's pictures.
     fn picture(&self) -> PictureSize;
 
@@ -80,11 +81,14 @@ pub enum SourceError {
 pub enum ScreenRule {
     /// A screen that never says "empty".
     Nonempty,
-    /// A screen that is always right: "empty" exactly when the frame has no stored detection.
+    /// A screen that is always right: "empty" exactly when the frame has no stored detection. Nothing limits how
+    /// long it is believed, as in the published code.
     Detections,
-    /// The screen that learns from the detector while it runs; needs pictures.
+    /// The screen that learns from the detector while it runs; needs pictures. Under the node's limit on empty
+    /// frames in a row.
     Agnostic,
     /// What a real screen said when the pictures were there: `screen/*.csv` beside the detections.
+    /// Under the node's limit on empty frames in a row.
     Recorded,
 }
 
@@ -100,26 +104,40 @@ impl ScreenRule {
     }
 }
 
-/// Stored detections of a clip as evidence.
+/// What answers for the screen.
 #[derive(Clone, Debug)]
-pub(crate) struct StoredEvidence {
-    picture: PictureSize,
-    detections: Vec<Vec<Detection>>,
-    screen: ScreenRule,
-    /// One a frame where the rule is [`ScreenRule::Recorded`].
-    verdicts: Vec<Option<bool>>,
+enum Screen<'a> {
+    /// Never "empty".
+    Nonempty,
+    /// "Empty" exactly when the frame has no detection.
+    Detections,
+    /// What a model said, one verdict a frame, under the limit that holds in the node.
+    Recorded(&'a [Option<bool>], ScreenJudge),
+    /// The agnostic screen at work on what it sees of each frame.
+    Agnostic(&'a [Option<Thumbnail>], ScreenJudge),
 }
 
-impl StoredEvidence {
-    /// The detections of `clip` whose confidence is at least `confidence`.
+/// Stored detections of a clip as evidence.
+#[derive(Clone, Debug)]
+pub(crate) struct StoredEvidence<'a> {
+    picture: PictureSize,
+    detections: Vec<Vec<Detection>>,
+    screen: Screen<'a>,
+    /// The frame in hand.
+    frame: usize,
+}
+
+impl<'a> StoredEvidence<'a> {
+    /// The detections of `clip` as `settings` want them, and their screen. `thumbnails` are what the agnostic screen
+    /// sees of each frame, where there were pictures.
     ///
     /// # Errors
     /// [`SourceError::NoDetections`] if the clip has none stored, [`SourceError::NoScreenVerdicts`] if they are
-    /// asked for and the clip has none.
+    /// asked for and the clip has none, [`SourceError::AgnosticNeedsPictures`] if there are no thumbnails.
     pub(crate) fn new(
-        clip: &Clip,
-        confidence: f64,
-        screen: ScreenRule,
+        clip: &'a Clip,
+        thumbnails: Option<&'a [Option<Thumbnail>]>,
+        settings: &Settings,
     ) -> Result<Self, SourceError> {
         let stored = clip.detections.as_ref().ok_or(SourceError::NoDetections)?;
         let detections = stored
@@ -127,35 +145,66 @@ impl StoredEvidence {
             .map(|frame| {
                 frame
                     .iter()
-                    .filter(|detection| detection.confidence >= confidence)
+                    .filter(|detection| detection.confidence >= settings.confidence)
                     .map(|detection| detection.normalise(clip.picture))
                     .collect()
             })
             .collect();
-        let verdicts = match screen {
-            ScreenRule::Recorded => clip.screen.clone().ok_or(SourceError::NoScreenVerdicts)?,
-            ScreenRule::Agnostic => return Err(SourceError::AgnosticNeedsPictures),
-            ScreenRule::Nonempty | ScreenRule::Detections => Vec::new(),
+        let judge = |kind| {
+            let config = ScreenConfig {
+                kind: Some(kind),
+                longest_empty_run: settings.longest_empty_run,
+                ..ScreenConfig::default()
+            };
+            ScreenJudge::new(&config, 0)
+        };
+        let screen = match settings.screen {
+            ScreenRule::Nonempty => Screen::Nonempty,
+            ScreenRule::Detections => Screen::Detections,
+            ScreenRule::Recorded => {
+                let verdicts = clip.screen.as_deref();
+                let verdicts = verdicts.ok_or(SourceError::NoScreenVerdicts)?;
+                Screen::Recorded(verdicts, judge(ScreenKind::Model))
+            }
+            ScreenRule::Agnostic => {
+                let thumbnails = thumbnails.ok_or(SourceError::AgnosticNeedsPictures)?;
+                Screen::Agnostic(thumbnails, judge(ScreenKind::Agnostic))
+            }
         };
         Ok(Self {
             picture: clip.picture,
             detections,
             screen,
-            verdicts,
+            frame: 0,
         })
     }
 
     /// Whether a frame has a detection at or above the run's confidence.
     pub(crate) fn is_occupied(&self, frame: usize) -> bool {
-        !self.frame(frame).is_empty()
+        !of_frame(&self.detections, frame).is_empty()
     }
 
-    fn frame(&self, frame: usize) -> &[Detection] {
-        self.detections.get(frame).map_or(&[], Vec::as_slice)
+    /// Questions come in order of frames, several of one frame perhaps.
+    fn turn_to(&mut self, frame: usize) {
+        if self.frame == frame {
+            return;
+        }
+        self.frame = frame;
+        if let Screen::Recorded(_, judge) | Screen::Agnostic(_, judge) = &mut self.screen {
+            judge.next_frame();
+        }
     }
 }
 
-impl EvidenceSource for StoredEvidence {
+fn of_frame(detections: &[Vec<Detection>], frame: usize) -> &[Detection] {
+    detections.get(frame).map_or(&[], Vec::as_slice)
+}
+
+fn seen(thumbnails: &[Option<Thumbnail>], frame: usize) -> Option<Thumbnail> {
+    thumbnails.get(frame).cloned().flatten()
+}
+
+impl ClipEvidence for StoredEvidence<'_> {
     fn picture(&self) -> PictureSize {
         self.picture
     }
@@ -165,15 +214,30 @@ impl EvidenceSource for StoredEvidence {
     }
 
     fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, SourceError> {
-        Ok(Some(self.frame(frame)))
+        self.turn_to(frame);
+        let found = of_frame(&self.detections, frame);
+        match &mut self.screen {
+            Screen::Nonempty | Screen::Detections => {}
+            Screen::Recorded(_, judge) => judge.detected(!found.is_empty(), || None),
+            Screen::Agnostic(thumbnails, judge) => {
+                judge.detected(!found.is_empty(), || seen(thumbnails, frame));
+            }
+        }
+        Ok(Some(found))
     }
 
     fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError> {
-        Ok(match self.screen {
-            // The agnostic screen never gets this far.
-            ScreenRule::Nonempty | ScreenRule::Agnostic => Some(false),
-            ScreenRule::Detections => Some(self.frame(frame).is_empty()),
-            ScreenRule::Recorded => self.verdicts.get(frame).copied().flatten(),
+        self.turn_to(frame);
+        Ok(match &mut self.screen {
+            Screen::Nonempty => Some(false),
+            Screen::Detections => Some(of_frame(&self.detections, frame).is_empty()),
+            Screen::Recorded(verdicts, judge) => {
+                let said = verdicts.get(frame).copied().flatten();
+                said.map(|empty| judge.model_said(empty))
+            }
+            Screen::Agnostic(thumbnails, judge) => {
+                seen(thumbnails, frame).and_then(|picture| judge.look_at(picture))
+            }
         })
     }
 

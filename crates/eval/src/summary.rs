@@ -160,7 +160,7 @@ fn summarise_policy(
     let frames = results.iter().map(|result| result.frames).sum::<usize>();
     let skipped = results
         .iter()
-        .map(|result| result.states.e + result.states.p)
+        .map(|result| result.states.skipped(result.degraded_frames))
         .sum::<usize>();
     let mut classes: BTreeMap<String, Vec<f64>> = BTreeMap::new();
     for result in results {
@@ -176,7 +176,7 @@ fn summarise_policy(
         clips: results.len(),
         clips_without_truth,
         frames,
-        skip_rate: all(&|result| result.states.skip_rate()),
+        skip_rate: all(&|result| result.skip_rate()),
         skip_rate_pooled: skipped as f64 / frames as f64,
         states: std::array::from_fn(|state| all(&|result| result.states.shares()[state])),
         detector_frames: all(&|result| result.detector_frames as f64),

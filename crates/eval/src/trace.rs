@@ -79,7 +79,7 @@ pub enum TraceError {
     /// The file system said no.
     #[error("trace {}: {source}", path.display())]
     File {
-        /// Which file.
+        /// The trace file.
         path: PathBuf,
         /// What the system says.
         source: std::io::Error,
@@ -87,7 +87,7 @@ pub enum TraceError {
     /// A line is not a trace frame.
     #[error("trace {}:{line}: {source}", path.display())]
     Line {
-        /// Which file.
+        /// The trace file.
         path: PathBuf,
         /// Which line, from 1.
         line: usize,

@@ -8,19 +8,22 @@ mod thresholds;
 
 pub use camera::CameraSnapshot;
 pub use camera::{CameraBoard, CameraSetup, LatestFrame};
-pub use event::Event;
-pub use event::{FrameEvent, ThresholdEvent};
+pub use event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
 pub use setup::SetupError;
 pub use setup::{BoardSetup, DetectorFacts};
 
+use crate::detector::task::{TaskCounters, TaskMeter};
 use crate::detector::{DetectorCounters, DetectorMeter, DetectorStatus};
+use crate::outbox::Outbox;
 use crate::power::MeterCost;
+use crate::readiness;
 use albireo_core::policy::KnobError;
+use albireo_service::readiness::{Fault, Readiness};
+use albireo_service::supervise::TaskTally;
 use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::Duration;
-use thresholds::ThresholdStore;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
 
@@ -45,10 +48,14 @@ pub struct PowerSnapshot {
     pub quality: EnergyQuality,
     /// Power by domain, watts; empty without a source.
     pub watts: Vec<DomainWatts>,
-    /// Energy by domain since the node started, joules; only ever grows.
+    /// Energy by domain since the node started, joules, over the time that samples cover; only ever grows.
     pub joules: BTreeMap<String, f64>,
+    /// That time, seconds.
+    pub covered_s: BTreeMap<String, f64>,
     /// What reading the source has cost.
     pub cost: MeterCost,
+    /// How often it could not be read.
+    pub failed_reads: u64,
 }
 
 impl Default for PowerSnapshot {
@@ -58,7 +65,9 @@ impl Default for PowerSnapshot {
             quality: EnergyQuality::Unavailable,
             watts: Vec::new(),
             joules: BTreeMap::new(),
+            covered_s: BTreeMap::new(),
             cost: MeterCost::default(),
+            failed_reads: 0,
         }
     }
 }
@@ -71,25 +80,24 @@ pub struct Board {
     started: Instant,
     cameras: Vec<Arc<CameraBoard>>,
     clips: Mutex<VecDeque<Arc<ClipReport>>>,
-    events: broadcast::Sender<Event>,
+    events: broadcast::Sender<SharedEvent>,
     detector: DetectorFacts,
     detector_status: watch::Receiver<DetectorStatus>,
     detector_meter: OnceLock<DetectorMeter>,
+    screen_meter: OnceLock<TaskMeter>,
     power: Mutex<PowerSnapshot>,
-    holds: Mutex<BTreeMap<&'static str, String>>,
-    store: Option<Arc<ThresholdStore>>,
+    readiness: Readiness,
+    tasks: TaskTally,
+    outbox: Outbox,
 }
 
 impl Board {
-    /// A board with no frames yet. Thresholds kept in `state_dir` by an earlier run are taken over where
+    /// A board with no frames yet. Thresholds kept in the state directory by an earlier run are taken over where
     /// the policy's knob still has that name and range and the configured value is the same as then; a
     /// file that cannot be read is logged and otherwise ignored. Call inside a tokio runtime or not, as
     /// you like.
     pub fn new(setup: BoardSetup) -> Arc<Self> {
         let (events, _) = broadcast::channel(EVENT_BACKLOG);
-        let store = setup
-            .state_dir
-            .map(|directory| Arc::new(ThresholdStore::open(&directory)));
         let cameras = setup
             .cameras
             .into_iter()
@@ -98,10 +106,19 @@ impl Board {
                     camera,
                     setup.policy,
                     events.clone(),
-                    store.clone(),
+                    setup.outbox.clone(),
                 ))
             })
             .collect();
+        let readiness = Readiness::default();
+        let detector_status = setup.detector_status.clone();
+        readiness.probe(readiness::DETECTOR, "", move || {
+            readiness::of_detector(&detector_status.borrow())
+        });
+        let outbox = setup.outbox.clone();
+        readiness.probe(readiness::DISK, "", move || {
+            outbox.counts().failing.map(Fault::degraded)
+        });
         Arc::new(Self {
             node: setup.node,
             policy: setup.policy,
@@ -112,9 +129,11 @@ impl Board {
             detector: setup.detector,
             detector_status: setup.detector_status,
             detector_meter: OnceLock::new(),
+            screen_meter: OnceLock::new(),
             power: Mutex::default(),
-            holds: Mutex::default(),
-            store,
+            readiness,
+            tasks: TaskTally::default(),
+            outbox: setup.outbox,
         })
     }
 
@@ -126,6 +145,19 @@ impl Board {
     /// The policy's name.
     pub fn policy(&self) -> &'static str {
         self.policy
+    }
+
+    /// Where to read what the screen counts, once it has started. The first one stays.
+    pub(crate) fn attach_screen(&self, meter: TaskMeter) {
+        let _ = self.screen_meter.set(meter);
+    }
+
+    /// What the screen has counted; all 0 before it has started, and where there is none.
+    pub(crate) fn screen_counters(&self) -> TaskCounters {
+        self.screen_meter
+            .get()
+            .map(TaskMeter::read)
+            .unwrap_or_default()
     }
 
     /// Where to read what the detector counts, once it has started. The first one stays.
@@ -158,7 +190,7 @@ impl Board {
 
     /// What happens from now on. A reader that falls more than 1024 events behind gets
     /// `RecvError::Lagged` with the number it lost.
-    pub fn subscribe(&self) -> broadcast::Receiver<Event> {
+    pub fn subscribe(&self) -> broadcast::Receiver<SharedEvent> {
         self.events.subscribe()
     }
 
@@ -175,7 +207,7 @@ impl Board {
         clips.push_back(Arc::clone(&report));
         drop(clips);
         // An error only says that nobody listens.
-        let _ = self.events.send(Event::Clip(report));
+        let _ = self.events.send(Event::Clip(report).into());
     }
 
     /// The newest clip reports, newest first: of one camera or of all, at most `limit`.
@@ -196,7 +228,7 @@ impl Board {
             .iter()
             .map(|camera| {
                 let message = Arc::new(self.counters(camera, t_ns));
-                let _ = self.events.send(Event::Counters(Arc::clone(&message)));
+                let _ = (self.events).send(Event::Counters(Arc::clone(&message)).into());
                 message
             })
             .collect()
@@ -221,7 +253,7 @@ impl Board {
             camera: camera.name().to_owned(),
             frames: snapshot.states.frames(),
             states: snapshot.states,
-            skip_rate: snapshot.states.skip_rate(),
+            skip_rate: snapshot.skip_rate(),
             degraded_frames: snapshot.degraded_frames,
             dropped: snapshot.dropped,
             knob: camera.knob_value(),
@@ -247,7 +279,12 @@ impl Board {
     /// Whether the thresholds in force will still hold after a restart: a `state_dir` is set and the
     /// last write to it went well.
     pub(crate) fn thresholds_are_kept(&self) -> bool {
-        self.store.as_ref().is_some_and(|store| store.is_good())
+        self.outbox.keeps_settings()
+    }
+
+    /// Where reports wait for a hub, and what must survive.
+    pub fn outbox(&self) -> &Outbox {
+        &self.outbox
     }
 
     /// What was known about the detector before it started.
@@ -275,32 +312,14 @@ impl Board {
         lock(&self.power).clone()
     }
 
-    /// Says that the node is not ready because of `part` (`zenoh`, `cameras`, …), in words.
-    pub fn hold(&self, part: &'static str, reason: impl Into<String>) {
-        lock(&self.holds).insert(part, reason.into());
+    /// Whether the node works, part by part.
+    pub fn readiness(&self) -> &Readiness {
+        &self.readiness
     }
 
-    /// Takes back what [`hold`](Self::hold) said about `part`.
-    pub fn release(&self, part: &'static str) {
-        lock(&self.holds).remove(part);
-    }
-
-    /// Why the node is not ready, by part; empty when it is. The detector's part is read from its status.
-    pub(crate) fn reasons_not_ready(&self) -> Vec<(&'static str, String)> {
-        let mut reasons: Vec<_> = lock(&self.holds)
-            .iter()
-            .map(|(part, reason)| (*part, reason.clone()))
-            .collect();
-        match &*self.detector_status.borrow() {
-            DetectorStatus::Starting => {
-                reasons.push(("detector", "the session is being built".to_owned()));
-            }
-            DetectorStatus::Degraded { reason, .. } => {
-                reasons.push(("detector", format!("degraded: {reason}")));
-            }
-            DetectorStatus::Ready { .. } => {}
-        }
-        reasons
+    /// How often the node's tasks failed.
+    pub fn tasks(&self) -> &TaskTally {
+        &self.tasks
     }
 }
 

@@ -8,16 +8,16 @@ use super::intake::{DropCounts, DropKind, Incoming};
 use super::report::ClipAccounts;
 use crate::clip::{FrameArrival, FrameResult};
 use crate::frame::{EncodedPicture, FrameFault, RingReceiver};
-use albireo_core::policy::{Evidence, FrameHead, GreyPicture, Need, Outcome, Policy};
+use crate::publishing::Detections;
+use albireo_core::policy::{Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, decide};
+use albireo_service::clock::milliseconds;
 use albireo_wire::{KnobValue, Latency};
 use std::future::Future;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use zenoh::bytes::Encoding;
-use zenoh::pubsub::Publisher;
 
 /// One camera's loop and all it works with.
 pub(crate) struct Camera {
@@ -32,7 +32,7 @@ pub(crate) struct Camera {
     /// Where its evidence comes from.
     pub evidence: LiveEvidence,
     /// Where detections go.
-    pub detections: Publisher<'static>,
+    pub detections: Arc<Detections>,
     /// Names of the detector's classes.
     pub class_names: Arc<[String]>,
     /// Where clips are closed and reported.
@@ -44,7 +44,10 @@ pub(crate) struct Camera {
 /// What the loop remembers from frame to frame.
 struct Stream {
     threshold: watch::Receiver<Option<f64>>,
+    /// Index of the frame before; none while the policy knows nothing.
     last_index: Option<u64>,
+    /// Highest index and newest stream of the camera so far.
+    newest: Option<(u64, u64)>,
     /// Index of the stream's first frame; the policy counts from there.
     first_index: u64,
     clip: Option<Arc<str>>,
@@ -58,6 +61,7 @@ impl Camera {
         let mut stream = Stream {
             threshold: self.board.watch_threshold(),
             last_index: None,
+            newest: None,
             first_index: 0,
             clip: None,
             outcome: Outcome::default(),
@@ -68,22 +72,44 @@ impl Camera {
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => break,
-                () = at(due) => self.accounts.tick(),
+                // Before the clock: a camera whose frames wait is not silent, only the detector is slow.
                 incoming = self.ring.next() => match incoming {
                     Some(incoming) => self.process(incoming, &mut stream).await,
                     None => break,
                 },
+                () = at(due) => self.accounts.tick(),
             }
         }
-        self.ring.close();
+        self.end();
+    }
+
+    /// Takes no more frames, counts those that wait, and ends the open clip. The second time there is nothing to do.
+    fn end(&mut self) {
+        let waiting = self.ring.close_and_clear() as u64;
+        if waiting > 0 {
+            let reason = "the camera's loop ended before their turn";
+            self.ledger.count(DropKind::Stopped, waiting, &reason);
+        }
         self.accounts.shutdown();
     }
 
     async fn process(&mut self, incoming: Incoming, stream: &mut Stream) {
         let taken = Instant::now();
         let frame = &incoming.frame;
+        if stream
+            .newest
+            .is_some_and(|(index, _)| incoming.index <= index)
+        {
+            let sequence = frame.sequence;
+            let reason = format_args!("sequence number {sequence} was overtaken on its way");
+            return self.ledger.count(DropKind::Late, 1, &reason);
+        }
+        let restarted = stream
+            .newest
+            .replace((incoming.index, incoming.epoch))
+            .is_some_and(|(_, epoch)| epoch != incoming.epoch);
         let new_clip = frame.clip.is_some() && frame.clip != stream.clip;
-        if incoming.restarted || (new_clip && self.reset_at_clip && stream.clip.is_some()) {
+        if restarted || (new_clip && self.reset_at_clip && stream.clip.is_some()) {
             self.policy.reset();
             stream.last_index = None;
         }
@@ -108,17 +134,20 @@ impl Camera {
             arrival: frame.received,
         });
         self.evidence.next_frame();
-        let deciding = match self.decide(&incoming, head).await {
-            Ok(deciding) => deciding,
-            Err(fault) => {
-                return self.ledger.count(DropKind::from(&fault), 1, &fault);
-            }
+        let mut source = FrameSource {
+            evidence: &mut self.evidence,
+            ring: &self.ring,
+            incoming: &incoming,
+            head,
         };
-        let finishing = Instant::now();
-        self.policy.finish(&mut stream.outcome);
-        let policy_time = deciding + finishing.elapsed();
+        let deciding = Instant::now();
+        let decided = decide(&mut *self.policy, head, &mut source, &mut stream.outcome).await;
+        let deciding = deciding.elapsed();
+        if let Err(fault) = decided {
+            return self.ledger.count(DropKind::from(&fault), 1, &fault);
+        }
 
-        let times = self.evidence.times;
+        let times = self.evidence.times();
         let message = detections_message(
             &stream.outcome,
             &AnswerContext {
@@ -136,27 +165,20 @@ impl Camera {
                     decode: times.decode.map(milliseconds),
                     screen: times.screen.map(milliseconds),
                     detector: times.detector().map(milliseconds),
-                    policy: milliseconds(policy_time),
+                    policy: milliseconds(deciding.saturating_sub(times.evidence)),
                 },
             },
         );
         match serde_json::to_vec(&message) {
             Ok(json) => {
-                let sent = self
-                    .detections
-                    .put(json)
-                    .encoding(Encoding::APPLICATION_JSON)
-                    .await;
-                if let Err(error) = sent {
-                    tracing::warn!(camera = self.board.name(), %error, "detections not published");
-                }
+                self.detections.publish(json).await;
             }
             Err(error) => {
                 tracing::error!(camera = self.board.name(), %error, "detections not written");
             }
         }
-        if let Some((start, end)) = times.detector_span {
-            self.accounts.detector_ran(start, end);
+        if let Some(run) = times.detector_run {
+            self.accounts.detector_ran(run);
         }
         self.accounts.count(&FrameResult {
             seq: frame.sequence,
@@ -181,48 +203,37 @@ impl Camera {
             tracing::error!(camera = self.board.name(), %error, "threshold not taken by the policy");
         }
     }
+}
 
-    /// Asks and answers until the policy needs nothing more; the time the policy itself took.
-    async fn decide(
+/// One frame's evidence, and a look at the next frame.
+struct FrameSource<'a> {
+    evidence: &'a mut LiveEvidence,
+    ring: &'a RingReceiver<Incoming>,
+    incoming: &'a Incoming,
+    head: FrameHead,
+}
+
+impl EvidenceSource for FrameSource<'_> {
+    type Error = FrameFault;
+
+    async fn evidence(
         &mut self,
-        incoming: &Incoming,
-        head: FrameHead,
-    ) -> Result<Duration, FrameFault> {
-        let picture = &incoming.frame.picture;
-        let mut policy_time = Duration::ZERO;
-        let mut timed = |start: Instant| policy_time += start.elapsed();
-        let start = Instant::now();
-        let mut need = self.policy.begin(head);
-        timed(start);
-        while need != Need::Nothing {
-            let detected;
-            let evidence = match need {
-                Need::Nothing => break,
-                Need::Screen => match self.evidence.screen(picture).await? {
-                    Some(empty) => Evidence::Screen { empty },
-                    None => Evidence::Unavailable,
-                },
-                Need::GreyPicture => {
-                    let grey = self.evidence.grey(picture).await?;
-                    Evidence::GreyPicture(GreyPicture {
-                        size: grey.size,
-                        pixels: &grey.pixels,
-                    })
-                }
-                Need::Detections => {
-                    let next = next_need(&self.ring, incoming, &*self.policy, head);
-                    detected = self.evidence.detect(picture, next).await?;
-                    match &detected {
-                        Some(detected) => Evidence::Detections(&detected.detections),
-                        None => Evidence::Unavailable,
-                    }
-                }
-            };
-            let start = Instant::now();
-            need = self.policy.answer(evidence);
-            timed(start);
+        need: Need,
+        policy: &dyn Policy,
+    ) -> Result<Evidence<'_>, FrameFault> {
+        let next = || next_need(self.ring, self.incoming, policy, self.head);
+        let picture = &self.incoming.frame.picture;
+        self.evidence.evidence(need, picture, next).await
+    }
+}
+
+/// Also where the loop panicked or was given up: what was counted until then is reported.
+impl Drop for Camera {
+    fn drop(&mut self) {
+        // What panicked may be what is asked here; a second panic must not end the process.
+        if catch_unwind(AssertUnwindSafe(|| self.end())).is_err() {
+            tracing::error!(camera = self.board.name(), "the open clip is lost");
         }
-        Ok(policy_time)
     }
 }
 
@@ -242,8 +253,8 @@ fn next_need(
     async move {
         if need != Need::Nothing {
             let follows = |next: &Incoming| {
-                let foreseen = !next.restarted
-                    && next.index == present.index + 1
+                let foreseen = next.epoch == present.epoch
+                    && next.index.checked_sub(present.index) == Some(1)
                     && next.frame.clip == present.frame.clip
                     && next.frame.picture.size == present.frame.picture.size;
                 foreseen.then(|| next.frame.picture.clone())
@@ -256,10 +267,6 @@ fn next_need(
     }
 }
 
-fn milliseconds(duration: Duration) -> f64 {
-    duration.as_secs_f64() * 1e3
-}
-
 /// Waits until `due`; for ever without one.
 async fn at(due: Option<Instant>) {
     match due {
@@ -267,3 +274,6 @@ async fn at(due: Option<Instant>) {
         None => std::future::pending().await,
     }
 }
+
+#[cfg(test)]
+mod tests;

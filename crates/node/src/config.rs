@@ -6,13 +6,16 @@ mod validate;
 use crate::clip::ClipConfig;
 use crate::detector::DetectorConfig;
 use crate::frame::{Delivery, FrameLimits, PayloadFormat};
+use crate::outbox::OutboxConfig;
 use crate::power::PowerConfig;
 use crate::screen::ScreenConfig;
 use albireo_core::policy::PolicyConfig;
-use albireo_service::config::{HttpConfig, LogConfig, ZenohConfig};
+use albireo_service::config::{HttpConfig, LogConfig, UplinkConfig, ZenohConfig};
 use albireo_wire::{KeyError, NodeKeys};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// All settings of a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -22,6 +25,10 @@ pub struct NodeConfig {
     pub node: NodeSection,
     /// How it reaches Zenoh.
     pub zenoh: ZenohConfig,
+    /// A session of its own to the hub.
+    pub uplink: UplinkConfig,
+    /// What waits for the hub.
+    pub outbox: OutboxConfig,
     /// The HTTP interface.
     pub http: HttpConfig,
     /// The detector.
@@ -48,6 +55,8 @@ impl Default for NodeConfig {
         Self {
             node: NodeSection::default(),
             zenoh: ZenohConfig::default(),
+            uplink: UplinkConfig::default(),
+            outbox: OutboxConfig::default(),
             http: HttpConfig::default(),
             detector: DetectorConfig::default(),
             screen: ScreenConfig::default(),
@@ -83,7 +92,7 @@ impl NodeConfig {
 }
 
 /// Who the node is: the `[node]` section.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct NodeSection {
     /// Its name, one part of every key: letters, digits, `-`, `_`, `.`.
@@ -93,6 +102,27 @@ pub struct NodeSection {
     /// Folder for what must survive a restart: changed thresholds, undelivered clip reports. Without it
     /// both are forgotten.
     pub state_dir: Option<PathBuf>,
+    /// Whether a threshold changed at the node gives way when the hub is next heard to desire another. Otherwise it
+    /// stays until the hub desires something new; the hub shows the difference either way.
+    pub hub_wins: bool,
+    /// Labels by which a hub selects nodes.
+    pub labels: BTreeMap<String, String>,
+    /// Longest time stopping may take, seconds, whatever hangs.
+    pub stop_timeout_s: f64,
+    /// A camera without a frame for so long makes the node degraded, seconds.
+    pub camera_silence_s: f64,
+}
+
+impl NodeSection {
+    /// [`stop_timeout_s`](Self::stop_timeout_s) as a time.
+    pub fn stop_timeout(&self) -> Duration {
+        Duration::try_from_secs_f64(self.stop_timeout_s).unwrap_or(Duration::from_secs(5))
+    }
+
+    /// [`camera_silence_s`](Self::camera_silence_s) as a time.
+    pub fn camera_silence(&self) -> Duration {
+        Duration::try_from_secs_f64(self.camera_silence_s).unwrap_or(Duration::MAX)
+    }
 }
 
 impl Default for NodeSection {
@@ -101,6 +131,10 @@ impl Default for NodeSection {
             name: "node".to_owned(),
             prefix: "albireo".to_owned(),
             state_dir: None,
+            hub_wins: false,
+            labels: BTreeMap::new(),
+            stop_timeout_s: 5.0,
+            camera_silence_s: 30.0,
         }
     }
 }

@@ -1,17 +1,17 @@
 //! Once a second: every camera's counters on Zenoh, and new power figures on the board.
 
 use super::board::{Board, PowerSnapshot};
+use super::error::NodeError;
 use crate::power::PowerHandle;
+use crate::publishing::{self, PublishLane, PublishingThread};
+use albireo_service::clock::unix_nanoseconds;
 use albireo_wire::{CountersMessage, NodeKeys};
-use anyhow::anyhow;
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
-use tokio::time::{Instant, MissedTickBehavior};
+use std::time::Duration;
+use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
-use zenoh::bytes::Encoding;
-use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
 
 /// Time between two counter messages of a camera.
@@ -21,10 +21,7 @@ const PERIOD: Duration = Duration::from_secs(1);
 pub(crate) struct Counters {
     board: Arc<Board>,
     power: PowerHandle,
-    publishers: BTreeMap<String, Publisher<'static>>,
-    /// Energy by domain since the node started.
-    joules: BTreeMap<String, f64>,
-    since: Instant,
+    lanes: BTreeMap<String, PublishLane>,
 }
 
 impl Counters {
@@ -34,30 +31,32 @@ impl Counters {
     /// When Zenoh refuses a declaration.
     pub(crate) async fn declare(
         session: &Session,
+        publishing: &PublishingThread,
         keys: &NodeKeys,
         board: Arc<Board>,
         power: PowerHandle,
-    ) -> anyhow::Result<Self> {
-        let mut publishers = BTreeMap::new();
+    ) -> Result<Self, NodeError> {
+        let mut lanes = BTreeMap::new();
         for camera in board.cameras() {
             let publisher = session
                 .declare_publisher(keys.camera(camera.name())?.counters())
                 .congestion_control(CongestionControl::Drop)
+                .priority(publishing::COUNTERS)
                 .await
-                .map_err(|error| anyhow!("counters cannot be published: {error}"))?;
-            publishers.insert(camera.name().to_owned(), publisher);
+                .map_err(|error| {
+                    NodeError::Zenoh(format!("counters cannot be published: {error}"))
+                })?;
+            lanes.insert(camera.name().to_owned(), publishing.lane(publisher, 4));
         }
         Ok(Self {
             board,
             power,
-            publishers,
-            joules: BTreeMap::new(),
-            since: Instant::now(),
+            lanes,
         })
     }
 
     /// Publishes until `shutdown`.
-    pub(crate) async fn run(mut self, shutdown: CancellationToken) {
+    pub(crate) async fn run(&self, shutdown: CancellationToken) {
         let mut ticks = tokio::time::interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {
@@ -68,52 +67,40 @@ impl Counters {
             }
             self.update_power();
             for message in self.board.publish_counters(unix_nanoseconds()) {
-                self.publish(&message).await;
+                self.publish(&message);
             }
         }
     }
 
-    fn update_power(&mut self) {
-        let until = Instant::now();
-        for domain in self.power.energy(self.since, until).domains {
-            *self.joules.entry(domain.domain).or_default() += domain.joules;
-        }
-        self.since = until;
+    fn update_power(&self) {
+        let so_far = self.power.so_far();
         let now = self.power.now();
         self.board.set_power(PowerSnapshot {
             source: now.source,
             quality: now.quality,
             watts: now.watts,
-            joules: self.joules.clone(),
+            joules: so_far
+                .iter()
+                .map(|so_far| (so_far.domain.as_str().to_owned(), so_far.joules))
+                .collect(),
+            covered_s: so_far
+                .iter()
+                .map(|so_far| (so_far.domain.as_str().to_owned(), so_far.covered_s))
+                .collect(),
             cost: self.power.cost(),
+            failed_reads: self.power.failed_reads(),
         });
     }
 
-    async fn publish(&self, message: &CountersMessage) {
-        let Some(publisher) = self.publishers.get(&message.camera) else {
+    fn publish(&self, message: &CountersMessage) {
+        let Some(lane) = self.lanes.get(&message.camera) else {
             return;
         };
-        let json = match serde_json::to_vec(message) {
-            Ok(json) => json,
+        match serde_json::to_vec(message) {
+            Ok(json) => lane.publish(json),
             Err(error) => {
-                return tracing::error!(camera = message.camera, %error, "counters not written");
+                tracing::error!(camera = message.camera, %error, "counters not written");
             }
-        };
-        let sent = publisher
-            .put(json)
-            .encoding(Encoding::APPLICATION_JSON)
-            .await;
-        if let Err(error) = sent {
-            tracing::warn!(camera = message.camera, %error, "counters not published");
         }
     }
-}
-
-/// This machine's wall clock; 0 before 1970.
-fn unix_nanoseconds() -> u64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .map_or(0, |since| {
-            u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
-        })
 }

@@ -2,15 +2,16 @@
 
 mod cameras;
 mod clips;
-mod detector_metrics;
 mod events;
 mod health;
 mod metrics;
 mod page;
 mod picture;
-mod plain_metrics;
+mod pictures;
 mod states;
 mod threshold;
+
+pub(crate) use health::provider;
 
 use crate::board::{Board, CameraBoard};
 use crate::frame::FrameLimits;
@@ -40,6 +41,7 @@ pub struct NodeView {
 struct RouteState {
     view: NodeView,
     metrics: Arc<metrics::Metrics>,
+    pictures: Arc<pictures::Pictures>,
     /// Places for event streams.
     streams: Arc<Semaphore>,
     shutdown: CancellationToken,
@@ -72,7 +74,7 @@ impl RouteState {
     info(
         title = "albireo node",
         description = "Watch a node and turn its uncertainty threshold. Errors are problem documents (RFC 9457). \
-                       Where a token is set, everything but `/`, `/healthz` and `/readyz` needs it.",
+                       Where a token is set, everything but `/`, `/healthz`, `/readyz`, `/openapi.json` and `/docs` needs it.",
     ),
     components(schemas(Problem)),
     modifiers(&Security),
@@ -116,7 +118,8 @@ pub fn openapi() -> OpenApi {
 /// All routes, with their description and the page.
 pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
     let (router, openapi) = described().split_for_parts();
-    let metrics = Arc::new(metrics::Metrics::new(Arc::clone(&view.board)));
+    let pictures = Arc::<pictures::Pictures>::default();
+    let metrics = Arc::new(metrics::Metrics::new(Arc::clone(&view.board), &pictures));
     #[cfg(feature = "swagger")]
     let router = router.merge(
         // The document itself is served below: this only tells the page where it is.
@@ -133,6 +136,7 @@ pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
         .with_state(RouteState {
             view,
             metrics,
+            pictures,
             streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),
             shutdown,
         })

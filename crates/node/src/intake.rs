@@ -4,7 +4,8 @@
 use super::board::{CameraBoard, LatestFrame};
 use super::rate_limit::RateLimit;
 use crate::frame::{
-    Arrival, Frame, FrameLimits, PayloadFormat, Pushed, RingSender, SequenceTracker, read_sample,
+    Arrival, Delivery, Frame, FrameLimits, PayloadFormat, Pushed, RejectedFrame, RingSender,
+    SequenceTracker, read_sample,
 };
 use albireo_wire::DroppedFrames;
 use std::collections::BTreeMap;
@@ -23,8 +24,9 @@ pub(crate) struct Incoming {
     pub frame: Frame,
     /// Its place in the stream, lost frames counted.
     pub index: u64,
-    /// The camera began to number anew: a new stream.
-    pub restarted: bool,
+    /// Which stream it belongs to: grows each time the camera begins to number anew, also when the frame
+    /// that showed it could not be used.
+    pub epoch: u64,
 }
 
 /// Dropped frames of one camera: counted on the board at once and kept for the open clip.
@@ -89,7 +91,7 @@ pub(crate) enum DropKind {
     Lost,
     /// Pushed out of the ring.
     Overrun,
-    /// After a later one.
+    /// After a later one, or out of any order.
     Late,
     /// There twice.
     Duplicate,
@@ -99,6 +101,8 @@ pub(crate) enum DropKind {
     Oversized,
     /// Of a kind not known.
     UnknownFormat,
+    /// The camera's loop did not run.
+    Stopped,
 }
 
 impl DropKind {
@@ -112,6 +116,7 @@ impl DropKind {
             Self::Undecodable => "undecodable",
             Self::Oversized => "oversized",
             Self::UnknownFormat => "unknown_format",
+            Self::Stopped => "stopped",
         }
     }
 
@@ -124,6 +129,7 @@ impl DropKind {
             Self::Undecodable => &mut dropped.undecodable,
             Self::Oversized => &mut dropped.oversized,
             Self::UnknownFormat => &mut dropped.unknown_format,
+            Self::Stopped => &mut dropped.stopped,
         }
     }
 }
@@ -154,6 +160,7 @@ pub(crate) struct Intake {
 struct Stream {
     tracker: SequenceTracker,
     arrivals: u64,
+    epoch: u64,
 }
 
 impl Intake {
@@ -177,45 +184,54 @@ impl Intake {
 
     /// Takes one sample as it arrives.
     pub(crate) fn take(&self, sample: &Sample) {
-        // One lock over reading and numbering keeps the order of arrival where Zenoh calls from more
-        // than one thread.
+        // One lock over reading, numbering and pushing keeps the order of arrival where Zenoh calls from
+        // more than one thread.
         let mut stream = self.stream.lock().unwrap_or_else(PoisonError::into_inner);
         let arrival = stream.arrivals;
         stream.arrivals += 1;
         let read = read_sample(sample, arrival, self.format, &self.limits);
+        self.place(stream, read);
+    }
+
+    /// Counts what is missing, and puts a usable frame into the ring if its number is new.
+    fn place(&self, mut stream: MutexGuard<'_, Stream>, read: Result<Frame, RejectedFrame>) {
         let (sequence, clip) = match &read {
             Ok(frame) => (Some(frame.sequence), frame.clip.clone()),
             Err(rejected) => (rejected.sequence, rejected.clip.clone()),
         };
-        let place = sequence.map(|sequence| stream.tracker.arrive(sequence, clip.as_ref()));
-        drop(stream);
-
-        if let Some(Arrival::New { lost, .. }) = place
-            && lost > 0
+        let place = match sequence {
+            Some(sequence) => Some(stream.tracker.arrive(sequence, clip.as_ref())),
+            None => {
+                stream.tracker.arrive_unnumbered();
+                None
+            }
+        };
+        if let Some(Arrival::New {
+            lost, restarted, ..
+        }) = place
         {
-            self.ledger.count(
-                DropKind::Lost,
-                lost,
-                &"numbers are missing in the camera's sequence",
-            );
+            stream.epoch += u64::from(restarted);
+            if lost > 0 {
+                self.ledger.count(
+                    DropKind::Lost,
+                    lost,
+                    &"numbers are missing in the camera's sequence",
+                );
+            }
         }
-        match read {
+        let frame = match read {
+            Ok(frame) => frame,
             Err(rejected) => {
-                self.ledger
+                drop(stream);
+                return self
+                    .ledger
                     .count(DropKind::from(&rejected.fault), 1, &rejected.fault);
             }
-            Ok(frame) => self.place(frame, place),
-        }
-    }
-
-    /// Puts a usable frame into the ring if its number is new.
-    fn place(&self, frame: Frame, place: Option<Arrival>) {
-        let (index, restarted) = match place {
-            Some(Arrival::New {
-                index, restarted, ..
-            }) => (index, restarted),
+        };
+        let sequence = frame.sequence;
+        let index = match place {
+            Some(Arrival::New { index, .. }) => index,
             Some(Arrival::Duplicate) => {
-                let sequence = frame.sequence;
                 return self.ledger.count(
                     DropKind::Duplicate,
                     1,
@@ -223,26 +239,44 @@ impl Intake {
                 );
             }
             Some(Arrival::Late { .. }) | None => {
-                let sequence = frame.sequence;
                 return self.ledger.count(
                     DropKind::Late,
                     1,
                     &format_args!("sequence number {sequence} came after a later one"),
                 );
             }
+            Some(Arrival::Stray) => {
+                return self.ledger.count(
+                    DropKind::Late,
+                    1,
+                    &format_args!("sequence number {sequence} is far from all others"),
+                );
+            }
         };
         self.board.set_latest_frame(LatestFrame {
-            seq: frame.sequence,
+            seq: sequence,
             picture: frame.picture.clone(),
         });
-        let pushed = self.ring.push_blocking(Incoming {
+        let incoming = Incoming {
             frame,
             index,
-            restarted,
-        });
+            epoch: stream.epoch,
+        };
+        let pushed = if self.ring.delivery() == Delivery::Newest {
+            // Never waits, so the lock can be held.
+            self.ring.push_blocking(incoming)
+        } else {
+            // May wait for room: the loop drops a frame that another thread has overtaken meanwhile.
+            drop(stream);
+            self.ring.push_blocking(incoming)
+        };
         match pushed {
-            // A camera stopped on purpose takes no more frames: nothing to count.
-            Pushed::Queued | Pushed::Closed(_) => {}
+            Pushed::Queued => {}
+            Pushed::Closed(_) => self.ledger.count(
+                DropKind::Stopped,
+                1,
+                &"the camera's loop does not run: it has failed, or the node stops",
+            ),
             Pushed::Replaced(_) => self.ledger.count(
                 DropKind::Overrun,
                 1,
@@ -251,3 +285,6 @@ impl Intake {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -8,18 +8,26 @@ pub mod clip;
 pub mod config;
 mod counters;
 pub mod detector;
+mod error;
 mod evidence;
 pub mod frame;
 pub mod http;
 mod intake;
+
+pub mod name;
+pub mod outbox;
 pub mod power;
+mod publishing;
 mod rate_limit;
+pub mod readiness;
 mod report;
 mod run;
 pub mod screen;
-mod spool;
 mod start;
 mod threshold;
+mod uplink;
 
+pub use error::NodeError;
+pub use evidence::{LiveEvidence, Times};
 pub use run::{run, run_prepared};
-pub use start::{Node, PreparedNode};
+pub use start::{Node, PolicyMaker, PreparedNode};

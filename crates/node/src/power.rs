@@ -1,8 +1,9 @@
-//! Power meters, one file each; sampling every 100 ms; exact integration over a span of time.
+//! Power meters, one file each; sampling; energy summed up as it is used, exact for a clip of any length.
 //!
 //! ```text
-//! a Meter (ina, tegrastats, rapl, nvml, …) ─ every interval_ms ─▶ History ─▶ integrate [start, end] ─▶ SpanEnergy
-//! Machine (thermal zones, clocks, …) ─ every second ─▶ Conditions ─▶ BoardState
+//! a Meter (ina, tegrastats, rapl, nvml, …) ─ every interval_ms ─▶ Series ─▶ Ledger ─▶ SpanEnergy of a clip
+//! Machine (thermal zones, clocks, …) ─ every second ─▶ Conditions ─┘  └▶ BoardState
+//! frames and runs of the detector, by camera ─▶ Shares ─┘
 //! ```
 
 mod battery;
@@ -12,38 +13,45 @@ mod condition;
 mod config;
 mod cost;
 mod counter;
+mod error;
 mod estimate;
 mod gpu_load;
-mod history;
 mod ina;
-pub mod integrate;
+mod ledger;
 mod machine;
 mod meter;
 mod none;
 mod nvml;
 mod rails;
 mod rapl;
+mod reading;
 pub(crate) mod sampler;
+mod series;
+mod shares;
 mod sum;
 mod survey;
 mod sysfs;
 mod tegrastats;
+mod user;
 
 pub use battery::Battery;
 pub use choose::open;
 pub use condition::Condition;
 pub use config::{PowerConfig, PowerSource};
 pub use cost::MeterCost;
+pub use error::MeterError;
 pub use estimate::Estimate;
-pub use history::SpanEnergy;
 pub use ina::Ina;
-pub use meter::{Domain, Meter, MeterError, Rail, Reading, Value, Values};
+pub use ledger::SpanEnergy;
+pub use meter::Meter;
 pub(crate) use none::NoMeter;
 pub use nvml::Nvml;
 pub use rails::RailMap;
 pub use rails::{RailTable, RailWatts};
 pub use rapl::Rapl;
-pub use sampler::{PowerHandle, PowerNow, start};
+pub use reading::{Domain, Rail, Reading, Value, Values};
+pub use sampler::{EnergySoFar, PowerHandle, PowerNow, start};
 pub use sum::SumMeter;
 pub use survey::{RailNow, SourceSurvey, survey};
 pub use tegrastats::{Tegrastats, TegrastatsLine};
+pub(crate) use user::{EnergyUser, OpenSpan};

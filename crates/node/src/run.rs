@@ -1,51 +1,68 @@
 //! The service: a node and its HTTP interface, from start to stop.
 
-use crate::PreparedNode;
 use crate::config::NodeConfig;
 use crate::http::{self, NodeView};
-use anyhow::Context;
+use crate::{NodeError, PreparedNode};
 use std::sync::Arc;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 /// Runs a node and its HTTP interface on `listener` until `shutdown`.
 ///
-/// HTTP answers first, so that a health check sees a node that is still loading its model; the node is
+/// HTTP answers first, so that a health check sees a node that still connects or loads its model; the node is
 /// ready when its cameras can be heard.
 ///
 /// # Errors
-/// When a part of the node cannot start, or the HTTP interface may not be offered as configured.
+/// When a part of the node cannot start, a task it cannot do without fails, or the HTTP interface may not be
+/// offered as configured.
 pub async fn run(
     config: &NodeConfig,
     listener: TcpListener,
     shutdown: CancellationToken,
-) -> anyhow::Result<()> {
+) -> Result<(), NodeError> {
     let prepared = PreparedNode::new(config)?;
     run_prepared(config, prepared, listener, shutdown).await
 }
 
 /// As [`run`], with a node whose board somebody else looks at too.
+///
+/// # Errors
+/// As there.
 pub async fn run_prepared(
     config: &NodeConfig,
     prepared: PreparedNode,
     listener: TcpListener,
     shutdown: CancellationToken,
-) -> anyhow::Result<()> {
-    let address = listener
-        .local_addr()
-        .context("the listener has no address")?;
+) -> Result<(), NodeError> {
+    let address = listener.local_addr().map_err(|source| NodeError::System {
+        what: "the listener has no address",
+        source,
+    })?;
     let view = NodeView {
         board: Arc::clone(prepared.board()),
         limits: config.frame,
     };
     // HTTP outlives the node, so that a look at the counters is possible until the end.
     let serving = CancellationToken::new();
-    let http = albireo_service::http::run(
-        &config.http,
-        http::router(view, serving.clone()),
-        listener,
-        serving.clone(),
-    );
+    let router = http::router(view, serving.clone());
+    let (http_config, stop) = (config.http.clone(), serving.clone());
+    // A task of its own: nothing the node waits for may keep a health check waiting.
+    let http = tokio::spawn(async move {
+        albireo_service::http::run(&http_config, router, listener, stop).await
+    });
+    // Without its interface a node cannot be watched or stopped: it ends.
+    let unserved = shutdown.clone();
+    let http = async move {
+        let ended = http.await;
+        unserved.cancel();
+        match ended {
+            Ok(ended) => ended.map_err(NodeError::from),
+            Err(error) => Err(NodeError::System {
+                what: "the HTTP interface failed",
+                source: error.into(),
+            }),
+        }
+    };
     tracing::info!(
         http = format!("http://{address}"),
         node = config.node.name,
@@ -58,22 +75,13 @@ pub async fn run_prepared(
             Ok(Some(node)) => {
                 let zenoh = node.endpoints().await;
                 tracing::info!(?zenoh, cameras = config.cameras.len(), "ready");
-                node.stopped().await;
-                Ok(())
+                node.stopped().await
             }
             Err(error) => Err(error),
         };
         serving.cancel();
         ended
     };
-    let (http, node) = tokio::join!(
-        async {
-            let ended = http.await.context("[http]");
-            // Without its interface a node cannot be watched or stopped: it ends.
-            shutdown.cancel();
-            ended
-        },
-        node
-    );
+    let (http, node) = tokio::join!(http, node);
     node.and(http)
 }

@@ -1,61 +1,88 @@
 //! Starts the parts of a node in a fixed order, and stops them in the opposite one.
 
-use super::board::{Board, BoardSetup};
+use super::board::{Board, BoardSetup, CameraBoard};
 use super::camera::Camera;
 use super::config::{CameraConfig, NodeConfig};
 use super::counters::Counters;
+use super::error::NodeError;
 use super::evidence::LiveEvidence;
-use super::intake::{DropCounts, Intake};
+use super::intake::{DropCounts, Incoming, Intake};
+use super::name::NodeName;
 use super::report::{ClipAccounts, Reporter};
-use super::spool::Spool;
 use super::threshold::ThresholdService;
-use crate::clip::{ClipTracker, EnergyShares};
+use crate::clip::{ClipConfig, ClipTracker, ClosedClip};
 use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
-use crate::frame::{Delivery, frame_ring};
+use crate::frame::{Delivery, FrameLimits, RingReceiver, RingSender, frame_ring};
 use crate::power::{self, PowerHandle};
-use crate::screen::{CameraScreen, ScreenHandle};
+use crate::publishing::{self, Detections, PublishingThread};
+use crate::readiness;
+use crate::screen::{CameraScreen, ScreenConfig, ScreenHandle};
+use crate::uplink::{DesiredKeeper, Uplink, UplinkSetup, Way};
+use albireo_core::policy::{Policy, PolicyConfigError};
+use albireo_service::readiness::{Effect, Fault, Latch};
 use albireo_service::session;
+use albireo_service::supervise::{Restarts, Supervisor};
 use albireo_wire::{CameraKeys, NodeKeys};
-use anyhow::{Context, anyhow};
+use std::fmt;
 use std::sync::Arc;
-use std::sync::atomic::AtomicU64;
 use std::time::Duration;
-use tokio::sync::watch;
-use tokio::task::JoinSet;
+use tokio::sync::{Mutex, mpsc, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use zenoh::Session;
-use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::CongestionControl;
+use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 /// Clip reports a publisher keeps for clients that come late.
 const CACHED_REPORTS: usize = 64;
 
-/// How long stopping may take in all: longer, and what is not out yet is given up. A service manager's
-/// patience is longer than that.
-const STOP_LIMIT: Duration = Duration::from_millis(4500);
+/// Answers of a live camera that may wait to be published; beyond it the oldest go.
+const WAITING_ANSWERS: usize = 8;
+
+/// Time between two looks at what no part tells by itself.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// How long the last messages for whoever listens may take.
+const FLUSH_LIMIT: Duration = Duration::from_secs(1);
+
+/// Makes a camera's policy, at its start and whenever its loop has failed: `|camera| policy`.
+pub type PolicyMaker =
+    Arc<dyn Fn(&str) -> Result<Box<dyn Policy>, PolicyConfigError> + Send + Sync>;
 
 /// A running node.
 pub struct Node {
     session: Session,
     detector: DetectorHandle,
     screen: Option<ScreenHandle>,
-    /// Camera loops and reporters: they end by themselves after the shutdown token is cancelled.
-    working: JoinSet<()>,
+    /// All tasks: they end by themselves after the shutdown token is cancelled.
+    tasks: Supervisor,
+    /// Once cancelled, camera loops wait for no detector any more.
+    hurry: CancellationToken,
+    stop_timeout: Duration,
     /// Power sampler: stopped when the last report is out.
     sampling: CancellationToken,
-    alive: LivelinessToken,
+    alive: NodeName,
+    publishing: PublishingThread,
+    uplink: Uplink,
     intakes: Vec<zenoh::pubsub::Subscriber<()>>,
-    _thresholds: Vec<ThresholdService>,
     shutdown: CancellationToken,
 }
 
 /// A node before it is started: its board can be shown already, and says that it is not ready.
-#[derive(Debug)]
 pub struct PreparedNode {
     board: Arc<Board>,
+    /// Keeps the node from being ready until the cameras are heard.
+    starting: Latch,
     detector_status: watch::Sender<DetectorStatus>,
+    policies: PolicyMaker,
+}
+
+impl fmt::Debug for PreparedNode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("PreparedNode")
+            .field("board", &self.board)
+            .finish_non_exhaustive()
+    }
 }
 
 impl PreparedNode {
@@ -63,14 +90,27 @@ impl PreparedNode {
     ///
     /// # Errors
     /// When a name or the policy cannot be used.
-    pub fn new(config: &NodeConfig) -> anyhow::Result<Self> {
+    pub fn new(config: &NodeConfig) -> Result<Self, NodeError> {
         let (detector_status, status) = watch::channel(DetectorStatus::Starting);
         let board = Board::new(BoardSetup::from_config(config, status)?);
-        board.hold("cameras", "the cameras are not subscribed to yet");
+        let starting = board
+            .readiness()
+            .latch(readiness::CAMERAS, "the cameras are not subscribed to yet");
+        let policy = config.policy.clone();
         Ok(Self {
             board,
+            starting,
             detector_status,
+            policies: Arc::new(move |_| policy.build()),
         })
+    }
+
+    /// Lets `policies` decide in the place of those the configuration names, for a program that brings its own.
+    /// They should have the configured policy's knob.
+    #[must_use]
+    pub fn with_policies(mut self, policies: PolicyMaker) -> Self {
+        self.policies = policies;
+        self
     }
 
     /// What the node shows of itself.
@@ -88,7 +128,7 @@ impl PreparedNode {
         self,
         config: &NodeConfig,
         shutdown: CancellationToken,
-    ) -> anyhow::Result<Option<Node>> {
+    ) -> Result<Option<Node>, NodeError> {
         tokio::select! {
             biased;
             node = self.start_parts(config, shutdown.clone()) => node.map(Some),
@@ -103,27 +143,108 @@ impl PreparedNode {
         self,
         config: &NodeConfig,
         shutdown: CancellationToken,
-    ) -> anyhow::Result<Node> {
+    ) -> Result<Node, NodeError> {
         let Self {
             board,
+            starting,
             detector_status,
+            policies,
         } = self;
         let keys = NodeKeys::new(&config.node.prefix, &config.node.name)?;
-        let session = session::open(&config.zenoh, config.frame.max_payload_bytes).await?;
+        let zenoh = board.readiness().part(readiness::ZENOH);
+        zenoh.not_ready("the session is not open yet");
+        let session = session::open(&config.zenoh, config.frame.max_payload_bytes, |reason| {
+            zenoh.not_ready(reason);
+        })
+        .await
+        .map_err(|error| NodeError::Zenoh(format!("{error:#}")))?;
+        zenoh.works();
+        let opened = session.clone();
+        (board.readiness()).probe(readiness::ZENOH, "session", move || {
+            (opened.is_closed()).then(|| Fault::not_ready("it is closed"))
+        });
+        let publishing = PublishingThread::start().map_err(|source| NodeError::System {
+            what: "the publishing thread cannot be started",
+            source,
+        })?;
         let sampling = CancellationToken::new();
         let unless_started = sampling.clone().drop_guard();
-        let keep = 2 * Duration::try_from_secs_f64(config.clip.window_s).unwrap_or_default();
-        let (power, _) = power::start(&config.power, keep, sampling).await?;
+        let (power, sampler) = power::start(&config.power, sampling.clone()).await?;
         tracing::info!(model = %config.detector.model.display(), "loading the detector");
         let detector = DetectorHandle::start(&config.detector)
             .await
-            .context("[detector]")?;
+            .map_err(NodeError::Detector)?;
         let screen = ScreenHandle::start(&config.screen, config.detector.onnxruntime.as_deref())
             .await
-            .context("[screen]")?;
+            .map_err(NodeError::Screen)?;
 
+        if let Some(screen) = &screen {
+            board.attach_screen(screen.meter());
+            let status = screen.status();
+            (board.readiness()).probe(readiness::SCREEN, "", move || {
+                readiness::of_screen(&status.borrow())
+            });
+        }
         board.attach_detector(detector.meter());
-        tokio::spawn(follow(detector.status(), detector_status));
+        let mut tasks = Supervisor::new(
+            board.readiness().clone(),
+            board.tasks().clone(),
+            shutdown.clone(),
+        );
+        let (status, to) = (detector.status(), Arc::new(detector_status));
+        let stop = shutdown.clone();
+        tasks.restarting(
+            "detector status",
+            tracing::info_span!("detector_status"),
+            Restarts::new(Effect::Degraded),
+            move || follow(status.clone(), Arc::clone(&to), stop.clone()),
+        );
+        let (gone, stop) = (detector.clone(), shutdown.clone());
+        tasks.essential("detector", tracing::info_span!("detector"), async move {
+            tokio::select! {
+                () = gone.ended() => Err("its supervisor is gone"),
+                () = stop.cancelled() => Ok(()),
+            }
+        });
+        if let Some(gone) = screen.clone() {
+            let (span, stop) = (tracing::info_span!("screen"), shutdown.clone());
+            tasks.dispensable("screen", span, Effect::Degraded, async move {
+                tokio::select! {
+                    () = gone.ended() => Err("its supervisor is gone"),
+                    () = stop.cancelled() => Ok(()),
+                }
+            });
+        }
+        readiness::look_at_cameras(&board, config.node.camera_silence());
+        readiness::look_at_power(&board, &power);
+        let watched = board.readiness().clone();
+        let stop = shutdown.clone();
+        tasks.restarting(
+            "readiness",
+            tracing::info_span!("readiness"),
+            Restarts::new(Effect::Degraded),
+            move || {
+                let (watched, stop) = (watched.clone(), stop.clone());
+                async move {
+                    stop.run_until_cancelled(watched.watch(LOOK_EVERY)).await;
+                }
+            },
+        );
+        tasks.dispensable(
+            "power sampler",
+            tracing::info_span!("power"),
+            Effect::Degraded,
+            // It outlives the other tasks: from the shutdown on it is not watched.
+            {
+                let stop = shutdown.clone();
+                async move {
+                    tokio::select! {
+                        ended = sampler => ended.map_err(|error| error.to_string()),
+                        () = stop.cancelled() => Ok(()),
+                    }
+                }
+            },
+        );
         let mut parts = Parts {
             config,
             session: &session,
@@ -131,11 +252,11 @@ impl PreparedNode {
             detector: &detector,
             screen: screen.as_ref(),
             board: &board,
-            ledger: EnergyShares::new(keep),
-            numbers: Arc::default(),
-            working: JoinSet::new(),
+            publishing: &publishing,
+            tasks,
+            policies: &policies,
+            hurry: CancellationToken::new(),
             intakes: Vec::new(),
-            thresholds: Vec::new(),
             shutdown: shutdown.clone(),
         };
         for (slot, camera) in config.cameras.iter().enumerate() {
@@ -143,32 +264,81 @@ impl PreparedNode {
             parts
                 .add_camera(CameraSlot(slot), camera, &camera_keys)
                 .await
-                .with_context(|| format!("camera `{}`", camera.name))?;
+                .map_err(|error| NodeError::Camera {
+                    camera: camera.name.clone(),
+                    error: Box::new(error),
+                })?;
         }
-        let counters =
-            Counters::declare(&session, &keys, Arc::clone(&board), power.clone()).await?;
-        parts.working.spawn(counters.run(shutdown.clone()));
+        let counters = Counters::declare(
+            &session,
+            &publishing,
+            &keys,
+            Arc::clone(&board),
+            power.clone(),
+        )
+        .await?;
+        let (counters, stop) = (Arc::new(counters), shutdown.clone());
+        parts.tasks.restarting(
+            "counters",
+            tracing::info_span!("counters"),
+            Restarts::new(Effect::Degraded),
+            move || {
+                let (counters, stop) = (Arc::clone(&counters), stop.clone());
+                async move { counters.run(stop).await }
+            },
+        );
         let Parts {
-            working,
+            mut tasks,
             intakes,
-            thresholds,
+            hurry,
             ..
         } = parts;
-        let alive = session
-            .liveliness()
-            .declare_token(keys.fleet().alive())
-            .await
-            .map_err(|error| anyhow!("liveliness token not declared: {error}"))?;
-        board.release("cameras");
+        let alive = NodeName::default();
+        let (name, key, part) = (
+            alive.clone(),
+            keys.fleet().alive(),
+            board.readiness().part_of(readiness::ZENOH, "name"),
+        );
+        let (held, stop) = (session.clone(), shutdown.clone());
+        tasks.restarting(
+            "name",
+            tracing::info_span!("name"),
+            Restarts::new(Effect::Degraded),
+            move || {
+                let (held, key) = (held.clone(), key.clone());
+                name.clone().hold(held, key, part.clone(), stop.clone())
+            },
+        );
+        let uplink = Uplink::start(UplinkSetup {
+            board: Arc::clone(&board),
+            outbox: board.outbox().clone(),
+            config: config.outbox.clone(),
+            keys: keys.fleet(),
+            labels: config.node.labels.clone(),
+            desired: DesiredKeeper::open(board.outbox(), config.node.hub_wins),
+            way: if config.uplink.is_set() {
+                Way::Own(config.uplink.clone())
+            } else {
+                Way::Local(session.clone())
+            },
+        })
+        .map_err(|source| NodeError::System {
+            what: "the uplink's thread cannot be started",
+            source,
+        })?;
+        drop(starting);
         Ok(Node {
             session,
             detector,
             screen,
-            working,
+            tasks,
+            hurry,
+            stop_timeout: config.node.stop_timeout(),
             sampling: unless_started.disarm(),
             alive,
+            publishing,
+            uplink,
             intakes,
-            _thresholds: thresholds,
             shutdown,
         })
     }
@@ -182,35 +352,82 @@ impl Node {
         locators.iter().map(ToString::to_string).collect()
     }
 
-    /// Waits for the shutdown token, lets the frames in hand and the open clips out, and closes.
-    /// Gives up after five seconds; what is not out then is in the spool or lost, and logged.
-    pub async fn stopped(mut self) {
-        self.shutdown.cancelled().await;
+    /// Runs until the shutdown token is cancelled or a task fails that the node cannot do without. Then lets the
+    /// frames in hand and the open clips out, and closes. Takes at most the configured `node.stop_timeout_s`,
+    /// whatever hangs: after a quarter of it no detector is waited for, and what has not ended in time is named in
+    /// the log and given up.
+    ///
+    /// # Errors
+    /// [`NodeError::Task`] when it ended because of a task.
+    pub async fn stopped(mut self) -> Result<(), NodeError> {
+        let watched = self.tasks.watch().await;
+        // Of a task that failed the others hear now.
+        self.shutdown.cancel();
         let start = Instant::now();
-        for intake in self.intakes.drain(..) {
-            let _ = intake.undeclare().await;
+        // What is left of the time is for HTTP and for threads that are still at work.
+        let (tasks_until, until) = (
+            start + self.stop_timeout / 2,
+            start + self.stop_timeout * 3 / 4,
+        );
+        let hurry = self.hurry.clone();
+        let hurrying = async {
+            tokio::time::sleep(self.stop_timeout / 4).await;
+            hurry.cancel();
+            std::future::pending().await
+        };
+        let intakes = std::mem::take(&mut self.intakes);
+        // Zenoh's calls may block, so each has a thread of its own.
+        let undeclared = tokio::task::spawn_blocking(move || {
+            for intake in intakes {
+                let _ = intake.undeclare().wait();
+            }
+        });
+        let ending = tokio::select! {
+            ended = tokio::time::timeout_at(tasks_until, async {
+                let (_, ()) = tokio::join!(undeclared, self.tasks.finish());
+            }) => ended,
+            () = hurrying => Ok(()),
+        };
+        if ending.is_err() {
+            tracing::error!(
+                tasks = ?self.tasks.still_running(),
+                "not everything ended in time: it is given up"
+            );
         }
-        let flush = async {
-            while let Some(ended) = self.working.join_next().await {
-                if let Err(error) = ended {
-                    tracing::error!(%error, "a part of the node failed");
+        // The sampler is the last of the tasks: the clips' energy comes from it.
+        self.sampling.cancel();
+        let (alive, session) = (self.alive.take().await, self.session);
+        let (uplink, publishing) = (self.uplink, self.publishing);
+        let closed = tokio::task::spawn_blocking(move || {
+            publishing.flush(std::time::Instant::now() + FLUSH_LIMIT);
+            uplink.stop();
+            if let Some(alive) = alive {
+                let _ = alive.undeclare().wait();
+            }
+            session.close().wait()
+        });
+        let closing = async {
+            let screen = async {
+                if let Some(screen) = &self.screen {
+                    screen.stop().await;
                 }
-            }
-            self.detector.stop().await;
-            if let Some(screen) = &self.screen {
-                screen.stop().await;
-            }
-            let _ = self.alive.undeclare().await;
-            if let Err(error) = self.session.close().await {
+            };
+            let (closed, (), ()) = tokio::join!(closed, self.detector.stop(), screen);
+            if let Ok(Err(error)) = closed {
                 tracing::warn!(%error, "Zenoh session not closed cleanly");
             }
         };
-        if tokio::time::timeout(STOP_LIMIT, flush).await.is_err() {
-            tracing::error!("not everything could be published before the end");
+        if tokio::time::timeout_at(until, closing).await.is_err() {
+            tracing::error!("the detector or the Zenoh session did not end in time: given up");
         }
-        self.sampling.cancel();
         tracing::info!(seconds = start.elapsed().as_secs_f64(), "stopped");
+        Ok(watched?)
     }
+}
+
+/// For what Zenoh refuses.
+fn refused(what: impl fmt::Display) -> impl FnOnce(zenoh::Error) -> NodeError {
+    move |error| NodeError::Zenoh(format!("{what}: {error}"))
 }
 
 /// What the cameras are made from, and what has been made so far.
@@ -221,11 +438,11 @@ struct Parts<'a> {
     detector: &'a DetectorHandle,
     screen: Option<&'a ScreenHandle>,
     board: &'a Arc<Board>,
-    ledger: EnergyShares,
-    numbers: Arc<AtomicU64>,
-    working: JoinSet<()>,
+    publishing: &'a PublishingThread,
+    tasks: Supervisor,
+    policies: &'a PolicyMaker,
+    hurry: CancellationToken,
     intakes: Vec<zenoh::pubsub::Subscriber<()>>,
-    thresholds: Vec<ThresholdService>,
     shutdown: CancellationToken,
 }
 
@@ -235,85 +452,119 @@ impl Parts<'_> {
         slot: CameraSlot,
         config: &CameraConfig,
         keys: &CameraKeys,
-    ) -> anyhow::Result<()> {
+    ) -> Result<(), NodeError> {
         let board = self
             .board
             .camera(&config.name)
-            .ok_or_else(|| anyhow!("not on the board"))?;
+            .ok_or_else(|| NodeError::State("it is not on the board".to_owned()))?;
+        let name = &config.name;
         let drops = Arc::new(DropCounts::new(Arc::clone(board)));
         let (sender, ring) = frame_ring(config.delivery, config.ring);
-        let share = self.ledger.camera(&config.name);
-        let (accounts, closed) = ClipAccounts::new(
-            ClipTracker::new(self.config.clip),
-            share.clone(),
-            Arc::clone(&drops),
-        );
+        let (closed, clips) = mpsc::unbounded_channel();
 
         // A live camera's answers age with its frames; a replay wants each of them.
-        let congestion = match config.delivery {
-            Delivery::Newest => CongestionControl::Drop,
-            Delivery::Every => CongestionControl::Block,
+        let (congestion, priority) = match config.delivery {
+            Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
+            Delivery::Every => (CongestionControl::Block, publishing::EVERY),
         };
         let detections = self
             .session
             .declare_publisher(keys.detections())
             .congestion_control(congestion)
+            .priority(priority)
             .await
-            .map_err(|error| anyhow!("detections cannot be published: {error}"))?;
+            .map_err(refused("detections cannot be published"))?;
+        let detections = match config.delivery {
+            Delivery::Newest => Detections::Live(self.publishing.lane(detections, WAITING_ANSWERS)),
+            Delivery::Every => {
+                let (detections, thread) = Detections::every(detections);
+                let span = tracing::info_span!("detections", camera = name);
+                self.tasks
+                    .essential(format!("detections {name}"), span, async move {
+                        thread.await.map_err(|error| error.to_string())
+                    });
+                detections
+            }
+        };
         let reports = self
             .session
             .declare_publisher(keys.clip())
-            .congestion_control(CongestionControl::Block)
+            .congestion_control(CongestionControl::Drop)
+            .priority(publishing::CLIPS)
             .cache(CacheConfig::default().max_samples(CACHED_REPORTS))
             .sample_miss_detection(MissDetectionConfig::default())
             .publisher_detection()
             .await
-            .map_err(|error| anyhow!("clip reports cannot be published: {error}"))?;
-        let spool = match &self.config.node.state_dir {
-            Some(state_dir) => Some(Spool::open(state_dir, &config.name).with_context(|| {
-                format!("node.state_dir {} cannot be used", state_dir.display())
-            })?),
-            None => None,
-        };
+            .map_err(refused("clip reports cannot be published"))?;
 
-        let mut policy = self.config.policy.build()?;
-        if let Some(threshold) = board.threshold() {
-            policy.set_knob(threshold)?;
-        }
-        let camera = Camera {
+        let maker = CameraMaker {
+            name: config.name.clone(),
+            slot,
             board: Arc::clone(board),
-            ring,
-            ledger: Arc::clone(&drops),
-            policy,
-            evidence: LiveEvidence::new(
-                self.detector.clone(),
-                CameraScreen::new(&self.config.screen, self.screen.cloned(), slot),
-                slot,
-                self.config.frame,
-            ),
-            detections,
-            class_names: self.detector.class_names().into(),
-            accounts,
+            drops: Arc::clone(&drops),
+            first_ring: Mutex::new(Some(ring)),
+            sender: sender.clone(),
+            policies: Arc::clone(self.policies),
+            detector: self.detector.clone(),
+            screen: self.screen.cloned(),
+            screen_config: self.config.screen.clone(),
+            limits: self.config.frame,
+            clip: self.config.clip,
+            power: self.power.clone(),
+            detections: Arc::new(detections),
+            closed,
             reset_at_clip: config.reset_at_clip,
+            hurry: self.hurry.clone(),
         };
+        let (maker, stop) = (Arc::new(maker), self.shutdown.clone());
+        self.tasks.restarting(
+            format!("camera {name}"),
+            tracing::info_span!("camera", name),
+            Restarts::new(Effect::NotReady),
+            move || {
+                let (maker, stop) = (Arc::clone(&maker), stop.clone());
+                async move {
+                    maker.make().await?.run(stop).await;
+                    Ok::<(), PolicyConfigError>(())
+                }
+            },
+        );
         let reporter = Reporter {
             board: Arc::clone(self.board),
             camera: config.name.clone(),
             detector: self.detector.clone(),
-            power: self.power.clone(),
-            share,
-            numbers: Arc::clone(&self.numbers),
-            publisher: reports,
-            spool,
+            listeners: self.publishing.lane(reports, CACHED_REPORTS),
+            outbox: self.board.outbox().clone(),
         };
-        self.working.spawn(camera.run(self.shutdown.clone()));
-        self.working.spawn(reporter.run(closed));
+        let reporter = Arc::new(Mutex::new((reporter, clips)));
+        self.tasks.restarting(
+            format!("reporter {name}"),
+            tracing::info_span!("reporter", camera = name),
+            Restarts::new(Effect::Degraded),
+            move || {
+                let reporter = Arc::clone(&reporter);
+                async move {
+                    let mut locked = reporter.lock().await;
+                    let (reporter, clips) = &mut *locked;
+                    reporter.run(clips).await
+                }
+            },
+        );
 
         let threshold =
             ThresholdService::declare(self.session, keys.threshold(), Arc::clone(board))
                 .await
-                .map_err(|error| anyhow!("the threshold cannot be served: {error}"))?;
-        self.thresholds.push(threshold);
+                .map_err(refused("the threshold cannot be served"))?;
+        let (threshold, stop) = (Arc::new(threshold), self.shutdown.clone());
+        self.tasks.restarting(
+            format!("threshold {name}"),
+            tracing::info_span!("threshold", camera = name),
+            Restarts::new(Effect::Degraded),
+            move || {
+                let (threshold, stop) = (Arc::clone(&threshold), stop.clone());
+                async move { threshold.run(stop).await }
+            },
+        );
         let intake = Intake::new(
             Arc::clone(board),
             drops,
@@ -326,19 +577,79 @@ impl Parts<'_> {
             .declare_subscriber(board.key().to_owned())
             .callback(move |sample| intake.take(&sample))
             .await
-            .map_err(|error| anyhow!("frames on `{}` cannot be had: {error}", board.key()))?;
+            .map_err(refused(format!(
+                "frames on `{}` cannot be had",
+                board.key()
+            )))?;
         self.intakes.push(subscriber);
         Ok(())
     }
 }
 
+/// What a camera's loop is made from, as often as that is needed.
+struct CameraMaker {
+    name: String,
+    slot: CameraSlot,
+    board: Arc<CameraBoard>,
+    drops: Arc<DropCounts>,
+    /// The ring as it was made: no frame between that and the loop's start is lost.
+    first_ring: Mutex<Option<RingReceiver<Incoming>>>,
+    sender: RingSender<Incoming>,
+    policies: PolicyMaker,
+    detector: DetectorHandle,
+    screen: Option<ScreenHandle>,
+    screen_config: ScreenConfig,
+    limits: FrameLimits,
+    clip: ClipConfig,
+    power: PowerHandle,
+    detections: Arc<Detections>,
+    closed: mpsc::UnboundedSender<ClosedClip>,
+    reset_at_clip: bool,
+    hurry: CancellationToken,
+}
+
+impl CameraMaker {
+    /// A loop that knows nothing of the frames before; the clip begins anew with it. The loop takes over the
+    /// threshold in force with its first frame.
+    async fn make(&self) -> Result<Camera, PolicyConfigError> {
+        let policy = (self.policies)(&self.name)?;
+        let ring = self.first_ring.lock().await.take();
+        Ok(Camera {
+            board: Arc::clone(&self.board),
+            ring: ring.unwrap_or_else(|| self.sender.reopen()),
+            ledger: Arc::clone(&self.drops),
+            policy,
+            evidence: LiveEvidence::new(
+                self.detector.clone(),
+                CameraScreen::new(&self.screen_config, self.screen.clone(), self.slot),
+                self.slot,
+                self.limits,
+            )
+            .hurried_by(self.hurry.clone()),
+            detections: Arc::clone(&self.detections),
+            class_names: self.detector.class_names().into(),
+            accounts: ClipAccounts::new(
+                ClipTracker::new(self.clip, self.power.user(&self.name)),
+                Arc::clone(&self.drops),
+                self.closed.clone(),
+            ),
+            reset_at_clip: self.reset_at_clip,
+        })
+    }
+}
+
 /// Copies the detector's status to where the board reads it.
-async fn follow(mut from: watch::Receiver<DetectorStatus>, to: watch::Sender<DetectorStatus>) {
+async fn follow(
+    mut from: watch::Receiver<DetectorStatus>,
+    to: Arc<watch::Sender<DetectorStatus>>,
+    shutdown: CancellationToken,
+) -> Result<(), &'static str> {
     loop {
         let status = from.borrow_and_update().clone();
         to.send_replace(status);
-        if from.changed().await.is_err() {
-            return;
+        tokio::select! {
+            () = shutdown.cancelled() => return Ok(()),
+            changed = from.changed() => changed.map_err(|_| "the detector's task is gone")?,
         }
     }
 }

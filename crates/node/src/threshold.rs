@@ -1,12 +1,15 @@
 //! The threshold over Zenoh: a query tells it, a put or a query with a payload changes it.
 
 use super::board::CameraBoard;
+use super::rate_limit::SharedLimit;
 use albireo_wire::{self, KnobValue, ThresholdMessage, VERSION};
+use std::io::Read;
 use std::sync::Arc;
 use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::Wait;
-use zenoh::bytes::Encoding;
+use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::pubsub::Subscriber;
 use zenoh::query::{Query, Queryable};
 
@@ -22,11 +25,14 @@ enum Request {
     Query(Query),
 }
 
-/// Serves one camera's threshold until dropped.
-#[derive(Debug)]
+/// One camera's threshold: requests come in until it is dropped, and are answered while [`run`](Self::run) runs.
 pub(crate) struct ThresholdService {
     _queryable: Queryable<()>,
     _subscriber: Subscriber<()>,
+    board: Arc<CameraBoard>,
+    key: String,
+    waiting: tokio::sync::Mutex<mpsc::Receiver<Request>>,
+    refused: Arc<SharedLimit>,
 }
 
 impl ThresholdService {
@@ -41,17 +47,19 @@ impl ThresholdService {
         key: String,
         board: Arc<CameraBoard>,
     ) -> zenoh::Result<Self> {
-        let (requests, mut waiting) = mpsc::channel(WAITING);
+        let (requests, waiting) = mpsc::channel(WAITING);
         let puts = requests.clone();
+        let (too_many, too_many_queries) = (SharedLimit::new(), SharedLimit::new());
         let subscriber = session
             .declare_subscriber(key.clone())
             .callback(move |sample| {
-                // Of one that is too long no more than shows it.
-                let payload = sample.payload().to_bytes();
-                let read = payload.len().min(MAX_MESSAGE_BYTES + 1);
-                let put = Request::Put(payload[..read].to_vec());
-                if puts.try_send(put).is_err() {
-                    tracing::warn!("threshold put dropped: too many at once");
+                if puts
+                    .try_send(Request::Put(beginning(sample.payload())))
+                    .is_err()
+                {
+                    too_many.tell(|held_back| {
+                        tracing::warn!(held_back, "threshold put dropped: too many at once");
+                    });
                 }
             })
             .await?;
@@ -60,36 +68,65 @@ impl ThresholdService {
             .callback(move |query| {
                 // One that does not fit goes unanswered, as if nobody were there.
                 if requests.try_send(Request::Query(query)).is_err() {
-                    tracing::warn!("threshold query dropped: too many at once");
+                    too_many_queries.tell(|held_back| {
+                        tracing::warn!(held_back, "threshold query dropped: too many at once");
+                    });
                 }
             })
             .await?;
-        // Ends when both declarations are gone.
-        tokio::spawn(async move {
-            while let Some(request) = waiting.recv().await {
-                let (board, key) = (Arc::clone(&board), key.clone());
-                let served = tokio::task::spawn_blocking(move || serve(&board, &key, request));
-                if let Err(error) = served.await {
-                    tracing::error!(%error, "threshold request failed");
-                }
-            }
-        });
         Ok(Self {
             _queryable: queryable,
             _subscriber: subscriber,
+            board,
+            key,
+            waiting: tokio::sync::Mutex::new(waiting),
+            refused: Arc::new(SharedLimit::new()),
         })
+    }
+
+    /// Answers requests until `shutdown`. Those that came while nobody answered are not lost.
+    pub(crate) async fn run(&self, shutdown: CancellationToken) {
+        let mut waiting = self.waiting.lock().await;
+        loop {
+            let request = tokio::select! {
+                () = shutdown.cancelled() => return,
+                request = waiting.recv() => request,
+            };
+            let Some(request) = request else { return };
+            let (board, key) = (Arc::clone(&self.board), self.key.clone());
+            let refused = Arc::clone(&self.refused);
+            let served =
+                tokio::task::spawn_blocking(move || serve(&board, &key, request, &refused));
+            if let Err(error) = served.await {
+                tracing::error!(%error, "threshold request failed");
+            }
+        }
     }
 }
 
-fn serve(board: &CameraBoard, key: &str, request: Request) {
+fn serve(board: &CameraBoard, key: &str, request: Request, refused: &SharedLimit) {
     match request {
         Request::Put(payload) => {
             if let Err(reason) = change(board, &payload) {
-                tracing::warn!(camera = board.name(), "threshold put refused: {reason}");
+                refused.tell(|held_back| {
+                    let camera = board.name();
+                    tracing::warn!(camera, held_back, "threshold put refused: {reason}");
+                });
             }
         }
         Request::Query(query) => answer(board, key, &query),
     }
+}
+
+/// A payload, of one that is too long no more than shows it: a large one is never copied whole.
+fn beginning(payload: &ZBytes) -> Vec<u8> {
+    let mut read = Vec::new();
+    // Reading from memory does not fail.
+    let _ = payload
+        .reader()
+        .take(MAX_MESSAGE_BYTES as u64 + 1)
+        .read_to_end(&mut read);
+    read
 }
 
 /// Changes the threshold to what the payload says; the value now in force.
@@ -118,7 +155,7 @@ fn in_force(board: &CameraBoard) -> Result<KnobValue, String> {
 
 fn answer(board: &CameraBoard, key: &str, query: &Query) {
     let result = match query.payload() {
-        Some(payload) if !payload.is_empty() => change(board, &payload.to_bytes()),
+        Some(payload) if !payload.is_empty() => change(board, &beginning(payload)),
         _ => in_force(board),
     };
     let sent = match result {

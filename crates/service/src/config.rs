@@ -6,6 +6,8 @@ mod findings;
 mod http;
 mod load;
 mod log;
+mod tokens;
+mod uplink;
 mod zenoh;
 
 pub use error::{ConfigError, Finding};
@@ -15,5 +17,7 @@ pub use http::{HttpConfig, Token};
 pub use load::{Configuration, load};
 pub use log::LogConfig;
 pub use log::LogFormat;
+pub use tokens::{NamedToken, Role};
+pub use uplink::UplinkConfig;
 pub use zenoh::ZenohConfig;
 pub use zenoh::ZenohMode;

@@ -2,11 +2,13 @@
 //! and serves it.
 
 mod auth;
+mod connections;
 mod error;
 mod problem;
 mod serve;
+mod stalled;
 
-pub use auth::TokenError;
+pub use auth::{Caller, TokenError};
 pub use error::HttpError;
 pub use problem::{Problem, response};
-pub use serve::{BODY_LIMIT, run};
+pub use serve::{BODY_LIMIT, run, run_with_tokens};

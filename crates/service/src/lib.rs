@@ -1,8 +1,12 @@
 //! What every service of albireo has in common, node and hub alike: its configuration, its Zenoh session, its
 //! HTTP server, its log, and how it is told to stop. It knows neither node nor hub.
 
+pub mod clock;
 pub mod config;
 pub mod http;
 pub mod logging;
+pub mod panics;
+pub mod readiness;
 pub mod session;
 pub mod signals;
+pub mod supervise;

@@ -1,9 +1,9 @@
 //! Sets up the log.
 
 use crate::config::{LogConfig, LogFormat};
-use anyhow::Context;
 use std::io::IsTerminal;
 use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::ParseError;
 
 /// What libraries say at a level where it concerns only who debugs them: ONNX Runtime lists every node of
 /// a model at INFO, Zenoh every session and link. A directive of the user's own for the same target wins.
@@ -16,12 +16,23 @@ const QUIET: [&str; 6] = [
     "hyper=warn",
 ];
 
-/// Sends the log to standard error, as the configuration wants it.
+/// Why there is no log.
+#[derive(Debug, thiserror::Error)]
+pub enum LogError {
+    /// `log.level` is no list of directives.
+    #[error("log.level: {0}")]
+    Level(#[from] ParseError),
+    /// A log was set up before.
+    #[error("the log cannot be set up: {0}")]
+    Taken(String),
+}
+
+/// Sends the log to standard error, as the configuration wants it, and panics with it.
 ///
 /// # Errors
 /// When the level cannot be read, or a log was set up before.
-pub fn start(config: &LogConfig) -> anyhow::Result<()> {
-    let filter = filter(&config.level).context("log.level")?;
+pub fn start(config: &LogConfig) -> Result<(), LogError> {
+    let filter = filter(&config.level)?;
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr);
@@ -31,13 +42,15 @@ pub fn start(config: &LogConfig) -> anyhow::Result<()> {
             .try_init(),
         LogFormat::Json => subscriber.json().flatten_event(true).try_init(),
     };
-    started.map_err(|error| anyhow::anyhow!("the log cannot be set up: {error}"))
+    started.map_err(|error| LogError::Taken(error.to_string()))?;
+    crate::panics::log_panics();
+    Ok(())
 }
 
-fn filter(level: &str) -> anyhow::Result<EnvFilter> {
+fn filter(level: &str) -> Result<EnvFilter, ParseError> {
     // The later of two directives for the same target holds, so the user's come last.
     let directives = QUIET.join(",") + "," + level;
-    Ok(EnvFilter::builder().parse(directives)?)
+    EnvFilter::builder().parse(directives)
 }
 
 #[cfg(test)]

@@ -1,22 +1,212 @@
-//! Opens the Zenoh session a node or a tool talks through.
+//! Opens the Zenoh sessions a service or a tool talks through. Opening waits for the network, so it never runs on an
+//! async worker.
 
-use super::config::ZenohConfig;
-use anyhow::anyhow;
-use zenoh::Session;
+use super::config::{UplinkConfig, ZenohConfig, ZenohMode};
+use std::hash::{BuildHasher, RandomState};
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+use zenoh::{Session, Wait};
 
-/// Opens a session as configured. `max_payload_bytes` bounds what is taken from the network.
+/// First and longest pause between two attempts of a client to reach its router, without the jitter.
+const RETRY: (Duration, Duration) = (Duration::from_millis(500), Duration::from_secs(15));
+
+/// Why there is no session.
+#[derive(Debug, thiserror::Error)]
+pub enum SessionError {
+    /// A section makes no sense to Zenoh: that does not pass by itself.
+    #[error("[{section}] {reason}")]
+    Configuration {
+        /// The section: `zenoh` or `uplink`.
+        section: &'static str,
+        /// What is wrong with it.
+        reason: String,
+    },
+    /// An endpoint cannot be reached or listened on.
+    #[error("Zenoh session not opened ({place}): {reason}")]
+    NotOpened {
+        /// The endpoints that were tried, or the file that names them.
+        place: String,
+        /// What Zenoh says.
+        reason: String,
+    },
+    /// No router of the hub can be reached.
+    #[error("the hub's router cannot be reached ({endpoints}): {reason}")]
+    Uplink {
+        /// The endpoints that were tried.
+        endpoints: String,
+        /// What Zenoh says.
+        reason: String,
+    },
+    /// The thread that opens it ended without an answer.
+    #[error("opening the Zenoh session failed: {0}")]
+    Failed(#[from] tokio::task::JoinError),
+}
+
+impl SessionError {
+    fn zenoh(reason: String) -> Self {
+        let section = "zenoh";
+        Self::Configuration { section, reason }
+    }
+}
+
+/// Opens a session as configured. `max_payload_bytes` bounds what is taken from the network. A client waits for its
+/// router, for ever: drop the future to give up. `waiting` is told why, at each attempt that failed.
 ///
 /// # Errors
-/// When the configuration makes no sense to Zenoh, or an endpoint cannot be reached or listened on.
-pub async fn open(config: &ZenohConfig, max_payload_bytes: usize) -> anyhow::Result<Session> {
-    let zenoh = config
+/// When the configuration makes no sense to Zenoh, or an endpoint cannot be listened on.
+pub async fn open(
+    config: &ZenohConfig,
+    max_payload_bytes: usize,
+    waiting: impl Fn(&str),
+) -> Result<Session, SessionError> {
+    // A configuration that cannot be used is told at once, however often the network is tried.
+    config
         .to_zenoh(max_payload_bytes)
-        .map_err(|reason| anyhow!("[zenoh] {reason}"))?;
-    zenoh::open(zenoh).await.map_err(|error| {
-        let place = match &config.config_file {
-            Some(file) => format!("configuration file {}", file.display()),
-            None => format!("listen {:?}, connect {:?}", config.listen, config.connect),
+        .map_err(SessionError::zenoh)?;
+    let mut pause = RETRY.0;
+    loop {
+        let zenoh = config
+            .to_zenoh(max_payload_bytes)
+            .map_err(SessionError::zenoh)?;
+        let opened = tokio::task::spawn_blocking(|| zenoh::open(zenoh).wait()).await?;
+        let error = match opened {
+            Ok(session) => return Ok(session),
+            Err(error) => not_opened(config, &error),
         };
-        anyhow!("Zenoh session not opened ({place}): {error}")
-    })
+        if config.mode != ZenohMode::Client || config.config_file.is_some() {
+            return Err(error);
+        }
+        tracing::warn!("{error}; tried again");
+        waiting(&format!("the router cannot be reached: {error}"));
+        tokio::time::sleep(jittered(pause)).await;
+        pause = (pause * 2).min(RETRY.1);
+    }
+}
+
+/// What [`open_patiently`] sets beyond the `[zenoh]` section: settings in Zenoh's own terms, as
+/// `("transport/link/tx/lease", "60000")`.
+pub type Settings<'a> = &'a [(&'a str, &'a str)];
+
+/// Opens a session as [`open`] does, with more settings, on a thread of its own (opening may block for seconds), and
+/// tries again until it is open: a router that is not there yet is no reason to end. Each failure is given to
+/// `failed`. `None` when `shutdown` is cancelled first.
+///
+/// # Errors
+/// When the configuration makes no sense to Zenoh: that does not pass by itself.
+pub async fn open_patiently(
+    config: &ZenohConfig,
+    max_payload_bytes: usize,
+    settings: Settings<'_>,
+    shutdown: &CancellationToken,
+    mut failed: impl FnMut(&SessionError),
+) -> Result<Option<Session>, SessionError> {
+    let mut zenoh = config
+        .to_zenoh(max_payload_bytes)
+        .map_err(SessionError::zenoh)?;
+    for (key, value) in settings {
+        zenoh
+            .insert_json5(key, value)
+            .map_err(|error| SessionError::zenoh(format!("{key} = {value}: {error}")))?;
+    }
+    let mut pause = Duration::from_millis(500);
+    loop {
+        let attempt = zenoh.clone();
+        let opening = tokio::task::spawn_blocking(move || zenoh::open(attempt).wait());
+        let opened = tokio::select! {
+            opened = opening => opened,
+            () = shutdown.cancelled() => return Ok(None),
+        };
+        let error = match opened {
+            Ok(Ok(session)) => return Ok(Some(session)),
+            Ok(Err(error)) => not_opened(config, &error),
+            Err(error) => error.into(),
+        };
+        failed(&error);
+        tokio::select! {
+            () = tokio::time::sleep(jittered(pause)) => {}
+            () = shutdown.cancelled() => return Ok(None),
+        }
+        pause = (pause * 2).min(RETRY.1);
+    }
+}
+
+/// Opens the session to the hub: one attempt. Blocks.
+///
+/// # Errors
+/// When no router can be reached, or the configuration makes no sense to Zenoh.
+pub fn open_uplink(uplink: &UplinkConfig) -> Result<Session, SessionError> {
+    let config = uplink
+        .to_zenoh(jittered(Duration::from_millis(1000)))
+        .map_err(|reason| SessionError::Configuration {
+            section: "uplink",
+            reason,
+        })?;
+    zenoh::open(config)
+        .wait()
+        .map_err(|error| SessionError::Uplink {
+            endpoints: uplink.connect.join(", "),
+            reason: plain(&error),
+        })
+}
+
+fn not_opened(config: &ZenohConfig, error: &zenoh::Error) -> SessionError {
+    let place = match &config.config_file {
+        Some(file) => format!("configuration file {}", file.display()),
+        None => format!("listen {:?}, connect {:?}", config.listen, config.connect),
+    };
+    let reason = plain(error);
+    SessionError::NotOpened { place, reason }
+}
+
+/// Between half and one and a half of a pause, so that many nodes do not come together.
+fn jittered(pause: Duration) -> Duration {
+    let random = RandomState::new().hash_one(pause) % 1000;
+    pause.mul_f64(0.5 + random as f64 / 1000.0)
+}
+
+/// Zenoh's error without the places in its sources, which are paths of the machine that built it.
+pub fn plain(error: &zenoh::Error) -> String {
+    without_places(&error.to_string())
+}
+
+fn without_places(text: &str) -> String {
+    let mut rest = text;
+    let mut plain = String::new();
+    while let Some(found) = rest.find(".rs:") {
+        let (before, after) = rest.split_at(found);
+        let after = after
+            .trim_start_matches(".rs:")
+            .trim_start_matches(|c: char| c.is_ascii_digit());
+        match before.rfind(" at ") {
+            Some(at) => plain.push_str(&before[..at]),
+            None => plain.push_str(before),
+        }
+        rest = after;
+    }
+    plain.push_str(rest);
+    plain.trim().to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_of_zenoh_is_told_without_the_paths_of_its_sources() {
+        assert_eq!(
+            without_places(
+                "Can not create listener [Address in use at /home/x/.cargo/registry/src/a-1/b.rs:75.] at /y/o.rs:910."
+            ),
+            "Can not create listener [Address in use.]."
+        );
+        assert_eq!(without_places("nothing to hide"), "nothing to hide");
+    }
+
+    #[test]
+    fn pauses_are_spread() {
+        let pause = Duration::from_secs(2);
+        let spread: std::collections::BTreeSet<_> = (0..50).map(|_| jittered(pause)).collect();
+        assert!(spread.len() > 10);
+        assert!(spread.iter().all(|p| (1.0..3.0).contains(&p.as_secs_f64())));
+    }
 }

@@ -18,6 +18,7 @@ mod ground;
 mod ground_truth;
 mod kind;
 mod motion;
+mod paint;
 mod people;
 mod plants;
 mod random;

@@ -1,8 +1,8 @@
 //! What the participants look like, and drawing them with their shadows and lamps.
 
-use super::bodies::{HEAD, TAIL, TYRE, paintwork};
 use super::brush::{Brush, Solid};
 use super::kind::Kind;
+use super::paint::{HEAD, TAIL, TYRE, paintwork};
 use super::people::{self, Clothes, Stance};
 use super::random::Random;
 use super::space::{Color, Placement, Point, point};

@@ -33,14 +33,17 @@ pub enum EnergyQuality {
     Unavailable,
 }
 
+/// Share of a clip's time from which it counts as covered by samples.
+pub const FULL_COVERAGE: f64 = 0.999;
+
 /// Energy of one domain of the board.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct DomainEnergy {
     /// `total`, `gpu`, `cpu`, `io_mem`.
     pub domain: String,
-    /// Joules.
+    /// Joules, over the time that samples cover.
     pub joules: f64,
-    /// Mean power, watts.
+    /// Mean power over the time that samples cover, watts.
     pub mean_watts: f64,
     /// Highest sample, watts; where the source counts energy, the highest mean between two samples. Absent
     /// without a sample inside the clip.
@@ -49,16 +52,22 @@ pub struct DomainEnergy {
 }
 
 /// Energy of one clip.
+///
+/// Joules are those of the time that samples cover, and `coverage` says how much of the clip that is. They are
+/// never stretched to the rest, so with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip
+/// used: such joules must not be compared with others or set against the clip's duration, and `edp` is absent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ClipEnergy {
-    /// Joules of this clip; absent when [`EnergyQuality::Unavailable`].
+    /// Joules of this clip, its share by the time the detector ran for its camera; absent when
+    /// [`EnergyQuality::Unavailable`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub joules: Option<f64>,
     /// Joules of the whole node over the same time, of which `joules` is the clip's share. The same
     /// number when the node has one camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node_joules: Option<f64>,
-    /// Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation).
+    /// Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation). Absent
+    /// without frames, and when samples do not cover the whole clip (`coverage` below 0.999).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edp: Option<f64>,
     /// How far to trust it.
@@ -74,6 +83,18 @@ pub struct ClipEnergy {
     pub coverage: f64,
     /// Node energy by domain.
     pub domains: Vec<DomainEnergy>,
+}
+
+impl ClipEnergy {
+    /// Whether samples cover the whole clip, so that its joules are all that it used.
+    pub fn is_whole(&self) -> bool {
+        self.coverage >= FULL_COVERAGE
+    }
+
+    /// The joules, if they are all that the clip used.
+    pub fn whole_joules(&self) -> Option<f64> {
+        self.joules.filter(|_| self.is_whole())
+    }
 }
 
 /// Why a clip ended.
@@ -101,8 +122,8 @@ pub struct ClipReport {
     pub camera: String,
     /// Clip id: the camera's own, or `window-N`.
     pub clip: String,
-    /// Number of this report within the node's life, from 0: with `node` and `started_ns` it tells two
-    /// deliveries of the same report from two reports.
+    /// Number of this report within the instance of the node that made it, from 1, without a restart: instance and
+    /// number tell two deliveries of the same report from two reports.
     pub report: u64,
     /// Why it ended.
     pub ended_by: ClipEnd,
@@ -114,9 +135,9 @@ pub struct ClipReport {
     pub frames: u64,
     /// Frame states.
     pub states: FrameStates,
-    /// Share of frames with state E or P.
+    /// Share of frames that skipped the detector: state E or P and not degraded.
     pub skip_rate: f64,
-    /// Frames answered from prediction because the detector could not be had.
+    /// Frames answered from prediction because the detector could not be had: state P, and not skipped.
     pub degraded_frames: u64,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,

@@ -17,9 +17,9 @@ pub struct CountersMessage {
     pub frames: u64,
     /// Frame states since the node started.
     pub states: FrameStates,
-    /// Skip rate since the node started.
+    /// Share of frames that skipped the detector since the node started: state E or P and not degraded.
     pub skip_rate: f64,
-    /// Frames answered from prediction because the detector could not be had.
+    /// Frames answered from prediction because the detector could not be had: state P, and not skipped.
     pub degraded_frames: u64,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,

@@ -142,6 +142,17 @@ impl FleetKeys {
         self.key("@alive")
     }
 
+    /// The keys of the node's camera.
+    ///
+    /// # Errors
+    /// [`KeyError`] when the name cannot be used.
+    pub fn camera(&self, camera: &str) -> Result<CameraKeys, KeyError> {
+        check_segment("camera name", camera)?;
+        Ok(CameraKeys {
+            root: format!("{}/{}/{camera}", self.prefix, self.node),
+        })
+    }
+
     /// The node that a key of this kind belongs to: its last part.
     pub fn node_of(key: &str) -> Option<&str> {
         key.rsplit_once('/').map(|(_, node)| node)

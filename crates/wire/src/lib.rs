@@ -20,7 +20,8 @@ mod version;
 
 pub use albireo_core::policy::{Knob, KnobError};
 pub use clip::{
-    BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, Percentiles,
+    BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, FULL_COVERAGE,
+    Percentiles,
 };
 pub use counters::{CountersMessage, DomainWatts};
 pub use desired::{Desired, Poke, PullRequest};
@@ -34,6 +35,6 @@ pub use report::{
 pub use states::{DroppedFrames, FrameStates};
 pub use status::{
     CameraState, CameraStatus, HealthState, HealthStatus, KnobSource, NodeStatus, OutboxStatus,
-    StatusMessage,
+    RefusedDesired, StatusMessage,
 };
 pub use version::{MessageError, VERSION, read};

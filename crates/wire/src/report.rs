@@ -136,8 +136,9 @@ impl ReceivedBatch {
 pub struct ReportAnswer {
     /// Version.
     pub v: u32,
-    /// The last number stored of this instance: everything up to it may be removed. Above the node's own last number
-    /// it says that the node's state went back in time.
+    /// Every report of the instance up to this number is stored and may be removed: the batch's last number, or a lower
+    /// one where the rest must be sent again. Numbers begin at 1, so that 0 says that nothing is stored. Above the
+    /// node's own last number it says that the node's state went back in time.
     pub stored: u64,
     /// What the hub desires of the node, so that a lost poke costs one report.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -165,9 +166,13 @@ pub enum RefusalReason {
     Unavailable,
     /// The batch cannot be read; sending it again changes nothing, but it is not acknowledged.
     Unreadable,
+    /// Its first number is taken by another report of the instance: the node's state went back in time (a restored
+    /// disk), or another machine has a copy of it. The node makes a new instance, numbers what waits anew, and
+    /// sends it again.
+    Conflict,
 }
 
-/// The answer when a batch was not taken. Nothing of it is acknowledged.
+/// The answer when a batch was not taken, sent as an error reply. Nothing of it is acknowledged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportRefusal {
     /// Version.

@@ -52,11 +52,17 @@ impl FrameStates {
         self.e + self.p + self.ei + self.i + self.ai
     }
 
-    /// Share of frames that skipped the detector; 0 without frames.
-    pub fn skip_rate(&self) -> f64 {
+    /// Frames that skipped the detector: state E or P, less those of them that were `degraded`, for which the
+    /// detector was needed and could not be had.
+    pub fn skipped(&self, degraded: u64) -> u64 {
+        (self.e + self.p).saturating_sub(degraded)
+    }
+
+    /// Share of frames that [`skipped`](Self::skipped) the detector; 0 without frames.
+    pub fn skip_rate(&self, degraded: u64) -> f64 {
         match self.frames() {
             0 => 0.0,
-            frames => (self.e + self.p) as f64 / frames as f64,
+            frames => self.skipped(degraded) as f64 / frames as f64,
         }
     }
 }
@@ -79,7 +85,8 @@ pub struct DroppedFrames {
     pub lost: u64,
     /// Pushed out of the ring by a newer one before its turn.
     pub overrun: u64,
-    /// Arrived after a later frame; it had been counted as lost when the later one came.
+    /// Arrived after a later frame (it had been counted as lost when the later one came), or with a number
+    /// far from all others.
     pub late: u64,
     /// Arrived again with the same sequence number.
     pub duplicate: u64,
@@ -89,11 +96,13 @@ pub struct DroppedFrames {
     pub oversized: u64,
     /// A payload encoding that is not known, or an attachment that cannot be read.
     pub unknown_format: u64,
+    /// Arrived, or waited in the ring, while the camera's loop did not run: it had failed, or the node stopped.
+    pub stopped: u64,
 }
 
 impl DroppedFrames {
     /// Names and numbers, in the order of the fields.
-    pub fn by_kind(&self) -> [(&'static str, u64); 7] {
+    pub fn by_kind(&self) -> [(&'static str, u64); 8] {
         [
             ("lost", self.lost),
             ("overrun", self.overrun),
@@ -102,6 +111,7 @@ impl DroppedFrames {
             ("undecodable", self.undecodable),
             ("oversized", self.oversized),
             ("unknown_format", self.unknown_format),
+            ("stopped", self.stopped),
         ]
     }
 
@@ -120,5 +130,6 @@ impl std::ops::AddAssign<&Self> for DroppedFrames {
         self.undecodable += more.undecodable;
         self.oversized += more.oversized;
         self.unknown_format += more.unknown_format;
+        self.stopped += more.stopped;
     }
 }

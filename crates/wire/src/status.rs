@@ -79,6 +79,18 @@ pub struct NodeStatus {
     pub health: HealthStatus,
     /// The outbox.
     pub outbox: OutboxStatus,
+    /// The desired value that the node did not take, until it takes a later one; absent when it refused none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused: Option<RefusedDesired>,
+}
+
+/// A desired value that a node did not take.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct RefusedDesired {
+    /// Its generation: greater than the one in force.
+    pub generation: u64,
+    /// Why, in words: the policy has another knob, or the value is outside of its range.
+    pub reason: String,
 }
 
 /// Whether frames come from a camera.

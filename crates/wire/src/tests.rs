@@ -20,7 +20,7 @@ fn the_five_states_add_up() {
         assert_eq!(states.get(state), 1);
     }
     assert_eq!(states.frames(), 5);
-    assert!((states.skip_rate() - 0.4).abs() < 1e-12);
+    assert!((states.skip_rate(0) - 0.4).abs() < 1e-12);
 }
 
 #[test]

@@ -98,10 +98,8 @@ impl Player {
             camera.delivery = Delivery::Every;
         }
         config.cameras = vec![camera];
-        // The clip is ended by its end; a detector that is slow must not end it before. The power samples
-        // are kept for twice the window.
+        // The clip is ended by its end; a pause of the machine must not end it before.
         config.clip.silence_s = 3600.0;
-        config.clip.window_s = 3600.0;
         match config.findings().into_iter().next() {
             Some(problem) => bail!("{problem}"),
             None => Ok(config),
@@ -139,7 +137,7 @@ impl Player {
         };
         // The clip ends with the node, and its report is on the board when the node has stopped.
         stop.cancel();
-        stopped.await.context("the node")?;
+        stopped.await.context("the node")??;
         let measured = played?;
         let report = board
             .recent_clips(Some(CAMERA), usize::MAX)

@@ -1,8 +1,8 @@
 //! What the demonstration prints: an address, a live line, a line for every clip, a summary.
 
-use albireo_node::board::{Board, Event};
+use albireo_node::board::{Board, Event, SharedEvent};
 use albireo_node::config::NodeConfig;
-use albireo_wire::{ClipReport, DetectionsMessage, EnergyQuality, FrameStates};
+use albireo_wire::{ClipEnergy, ClipReport, DetectionsMessage, EnergyQuality, FrameStates};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -18,7 +18,7 @@ const LAST_REPORT: Duration = Duration::from_secs(3);
 /// Follows a node's board and prints.
 pub(super) struct Show {
     board: Arc<Board>,
-    events: Receiver<Event>,
+    events: Receiver<SharedEvent>,
     address: SocketAddr,
     model: String,
     started: Instant,
@@ -32,8 +32,11 @@ pub(super) struct Summary {
     first_detection: Option<f64>,
     clips: u64,
     states: FrameStates,
+    degraded: u64,
     dropped: u64,
     joules: f64,
+    /// The energy is not that of all the time.
+    has_gaps: bool,
     quality: Option<EnergyQuality>,
     source: String,
 }
@@ -89,7 +92,7 @@ impl Show {
                 event = self.events.recv() => event,
                 () = &mut end => break,
             };
-            match event {
+            match event.as_deref() {
                 Ok(Event::Frame(frame)) => {
                     if summary.first_detection.is_none() && !frame.detections.boxes.is_empty() {
                         let seconds = self.started.elapsed().as_secs_f64();
@@ -102,8 +105,8 @@ impl Show {
                     self.bar.tick();
                 }
                 Ok(Event::Clip(report)) => {
-                    self.say(&clip_line(&report));
-                    summary.add(&report);
+                    self.say(&clip_line(report));
+                    summary.add(report);
                     if shutdown.is_cancelled() {
                         break;
                     }
@@ -137,7 +140,7 @@ fn live_line(board: &Board, message: &DetectionsMessage) -> String {
     let skip_rate = board
         .cameras()
         .first()
-        .map_or(0.0, |camera| camera.snapshot().states.skip_rate());
+        .map_or(0.0, |camera| camera.snapshot().skip_rate());
     let knob = (message.knob).map_or_else(String::new, |knob| format!("  {knob}"));
     let line = format!(
         "frame {:>5}  {:<3} {:>5.1} ms{knob}  skip {:>4.1} %  {}",
@@ -154,7 +157,7 @@ fn live_line(board: &Board, message: &DetectionsMessage) -> String {
 /// A clip's row under [`HEADING`].
 fn clip_line(report: &ClipReport) -> String {
     let states = &report.states;
-    let mark = mark(report.energy.quality);
+    let mark = mark(&report.energy);
     let number = |value: Option<f64>, decimals: usize, unit: &str| {
         value.map_or_else(
             || "-".to_owned(),
@@ -176,12 +179,13 @@ fn clip_line(report: &ClipReport) -> String {
     )
 }
 
-/// Marks what no meter has read.
-const fn mark(quality: EnergyQuality) -> &'static str {
-    match quality {
-        EnergyQuality::Estimated => "*",
-        EnergyQuality::Partial => "+",
-        EnergyQuality::Measured | EnergyQuality::Unavailable => "",
+/// Marks what no meter has read, and what is not the energy of the whole clip.
+fn mark(energy: &ClipEnergy) -> &'static str {
+    match (energy.quality, energy.is_whole()) {
+        (EnergyQuality::Estimated, true) => "*",
+        (EnergyQuality::Estimated, false) => "*+",
+        (EnergyQuality::Partial, _) => "+",
+        (EnergyQuality::Measured | EnergyQuality::Unavailable, _) => "",
     }
 }
 
@@ -189,8 +193,10 @@ impl Summary {
     fn add(&mut self, report: &ClipReport) {
         self.clips += 1;
         self.states += report.states;
+        self.degraded += report.degraded_frames;
         self.dropped += report.dropped.total();
         self.joules += report.energy.joules.unwrap_or_default();
+        self.has_gaps |= !report.energy.is_whole();
         self.source.clone_from(&report.energy.source);
         // The least trustworthy part says how far to trust the sum.
         self.quality = self.quality.max(Some(report.energy.quality));
@@ -202,20 +208,22 @@ impl Summary {
             "\n{frames} frames in {} clips, {:.0} s; detector skipped on {:.1} % ({} of {frames}), dropped {}",
             self.clips,
             self.seconds,
-            self.states.skip_rate() * 100.0,
-            self.states.e + self.states.p,
+            self.states.skip_rate(self.degraded) * 100.0,
+            self.states.skipped(self.degraded),
             self.dropped,
         );
+        let gaps = if self.has_gaps {
+            ", without the time that no sample covers (+)"
+        } else {
+            ""
+        };
         match self.quality {
-            Some(EnergyQuality::Measured) => {
-                println!("energy {:.1} J, measured by {}", self.joules, self.source);
-            }
-            Some(EnergyQuality::Partial) => println!(
-                "energy {:.1} J, measured by {} with gaps (+)",
+            Some(EnergyQuality::Measured | EnergyQuality::Partial) => println!(
+                "energy {:.1} J, measured by {}{gaps}",
                 self.joules, self.source
             ),
             Some(EnergyQuality::Estimated) => println!(
-                "energy {:.1} J: estimated from utilisation (*), no power meter here",
+                "energy {:.1} J: estimated from utilisation (*), no power meter here{gaps}",
                 self.joules
             ),
             Some(EnergyQuality::Unavailable) | None => println!("energy not known: no source"),

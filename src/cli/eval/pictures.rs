@@ -2,7 +2,8 @@
 //! policy on what it found.
 
 use super::{RunArguments, listed, policies, projected_power, settings};
-use crate::cli::synth::{Seeds, parse_seeds, parse_size};
+use crate::cli::size::parse_size;
+use crate::cli::synth::{Seeds, parse_seeds};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};

@@ -49,8 +49,9 @@ impl Ablation {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::policy::FrameEvidence;
     use crate::policy::FrameState::{AI, E, EI, I, P};
-    use crate::policy::testing::{Available, Run, seen};
+    use crate::policy::testing::{Run, seen};
     use crate::policy::{Need, PolicyConfig, Profile};
 
     const ABLATIONS: [Ablation; 3] = [Ablation::KillOnly, Ablation::KillErd, Ablation::KillErd10d];
@@ -72,9 +73,9 @@ mod tests {
     #[test]
     fn kill_only_asks_no_screen() {
         let mut run = Run::new("kill-only", Profile::Paper);
-        let empty = Available {
+        let empty = FrameEvidence {
             empty: Some(true),
-            ..Available::detections(&[])
+            ..FrameEvidence::detections(&[])
         };
         assert_eq!(run.frame(1, empty), I);
         assert_eq!(run.needs, [Need::Detections]);

@@ -110,7 +110,8 @@ impl Policy for ErdOnly {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::policy::testing::{Available, Run, seen};
+    use crate::policy::FrameEvidence;
+    use crate::policy::testing::{Run, seen};
     use crate::policy::{BoxSource, Profile};
 
     #[test]
@@ -121,9 +122,9 @@ mod tests {
             assert_eq!(run.see(&found), FrameState::EI);
             assert_eq!(run.needs, [Need::Screen, Need::Detections]);
             assert_eq!(run.reported(), [(BoxSource::Detected, 0.5, 0.9)]);
-            let empty = Available {
+            let empty = FrameEvidence {
                 empty: Some(true),
-                ..Available::detections(&found)
+                ..FrameEvidence::detections(&found)
             };
             assert_eq!(run.frame(1, empty), FrameState::E);
             assert_eq!(run.needs, [Need::Screen]);
@@ -135,7 +136,10 @@ mod tests {
     fn without_the_screen_the_detector_runs_and_the_frame_is_not_called_screened() {
         let found = [seen(0.5, 0.9)];
         let mut run = Run::new("erd-only", Profile::Paper);
-        assert_eq!(run.frame(1, Available::detections(&found)), FrameState::I);
+        assert_eq!(
+            run.frame(1, FrameEvidence::detections(&found)),
+            FrameState::I
+        );
         assert_eq!(run.outcome.boxes.len(), 1);
         assert_eq!(run.blind(), FrameState::P);
         assert!(run.outcome.degraded && run.outcome.boxes.is_empty());

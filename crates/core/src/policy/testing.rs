@@ -1,6 +1,7 @@
 //! A camera for the tests of the policies: frames one after the other, and evidence as it is asked for.
 
 use super::*;
+use std::convert::Infallible;
 
 pub(super) const PICTURE: PictureSize = PictureSize::new(1280, 720);
 
@@ -13,30 +14,19 @@ pub(super) fn seen(x: f64, confidence: f64) -> Detection {
     }
 }
 
-/// What can be had for a frame.
-#[derive(Clone, Copy, Default)]
-pub(super) struct Available<'a> {
-    pub empty: Option<bool>,
-    pub picture: Option<GreyPicture<'a>>,
-    pub detections: Option<&'a [Detection]>,
+/// Evidence that notes what is asked for.
+struct Noted<'a> {
+    known: FrameEvidence<'a>,
+    needs: &'a mut Vec<Need>,
 }
 
-impl<'a> Available<'a> {
-    pub(crate) fn detections(detections: &'a [Detection]) -> Self {
-        Self {
-            detections: Some(detections),
-            ..Self::default()
-        }
-    }
+impl EvidenceAtHand for Noted<'_> {
+    type Error = Infallible;
 
-    fn evidence(&self, need: Need) -> Evidence<'a> {
-        let evidence = match need {
-            Need::Nothing => None,
-            Need::Screen => self.empty.map(|empty| Evidence::Screen { empty }),
-            Need::GreyPicture => self.picture.map(Evidence::GreyPicture),
-            Need::Detections => self.detections.map(Evidence::Detections),
-        };
-        evidence.unwrap_or(Evidence::Unavailable)
+    fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, Infallible> {
+        self.needs.push(need);
+        assert!(self.needs.len() <= 3, "{:?}", self.needs);
+        self.known.evidence(need)
     }
 }
 
@@ -69,44 +59,43 @@ impl Run {
         }
     }
 
+    /// Begins a frame, for a test that answers by itself.
     pub(crate) fn begin(&mut self, step: u32) -> Need {
+        let head = self.head(step);
+        self.policy.begin(head)
+    }
+
+    fn head(&mut self, step: u32) -> FrameHead {
         self.index += u64::from(step) - 1;
-        let frame = FrameHead {
+        let head = FrameHead {
             index: self.index,
             step,
             picture: PICTURE,
         };
         self.index += 1;
-        self.policy.begin(frame)
+        head
     }
 
     /// A whole frame, `step` after the one before.
-    pub(crate) fn frame(&mut self, step: u32, available: Available<'_>) -> FrameState {
+    pub(crate) fn frame(&mut self, step: u32, known: FrameEvidence<'_>) -> FrameState {
         self.needs.clear();
-        let mut need = self.begin(step);
-        while need != Need::Nothing {
-            self.needs.push(need);
-            assert!(self.needs.len() <= 3, "{:?}", self.needs);
-            need = self.policy.answer(available.evidence(need));
-        }
-        self.policy.finish(&mut self.outcome);
+        let head = self.head(step);
+        let mut noted = Noted {
+            known,
+            needs: &mut self.needs,
+        };
+        let Ok(()) = decide_at_once(&mut *self.policy, head, &mut noted, &mut self.outcome);
         self.outcome.state
     }
 
     /// A frame in which the detector, if asked, finds `found`, and the screen says "not empty".
     pub(crate) fn see(&mut self, found: &[Detection]) -> FrameState {
-        self.frame(
-            1,
-            Available {
-                empty: Some(false),
-                ..Available::detections(found)
-            },
-        )
+        self.frame(1, FrameEvidence::in_view(found))
     }
 
     /// A frame for which nothing can be had.
     pub(crate) fn blind(&mut self) -> FrameState {
-        self.frame(1, Available::default())
+        self.frame(1, FrameEvidence::default())
     }
 
     pub(crate) fn records(&self) -> Vec<ObjectRecord> {

@@ -9,7 +9,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Figure {
-    /// Energy of the clip, joules.
+    /// Energy of the clip, joules; of a run that samples cover whole.
     Joules,
     /// Energy-delay product, J·ms/frame.
     Edp,
@@ -50,8 +50,8 @@ impl Figure {
     pub fn of(self, run: &Run) -> Option<f64> {
         let report = &run.report;
         match self {
-            Self::Joules => report.energy.joules,
-            Self::Edp => report.energy.edp,
+            Self::Joules => report.energy.whole_joules(),
+            Self::Edp => report.energy.edp.filter(|_| report.energy.is_whole()),
             Self::CpuSeconds => Some(run.cpu_s),
             Self::FrameMilliseconds => Some(report.total_latency_ms.mean),
             Self::DetectorCalls => Some(report.detector_latency_ms.count as f64),
@@ -113,12 +113,12 @@ pub struct Change {
 pub enum Basis {
     /// A meter was read through every run.
     Measured {
-        /// Which.
+        /// The meter's name, as clip reports have it: `rapl`, `tegrastats`, …
         source: String,
     },
     /// A meter was read, with gaps.
     Partial {
-        /// Which.
+        /// The meter's name, as clip reports have it: `rapl`, `tegrastats`, …
         source: String,
     },
     /// Computed from utilisation; no meter was read.

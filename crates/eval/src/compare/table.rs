@@ -126,8 +126,8 @@ fn energy(summary: &Summary) -> String {
     let mut text = match &summary.energy {
         Basis::Measured { source } => format!("Energy is measured by `{source}`."),
         Basis::Partial { source } => format!(
-            "Energy is measured by `{source}`, but with gaps: samples cover {:.1} % of the worst run, and \
-             energy is that of the covered time only.",
+            "Energy is measured by `{source}`, but with gaps: samples cover {:.1} % of the worst run. Where they \
+             do not cover the whole run its energy is not known, and neither energy nor EDP is told.",
             summary.coverage * 100.0
         ),
         Basis::Estimated => "There is no power meter here (`albireo power` says why not): what is measured is \

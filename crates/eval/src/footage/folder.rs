@@ -1,11 +1,8 @@
 //! A folder of pictures as a source of frames.
 
 use super::source::{FrameSource, clip_name};
-use albireo_node::frame::{EncodedPicture, FrameLimits, PayloadFormat, RawSample, read_frame};
-use anyhow::{Context, anyhow, bail};
-use bytes::Bytes;
+use albireo_node::frame::{EncodedPicture, picture_files, read_picture_file};
 use std::path::{Path, PathBuf};
-use tokio::time::Instant;
 
 /// The JPEG and PNG files of a folder, ordered by name with numbers by value (`9.jpg` before `10.jpg`).
 #[derive(Debug)]
@@ -14,17 +11,6 @@ pub struct PictureFolder {
     files: Vec<PathBuf>,
     at: usize,
     rate: f64,
-}
-
-/// Whether the file's name is that of a picture.
-pub(super) fn is_picture(path: &Path) -> bool {
-    path.extension()
-        .and_then(|extension| extension.to_str())
-        .is_some_and(|extension| {
-            ["jpg", "jpeg", "png"]
-                .iter()
-                .any(|known| extension.eq_ignore_ascii_case(known))
-        })
 }
 
 impl PictureFolder {
@@ -36,76 +22,13 @@ impl PictureFolder {
     /// # Errors
     /// When the folder cannot be read or has no pictures.
     pub fn open(path: &Path, rate: f64) -> anyhow::Result<Self> {
-        let mut files = Vec::new();
-        if path.is_dir() {
-            let entries = std::fs::read_dir(path)
-                .with_context(|| format!("{}: cannot be read", path.display()))?;
-            for entry in entries {
-                let file = entry
-                    .with_context(|| format!("{}: cannot be read", path.display()))?
-                    .path();
-                if is_picture(&file) && file.is_file() {
-                    files.push(file);
-                }
-            }
-        } else {
-            files.push(path.to_path_buf());
-        }
-        if files.is_empty() {
-            bail!("{}: no .jpg, .jpeg or .png files in it", path.display());
-        }
-        files.sort_by_cached_key(|file| natural_key(file));
         Ok(Self {
             name: clip_name(path),
-            files,
+            files: picture_files(path)?,
             at: 0,
             rate,
         })
     }
-
-    /// Its files, in their order.
-    pub fn files(&self) -> &[PathBuf] {
-        &self.files
-    }
-}
-
-/// The file's name in parts that compare as people count: text as text, digits by value.
-fn natural_key(file: &Path) -> Vec<(String, u64, String)> {
-    let name = file.file_name().unwrap_or_default().to_string_lossy();
-    let mut parts = Vec::new();
-    let mut rest = name.as_ref();
-    while !rest.is_empty() {
-        let text_end = rest
-            .find(|c: char| c.is_ascii_digit())
-            .unwrap_or(rest.len());
-        let (text, after) = rest.split_at(text_end);
-        let digits_end = after
-            .find(|c: char| !c.is_ascii_digit())
-            .unwrap_or(after.len());
-        let (digits, after) = after.split_at(digits_end);
-        parts.push((
-            text.to_owned(),
-            digits.parse().unwrap_or(u64::MAX),
-            digits.to_owned(),
-        ));
-        rest = after;
-    }
-    parts
-}
-
-/// Reads the file's header as a node would.
-fn picture(bytes: Vec<u8>) -> anyhow::Result<EncodedPicture> {
-    let raw = RawSample {
-        payload: Bytes::from(bytes),
-        encoding: "",
-        attachment: None,
-        timestamp_ns: None,
-        arrival: 0,
-        received: Instant::now(),
-    };
-    read_frame(raw, PayloadFormat::Encoding, &FrameLimits::default())
-        .map(|frame| frame.picture)
-        .map_err(|rejected| anyhow!(rejected))
 }
 
 impl FrameSource for PictureFolder {
@@ -126,11 +49,7 @@ impl FrameSource for PictureFolder {
             return Ok(None);
         };
         self.at += 1;
-        std::fs::read(file)
-            .map_err(anyhow::Error::from)
-            .and_then(picture)
-            .with_context(|| format!("{}: not a picture that can be sent", file.display()))
-            .map(Some)
+        Ok(Some(read_picture_file(file)?))
     }
 
     fn rewind(&mut self) -> anyhow::Result<()> {
@@ -144,40 +63,24 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_come_in_the_order_people_count_and_other_files_are_passed_over() {
+    fn a_folder_s_pictures_come_in_order_to_the_end_and_again() {
         let folder = tempfile::tempdir().unwrap();
-        for name in [
-            "f10.jpg",
-            "f9.jpg",
-            "f9b.PNG",
-            "notes.txt",
-            "a2.jpeg",
-            "f010.jpg",
-        ] {
-            std::fs::write(folder.path().join(name), b"").unwrap();
-        }
-        std::fs::create_dir(folder.path().join("sub.jpg")).unwrap();
-        let opened = PictureFolder::open(folder.path(), 5.0).unwrap();
-        let names: Vec<_> = opened
-            .files
-            .iter()
-            .map(|file| file.file_name().unwrap().to_str().unwrap())
-            .collect();
-        assert_eq!(
-            names,
-            ["a2.jpeg", "f9.jpg", "f9b.PNG", "f010.jpg", "f10.jpg"]
-        );
-        assert_eq!(opened.frames(), Some(5));
-    }
-
-    #[test]
-    fn a_folder_without_pictures_and_a_broken_picture_are_named() {
-        let folder = tempfile::tempdir().unwrap();
-        let error = PictureFolder::open(folder.path(), 5.0).unwrap_err();
-        assert!(error.to_string().contains("no .jpg"));
-        std::fs::write(folder.path().join("x.jpg"), b"GIF89a").unwrap();
+        let picture = |name: &str, side: u16| {
+            let file = jpeg_encoder::Encoder::new_file(folder.path().join(name), 80).unwrap();
+            let pixels = vec![0; 3 * usize::from(side) * usize::from(side)];
+            file.encode(&pixels, side, side, jpeg_encoder::ColorType::Rgb)
+                .unwrap();
+        };
+        picture("10.jpg", 16);
+        picture("9.jpg", 8);
         let mut opened = PictureFolder::open(folder.path(), 5.0).unwrap();
-        let error = opened.next().unwrap_err();
-        assert!(format!("{error:#}").contains("x.jpg"), "{error:#}");
+        assert_eq!(opened.frames(), Some(2));
+        for _ in 0..2 {
+            for side in [8, 16] {
+                assert_eq!(opened.next().unwrap().unwrap().size.width, side);
+            }
+            assert!(opened.next().unwrap().is_none());
+            opened.rewind().unwrap();
+        }
     }
 }

@@ -4,11 +4,12 @@ use super::source::{FrameSource, Stopper, clip_name};
 use albireo_node::frame::{EncodedPicture, FrameLimits, PayloadFormat, RawSample, read_frame};
 use anyhow::{Context, anyhow, bail};
 use bytes::Bytes;
+use parking_lot::Mutex;
 use serde::Deserialize;
 use std::io::{BufRead, BufReader, ErrorKind, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::thread::JoinHandle;
 use tokio::time::Instant;
 
@@ -62,10 +63,6 @@ struct Slot {
 }
 
 impl Slot {
-    fn lock(slot: &Mutex<Self>) -> MutexGuard<'_, Self> {
-        slot.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
     fn kill(&mut self) {
         if let Some(mut child) = self.child.take() {
             // Errors mean that it has ended already.
@@ -215,7 +212,7 @@ impl Video {
     fn ended(&mut self) -> anyhow::Result<()> {
         self.output = None;
         let (status, stopped) = {
-            let mut slot = Slot::lock(&self.slot);
+            let mut slot = self.slot.lock();
             let status = slot.child.take().map(|mut child| child.wait());
             (status, slot.stopped)
         };
@@ -271,7 +268,7 @@ impl FrameSource for Video {
             Err(error) => {
                 // A failed ffmpeg explains a cut stream better than the cut does.
                 self.ended()?;
-                if Slot::lock(&self.slot).stopped {
+                if self.slot.lock().stopped {
                     return Ok(None);
                 }
                 Err(error).with_context(|| format!("{}: ffmpeg's output is cut", self.input))
@@ -285,7 +282,7 @@ impl FrameSource for Video {
             VideoEncoding::Jpeg => &["-c:v", "mjpeg", "-q:v", "2", "-f", "mpjpeg"],
             VideoEncoding::Png => &["-c:v", "png", "-f", "image2pipe"],
         };
-        let mut slot = Slot::lock(&self.slot);
+        let mut slot = self.slot.lock();
         slot.kill();
         if slot.stopped {
             return Ok(());
@@ -317,7 +314,7 @@ impl FrameSource for Video {
     fn stopper(&self) -> Option<Stopper> {
         let slot = Arc::clone(&self.slot);
         Some(Box::new(move || {
-            let mut slot = Slot::lock(&slot);
+            let mut slot = slot.lock();
             slot.stopped = true;
             slot.kill();
         }))
@@ -326,7 +323,7 @@ impl FrameSource for Video {
 
 impl Drop for Video {
     fn drop(&mut self) {
-        Slot::lock(&self.slot).kill();
+        self.slot.lock().kill();
     }
 }
 

@@ -7,9 +7,8 @@ use crate::scoring::DEFAULT_DECAY_U;
 use crate::source::SourceError;
 use crate::statistics::mean;
 use albireo_core::policy::{Albireo, Knob, PolicyConfig, PolicyConfigError, Profile};
+use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use serde::Serialize;
-use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, PoisonError};
 
 /// Why there is no figure.
 #[derive(Debug, thiserror::Error)]
@@ -29,7 +28,7 @@ pub enum FrontierError {
         policy: String,
         /// The clip.
         clip: String,
-        /// Why.
+        /// What the clip does not have.
         source: SourceError,
     },
     /// No clip has both detections and ground truth.
@@ -234,7 +233,7 @@ impl Candidate {
         let skipped = replayed
             .frames
             .iter()
-            .filter(|frame| frame.state.is_skipped());
+            .filter(|frame| frame.state.is_skipped() && !frame.degraded);
         let skip_rate = skipped.count() as f64 / replayed.frames.len().max(1) as f64;
         let accuracy = judged
             .then(|| {
@@ -254,26 +253,7 @@ impl Candidate {
 /// `work` for every clip, on as many threads as the machine has, in the order of the clips.
 fn over_clips(
     clips: &[ViewedClip],
-    work: impl Fn(&ViewedClip) -> Result<ClipFigures, FrontierError> + Sync,
+    work: impl Fn(&ViewedClip) -> Result<ClipFigures, FrontierError> + Sync + Send,
 ) -> Result<Vec<ClipFigures>, FrontierError> {
-    let next = AtomicUsize::new(0);
-    let done = Mutex::new(Vec::with_capacity(clips.len()));
-    let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..threads.min(clips.len()) {
-            scope.spawn(|| {
-                loop {
-                    let index = next.fetch_add(1, Ordering::Relaxed);
-                    let Some(clip) = clips.get(index) else { break };
-                    let result = work(clip);
-                    // A poisoned lock still holds good results: each was pushed whole.
-                    let mut done = done.lock().unwrap_or_else(PoisonError::into_inner);
-                    done.push((index, result));
-                }
-            });
-        }
-    });
-    let mut done = done.into_inner().unwrap_or_else(PoisonError::into_inner);
-    done.sort_by_key(|(index, _)| *index);
-    done.into_iter().map(|(_, result)| result).collect()
+    clips.par_iter().map(work).collect()
 }

@@ -2,7 +2,7 @@
 
 use crate::average_precision::TruthBox;
 use crate::data::Clip;
-use crate::source::{EvidenceSource, SourceError};
+use crate::source::{ClipEvidence, SourceError};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::GreyPicture;
@@ -113,7 +113,7 @@ pub struct ViewedClip {
 /// The evidence of a viewed clip; the screen never says "empty".
 pub(super) struct ViewedEvidence<'a>(pub &'a ViewedClip);
 
-impl EvidenceSource for ViewedEvidence<'_> {
+impl ClipEvidence for ViewedEvidence<'_> {
     fn picture(&self) -> PictureSize {
         self.0.picture
     }

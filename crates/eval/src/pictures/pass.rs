@@ -61,7 +61,7 @@ pub enum PassError {
         clip: String,
         /// Number of the frame, from 0.
         frame: usize,
-        /// Why.
+        /// Decoding, the detector or the screen, and what it said.
         source: Box<ObserveError>,
     },
     /// The pictures are not all of one size.

@@ -4,12 +4,11 @@ use super::pass::PicturedClip;
 use crate::replay::FrameRecord;
 use crate::result::{ClipResult, FrameTime, Provenance, Spread};
 use crate::run::{RunError, Settings, in_parallel, no_evidence, run_policy};
-use crate::source::{EvidenceSource, ScreenRule, SourceError, StoredEvidence};
+use crate::source::{ClipEvidence, ScreenRule, SourceError, StoredEvidence};
 use crate::spec::PolicySpec;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{FrameHead, FrameState, GreyPicture, Need};
-use albireo_node::screen::{AgnosticScreen, EmptyRun, ScreenConfig, Thumbnail};
 
 /// Which steps a frame needed.
 #[derive(Clone, Copy, Debug, Default)]
@@ -21,58 +20,25 @@ struct Asked {
 
 /// A [`PicturedClip`] as evidence. Remembers what was asked for, and so what it would have cost.
 pub(crate) struct PictureEvidence<'a> {
-    stored: StoredEvidence,
+    stored: StoredEvidence<'a>,
     pictured: &'a PicturedClip,
     rule: ScreenRule,
-    agnostic: Option<Agnostic>,
     asked: Vec<Asked>,
 }
 
-/// The agnostic screen at work on one clip.
-struct Agnostic {
-    screen: AgnosticScreen,
-    run: EmptyRun,
-    /// The frame in hand.
-    frame: usize,
-}
-
-impl Agnostic {
-    /// Questions come in order of frames, several of one frame perhaps.
-    fn turn_to(&mut self, frame: usize) {
-        if self.frame != frame {
-            self.frame = frame;
-            self.screen.next_frame();
-        }
-    }
-}
-
 impl<'a> PictureEvidence<'a> {
-    /// Detections from `confidence` on, and the screen as `rule` has it.
+    /// Detections and screen as `settings` have them.
     ///
     /// # Errors
     /// [`SourceError::NoScreenVerdicts`] when a real screen's verdicts are asked for and there was none.
     pub(crate) fn new(
         pictured: &'a PicturedClip,
-        confidence: f64,
-        rule: ScreenRule,
+        settings: &Settings,
     ) -> Result<Self, SourceError> {
-        let settings = ScreenConfig::default();
-        let (agnostic, stored) = match rule {
-            ScreenRule::Agnostic => {
-                let agnostic = Agnostic {
-                    screen: AgnosticScreen::new(&settings.agnostic, 0),
-                    run: EmptyRun::new(settings.longest_empty_run),
-                    frame: 0,
-                };
-                (Some(agnostic), ScreenRule::Nonempty)
-            }
-            _ => (None, rule),
-        };
         Ok(Self {
-            stored: StoredEvidence::new(&pictured.clip, confidence, stored)?,
+            stored: StoredEvidence::new(&pictured.clip, Some(&pictured.thumbnails), settings)?,
             pictured,
-            rule,
-            agnostic,
+            rule: settings.screen,
             asked: vec![Asked::default(); pictured.clip.frames],
         })
     }
@@ -114,12 +80,7 @@ impl<'a> PictureEvidence<'a> {
     }
 }
 
-/// What the agnostic screen sees of a frame.
-fn thumbnail(pictured: &PicturedClip, frame: usize) -> Option<Thumbnail> {
-    pictured.thumbnails.get(frame).cloned().flatten()
-}
-
-impl EvidenceSource for PictureEvidence<'_> {
+impl ClipEvidence for PictureEvidence<'_> {
     fn picture(&self) -> PictureSize {
         self.stored.picture()
     }
@@ -132,27 +93,14 @@ impl EvidenceSource for PictureEvidence<'_> {
         if let Some(asked) = self.asked.get_mut(frame) {
             asked.detector = true;
         }
-        let found = self.stored.detections(frame)?;
-        if let (Some(agnostic), Some(found)) = (&mut self.agnostic, found) {
-            agnostic.turn_to(frame);
-            agnostic.run.looked();
-            let thumbnail = || thumbnail(self.pictured, frame);
-            agnostic.screen.detected(!found.is_empty(), thumbnail);
-        }
-        Ok(found)
+        self.stored.detections(frame)
     }
 
     fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError> {
         if let Some(asked) = self.asked.get_mut(frame) {
             asked.screen = true;
         }
-        let Some(agnostic) = &mut self.agnostic else {
-            return self.stored.screen_says_empty(frame);
-        };
-        agnostic.turn_to(frame);
-        let thumbnail = thumbnail(self.pictured, frame);
-        let empty = thumbnail.map(|thumbnail| agnostic.screen.empty(thumbnail));
-        Ok(empty.map(|empty| agnostic.run.judge(empty)))
+        self.stored.screen_says_empty(frame)
     }
 
     fn grey_picture(&mut self, frame: usize) -> Result<Option<GreyPicture<'_>>, SourceError> {
@@ -210,7 +158,7 @@ pub fn run_pictured(
     let projected = settings.energy_model.is_some();
     in_parallel(&steps, settings.threads, done, &|policy| {
         let (clip, policy) = (&pictured.clip, &policies[policy]);
-        let mut source = PictureEvidence::new(pictured, settings.confidence, settings.screen)
+        let mut source = PictureEvidence::new(pictured, settings)
             .map_err(|source| no_evidence(clip, policy, source))?;
         let (mut result, replayed) = run_policy(clip, policy, settings, &mut source)?;
         result.occupied_frames = source.occupied(&replayed.frames, |_| true);

@@ -1,4 +1,5 @@
 use super::*;
+use crate::run::Settings;
 use crate::source::StoredEvidence;
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::BoundingBox;
@@ -73,7 +74,7 @@ struct Patchy {
     grey: Vec<u8>,
 }
 
-impl EvidenceSource for Patchy {
+impl ClipEvidence for Patchy {
     fn picture(&self) -> PictureSize {
         PICTURE
     }
@@ -156,8 +157,8 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
         screen: None,
         pictures: Vec::new(),
     };
-    let mut source = StoredEvidence::new(&clip, 0.5, crate::source::ScreenRule::Nonempty)
-        .expect("it has detections");
+    let mut source =
+        StoredEvidence::new(&clip, None, &Settings::default()).expect("it has detections");
     let error = replay(&mut policy, &mut source, Scoring::Paper, 3e-4, false);
     assert_eq!(error, Err(SourceError::NoPictures));
 }

@@ -4,83 +4,92 @@ use super::Report;
 use super::plot::Figure;
 use crate::result::{ClipResult, Provenance};
 use crate::spec::BASELINE;
-use crate::summary::{Difference, PolicySummary};
+use crate::summary::{Difference, EnergySummary, PolicySummary};
 use crate::table::{p_value, short};
-use std::collections::HashMap;
-use std::fmt::Write;
+use maud::{DOCTYPE, Markup, PreEscaped, html};
+use std::collections::{BTreeSet, HashMap};
 
 const STYLE: &str = include_str!("report.css");
 const SCRIPT: &str = include_str!("report.js");
 
 /// The page. `figures` come with their SVG documents.
 pub(super) fn render(report: &Report, figures: &[(Figure, String)]) -> String {
-    let mut page = String::new();
-    let title = escape(&report.title);
-    // Writing to a string cannot fail.
-    let _ = write!(
-        page,
-        "<!doctype html>\n<html lang=\"en\"><head><meta charset=\"utf-8\">\
-         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\
-         <title>Albireo evaluation: {title}</title><style>{STYLE}</style></head><body><main>\
-         <header><p class=\"kicker\">Albireo evaluation</p><h1>{title}</h1>"
-    );
-    settings(&mut page, report);
-    page.push_str("</header>");
-    policies(&mut page, &report.policies);
-    for (figure, svg) in figures {
-        let _ = write!(
-            page,
-            "<section><h2>{}</h2><figure>{}<figcaption>{}</figcaption></figure></section>",
-            escape(&figure.title),
-            svg,
-            escape(&figure.caption)
-        );
-    }
-    classes(&mut page, &report.policies);
-    clips(&mut page, &report.clips);
-    let _ = writeln!(
-        page,
-        "<footer><p>Made by albireo {}. The same figures are in <code>summary.csv</code> and \
-         <code>report.json</code>.</p></footer></main><script>{SCRIPT}</script></body></html>",
-        env!("CARGO_PKG_VERSION")
-    );
-    page
-}
-
-fn escape(text: &str) -> String {
-    text.replace('&', "&amp;")
-        .replace('<', "&lt;")
-        .replace('>', "&gt;")
-        .replace('"', "&quot;")
-}
-
-fn settings(page: &mut String, report: &Report) {
-    page.push_str("<dl>");
-    for (name, value) in &report.settings {
-        let _ = write!(page, "<dt>{}</dt><dd>{}</dd>", escape(name), escape(value));
-    }
-    page.push_str("</dl>");
-    let lines = report.data.lines();
-    if !lines.is_empty() {
-        let _ = write!(
-            page,
-            "<details class=\"note\"><summary>About the data: {} remark{}</summary><ul>",
-            lines.len(),
-            if lines.len() == 1 { "" } else { "s" }
-        );
-        for line in lines {
-            let _ = write!(page, "<li>{}</li>", escape(&line));
+    let page = html! {
+        (DOCTYPE)
+        html lang="en" {
+            head {
+                meta charset="utf-8";
+                meta name="viewport" content="width=device-width, initial-scale=1";
+                title { "Albireo evaluation: " (report.title) }
+                style { (PreEscaped(STYLE)) }
+            }
+            body {
+                main {
+                    header {
+                        p.kicker { "Albireo evaluation" }
+                        h1 { (report.title) }
+                        (settings(report))
+                    }
+                    (policies(&report.policies))
+                    @for (figure, svg) in figures {
+                        section {
+                            h2 { (figure.title) }
+                            figure {
+                                (PreEscaped(svg))
+                                figcaption { (figure.caption) }
+                            }
+                        }
+                    }
+                    (classes(&report.policies))
+                    (clips(&report.clips))
+                    footer {
+                        p {
+                            "Made by albireo " (env!("CARGO_PKG_VERSION")) ". The same figures are in "
+                            code { "summary.csv" } " and " code { "report.json" } "."
+                        }
+                    }
+                }
+                script { (PreEscaped(SCRIPT)) }
+            }
         }
-        page.push_str("</ul></details>");
+    };
+    page.into_string()
+}
+
+fn settings(report: &Report) -> Markup {
+    let lines = report.data.lines();
+    html! {
+        dl {
+            @for (name, value) in &report.settings {
+                dt { (name) }
+                dd { (value) }
+            }
+        }
+        @if !lines.is_empty() {
+            details.note {
+                summary {
+                    "About the data: " (lines.len()) " remark" @if lines.len() != 1 { "s" }
+                }
+                ul {
+                    @for line in &lines { li { (line) } }
+                }
+            }
+        }
     }
 }
 
 /// A figure that may not exist, as a cell with `digits` after the point.
-fn cell(value: Option<f64>, digits: usize) -> String {
-    value.map_or_else(
-        || "<td class=\"none\">–</td>".to_owned(),
-        |value| format!("<td>{}</td>", minus(&format!("{value:.digits$}"))),
-    )
+fn cell(value: Option<f64>, digits: usize) -> Markup {
+    html! {
+        @match value {
+            Some(value) => td { (minus(&format!("{value:.digits$}"))) },
+            None => (no_figure()),
+        }
+    }
+}
+
+fn no_figure() -> Markup {
+    html! { td.none { "–" } }
 }
 
 /// With a proper minus sign.
@@ -89,200 +98,222 @@ fn minus(text: &str) -> String {
 }
 
 /// A change in percentage points with its confidence interval as a tooltip.
-fn change(difference: Option<Difference>) -> String {
+fn change(difference: Option<Difference>) -> Markup {
     let Some(difference) = difference else {
-        return "<td class=\"none\">–</td>".to_owned();
+        return no_figure();
     };
     let class = if difference.mean < 0.0 {
         "worse"
     } else {
         "better"
     };
-    let hint = difference.t.map_or(String::new(), |t| {
+    let hint = difference.t.map(|t| {
         format!(
-            " title=\"95 % confidence interval {:+.2} to {:+.2} pp\"",
+            "95 % confidence interval {:+.2} to {:+.2} pp",
             t.lower * 100.0,
             t.upper * 100.0
         )
     });
     let text = minus(&format!("{:+.2}", difference.mean * 100.0));
-    format!("<td class=\"{class}\"{hint}>{text}</td>")
+    html! { td class=(class) title=[hint] { (text) } }
 }
 
-fn tests(difference: Option<Difference>) -> String {
-    let cell = |p: Option<f64>| match p {
-        Some(p) => format!("<td>{}</td>", escape(&p_value(Some(p)))),
-        None => "<td class=\"none\">–</td>".to_owned(),
-    };
-    let t = cell(difference.and_then(|d| d.t).map(|t| t.p));
-    t + &cell(difference.and_then(|d| d.wilcoxon).map(|w| w.p))
+fn tests(difference: Option<Difference>) -> Markup {
+    let t = difference.and_then(|difference| difference.t);
+    let wilcoxon = difference.and_then(|difference| difference.wilcoxon);
+    html! {
+        @for p in [t.map(|t| t.p), wilcoxon.map(|wilcoxon| wilcoxon.p)] {
+            @if p.is_some() {
+                td { (p_value(p)) }
+            } @else {
+                (no_figure())
+            }
+        }
+    }
 }
 
 /// A word where figures were not measured.
-fn badge(provenance: Provenance) -> &'static str {
-    match provenance {
-        Provenance::Measured => "",
-        Provenance::Estimated => " <small>estimated</small>",
-        Provenance::Composed => " <small>composed</small>",
-        Provenance::Projected => " <small>projected</small>",
+fn badge(provenance: Provenance) -> Markup {
+    let word = match provenance {
+        Provenance::Measured => return Markup::default(),
+        Provenance::Estimated => "estimated",
+        Provenance::Composed => "composed",
+        Provenance::Projected => "projected",
+    };
+    html! { " " small { (word) } }
+}
+
+/// A table that is sorted by a click on a column's head.
+fn sortable(head: &Markup, rows: &Markup) -> Markup {
+    html! {
+        div.wide {
+            table.sortable {
+                thead { tr { (head) } }
+                tbody { (rows) }
+            }
+        }
     }
 }
 
-fn policies(page: &mut String, summaries: &[PolicySummary]) {
+fn policies(summaries: &[PolicySummary]) -> Markup {
     let energy = summaries.iter().find_map(|summary| summary.energy);
     let time = summaries.iter().find_map(|summary| summary.frame_time_ms);
-    page.push_str(
-        "<section><h2>Policies</h2><div class=\"wide\"><table class=\"sortable\"><thead><tr>\
-         <th>Policy</th><th>Skipped %</th><th>Detector calls</th><th>AP@50</th><th>Δ pp</th><th>p (t)</th>\
-         <th>p (W)</th><th>Clips kept</th><th>mAP</th><th>Δ pp</th><th>Precision</th><th>Recall</th>",
-    );
-    if let Some((_, kind)) = time {
-        let _ = write!(page, "<th>Frame ms{}</th>", badge(kind));
-    }
-    if let Some(energy) = energy {
-        let badge = badge(energy.provenance);
-        let _ = write!(
-            page,
-            "<th>Energy J{badge}</th><th>EDP J·ms{badge}</th><th>Δ EDP %</th>"
-        );
-    }
-    page.push_str("</tr></thead><tbody>");
     let before = summaries
         .iter()
         .find(|summary| summary.policy == BASELINE)
         .and_then(|summary| summary.energy);
-    for summary in summaries {
-        let against = summary.against_baseline;
-        let ap50 = against.and_then(|against| against.ap50);
-        let _ = write!(
-            page,
-            "<tr{}><th scope=\"row\">{}{}</th>{}{}{}{}{}<td>{}</td>{}{}{}{}",
-            if summary.policy == BASELINE {
-                " class=\"baseline\""
-            } else {
-                ""
-            },
-            escape(short(&summary.policy)),
-            if summary.on_skip_frontier {
-                " <span class=\"star\" title=\"No other skips as much and is as accurate\">★</span>"
-            } else {
-                ""
-            },
-            cell(Some(summary.skip_rate * 100.0), 1),
-            cell(Some(summary.detector_frames), 1),
-            cell(summary.ap50, 4),
-            change(ap50),
-            tests(ap50),
-            against
-                .filter(|_| ap50.is_some())
-                .map_or("–".to_owned(), |against| {
-                    format!("{} of {}", against.clips_keeping_ap50, summary.clips)
-                }),
-            cell(summary.map, 4),
-            change(against.and_then(|against| against.map)),
-            cell(summary.precision, 3),
-            cell(summary.recall, 3),
-        );
-        if time.is_some() {
-            page.push_str(&cell(summary.frame_time_ms.map(|time| time.0), 2));
+    let head = html! {
+        th { "Policy" } th { "Skipped %" } th { "Detector calls" } th { "AP@50" } th { "Δ pp" }
+        th { "p (t)" } th { "p (W)" } th { "Clips kept" } th { "mAP" } th { "Δ pp" }
+        th { "Precision" } th { "Recall" }
+        @if let Some((_, kind)) = time {
+            th { "Frame ms" (badge(kind)) }
         }
-        if energy.is_some() {
-            page.push_str(&cell(summary.energy.map(|energy| energy.joules), 1));
-            page.push_str(&cell(summary.energy.map(|energy| energy.edp), 0));
-            let change = summary
-                .energy
-                .zip(before)
-                .filter(|(own, before)| own.provenance == before.provenance)
-                .map(|(own, before)| (own.edp / before.edp - 1.0) * 100.0);
-            page.push_str(&cell(change.filter(|_| summary.policy != BASELINE), 1));
+        @if let Some(energy) = energy {
+            th { "Energy J" (badge(energy.provenance)) }
+            th { "EDP J·ms" (badge(energy.provenance)) }
+            th { "Δ EDP %" }
         }
-        page.push_str("</tr>");
+    };
+    let rows = html! {
+        @for summary in summaries {
+            tr class=[(summary.policy == BASELINE).then_some("baseline")] {
+                (policy_cells(summary))
+                @if time.is_some() {
+                    (cell(summary.frame_time_ms.map(|time| time.0), 2))
+                }
+                @if energy.is_some() {
+                    (cell(summary.energy.map(|energy| energy.joules), 1))
+                    (cell(summary.energy.map(|energy| energy.edp), 0))
+                    (cell(edp_change(summary, before), 1))
+                }
+            }
+        }
+    };
+    let first = summaries.first();
+    let clips = first.map_or(0, |summary| summary.clips);
+    let without = first.map_or(0, |summary| summary.clips_without_truth);
+    html! {
+        section {
+            h2 { "Policies" }
+            (sortable(&head, &rows))
+            p.legend {
+                "Unweighted means over " (clips) " clip" @if clips != 1 { "s" }
+                @if without > 0 { "; " (without) " without ground truth are not in them" }
+                ". Δ and p against Vanilla, clip by clip: paired t-test and Wilcoxon signed-rank test, \
+                 two-sided. Clips kept: same or better AP@50. ★ no other skips as much and is as accurate. \
+                 Click a column's head to sort."
+            }
+        }
     }
-    let clips = summaries.first().map_or(0, |summary| summary.clips);
-    let without = summaries
-        .first()
-        .map_or(0, |summary| summary.clips_without_truth);
-    let _ = write!(
-        page,
-        "</tbody></table></div><p class=\"legend\">Unweighted means over {clips} clip{}{}. Δ and p against \
-         Vanilla, clip by clip: paired t-test and Wilcoxon signed-rank test, two-sided. Clips kept: same or \
-         better AP@50. ★ no other skips as much and is as accurate. Click a column's head to sort.</p></section>",
-        if clips == 1 { "" } else { "s" },
-        if without > 0 {
-            format!("; {without} without ground truth are not in them")
-        } else {
-            String::new()
+}
+
+/// The cells that every policy has, measured time and energy or not.
+fn policy_cells(summary: &PolicySummary) -> Markup {
+    let against = summary.against_baseline;
+    let ap50 = against.and_then(|against| against.ap50);
+    let kept = against
+        .filter(|_| ap50.is_some())
+        .map(|against| format!("{} of {}", against.clips_keeping_ap50, summary.clips));
+    html! {
+        th scope="row" {
+            (short(&summary.policy))
+            @if summary.on_skip_frontier {
+                " " span.star title="No other skips as much and is as accurate" { "★" }
+            }
         }
-    );
+        (cell(Some(summary.skip_rate * 100.0), 1))
+        (cell(Some(summary.detector_frames), 1))
+        (cell(summary.ap50, 4))
+        (change(ap50))
+        (tests(ap50))
+        td { (kept.as_deref().unwrap_or("–")) }
+        (cell(summary.map, 4))
+        (change(against.and_then(|against| against.map)))
+        (cell(summary.precision, 3))
+        (cell(summary.recall, 3))
+    }
+}
+
+/// How much of the baseline's EDP is saved or lost, percent, where both come about alike.
+fn edp_change(summary: &PolicySummary, before: Option<EnergySummary>) -> Option<f64> {
+    summary
+        .energy
+        .zip(before)
+        .filter(|(own, before)| own.provenance == before.provenance)
+        .map(|(own, before)| (own.edp / before.edp - 1.0) * 100.0)
+        .filter(|_| summary.policy != BASELINE)
 }
 
 /// AP@50 by class, where there is more than one.
-fn classes(page: &mut String, summaries: &[PolicySummary]) {
-    let names: std::collections::BTreeSet<&String> = summaries
+fn classes(summaries: &[PolicySummary]) -> Markup {
+    let names: BTreeSet<&String> = summaries
         .iter()
         .flat_map(|summary| summary.ap50_by_class.keys())
         .collect();
     if names.len() < 2 {
-        return;
+        return Markup::default();
     }
-    page.push_str(
-        "<section><h2>AP@50 by class</h2><div class=\"wide\"><table class=\"sortable\"><thead><tr>\
-         <th>Policy</th>",
-    );
-    for name in &names {
-        let _ = write!(page, "<th>{}</th>", escape(name));
-    }
-    page.push_str("</tr></thead><tbody>");
-    for summary in summaries {
-        let _ = write!(
-            page,
-            "<tr><th scope=\"row\">{}</th>",
-            escape(short(&summary.policy))
-        );
-        for name in &names {
-            page.push_str(&cell(summary.ap50_by_class.get(*name).copied(), 4));
+    let head = html! {
+        th { "Policy" }
+        @for name in &names { th { (name) } }
+    };
+    let rows = html! {
+        @for summary in summaries {
+            tr {
+                th scope="row" { (short(&summary.policy)) }
+                @for name in &names {
+                    (cell(summary.ap50_by_class.get(*name).copied(), 4))
+                }
+            }
         }
-        page.push_str("</tr>");
+    };
+    html! {
+        section {
+            h2 { "AP@50 by class" }
+            (sortable(&head, &rows))
+            p.legend { "Each class judged by itself; mean over the clips that show it." }
+        }
     }
-    page.push_str(
-        "</tbody></table></div><p class=\"legend\">Each class judged by itself; mean over the clips that \
-         show it.</p></section>",
-    );
 }
 
-fn clips(page: &mut String, results: &[ClipResult]) {
+fn clips(results: &[ClipResult]) -> Markup {
     let baseline: HashMap<&str, &ClipResult> = results
         .iter()
         .filter(|result| result.policy == BASELINE)
         .map(|result| (result.clip.as_str(), result))
         .collect();
-    page.push_str(
-        "<section><h2>Clips</h2><details><summary>Every clip under every policy</summary>\
-         <div class=\"wide\"><table class=\"sortable\"><thead><tr><th>Clip</th><th>Policy</th>\
-         <th>Frames</th><th>Skipped %</th><th>AP@50</th><th>Δ pp</th><th>mAP</th><th>Boxes</th>\
-         <th>Truth</th></tr></thead><tbody>",
-    );
-    for result in results {
-        let before = baseline
-            .get(result.clip.as_str())
-            .and_then(|before| before.accuracy);
-        let difference = result
-            .accuracy
-            .zip(before)
-            .map(|(own, before)| (own.ap50 - before.ap50) * 100.0);
-        let _ = write!(
-            page,
-            "<tr><th scope=\"row\">{}</th><td class=\"text\">{}</td><td>{}</td>{}{}{}{}<td>{}</td>{}</tr>",
-            escape(&result.clip),
-            escape(short(&result.policy)),
-            result.frames,
-            cell(Some(result.states.skip_rate() * 100.0), 1),
-            cell(result.accuracy.map(|accuracy| accuracy.ap50), 4),
-            cell(difference.filter(|_| result.policy != BASELINE), 2),
-            cell(result.accuracy.map(|accuracy| accuracy.map), 4),
-            result.boxes,
-            cell(result.accuracy.map(|accuracy| accuracy.truths as f64), 0),
-        );
+    let difference = |result: &ClipResult| {
+        let before = baseline.get(result.clip.as_str())?.accuracy?;
+        let own = result.accuracy.filter(|_| result.policy != BASELINE)?;
+        Some((own.ap50 - before.ap50) * 100.0)
+    };
+    let head = html! {
+        th { "Clip" } th { "Policy" } th { "Frames" } th { "Skipped %" } th { "AP@50" } th { "Δ pp" }
+        th { "mAP" } th { "Boxes" } th { "Truth" }
+    };
+    let rows = html! {
+        @for result in results {
+            tr {
+                th scope="row" { (result.clip) }
+                td.text { (short(&result.policy)) }
+                td { (result.frames) }
+                (cell(Some(result.skip_rate() * 100.0), 1))
+                (cell(result.accuracy.map(|accuracy| accuracy.ap50), 4))
+                (cell(difference(result), 2))
+                (cell(result.accuracy.map(|accuracy| accuracy.map), 4))
+                td { (result.boxes) }
+                (cell(result.accuracy.map(|accuracy| accuracy.truths as f64), 0))
+            }
+        }
+    };
+    html! {
+        section {
+            h2 { "Clips" }
+            details {
+                summary { "Every clip under every policy" }
+                (sortable(&head, &rows))
+            }
+        }
     }
-    page.push_str("</tbody></table></div></details></section>");
 }

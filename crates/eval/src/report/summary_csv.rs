@@ -89,7 +89,7 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> [String; 36] {
         result.frames.to_string(),
         cell(accuracy.map(|a| a.truths)),
         result.policy.clone(),
-        result.states.skip_rate().to_string(),
+        result.skip_rate().to_string(),
         e.to_string(),
         p.to_string(),
         ei.to_string(),

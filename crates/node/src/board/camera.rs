@@ -1,12 +1,13 @@
 //! One camera's part of the live board.
 
-use super::event::{Event, FrameEvent, ThresholdEvent};
+use super::event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
 use super::lock;
-use super::thresholds::ThresholdStore;
+use super::thresholds;
 use crate::frame::EncodedPicture;
+use crate::outbox::Outbox;
 use crate::screen::ScreenCounts;
 use albireo_core::policy::{FrameState, Knob, KnobError};
-use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, KnobValue};
+use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, KnobSource, KnobValue};
 use prometheus_client::metrics::histogram::Histogram;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
@@ -62,6 +63,13 @@ pub struct CameraSnapshot {
     pub last_frame_age: Option<Duration>,
 }
 
+impl CameraSnapshot {
+    /// Share of frames that skipped the detector, degraded ones not among them.
+    pub fn skip_rate(&self) -> f64 {
+        self.states.skip_rate(self.degraded_frames)
+    }
+}
+
 #[derive(Debug, Default)]
 struct Counts {
     states: FrameStates,
@@ -88,16 +96,17 @@ pub struct CameraBoard {
     latest_frame: Mutex<Option<LatestFrame>>,
     total_latency: [Histogram; 5],
     detector_latency: Histogram,
-    events: broadcast::Sender<Event>,
-    store: Option<Arc<ThresholdStore>>,
+    events: broadcast::Sender<SharedEvent>,
+    outbox: Outbox,
+    source: Mutex<KnobSource>,
 }
 
 impl CameraBoard {
     pub(super) fn new(
         setup: CameraSetup,
         policy: &'static str,
-        events: broadcast::Sender<Event>,
-        store: Option<Arc<ThresholdStore>>,
+        events: broadcast::Sender<SharedEvent>,
+        outbox: Outbox,
     ) -> Self {
         let configured = setup.knob.map(|knob| {
             let value = setup.threshold.unwrap_or(knob.default);
@@ -107,7 +116,7 @@ impl CameraBoard {
             })
         });
         let kept = setup.knob.zip(configured).and_then(|(knob, configured)| {
-            let value = store.as_ref()?.kept(&setup.name, &knob, configured)?;
+            let (value, source) = thresholds::kept(&outbox, &setup.name, &knob, configured)?;
             tracing::info!(
                 camera = setup.name,
                 knob = knob.name,
@@ -115,7 +124,7 @@ impl CameraBoard {
                 configured,
                 "threshold taken over from the last run"
             );
-            Some(value)
+            Some((value, source))
         });
         Self {
             name: setup.name.into(),
@@ -123,14 +132,15 @@ impl CameraBoard {
             policy,
             knob: setup.knob,
             configured,
-            threshold: watch::Sender::new(kept.or(configured)),
+            threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
+            source: Mutex::new(kept.map_or(KnobSource::Configuration, |(_, source)| source)),
             changing: Mutex::default(),
             counts: Mutex::default(),
             latest_frame: Mutex::default(),
             total_latency: std::array::from_fn(|_| Histogram::new(LATENCY_BUCKETS_S)),
             detector_latency: Histogram::new(LATENCY_BUCKETS_S),
             events,
-            store,
+            outbox,
         }
     }
 
@@ -173,10 +183,11 @@ impl CameraBoard {
         counts.latest = Some(Arc::clone(&detections));
         drop(counts);
         if self.events.receiver_count() > 0 {
-            let _ = self.events.send(Event::Frame(FrameEvent {
+            let event = Event::Frame(FrameEvent {
                 camera: Arc::clone(&self.name),
                 detections,
-            }));
+            });
+            let _ = self.events.send(event.into());
         }
     }
 
@@ -240,6 +251,11 @@ impl CameraBoard {
         Some(KnobValue::new(self.knob.as_ref()?, self.threshold()?))
     }
 
+    /// Who set the threshold in force.
+    pub(crate) fn knob_source(&self) -> KnobSource {
+        *lock(&self.source)
+    }
+
     /// The threshold, for the camera's loop: read it before each frame.
     pub fn watch_threshold(&self) -> watch::Receiver<Option<f64>> {
         self.threshold.subscribe()
@@ -272,14 +288,27 @@ impl CameraBoard {
     /// # Errors
     /// [`KnobError`] when the policy has no knob or the value is outside its range; nothing changes then.
     pub(crate) fn set_threshold(&self, value: f64) -> Result<f64, KnobError> {
+        self.set_threshold_by(value, KnobSource::Local)
+    }
+
+    /// As [`set_threshold`](Self::set_threshold), saying who changes it.
+    ///
+    /// # Errors
+    /// As there.
+    pub(crate) fn set_threshold_by(
+        &self,
+        value: f64,
+        source: KnobSource,
+    ) -> Result<f64, KnobError> {
         let knob = self.check_threshold(value)?;
         let changing = lock(&self.changing);
         let before = self.threshold.send_replace(Some(value));
-        if let (Some(store), Some(configured)) = (&self.store, self.configured) {
-            store.keep(&self.name, &knob, configured, value);
+        *lock(&self.source) = source;
+        if let Some(configured) = self.configured {
+            thresholds::keep(&self.outbox, &self.name, &knob, configured, value, source);
         }
         if let Some(event) = self.threshold_event() {
-            let _ = self.events.send(event);
+            let _ = self.events.send(event.into());
         }
         drop(changing);
         tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold changed");

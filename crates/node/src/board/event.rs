@@ -2,7 +2,8 @@
 
 use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, KnobValue};
 use serde::Serialize;
-use std::sync::Arc;
+use std::ops::Deref;
+use std::sync::{Arc, OnceLock};
 
 /// One thing that happened. As JSON, the contents of the variant; the variant's name is told apart, by
 /// [`Event::name`].
@@ -41,6 +42,44 @@ impl Event {
             Self::Counters(message) => &message.camera,
             Self::Threshold(event) => &event.camera,
         }
+    }
+}
+
+/// An event that many read: its JSON is made once, by the first who wants it. Clones are the same event.
+#[derive(Clone, Debug)]
+pub struct SharedEvent(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    event: Event,
+    json: OnceLock<Result<String, String>>,
+}
+
+impl SharedEvent {
+    /// The event as JSON.
+    ///
+    /// # Errors
+    /// When it cannot be written as JSON: why.
+    pub fn json(&self) -> Result<&str, &str> {
+        let written = self.0.json.get_or_init(|| {
+            serde_json::to_string(&self.0.event).map_err(|error| error.to_string())
+        });
+        written.as_ref().map(String::as_str).map_err(String::as_str)
+    }
+}
+
+impl From<Event> for SharedEvent {
+    fn from(event: Event) -> Self {
+        let json = OnceLock::new();
+        Self(Arc::new(Shared { event, json }))
+    }
+}
+
+impl Deref for SharedEvent {
+    type Target = Event;
+
+    fn deref(&self) -> &Event {
+        &self.0.event
     }
 }
 

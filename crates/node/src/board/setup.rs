@@ -3,9 +3,9 @@
 use super::camera::CameraSetup;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::{DetectorStatus, ExecutionProvider};
+use crate::outbox::{Outbox, OutboxError};
 use albireo_core::policy::PolicyConfigError;
 use albireo_wire::KeyError;
-use std::path::PathBuf;
 use tokio::sync::watch;
 
 /// What a board is made from.
@@ -15,8 +15,8 @@ pub struct BoardSetup {
     pub node: String,
     /// The cameras, in the order they are to be listed. Names must differ.
     pub cameras: Vec<CameraSetup>,
-    /// Where thresholds that were changed while running are kept; `None` to forget them at the end.
-    pub state_dir: Option<PathBuf>,
+    /// Where what must survive is kept.
+    pub outbox: Outbox,
     /// Name of the policy.
     pub policy: &'static str,
     /// What is known about the detector before it starts.
@@ -52,7 +52,7 @@ impl BoardSetup {
                 .iter()
                 .map(camera)
                 .collect::<Result<_, _>>()?,
-            state_dir: config.node.state_dir.clone(),
+            outbox: Outbox::open(&config.outbox, config.node.state_dir.as_deref())?,
             policy: policy.name(),
             detector: DetectorFacts {
                 model: model.to_string_lossy().into_owned(),
@@ -69,6 +69,9 @@ pub enum SetupError {
     /// The policy cannot be made.
     #[error(transparent)]
     Policy(#[from] PolicyConfigError),
+    /// The state directory cannot be used.
+    #[error(transparent)]
+    Outbox(#[from] OutboxError),
     /// A name cannot stand in a key.
     #[error(transparent)]
     Key(#[from] KeyError),

@@ -1,6 +1,7 @@
 use super::*;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::ExecutionProvider;
+use crate::outbox::OutboxConfig;
 use albireo_core::policy::{FrameState, Knob};
 use albireo_wire::{DetectionsMessage, DroppedFrames, KnobValue, Latency};
 use std::path::PathBuf;
@@ -24,7 +25,7 @@ fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<
     Board::new(BoardSetup {
         node: "n".to_owned(),
         cameras: vec![camera("front"), camera("rear")],
-        state_dir,
+        outbox: Outbox::open(&OutboxConfig::default(), state_dir.as_deref()).unwrap(),
         policy: "albireo",
         detector: DetectorFacts::default(),
         detector_status,
@@ -63,7 +64,7 @@ fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
         camera.record_frame(frame(seq as u64, state));
         let event = events.try_recv().unwrap();
         assert_eq!((event.name(), event.camera()), ("frame", "front"));
-        let json = serde_json::to_value(&event).unwrap();
+        let json: serde_json::Value = serde_json::from_str(event.json().unwrap()).unwrap();
         assert_eq!(json["seq"], seq as u64);
         assert_eq!(json["camera"], "front");
     }
@@ -100,12 +101,15 @@ fn a_changed_threshold_survives_a_restart() {
     let first = board(state.clone(), KNOB, None);
     first.camera("front").unwrap().set_threshold(5e-4).unwrap();
     assert!(first.thresholds_are_kept());
+    drop(first);
     let second = board(state.clone(), KNOB, None);
     assert_eq!(second.camera("front").unwrap().threshold(), Some(5e-4));
     assert_eq!(second.camera("rear").unwrap().threshold(), Some(3e-4));
+    drop(second);
     // Once the configuration is edited it is the newer word.
     let edited = board(state.clone(), KNOB, Some(1e-3));
     assert_eq!(edited.camera("front").unwrap().threshold(), Some(1e-3));
+    drop(edited);
     // A value kept for another knob is no value of this one.
     let lambda = Knob {
         name: "lambda",
@@ -116,14 +120,16 @@ fn a_changed_threshold_survives_a_restart() {
 }
 
 #[test]
-fn a_broken_state_file_is_ignored_and_written_anew() {
-    let directory = tempfile::tempdir().unwrap();
-    let file = directory.path().join("thresholds.json");
-    for broken in ["", "{\"v\":1,\"cam", "[]", "{\"v\":99,\"cameras\":{}}"] {
+fn broken_thresholds_of_an_earlier_version_are_set_aside() {
+    for broken in ["", "{\"v\":1,\"cam", "[]"] {
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("thresholds.json");
         std::fs::write(&file, broken).unwrap();
         let first = board(Some(directory.path().into()), KNOB, None);
+        assert!(!file.exists());
         assert_eq!(first.camera("front").unwrap().threshold(), Some(3e-4));
         first.set_all_thresholds(9e-4).unwrap();
+        drop(first);
         let second = board(Some(directory.path().into()), KNOB, None);
         assert_eq!(second.camera("rear").unwrap().threshold(), Some(9e-4));
     }
@@ -134,31 +140,38 @@ fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
     let directory = tempfile::tempdir().unwrap();
     let blocked = directory.path().join("a-file");
     std::fs::write(&blocked, "").unwrap();
-    let board = board(Some(blocked), KNOB, None);
+    let board = board(Some(blocked.join("state")), KNOB, None);
     board.set_all_thresholds(1e-3).unwrap();
     assert_eq!(board.camera("front").unwrap().threshold(), Some(1e-3));
     assert!(!board.thresholds_are_kept());
 }
 
 #[test]
-fn a_hold_keeps_the_node_from_being_ready_until_it_is_released() {
+fn the_node_is_ready_once_the_detector_and_every_other_part_is() {
     let (status, detector_status) = watch::channel(DetectorStatus::Starting);
     let board = Board::new(BoardSetup {
         node: "n".to_owned(),
         cameras: Vec::new(),
-        state_dir: None,
+        outbox: Outbox::in_memory(),
         policy: "albireo",
         detector: DetectorFacts::default(),
         detector_status,
     });
-    board.hold("zenoh", "the session is not open yet");
-    assert_eq!(board.reasons_not_ready().len(), 2);
+    let latch = board
+        .readiness()
+        .latch(readiness::ZENOH, "the session is not open yet");
+    let reasons = || board.readiness().health().status().reasons;
+    assert_eq!(reasons().len(), 2);
     status.send_replace(DetectorStatus::Ready {
         provider: ExecutionProvider::Cpu,
     });
-    assert_eq!(board.reasons_not_ready()[0].0, "zenoh");
-    board.release("zenoh");
-    assert!(board.reasons_not_ready().is_empty());
+    assert_eq!(reasons().keys().collect::<Vec<_>>(), [readiness::ZENOH]);
+    drop(latch);
+    assert!(board.readiness().health().is_ready());
+    let provider = ExecutionProvider::Cpu;
+    let reason = "a run took too long".to_owned();
+    status.send_replace(DetectorStatus::Degraded { reason, provider });
+    assert!(!board.readiness().health().is_ready());
 }
 
 #[test]
@@ -180,4 +193,22 @@ fn a_configuration_describes_its_cameras_with_their_own_thresholds() {
     assert_eq!(rear.threshold(), Some(1e-3));
     assert_eq!(board.detector_facts().model, "detector.onnx");
     assert_eq!(board.policy(), "albireo");
+}
+
+#[test]
+fn an_event_is_written_as_json_once_however_many_read_it() {
+    let board = board(None, KNOB, None);
+    let mut readers: Vec<_> = (0..64).map(|_| board.subscribe()).collect();
+    let camera = board.camera("front").unwrap();
+    camera.record_frame(frame(0, FrameState::I));
+    let events: Vec<_> = (readers.iter_mut())
+        .map(|reader| reader.try_recv().unwrap())
+        .collect();
+    // The very same text, not only an equal one.
+    let first = events[0].json().unwrap();
+    assert!(
+        events
+            .iter()
+            .all(|event| std::ptr::eq(event.json().unwrap(), first))
+    );
 }

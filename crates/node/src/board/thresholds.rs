@@ -1,17 +1,9 @@
-//! Thresholds that were changed while running, kept in a file so that they survive a restart.
+//! Thresholds that were changed while running, kept in the state file so that they survive a restart.
 
-use super::lock;
+use crate::outbox::Outbox;
 use albireo_core::policy::Knob;
+use albireo_wire::KnobSource;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
-use std::fs;
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, Ordering};
-
-/// Version of the file.
-const VERSION: u32 = 1;
 
 /// One camera's kept threshold.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -21,106 +13,55 @@ struct Kept {
     /// The value.
     value: f64,
     /// What the configuration said when it was changed. Once that is edited, the configuration is the
-    /// newer word and wins.
+    /// newer word and wins over what was changed at the node; not over the hub's, which has a generation.
     configured: f64,
+    /// Who changed it.
+    #[serde(default = "local")]
+    source: KnobSource,
 }
 
-#[derive(Debug, Default, Serialize, Deserialize)]
-struct Contents {
-    v: u32,
-    cameras: BTreeMap<String, Kept>,
+const fn local() -> KnobSource {
+    KnobSource::Local
 }
 
-/// The file `thresholds.json` of a state directory.
-#[derive(Debug)]
-pub(super) struct ThresholdStore {
-    file: PathBuf,
-    contents: Mutex<Contents>,
-    good: AtomicBool,
+fn name(camera: &str) -> String {
+    format!("threshold/{camera}")
 }
 
-impl ThresholdStore {
-    /// Reads the file if there is one. A broken one is logged and overwritten with the next change.
-    pub(crate) fn open(directory: &Path) -> Self {
-        let file = directory.join("thresholds.json");
-        let contents = match read(&file) {
-            Ok(contents) => contents,
-            Err(error) => {
-                tracing::warn!(
-                    file = %file.display(), error,
-                    "kept thresholds cannot be read; the configured ones are used"
-                );
-                Contents::default()
-            }
-        };
-        Self {
-            file,
-            contents: Mutex::new(contents),
-            good: AtomicBool::new(true),
-        }
-    }
-
-    /// The value kept for a camera, if it still fits its knob and its configuration.
-    pub(crate) fn kept(&self, camera: &str, knob: &Knob, configured: f64) -> Option<f64> {
-        let contents = lock(&self.contents);
-        let kept = contents.cameras.get(camera)?;
-        (kept.knob == knob.name && kept.configured == configured)
-            .then(|| knob.check(kept.value).ok())
-            .flatten()
-    }
-
-    /// Keeps a value; when it cannot be written, logs that and goes on.
-    pub(crate) fn keep(&self, camera: &str, knob: &Knob, configured: f64, value: f64) {
-        let mut contents = lock(&self.contents);
-        contents.v = VERSION;
-        contents.cameras.insert(
-            camera.to_owned(),
-            Kept {
-                knob: knob.name.to_owned(),
-                value,
-                configured,
-            },
-        );
-        let written = write(&self.file, &contents);
-        self.good.store(written.is_ok(), Ordering::Relaxed);
-        if let Err(error) = written {
-            tracing::warn!(
-                file = %self.file.display(), %error,
-                "threshold changed but not kept: it will not survive a restart"
-            );
-        }
-    }
-
-    /// Whether the last write went well, or none was needed yet.
-    pub(crate) fn is_good(&self) -> bool {
-        self.good.load(Ordering::Relaxed)
-    }
+/// The value kept for a camera and who set it, if it still fits its knob and its configuration.
+pub(super) fn kept(
+    outbox: &Outbox,
+    camera: &str,
+    knob: &Knob,
+    configured: f64,
+) -> Option<(f64, KnobSource)> {
+    let kept: Kept = outbox.setting(&name(camera))?;
+    let stands = kept.configured == configured || kept.source == KnobSource::Hub;
+    let value = (kept.knob == knob.name && stands)
+        .then(|| knob.check(kept.value).ok())
+        .flatten()?;
+    Some((value, kept.source))
 }
 
-fn read(file: &Path) -> Result<Contents, String> {
-    let bytes = match fs::read(file) {
-        Ok(bytes) => bytes,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Contents::default()),
-        Err(error) => return Err(error.to_string()),
+/// Keeps a value; when it cannot be written, logs that and goes on.
+pub(super) fn keep(
+    outbox: &Outbox,
+    camera: &str,
+    knob: &Knob,
+    configured: f64,
+    value: f64,
+    source: KnobSource,
+) {
+    let kept = Kept {
+        knob: knob.name.to_owned(),
+        value,
+        configured,
+        source,
     };
-    let contents: Contents = serde_json::from_slice(&bytes).map_err(|error| error.to_string())?;
-    if contents.v == VERSION {
-        Ok(contents)
-    } else {
-        Err(format!("version {} is not known here", contents.v))
+    if !outbox.set(&name(camera), &kept) && outbox.has_directory() {
+        tracing::warn!(
+            camera,
+            "threshold changed but not kept: it will not survive a restart"
+        );
     }
-}
-
-/// Writes beside the file and renames, so that a crash leaves the old contents or the new, never half.
-fn write(file: &Path, contents: &Contents) -> io::Result<()> {
-    if let Some(directory) = file.parent() {
-        fs::create_dir_all(directory)?;
-    }
-    let beside = file.with_extension("json.new");
-    let mut out = fs::File::create(&beside)?;
-    out.write_all(&serde_json::to_vec_pretty(contents)?)?;
-    out.write_all(b"\n")?;
-    out.sync_all()?;
-    drop(out);
-    fs::rename(&beside, file)
 }

@@ -1,18 +1,20 @@
 //! From a closed clip to its report on the wire.
 
 use super::latencies::Latencies;
-use super::share::{CameraShare, Slice};
-use crate::power::{PowerHandle, SpanEnergy};
+use crate::power::{OpenSpan, SpanEnergy};
 use albireo_wire::{
-    BoardState, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates,
+    ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FULL_COVERAGE, FrameStates,
     KnobChange, KnobValue, VERSION,
 };
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
+/// How long the last report may wait for its energy when the node stops.
+const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
+
 /// A clip that has ended.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(crate) struct ClosedClip {
     /// The camera's own name, or `window-N`.
     pub clip: Arc<str>,
@@ -38,6 +40,8 @@ pub(crate) struct ClosedClip {
     pub total: Latencies,
     /// Latencies of the detector, over the frames where it ran.
     pub detector: Latencies,
+    /// Its energy, still to be closed.
+    pub energy: OpenSpan,
 }
 
 /// What the report says of the node and is not in the books.
@@ -63,13 +67,10 @@ impl ClosedClip {
         self.end.saturating_duration_since(self.start)
     }
 
-    /// The report, with the clip's energy and the board's state during it.
-    pub(crate) fn into_report(
-        self,
-        meta: ClipMeta,
-        energy: ClipEnergy,
-        board: Option<BoardState>,
-    ) -> ClipReport {
+    /// The report as far as it is known at once, without energy: what a hub is told should the node die before the
+    /// meter has answered.
+    pub(crate) fn without_energy(&self, meta: ClipMeta) -> ClipReport {
+        let duration = self.duration();
         ClipReport {
             v: VERSION,
             node: meta.node,
@@ -78,46 +79,44 @@ impl ClosedClip {
             report: meta.report,
             ended_by: self.ended_by,
             started_ns: self.started_ns,
-            duration_s: self.duration().as_secs_f64(),
+            duration_s: duration.as_secs_f64(),
             frames: self.states.frames(),
             states: self.states,
-            skip_rate: self.states.skip_rate(),
+            skip_rate: self.states.skip_rate(self.degraded),
             degraded_frames: self.degraded,
             dropped: self.dropped,
             policy: meta.policy,
             knob: self.knob,
-            knob_changes: self.knob_changes,
+            knob_changes: self.knob_changes.clone(),
             model: meta.model,
             provider: meta.provider,
             total_latency_ms: self.total.percentiles(),
             detector_latency_ms: self.detector.percentiles(),
-            energy,
-            board,
+            energy: energy_of(&SpanEnergy::unavailable(""), None, duration, 0),
+            board: None,
         }
+    }
+
+    /// The report, with the clip's energy and the board's state during it. Waits until the meter was read
+    /// after the clip's end, which is asked for at once: some milliseconds for a meter that answers, and not at
+    /// all without one. To be awaited away from the frames' way.
+    pub(crate) async fn into_report(self, meta: ClipMeta) -> ClipReport {
+        let mut report = self.without_energy(meta);
+        let patience = match self.ended_by {
+            ClipEnd::Shutdown => PATIENCE_AT_THE_END,
+            ClipEnd::NextClip | ClipEnd::Window | ClipEnd::Silence => Duration::MAX,
+        };
+        let duration = self.duration();
+        if let Some(spent) = self.energy.close(self.end, patience).await {
+            report.energy = energy_of(&spent.node, spent.joules, duration, report.frames);
+            report.board = spent.board;
+        }
+        report
     }
 }
 
-/// The energy of `clip`: waits (less than half a second) for the first sample after the clip's end, then
-/// asks for the node's energy and takes the camera's share of it. To be awaited away from the frames'
-/// way: it never blocks, but the report can wait and the next frame cannot.
-pub(crate) async fn clip_energy(
-    clip: &ClosedClip,
-    power: &PowerHandle,
-    share: &CameraShare,
-) -> ClipEnergy {
-    let node = power.settled_energy(clip.start, clip.end).await;
-    let slices = share.slices(clip.start, clip.end);
-    let joules = match slices.as_slice() {
-        [Slice { share, .. }] => node.total_joules().map(|j| j * share),
-        slices => slices
-            .iter()
-            .filter_map(|s| Some(power.energy(s.start, s.end).total_joules()? * s.share))
-            .reduce(|a, b| a + b),
-    };
-    energy_of(&node, joules, clip.duration(), clip.states.frames())
-}
-
-/// The energy section of a report, from the node's energy and the clip's part of its total.
+/// The energy section of a report, from the node's energy and the clip's part of its total. Where samples do
+/// not cover the whole clip there is no energy-delay product: the energy would be that of a part of the time.
 pub fn energy_of(
     node: &SpanEnergy,
     joules: Option<f64>,
@@ -129,7 +128,9 @@ pub fn energy_of(
     ClipEnergy {
         joules,
         node_joules: node.total_joules().filter(|_| known),
-        edp: joules.and_then(|j| energy_delay_product(j, duration, frames)),
+        edp: joules
+            .filter(|_| node.coverage >= FULL_COVERAGE)
+            .and_then(|j| energy_delay_product(j, duration, frames)),
         quality: node.quality,
         source: node.source.clone(),
         total_from: node.total_from.clone(),

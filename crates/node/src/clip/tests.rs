@@ -1,6 +1,7 @@
 //! Promises of the clip's books.
 
 use super::*;
+use crate::power::sampler::without_a_meter;
 use albireo_core::policy::Albireo;
 use albireo_core::policy::FrameState;
 use albireo_wire::{ClipEnd, DroppedFrames, KnobValue};
@@ -21,8 +22,12 @@ pub(super) struct Camera {
 
 impl Camera {
     pub(super) fn new() -> Self {
+        Self::with(ClipConfig::default())
+    }
+
+    fn with(config: ClipConfig) -> Self {
         Self {
-            books: ClipTracker::new(ClipConfig::default()),
+            books: ClipTracker::new(config, without_a_meter().user("front")),
             start: Instant::now(),
             seq: 0,
         }
@@ -48,7 +53,7 @@ impl Camera {
         self.books.count(&FrameResult {
             seq,
             state,
-            degraded: seq.is_multiple_of(7),
+            degraded: state == FrameState::P && seq.is_multiple_of(7),
             total: ms(12),
             detector: (!state.is_skipped()).then_some(ms(10)),
             knob: u.map(|u| KnobValue::new(&Albireo::KNOB, u)),
@@ -130,6 +135,26 @@ fn a_frame_after_silence_begins_a_new_window_at_its_own_arrival() {
         (&*closed.clip, closed.start),
         ("window-1", camera.at(60_000))
     );
+}
+
+#[test]
+fn a_window_shorter_than_a_pause_never_ends_before_its_first_frame() {
+    let mut camera = Camera::with(ClipConfig {
+        window_s: 2.0,
+        silence_s: 5.0,
+    });
+    for at in [0, 1000, 1900] {
+        assert!(camera.frame(at, None).is_none());
+    }
+    let closed = camera.books.tick(camera.at(2000)).unwrap();
+    assert_eq!(
+        (closed.ended_by, closed.end),
+        (ClipEnd::Window, camera.at(2000))
+    );
+    assert!(camera.frame(6000, None).is_none());
+    let closed = camera.books.shutdown(camera.at(6100)).unwrap();
+    assert_eq!(closed.start, camera.at(6000));
+    assert!(closed.end >= camera.at(6000));
 }
 
 #[test]

@@ -9,6 +9,7 @@
 use super::config::ClipConfig;
 use super::latencies::Latencies;
 use super::report::ClosedClip;
+use crate::power::{EnergyUser, OpenSpan};
 use albireo_core::policy::FrameState;
 use albireo_wire::{ClipEnd, DroppedFrames, FrameStates, KnobChange, KnobValue};
 use std::sync::Arc;
@@ -64,11 +65,13 @@ struct OpenClip {
     knob_changes: Vec<KnobChange>,
     total: Latencies,
     detector: Latencies,
+    energy: OpenSpan,
 }
 
 /// The books of one camera.
 #[derive(Debug)]
 pub(crate) struct ClipTracker {
+    energy: EnergyUser,
     window: Duration,
     silence: Duration,
     windows: u64,
@@ -80,11 +83,12 @@ pub(crate) struct ClipTracker {
 }
 
 impl ClipTracker {
-    /// Empty books.
-    pub(crate) fn new(config: ClipConfig) -> Self {
+    /// Empty books of a camera whose part of the node's energy is `energy`.
+    pub(crate) fn new(config: ClipConfig, energy: EnergyUser) -> Self {
         let seconds =
             |s: f64, least: f64| Duration::try_from_secs_f64(s.max(least)).unwrap_or(Duration::MAX);
         Self {
+            energy,
             window: seconds(config.window_s, 0.001),
             silence: seconds(config.silence_s, 0.001),
             windows: 0,
@@ -99,11 +103,13 @@ impl ClipTracker {
     /// more than one a call.
     pub(crate) fn arrive(&mut self, frame: &FrameArrival<'_>) -> Option<ClosedClip> {
         let closed = self.close_before(frame);
+        self.energy.frame(frame.arrival);
         match &mut self.open {
             Some(open) => {
                 open.arrivals += 1;
                 open.last_arrival = open.last_arrival.max(frame.arrival);
                 open.last_answered = open.last_answered.max(frame.arrival);
+                open.energy.until(open.natural_end());
             }
             None => self.begin(frame),
         }
@@ -132,6 +138,12 @@ impl ClipTracker {
             });
         }
         open.knob = frame.knob;
+        open.energy.until(open.natural_end());
+    }
+
+    /// Notes a run of the detector from `start` to `end`, of which this camera used `used`.
+    pub(crate) fn detector_ran(&self, start: Instant, end: Instant, used: Duration) {
+        self.energy.detector(start, end, used);
     }
 
     /// Counts frames that were not processed.
@@ -208,15 +220,19 @@ impl ClipTracker {
                 format!("window-{}", self.windows - 1).into()
             }
         };
+        // Frames keep coming; and the window that begins there is not over before the frame came.
+        let keeps_coming = self.silence.min(self.window);
         let start = match self.last_window_end.take() {
             Some(end)
-                if windowed && frame.arrival.saturating_duration_since(end) < self.silence =>
+                if windowed && frame.arrival.saturating_duration_since(end) < keeps_coming =>
             {
                 end
             }
             _ => frame.arrival,
         };
         let arrival = frame.arrival.max(start);
+        let energy = self.energy.open(start);
+        energy.until(arrival);
         self.open = Some(OpenClip {
             clip,
             windowed,
@@ -233,6 +249,7 @@ impl ClipTracker {
             knob_changes: Vec::new(),
             total: Latencies::default(),
             detector: Latencies::default(),
+            energy,
         });
     }
 
@@ -252,6 +269,7 @@ impl ClipTracker {
             knob_changes: open.knob_changes,
             total: open.total,
             detector: open.detector,
+            energy: open.energy,
         })
     }
 }

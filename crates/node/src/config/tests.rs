@@ -258,7 +258,7 @@ fn a_file_that_is_missing_or_no_toml_is_named() {
 #[test]
 fn an_address_that_others_reach_is_accepted_with_a_token_or_a_word() {
     for rest in [
-        "token = \"s3cret\"",
+        "token = \"s3cret-s3cret-s3cret\"",
         "token_file = \"/run/token\"",
         "allow_unauthenticated = true",
     ] {

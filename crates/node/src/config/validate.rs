@@ -9,7 +9,8 @@ use zenoh::key_expr::KeyExpr;
 
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
-        "NODE", "ZENOH", "HTTP", "DETECTOR", "SCREEN", "POLICY", "CLIP", "FRAME", "POWER", "LOG",
+        "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "CLIP",
+        "FRAME", "POWER", "LOG",
     ];
 
     /// Whether files are there is not looked at: that is seen when they are opened.
@@ -18,6 +19,8 @@ impl Configuration for NodeConfig {
         self.check_names(&mut findings);
         self.zenoh
             .check("zenoh", self.frame.max_payload_bytes, &mut findings);
+        self.uplink.check("uplink", &mut findings);
+        self.check_outbox(&mut findings);
         self.http.check(&mut findings);
         self.check_models(&mut findings);
         self.check_figures(&mut findings);
@@ -36,6 +39,34 @@ impl NodeConfig {
             findings.add("node.prefix", error.to_string());
         }
         findings.path("node.state_dir", self.node.state_dir.as_deref());
+        findings.above_zero("node.stop_timeout_s", self.node.stop_timeout_s, 3600.0);
+        findings.above_zero("node.camera_silence_s", self.node.camera_silence_s, DAY_S);
+    }
+
+    fn check_outbox(&self, findings: &mut Findings) {
+        let outbox = &self.outbox;
+        findings.count("outbox.max_bytes", outbox.max_bytes, 1 << 16, 1 << 40);
+        findings.count("outbox.max_age_days", outbox.max_age_days.into(), 1, 36_500);
+        let figure = outbox.memory_reports as u64;
+        findings.count("outbox.memory_reports", figure, 1, 1_000_000);
+        let figure = outbox.batch_reports as u64;
+        findings.count("outbox.batch_reports", figure, 1, 1000);
+        findings.count(
+            "outbox.answer_timeout_ms",
+            outbox.answer_timeout_ms,
+            100,
+            600_000,
+        );
+        findings.count("outbox.retry_min_ms", outbox.retry_min_ms, 1, 3_600_000);
+        let most = outbox.retry_max_ms;
+        findings.count(
+            "outbox.retry_max_ms",
+            most,
+            outbox.retry_min_ms.max(1),
+            3_600_000,
+        );
+        findings.count("outbox.status_s", outbox.status_s, 1, 86_400);
+        findings.path("outbox.machine_id", Some(&outbox.machine_id));
     }
 
     fn check_models(&self, findings: &mut Findings) {

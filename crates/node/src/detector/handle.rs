@@ -10,6 +10,7 @@ use super::{
 };
 use crate::frame::Picture;
 use albireo_core::detection::Detection;
+use albireo_service::clock::milliseconds;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -32,6 +33,10 @@ pub struct Found {
 pub struct Detected {
     /// Best first, normalised to the source picture, above the configured confidence, overlaps suppressed.
     pub detections: Vec<Detection>,
+    /// From the start of the run to its end.
+    pub took: Duration,
+    /// How many pictures the run looked at; the time this one used is `took` divided by their number.
+    pub pictures: u32,
     /// From being asked to the start of the run, milliseconds.
     pub queue_ms: f64,
     /// Resizing and conversion to the model's input tensor, milliseconds.
@@ -151,11 +156,21 @@ impl DetectorHandle {
         let found = inference.output;
         Ok(Detected {
             detections: found.detections,
+            took: inference.took,
+            pictures: inference.pictures,
             queue_ms: milliseconds(inference.queued),
             letterbox_ms: milliseconds(found.letterbox),
             model_ms: milliseconds(found.model),
             head_ms: milliseconds(found.head),
         })
+    }
+
+    /// Whether a picture would be taken now. A refusal is counted: ask before a picture is decoded for it.
+    ///
+    /// # Errors
+    /// As [`detect_prepared`](Self::detect_prepared) would answer at once.
+    pub(crate) fn accepts(&self) -> Result<(), InferenceError> {
+        self.task.accepts()
     }
 
     /// How the detector is doing, now and from now on.
@@ -197,6 +212,11 @@ impl DetectorHandle {
         }
     }
 
+    /// Returns when it has been stopped, or what watches over it is gone.
+    pub(crate) async fn ended(&self) {
+        self.task.ended().await;
+    }
+
     /// Takes no more pictures and returns when the run in hand has ended or has taken too long.
     pub async fn stop(&self) {
         self.task.stop().await;
@@ -208,8 +228,4 @@ fn model_name(config: &DetectorConfig) -> String {
         .model
         .file_name()
         .map_or_else(String::new, |name| name.to_string_lossy().into_owned())
-}
-
-fn milliseconds(duration: Duration) -> f64 {
-    duration.as_secs_f64() * 1e3
 }

@@ -3,8 +3,9 @@
 use super::StartError;
 use ort::environment::Environment;
 use ort::logging::LogLevel;
+use parking_lot::Mutex;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use tracing::{debug, error, info, warn};
 
 /// The variable that names the library, as the `ort` crate has it.
@@ -18,7 +19,7 @@ static ENVIRONMENT: Mutex<Option<(PathBuf, Environment)>> = Mutex::new(None);
 /// # Errors
 /// When there is no library, or it cannot be used.
 pub(super) fn environment(configured: Option<&Path>) -> Result<Environment, StartError> {
-    let mut kept = ENVIRONMENT.lock().unwrap_or_else(PoisonError::into_inner);
+    let mut kept = ENVIRONMENT.lock();
     if let Some((path, environment)) = kept.as_ref() {
         if configured.is_some_and(|configured| configured != path) {
             debug!(used = %path.display(), "this process has loaded an ONNX Runtime already");

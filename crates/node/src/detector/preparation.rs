@@ -3,7 +3,8 @@
 
 use super::InferenceError;
 use crate::frame::{InputFormat, InputMapping, Letterbox, LetterboxError, Picture};
-use std::sync::{Arc, Mutex, PoisonError};
+use parking_lot::Mutex;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// Where pictures become inputs of one model. Clones share their buffers; several threads may prepare at once.
@@ -56,13 +57,8 @@ impl Preparation {
     }
 
     fn letterbox(&self) -> Letterbox {
-        let idle = self.lock().pop();
+        let idle = self.0.idle.lock().pop();
         idle.unwrap_or_else(|| Letterbox::new(self.0.format))
-    }
-
-    fn lock(&self) -> std::sync::MutexGuard<'_, Vec<Letterbox>> {
-        // A list of buffers is whole at any point.
-        self.0.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -105,7 +101,7 @@ impl PreparedPicture {
 impl Drop for PreparedPicture {
     fn drop(&mut self) {
         if let Some(letterbox) = self.letterbox.take() {
-            self.origin.lock().push(letterbox);
+            self.origin.0.idle.lock().push(letterbox);
         }
     }
 }
@@ -151,7 +147,7 @@ mod tests {
         assert_eq!(values(&third), Some(vec![3.0; 24]));
         assert_eq!(third.as_ref().map(|third| third.values().as_ptr()), buffer);
         drop((second, third));
-        assert_eq!(preparation.lock().len(), 2);
+        assert_eq!(preparation.0.idle.lock().len(), 2);
     }
 
     #[test]

@@ -4,8 +4,8 @@
 //! the library's own types gone: errors that nobody foresaw in the log, and no promise that it does not crash.
 
 use super::model::Interrupter;
+use parking_lot::{Condvar, Mutex};
 use std::collections::BTreeMap;
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 /// Those of this process.
@@ -44,7 +44,7 @@ impl Sessions {
 
     /// Keeps `interrupter` for as long as the answer lives; calls it at once when all sessions are to end.
     pub(super) fn enter(&self, interrupter: Interrupter) -> Entry<'_> {
-        let mut kept = self.kept();
+        let mut kept = self.kept.lock();
         let number = kept.next;
         kept.next += 1;
         kept.interrupters.insert(number, interrupter.clone());
@@ -60,22 +60,17 @@ impl Sessions {
 
     fn end_all(&self, patience: Duration) -> bool {
         let interrupters: Vec<_> = {
-            let mut kept = self.kept();
+            let mut kept = self.kept.lock();
             kept.ending = true;
             kept.interrupters.values().cloned().collect()
         };
         for interrupt in interrupters {
             interrupt();
         }
-        let (kept, _) = self
-            .one_is_gone
-            .wait_timeout_while(self.kept(), patience, |kept| !kept.interrupters.is_empty())
-            .unwrap_or_else(PoisonError::into_inner);
+        let mut kept = self.kept.lock();
+        self.one_is_gone
+            .wait_while_for(&mut kept, |kept| !kept.interrupters.is_empty(), patience);
         kept.interrupters.is_empty()
-    }
-
-    fn kept(&self) -> MutexGuard<'_, Kept> {
-        self.kept.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -87,7 +82,7 @@ pub(super) struct Entry<'a> {
 
 impl Drop for Entry<'_> {
     fn drop(&mut self) {
-        self.sessions.kept().interrupters.remove(&self.number);
+        self.sessions.kept.lock().interrupters.remove(&self.number);
         self.sessions.one_is_gone.notify_all();
     }
 }

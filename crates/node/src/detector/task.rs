@@ -14,10 +14,11 @@ pub(crate) use counters::TaskMeter;
 pub(crate) use state::Inference;
 
 use super::{CameraSlot, DetectorStatus, InferenceError, Model, StartError};
+use parking_lot::Mutex;
 use queue::{Batching, Job};
 use state::TaskState;
 use std::collections::HashMap;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use supervisor::Supervisor;
 use tokio::sync::{Semaphore, oneshot, watch};
@@ -152,6 +153,14 @@ impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
         Ok((Self { inner }, facts))
     }
 
+    /// Whether a picture would be taken now; a refusal is counted.
+    ///
+    /// # Errors
+    /// What [`run`](Self::run) would answer at once.
+    pub(crate) fn accepts(&self) -> Result<(), InferenceError> {
+        self.inner.shared.accepts()
+    }
+
     /// Has `picture` answered. Waits for its turn and for the run.
     ///
     /// When this returns `Ok` or [`InferenceError::Failed`] the task no longer holds it; after a time-out a
@@ -197,7 +206,6 @@ impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
         self.inner
             .cameras
             .lock()
-            .unwrap_or_else(PoisonError::into_inner)
             .entry(camera)
             .or_insert_with(|| Arc::new(Semaphore::new(1)))
             .clone()
@@ -222,6 +230,11 @@ impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
     /// has taken too long. Safe to call more than once.
     pub(crate) async fn stop(&self) {
         self.inner.stop();
+        self.ended().await;
+    }
+
+    /// Returns when the task has been stopped, or its supervisor is gone.
+    pub(crate) async fn ended(&self) {
         let mut stopped = self.inner.stopped.clone();
         // An error means that the supervisor is gone, which is what is waited for.
         let _ = stopped.wait_for(|stopped| *stopped).await;

@@ -1,4 +1,4 @@
-//! One camera's eyes with the demonstration detector: what is made ready prefetch is used for its own frame.
+//! One camera's evidence with the demonstration detector: what is made ready ahead is used for its own frame.
 
 use super::*;
 use crate::detector::DetectorConfig;
@@ -40,7 +40,7 @@ async fn evidence() -> LiveEvidence {
     )
 }
 
-/// What is found in `picture` by eyes that have seen nothing before.
+/// What is found in `picture` by a camera that has seen nothing before.
 async fn found_alone(picture: &EncodedPicture) -> Detected {
     let mut evidence = evidence().await;
     let detected = evidence.detect(picture, std::future::pending()).await;
@@ -48,6 +48,7 @@ async fn found_alone(picture: &EncodedPicture) -> Detected {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn the_next_picture_is_made_ready_while_the_detector_looks_and_used_for_its_frame() {
     let [first, second, _] = pictures();
     let mut evidence = evidence().await;
@@ -56,7 +57,7 @@ async fn the_next_picture_is_made_ready_while_the_detector_looks_and_used_for_it
     assert_eq!(
         detected.detections,
         found_alone(&first).await.detections,
-        "looking prefetch changes nothing of the frame in hand"
+        "looking ahead changes nothing of the frame in hand"
     );
     let prefetch = evidence.prefetch.as_ref().unwrap();
     assert!(prefetch.is_of(&second) && !prefetch.is_of(&first));
@@ -74,6 +75,7 @@ async fn the_next_picture_is_made_ready_while_the_detector_looks_and_used_for_it
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_picture_made_ready_whose_frame_never_comes_is_not_taken_for_another() {
     let [first, second, third] = pictures();
     let mut evidence = evidence().await;
@@ -86,6 +88,7 @@ async fn a_picture_made_ready_whose_frame_never_comes_is_not_taken_for_another()
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn a_broken_picture_made_ready_ahead_is_the_fault_of_its_own_frame() {
     let [first, second, _] = pictures();
     let broken = EncodedPicture {
@@ -104,6 +107,7 @@ async fn a_broken_picture_made_ready_ahead_is_the_fault_of_its_own_frame() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
 async fn decoded_pictures_take_turns_in_the_same_buffers() {
     let [first, second, third] = pictures();
     let mut evidence = evidence().await;
@@ -117,4 +121,33 @@ async fn decoded_pictures_take_turns_in_the_same_buffers() {
         }
     }
     assert!(buffers.len() <= 2, "{} buffers", buffers.len());
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn while_the_detector_cannot_be_had_no_picture_is_decoded_for_it() {
+    let [first, ..] = pictures();
+    let mut evidence = evidence().await;
+    evidence.detector.stop().await;
+    let detected = evidence.detect(&first, std::future::pending()).await;
+    assert_eq!(detected.unwrap(), None);
+    assert_eq!(
+        (evidence.times.decode, evidence.times.letterbox),
+        (None, None)
+    );
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn a_frame_uses_its_part_of_the_detectors_run_and_no_more() {
+    let [first, ..] = pictures();
+    let mut evidence = evidence().await;
+    let detected = evidence.detect(&first, std::future::pending()).await;
+    let took = detected.unwrap().unwrap().took;
+    let run = evidence.times.detector_run.unwrap();
+    assert_eq!((run.end - run.start, run.used), (took, took));
+    let (asked, answered) = evidence.times.detector_span.unwrap();
+    assert!(asked <= run.start && run.end == answered);
+    evidence.next_frame();
+    assert_eq!(evidence.times.detector_run, None);
 }

@@ -8,8 +8,8 @@ use super::{
     decode_png, decode_raw,
 };
 use albireo_core::geometry::PictureSize;
+use albireo_service::panics::contain as contain_panic;
 use bytes::Bytes;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Quality of a JPEG file made for people to look at.
 const JPEG_QUALITY: u8 = 85;
@@ -50,7 +50,7 @@ pub fn decode(
     into.size = picture.size;
     into.source_size = picture.size;
     into.layout = layout;
-    into.pixels.resize(length, 0);
+    make_room(&mut into.pixels, length)?;
     let pixels = into.pixels.as_mut_slice();
     match picture.format {
         PictureFormat::Jpeg => contain("JPEG", || decode_jpeg::decode(picture, layout, pixels)),
@@ -65,13 +65,35 @@ pub fn decode(
     }
 }
 
+/// A buffer may be so many times too large and is kept; beyond that its memory is given back.
+const KEPT_TIMES: usize = 4;
+
+/// A buffer of this size is kept whatever it is needed for.
+const KEPT_BYTES: usize = 16 << 20;
+
+/// Makes `buffer` as long as a picture needs it. After one huge picture the memory is given back; where there is none
+/// for this one, only this one is lost.
+pub(super) fn make_room(buffer: &mut Vec<u8>, length: usize) -> Result<(), FrameFault> {
+    if buffer.capacity() > KEPT_BYTES && buffer.capacity() / KEPT_TIMES > length {
+        *buffer = Vec::new();
+    }
+    let more = length.saturating_sub(buffer.len());
+    buffer.try_reserve_exact(more).map_err(|_| {
+        FrameFault::oversized(format!(
+            "there is no memory for a picture of {length} bytes"
+        ))
+    })?;
+    buffer.resize(length, 0);
+    Ok(())
+}
+
 /// Turns a panic of a third-party decoder into a fault: they are fed bytes from the network, and a bug
 /// that one odd picture finds must not end the service. What the closure leaves behind is pixels only.
 fn contain<T>(
     decoder: &str,
     decode: impl FnOnce() -> Result<T, FrameFault>,
 ) -> Result<T, FrameFault> {
-    catch_unwind(AssertUnwindSafe(decode)).unwrap_or_else(|_| {
+    contain_panic(decode).unwrap_or_else(|_| {
         Err(FrameFault::undecodable(format!(
             "the {decoder} decoder gave up on the picture in an unforeseen way"
         )))
@@ -142,4 +164,29 @@ pub fn to_jpeg(picture: &EncodedPicture, limits: &FrameLimits) -> Result<Bytes, 
         .encode(&decoded.pixels, width, height, color)
         .map_err(|error| FrameFault::undecodable(format!("it cannot become a JPEG: {error}")))?;
     Ok(Bytes::from(file))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_for_which_there_is_no_memory_is_a_fault() {
+        let mut buffer = vec![1; 8];
+        let fault = make_room(&mut buffer, isize::MAX as usize).unwrap_err();
+        assert_eq!(fault.kind(), "oversized");
+        make_room(&mut buffer, 16).unwrap();
+        assert_eq!(buffer.len(), 16);
+    }
+
+    #[test]
+    fn the_memory_of_a_huge_picture_is_given_back() {
+        let mut buffer = Vec::new();
+        make_room(&mut buffer, 100 << 20).unwrap();
+        make_room(&mut buffer, 1 << 20).unwrap();
+        assert!(buffer.capacity() < 2 << 20, "{}", buffer.capacity());
+        make_room(&mut buffer, 8 << 20).unwrap();
+        make_room(&mut buffer, 1 << 20).unwrap();
+        assert!(buffer.capacity() >= 8 << 20, "{}", buffer.capacity());
+    }
 }

@@ -1,5 +1,6 @@
 //! PNG files, by `png`: every colour type and depth, interlaced or not.
 
+use super::decode::make_room;
 use super::limits::decoded_bytes;
 use super::{EncodedPicture, FrameFault, FrameLimits, PixelLayout, decode_raw};
 use png::{BitDepth, ColorType, Decoder, DecodingError, Limits, Transformations};
@@ -54,7 +55,8 @@ pub(super) fn decode(
         reader.next_frame(pixels).map_err(fault)?;
         return Ok(());
     }
-    let mut samples = vec![0; length];
+    let mut samples = Vec::new();
+    make_room(&mut samples, length)?;
     reader.next_frame(&mut samples).map_err(fault)?;
     match (color, layout) {
         (ColorType::Grayscale, _) => decode_raw::grey_to_rgb::<1>(&samples, pixels),

@@ -5,10 +5,10 @@ use super::header::{format_of, jpeg_size, png_size};
 use super::limits::{check_payload, check_picture, check_raw_length};
 use super::{EncodedPicture, FrameFault, FrameLimits, PayloadFormat, PictureFormat, ros2};
 use albireo_core::geometry::PictureSize;
+use albireo_service::clock::unix_nanoseconds;
 use bytes::Bytes;
 use std::ops::Range;
 use std::sync::Arc;
-use std::time::{SystemTime, UNIX_EPOCH};
 use tokio::time::Instant;
 use zenoh::bytes::ZBytes;
 use zenoh::sample::Sample;
@@ -144,7 +144,7 @@ fn read_checked(
             time_ns: stamp
                 .or(said.time_ns)
                 .or(raw.timestamp_ns)
-                .unwrap_or_else(clock_ns),
+                .unwrap_or_else(unix_nanoseconds),
             clip: said.clip,
             picture,
             received: raw.received,
@@ -156,14 +156,6 @@ fn read_checked(
             fault,
         }),
     }
-}
-
-fn clock_ns() -> u64 {
-    SystemTime::now()
-        .duration_since(UNIX_EPOCH)
-        .ok()
-        .and_then(|time| u64::try_from(time.as_nanos()).ok())
-        .unwrap_or(0)
 }
 
 /// The picture, and the capture time where the payload itself tells it.

@@ -103,6 +103,11 @@ impl<T> Ring<T> {
 }
 
 impl<T> RingSender<T> {
+    /// What happens when the ring is full.
+    pub(crate) fn delivery(&self) -> Delivery {
+        self.0.delivery
+    }
+
     /// Pushes from ordinary code, such as Zenoh's callback thread. [`Delivery::Newest`] never waits;
     /// [`Delivery::Every`] blocks the thread until there is room or the ring closes. Blocking Zenoh's
     /// thread is what holds the publisher back; within a task use [`push`](Self::push).
@@ -141,6 +146,17 @@ impl<T> RingSender<T> {
     /// Closes the ring: nothing more goes in, what waits can still be taken.
     pub fn close(&self) {
         self.0.close();
+    }
+
+    /// Opens the ring anew, empty, for another receiver in the place of one that is gone.
+    pub(crate) fn reopen(&self) -> RingReceiver<T> {
+        let mut state = self.0.state();
+        state.items.clear();
+        state.closed = false;
+        state.overrun = false;
+        state.overrun_before = false;
+        drop(state);
+        RingReceiver(Arc::clone(&self.0))
     }
 }
 
@@ -212,6 +228,12 @@ impl<T> RingReceiver<T> {
     /// Closes the ring and wakes blocked senders; what waits can still be taken.
     pub fn close(&self) {
         self.0.close();
+    }
+
+    /// Closes the ring and throws away what waits; how many items that were.
+    pub(crate) fn close_and_clear(&self) -> usize {
+        self.0.close();
+        std::mem::take(&mut self.0.state().items).len()
     }
 }
 
@@ -340,6 +362,19 @@ mod tests {
         let (sender, receiver) = frame_ring(Delivery::Every, 1);
         drop(receiver);
         assert_eq!(sender.push(1).await, Pushed::Closed(1));
+    }
+
+    #[tokio::test]
+    async fn a_ring_whose_receiver_failed_is_closed_until_it_is_opened_anew() {
+        let (sender, receiver) = frame_ring(Delivery::Newest, 4);
+        sender.push(1).await;
+        sender.push(2).await;
+        assert_eq!(receiver.close_and_clear(), 2);
+        drop(receiver);
+        assert_eq!(sender.push_blocking(3), Pushed::Closed(3));
+        let mut again = sender.reopen();
+        assert_eq!(sender.push_blocking(4), Pushed::Queued);
+        assert_eq!(again.next().await, Some(4));
     }
 
     #[tokio::test(start_paused = true)]

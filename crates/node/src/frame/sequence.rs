@@ -1,16 +1,17 @@
 //! Sequence numbers of one camera: what is new, lost, late or there twice.
 //!
 //! The rule. A number above the highest so far is new, and the numbers between are lost, unless it is
-//! more than [`MAX_GAP`] above. A number at or below it is late or a duplicate, unless the camera began
-//! to number anew, which is taken to be so when
+//! more than [`MAX_GAP`] above. A number at or below it is late or a duplicate. The camera began to number
+//! anew when
 //!
-//! - it falls back by [`WINDOW`] or more,
-//! - it falls back and names a clip that is neither the present one nor the one before,
-//! - it jumps ahead by more than [`MAX_GAP`], or
+//! - a number is behind and names a clip that is neither the present one nor the one before,
+//! - two numbers that follow each other by less than [`WINDOW`] are both far from the highest: behind it by
+//!   [`WINDOW`] or more, or ahead of it by more than [`MAX_GAP`], or
 //! - the last [`RESTART_RUN`] arrivals were all behind and each one more than the one before, as a
 //!   restarted camera counts whose numbers were still low.
 //!
-//! So a restarted camera loses at most [`RESTART_RUN`] - 1 frames, never its stream.
+//! So one stray frame, delayed or replayed, changes nothing but the count of late frames, and a restarted
+//! camera loses at most [`RESTART_RUN`] - 1 frames (one, when its numbers were high), never its stream.
 
 use std::sync::Arc;
 
@@ -26,9 +27,9 @@ pub(crate) const RESTART_RUN: u32 = 8;
 pub(crate) enum Arrival {
     /// A new frame.
     New {
-        /// Its place in the stream, lost frames counted: grows with every new frame, also across a
-        /// restart of the camera. The `step` of a policy is the difference to the frame processed
-        /// before.
+        /// Its place in the stream, 0 for the first frame, lost frames counted: grows with every new
+        /// frame, also across a restart of the camera. The `step` of a policy is the difference to the
+        /// frame processed before.
         index: u64,
         /// Numbers missing between the frame before and this one.
         lost: u64,
@@ -42,6 +43,8 @@ pub(crate) enum Arrival {
         /// Whether the number was part of an earlier `lost`: it is late now instead.
         counted_lost: bool,
     },
+    /// The number is far from all others: a stray frame, unless the next number follows it.
+    Stray,
 }
 
 /// Follows the sequence numbers of one camera. To be asked on reception, before the ring, for every
@@ -50,6 +53,8 @@ pub(crate) enum Arrival {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct SequenceTracker {
     present: Option<Numbering>,
+    /// Samples since the highest number whose own number could not be read.
+    unnumbered: u64,
 }
 
 /// The numbers since the camera began to count.
@@ -64,6 +69,8 @@ struct Numbering {
     clip_before: Option<Arc<str>>,
     /// The last late number, and how many came in counting order up to it.
     behind: Option<(u64, u32)>,
+    /// The last number far from the highest.
+    stray: Option<u64>,
 }
 
 impl Numbering {
@@ -76,20 +83,39 @@ impl Numbering {
             clip: clip.cloned(),
             clip_before: None,
             behind: None,
+            stray: None,
         }
+    }
+
+    /// Whether `sequence` is too far from the highest to be a late number or the end of a gap.
+    fn is_far(&self, sequence: u64) -> bool {
+        match sequence.checked_sub(self.highest) {
+            Some(ahead) => ahead > MAX_GAP,
+            None => self.highest - sequence >= WINDOW,
+        }
+    }
+
+    /// Whether `sequence`, far from the highest, follows another such number. Remembers it.
+    fn follows_stray(&mut self, sequence: u64) -> bool {
+        let before = self.stray.replace(sequence);
+        before
+            .and_then(|before| sequence.checked_sub(before))
+            .is_some_and(|step| (1..WINDOW).contains(&step))
     }
 
     /// Whether `sequence`, not above the highest, shows that the camera counts anew. Keeps the books on
     /// late numbers.
-    fn fell_back(&mut self, sequence: u64, clip: Option<&Arc<str>>) -> bool {
-        let unknown_clip =
-            clip.is_some() && clip != self.clip.as_ref() && clip != self.clip_before.as_ref();
+    fn fell_back(&mut self, sequence: u64) -> bool {
         let run = match self.behind {
             Some((before, run)) if before.checked_add(1) == Some(sequence) => run + 1,
             _ => 1,
         };
         self.behind = Some((sequence, run));
-        unknown_clip || self.highest - sequence >= WINDOW || run >= RESTART_RUN
+        run >= RESTART_RUN
+    }
+
+    fn is_of_an_unknown_clip(&self, clip: Option<&Arc<str>>) -> bool {
+        clip.is_some() && clip != self.clip.as_ref() && clip != self.clip_before.as_ref()
     }
 
     fn advance(&mut self, sequence: u64, clip: Option<&Arc<str>>) {
@@ -102,6 +128,7 @@ impl Numbering {
         self.highest = sequence;
         self.index = self.index.saturating_add(step);
         self.behind = None;
+        self.stray = None;
         if clip != self.clip.as_ref() {
             self.clip_before = std::mem::replace(&mut self.clip, clip.cloned());
         }
@@ -113,30 +140,37 @@ impl SequenceTracker {
     /// names.
     pub(crate) fn arrive(&mut self, sequence: u64, clip: Option<&Arc<str>>) -> Arrival {
         let Some(present) = &mut self.present else {
-            self.present = Some(Numbering::starting(sequence, sequence, clip));
+            self.present = Some(Numbering::starting(sequence, 0, clip));
+            self.unnumbered = 0;
             return Arrival::New {
-                index: sequence,
+                index: 0,
                 lost: 0,
                 restarted: false,
             };
         };
-        let restarted = if sequence > present.highest {
-            sequence - present.highest > MAX_GAP
-        } else {
-            present.fell_back(sequence, clip)
-        };
+        let is_behind = sequence <= present.highest;
+        let is_far = present.is_far(sequence);
+        let restarted = (is_behind && present.is_of_an_unknown_clip(clip))
+            || (is_far && present.follows_stray(sequence))
+            || (is_behind && present.fell_back(sequence));
         if restarted {
             let index = present.index.saturating_add(1);
             *present = Numbering::starting(sequence, index, clip);
+            self.unnumbered = 0;
             return Arrival::New {
                 index,
                 lost: 0,
                 restarted: true,
             };
         }
-        if sequence > present.highest {
-            let lost = sequence - present.highest - 1;
+        if is_far {
+            return Arrival::Stray;
+        }
+        if !is_behind {
+            let missing = sequence - present.highest - 1;
             present.advance(sequence, clip);
+            // What came without a number was one of those that are missing.
+            let lost = missing.saturating_sub(std::mem::take(&mut self.unnumbered));
             return Arrival::New {
                 index: present.index,
                 lost,
@@ -151,6 +185,12 @@ impl SequenceTracker {
         Arrival::Late {
             counted_lost: sequence > present.first,
         }
+    }
+
+    /// Takes a sample whose number cannot be read: so many of the numbers that are missing next are not
+    /// lost.
+    pub(crate) fn arrive_unnumbered(&mut self) {
+        self.unnumbered = self.unnumbered.saturating_add(1);
     }
 }
 
@@ -181,33 +221,66 @@ mod tests {
         assert_eq!(
             arrivals([5, 6, 9, 7, 7, 9, 10, 8, 4, 11]),
             [
-                new(5, 0),
-                new(6, 0),
-                new(9, 2),
+                new(0, 0),
+                new(1, 0),
+                new(4, 2),
                 Arrival::Late { counted_lost: true },
                 Arrival::Duplicate,
                 Arrival::Duplicate,
-                new(10, 0),
+                new(5, 0),
                 Arrival::Late { counted_lost: true },
                 Arrival::Late {
                     counted_lost: false
                 },
-                new(11, 0),
+                new(6, 0),
             ]
         );
     }
 
-    #[test]
-    fn a_camera_that_restarts_from_zero_goes_on_at_once() {
-        let restarted = Arrival::New {
-            index: 1001,
+    fn restarted(index: u64) -> Arrival {
+        Arrival::New {
+            index,
             lost: 0,
             restarted: true,
-        };
+        }
+    }
+
+    #[test]
+    fn a_camera_that_restarts_from_zero_goes_on_with_its_second_frame() {
         assert_eq!(
-            arrivals([1000, 0, 1]),
-            [new(1000, 0), restarted, new(1002, 0)]
+            arrivals([1000, 0, 1, 2]),
+            [new(0, 0), Arrival::Stray, restarted(1), new(2, 0)]
         );
+        assert_eq!(
+            arrivals([1000, 0, 3])[1..],
+            [Arrival::Stray, restarted(1)],
+            "also when some of its frames are lost"
+        );
+    }
+
+    #[test]
+    fn one_stray_old_frame_neither_restarts_the_stream_nor_loses_frames() {
+        for stray in [0, 900, 5_000_000] {
+            assert_eq!(
+                arrivals([1000, 1001, stray, 1002, 1003]),
+                [new(0, 0), new(1, 0), Arrival::Stray, new(2, 0), new(3, 0)]
+            );
+        }
+        let mixed = arrivals((1000..1100).flat_map(|number| [number, 5 * (number - 1000)]));
+        let strays = mixed.iter().filter(|seen| **seen == Arrival::Stray).count();
+        assert_eq!(strays, 100, "a second camera on the key");
+    }
+
+    #[test]
+    fn a_sample_without_a_readable_number_is_not_lost_as_well() {
+        let mut tracker = SequenceTracker::default();
+        tracker.arrive(0, None);
+        tracker.arrive_unnumbered();
+        tracker.arrive_unnumbered();
+        assert_eq!(tracker.arrive(5, None), new(5, 2));
+        assert_eq!(tracker.arrive(8, None), new(8, 2), "the count begins anew");
+        tracker.arrive_unnumbered();
+        assert_eq!(tracker.arrive(9, None), new(9, 0));
     }
 
     #[test]
@@ -240,15 +313,7 @@ mod tests {
         for number in 0..10 {
             tracker.arrive(number, Some(&a));
         }
-        let first = tracker.arrive(0, Some(&b));
-        assert_eq!(
-            first,
-            Arrival::New {
-                index: 10,
-                lost: 0,
-                restarted: true
-            }
-        );
+        assert_eq!(tracker.arrive(0, Some(&b)), restarted(10));
         assert_eq!(tracker.arrive(1, Some(&b)), new(11, 0));
 
         let mut tracker = SequenceTracker::default();
@@ -262,17 +327,17 @@ mod tests {
 
     #[test]
     fn an_absurd_jump_is_a_restart_and_not_a_loss() {
-        let seen = arrivals([3, u64::MAX, 0]);
-        for (arrival, expected) in seen[1..].iter().zip([4, 5]) {
-            assert_eq!(
-                *arrival,
-                Arrival::New {
-                    index: expected,
-                    lost: 0,
-                    restarted: true
-                }
-            );
-        }
+        assert_eq!(
+            arrivals([3, u64::MAX - 1, u64::MAX, 0, 1]),
+            [
+                new(0, 0),
+                Arrival::Stray,
+                restarted(1),
+                Arrival::Stray,
+                restarted(2)
+            ]
+        );
+        assert_eq!(arrivals([u64::MAX, 0, 1])[2], restarted(1));
     }
 
     proptest! {
@@ -295,17 +360,19 @@ mod tests {
             let mut tracker = SequenceTracker::default();
             let (mut fresh, mut late, mut duplicate) = (BTreeSet::new(), BTreeSet::new(), 0_usize);
             let (mut lost, mut found, mut last_index) = (0, 0, None);
+            let begin = arriving.first().map_or(0, |(_, number)| *number);
             for (_, number) in &arriving {
                 match tracker.arrive(*number, None) {
                     Arrival::New { index, lost: missing, restarted } => {
                         prop_assert!(!restarted);
-                        prop_assert_eq!(index, *number);
+                        prop_assert_eq!(index, *number - begin);
                         prop_assert!(last_index < Some(index));
                         last_index = Some(index);
                         lost += missing;
                         prop_assert!(fresh.insert(*number));
                     }
                     Arrival::Duplicate => duplicate += 1,
+                    Arrival::Stray => prop_assert!(false, "nothing strays"),
                     Arrival::Late { counted_lost } => {
                         found += u64::from(counted_lost);
                         prop_assert!(late.insert(*number));

@@ -2,8 +2,9 @@
 
 use super::RouteState;
 use super::health::provider;
-use crate::board::Event;
+use crate::board::{Event, SharedEvent};
 use crate::detector::DetectorStatus;
+use albireo_service::clock::unix_nanoseconds;
 use albireo_service::http::Problem;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
@@ -75,7 +76,7 @@ struct Reader {
     types: Vec<String>,
     /// What is to be told before anything new: how things stand.
     first: VecDeque<sse::Event>,
-    events: broadcast::Receiver<Event>,
+    events: broadcast::Receiver<SharedEvent>,
     detector: Option<watch::Receiver<DetectorStatus>>,
     shutdown: CancellationToken,
     /// Given back when the stream ends.
@@ -92,18 +93,30 @@ fn event(name: &str, data: &impl Serialize) -> Option<sse::Event> {
     }
 }
 
+/// The event as it was written for all who read it.
+fn written(happened: &SharedEvent) -> Option<sse::Event> {
+    let name = happened.name();
+    match happened.json() {
+        Ok(json) => Some(sse::Event::default().event(name).data(json)),
+        Err(error) => {
+            tracing::error!(name, error, "an event cannot be written as JSON");
+            None
+        }
+    }
+}
+
 impl Reader {
     fn wants(&self, name: &str) -> bool {
         self.types.is_empty() || self.types.iter().any(|wanted| wanted == name)
     }
 
-    fn select(&self, happened: &Event) -> Option<sse::Event> {
+    fn select(&self, happened: &SharedEvent) -> Option<sse::Event> {
         let about = self
             .camera
             .as_deref()
             .is_none_or(|camera| camera == happened.camera());
         (about && self.wants(happened.name()))
-            .then(|| event(happened.name(), happened))
+            .then(|| written(happened))
             .flatten()
     }
 
@@ -217,8 +230,8 @@ pub(super) async fn stream(
         ));
         reader.detector = Some(detector);
     }
-    for happened in board.current(now_ns()) {
-        first.extend(reader.select(&happened));
+    for happened in board.current(unix_nanoseconds()) {
+        first.extend(reader.select(&happened.into()));
     }
     reader.first = first;
     let events = stream::unfold(reader, |mut reader| async move {
@@ -226,13 +239,4 @@ pub(super) async fn stream(
         Some((Ok(event), reader))
     });
     Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
-}
-
-/// The wall clock, nanoseconds since the Unix epoch; 0 for a clock set before it.
-fn now_ns() -> u64 {
-    std::time::SystemTime::now()
-        .duration_since(std::time::UNIX_EPOCH)
-        .ok()
-        .and_then(|since| u64::try_from(since.as_nanos()).ok())
-        .unwrap_or(0)
 }

@@ -3,6 +3,8 @@
 use super::RouteState;
 use crate::detector::DetectorStatus;
 use albireo_service::http::{self, Problem};
+use albireo_service::readiness::PartFault;
+use albireo_wire::HealthState;
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -23,20 +25,41 @@ pub(super) struct Health {
     uptime_s: f64,
 }
 
-/// Why the node is not ready, for one of its parts.
+/// What is wrong with one of the node's parts.
 #[derive(Serialize, ToSchema)]
 pub(super) struct Reason {
-    /// Which part: `detector`, `zenoh`, …
-    part: &'static str,
+    /// Which part: `detector`, `screen`, `cameras`, `power`, `outbox`, `zenoh`, `uplink`, `disk` or `tasks`.
+    part: String,
+    /// Which of several: the name of a camera or a task. Absent where it is the part itself.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    subject: Option<String>,
+    /// `not_ready` when the node cannot do its work, `degraded` when it works beside the fault.
+    effect: &'static str,
     /// What is the matter.
     reason: String,
+    /// Seconds since the part is at fault.
+    since_s: f64,
+}
+
+impl From<PartFault> for Reason {
+    fn from(fault: PartFault) -> Self {
+        Self {
+            part: fault.part.into_owned(),
+            subject: (!fault.subject.is_empty()).then(|| fault.subject.into_owned()),
+            effect: fault.fault.effect.as_str(),
+            reason: fault.fault.reason,
+            since_s: fault.lasted.as_secs_f64(),
+        }
+    }
 }
 
 /// Whether frames are processed as the configuration wants it, and by what.
 #[derive(Serialize, ToSchema)]
 pub(super) struct Readiness {
-    /// Whether everything works.
+    /// Whether frames are answered as wanted, perhaps with a part missing.
     ready: bool,
+    /// Whether every part works.
+    state: HealthState,
     /// The node.
     node: String,
     /// The policy that decides frames.
@@ -48,7 +71,7 @@ pub(super) struct Readiness {
     provider: Option<&'static str>,
     /// Execution providers asked for, in order.
     requested_providers: Vec<&'static str>,
-    /// Why it is not ready; empty when it is.
+    /// What is wrong; empty when every part works.
     reasons: Vec<Reason>,
 }
 
@@ -62,7 +85,7 @@ pub(super) struct NotReady {
 }
 
 /// The provider in use by a status.
-pub(super) fn provider(status: &DetectorStatus) -> Option<&'static str> {
+pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
     match status {
         DetectorStatus::Starting => None,
         DetectorStatus::Ready { provider } | DetectorStatus::Degraded { provider, .. } => {
@@ -87,7 +110,8 @@ pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
 
 /// Whether frames are processed as wanted, and by which execution provider
 ///
-/// 503 while starting or degraded. `curl http://127.0.0.1:8080/readyz`
+/// 503 while starting, and when a part fails that the node cannot do without. 200 with reasons when another part
+/// fails. `curl http://127.0.0.1:8080/readyz`
 #[utoipa::path(
     get, path = "/readyz", tag = "health", security(()),
     responses(
@@ -98,27 +122,23 @@ pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
 pub(super) async fn readyz(State(shared): State<RouteState>) -> Response {
     let board = shared.board();
     let facts = board.detector_facts();
-    let reasons: Vec<Reason> = board
-        .reasons_not_ready()
-        .into_iter()
-        .map(|(part, reason)| Reason { part, reason })
-        .collect();
+    let health = board.readiness().health();
     let readiness = Readiness {
-        ready: reasons.is_empty(),
+        ready: health.is_ready(),
+        state: health.state(),
         node: board.node().to_owned(),
         policy: board.policy(),
         model: facts.model.clone(),
         provider: provider(&board.detector_status()),
         requested_providers: facts.requested.iter().map(|name| name.as_str()).collect(),
-        reasons,
+        reasons: health.faults.iter().cloned().map(Reason::from).collect(),
     };
     if readiness.ready {
         return Json(readiness).into_response();
     }
-    let words: Vec<_> = readiness
-        .reasons
-        .iter()
-        .map(|reason| format!("{}: {}", reason.part, reason.reason))
+    let reasons = health.status().reasons;
+    let words: Vec<_> = (reasons.iter())
+        .map(|(part, reason)| format!("{part}: {reason}"))
         .collect();
     let status = StatusCode::SERVICE_UNAVAILABLE;
     let problem = Problem::new(status, words.join("; "));

@@ -1,9 +1,16 @@
 //! Metrics for Prometheus, in OpenMetrics text or in the older text format (0.0.4), as the reader asks.
 
+mod detector;
+mod family;
+mod plain;
+mod tasks;
+
+use self::detector::detector;
+use self::family::family;
+use self::plain::to_plain;
 use super::RouteState;
-use super::detector_metrics::detector;
 use super::health::provider;
-use super::plain_metrics::to_plain;
+use super::pictures::Pictures;
 use crate::board::{Board, CameraBoard, CameraSnapshot};
 use crate::detector::DetectorStatus;
 use albireo_core::policy::FrameState;
@@ -14,9 +21,7 @@ use axum::http::header::{ACCEPT, CONTENT_TYPE};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::{IntoResponse, Response};
 use prometheus_client::collector::Collector;
-use prometheus_client::encoding::{
-    DescriptorEncoder, EncodeGaugeValue, EncodeMetric, MetricEncoder, NoLabelSet, text::encode,
-};
+use prometheus_client::encoding::{DescriptorEncoder, text::encode};
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::Registry;
 use std::fmt;
@@ -29,9 +34,14 @@ const PLAIN: &str = "text/plain; version=0.0.4; charset=utf-8";
 pub(super) struct Metrics(Registry);
 
 impl Metrics {
-    /// Metrics of that board.
-    pub(crate) fn new(board: Arc<Board>) -> Self {
+    /// Metrics of that board, and of the pictures that were shown.
+    pub(crate) fn new(board: Arc<Board>, pictures: &Pictures) -> Self {
         let mut registry = Registry::with_prefix("albireo");
+        registry.register(
+            "shown_pictures_decoded",
+            "Pictures decoded because somebody looked at them",
+            pictures.decoded().clone(),
+        );
         registry.register_collector(Box::new(BoardCollector(board)));
         Self(registry)
     }
@@ -40,48 +50,6 @@ impl Metrics {
 /// Reads the board at each scrape, so that no figure is kept twice.
 #[derive(Debug)]
 struct BoardCollector(Arc<Board>);
-
-pub(super) type Labels<'a> = Vec<(&'static str, &'a str)>;
-
-/// Writes one family of metrics: its description, then a sample for each set of labels.
-pub(super) struct Family<'a>(MetricEncoder<'a>);
-
-impl Family<'_> {
-    pub(super) fn counter(&mut self, labels: Labels<'_>, value: f64) -> fmt::Result {
-        // A family of an empty set of labels would print empty braces.
-        if labels.is_empty() {
-            self.0.encode_counter::<NoLabelSet, _, u64>(&value, None)
-        } else {
-            self.0
-                .encode_family(&labels)?
-                .encode_counter::<NoLabelSet, _, u64>(&value, None)
-        }
-    }
-
-    fn gauge(&mut self, labels: Labels<'_>, value: impl EncodeGaugeValue) -> fmt::Result {
-        if labels.is_empty() {
-            self.0.encode_gauge(&value)
-        } else {
-            self.0.encode_family(&labels)?.encode_gauge(&value)
-        }
-    }
-
-    fn histogram(&mut self, labels: Labels<'_>, value: &impl EncodeMetric) -> fmt::Result {
-        value.encode(self.0.encode_family(&labels)?)
-    }
-}
-
-pub(super) fn family(
-    encoder: &mut DescriptorEncoder<'_>,
-    name: &str,
-    help: &str,
-    kind: MetricType,
-    write: impl FnOnce(&mut Family<'_>) -> fmt::Result,
-) -> fmt::Result {
-    write(&mut Family(
-        encoder.encode_descriptor(name, help, None, kind)?,
-    ))
-}
 
 fn quality(quality: EnergyQuality) -> &'static str {
     match quality {
@@ -101,10 +69,13 @@ impl Collector for BoardCollector {
             .map(|camera| (&**camera, camera.snapshot()))
             .collect();
         self.node(&mut encoder)?;
+        tasks::parts(&mut encoder, &self.0)?;
         detector(&mut encoder, &self.0.detector_counters())?;
+        tasks::screen(&mut encoder, &self.0)?;
         frames(&mut encoder, &cameras)?;
         threshold(&mut encoder, &cameras)?;
         latency(&mut encoder, &cameras)?;
+        self.outbox(&mut encoder)?;
         self.power(&mut encoder)
     }
 }
@@ -140,7 +111,7 @@ impl BoardCollector {
             "ready",
             "Whether the node works as configured",
             MetricType::Gauge,
-            |family| family.gauge(Vec::new(), i64::from(board.reasons_not_ready().is_empty())),
+            |family| family.gauge(Vec::new(), i64::from(board.readiness().health().is_ready())),
         )?;
         family(
             encoder,
@@ -169,24 +140,77 @@ impl BoardCollector {
         )
     }
 
+    fn outbox(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
+        let counts = self.0.outbox().counts();
+        let gauges = [
+            (
+                "outbox_waiting",
+                "Clip reports that no hub has acknowledged",
+                counts.waiting,
+            ),
+            (
+                "outbox_in_memory",
+                "Of these, reports that are not on disk",
+                counts.in_memory,
+            ),
+            (
+                "outbox_durable",
+                "Whether clip reports survive a power loss",
+                u64::from(counts.durable),
+            ),
+        ];
+        for (name, help, value) in gauges {
+            let value = i64::try_from(value).unwrap_or(i64::MAX);
+            family(encoder, name, help, MetricType::Gauge, |family| {
+                family.gauge(Vec::new(), value)
+            })?;
+        }
+        let counters = [
+            ("outbox_kept", "Clip reports taken in", counts.kept),
+            (
+                "outbox_acknowledged",
+                "Clip reports that a hub has acknowledged",
+                counts.acknowledged,
+            ),
+            (
+                "outbox_lost",
+                "Clip reports lost since the instance began: the outbox was full or its disk broken",
+                counts.lost,
+            ),
+            (
+                "outbox_disk_failures",
+                "Times the state directory failed",
+                counts.disk_failures,
+            ),
+        ];
+        for (name, help, value) in counters {
+            family(encoder, name, help, MetricType::Counter, |family| {
+                family.counter(Vec::new(), value as f64)
+            })?;
+        }
+        Ok(())
+    }
+
     fn power(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
         let power = self.0.power();
-        let labels = |domain| {
-            vec![
-                ("domain", domain),
+        let labels = |domain| vec![("domain", domain), ("source", power.source.as_str())];
+        let help = "Whether power is measured or estimated now, or unavailable: always 1";
+        family(encoder, "power_info", help, MetricType::Gauge, |family| {
+            let labels = vec![
                 ("source", power.source.as_str()),
                 ("quality", quality(power.quality)),
-            ]
-        };
-        let help = "Power now; `quality` says whether it is measured or estimated";
+            ];
+            family.gauge(labels, 1_i64)
+        })?;
+        let help = "Power now; `power_info` says whether it is measured or estimated";
         family(encoder, "power_watts", help, MetricType::Gauge, |family| {
             power
                 .watts
                 .iter()
                 .try_for_each(|entry| family.gauge(labels(entry.domain.as_str()), entry.watts))
         })?;
-        let help =
-            "Energy since the node started; `quality` says whether it is measured or estimated";
+        let help = "Energy since the node started, over the time that samples cover; `power_info` says \
+                    whether it is measured or estimated";
         family(
             encoder,
             "energy_joules",
@@ -197,6 +221,31 @@ impl BoardCollector {
                     .joules
                     .iter()
                     .try_for_each(|(domain, joules)| family.counter(labels(domain), *joules))
+            },
+        )?;
+        let help = "Time that samples of power cover since the node started: `energy_joules` is that time's, \
+                    and divided by it the mean power";
+        family(
+            encoder,
+            "energy_covered_seconds",
+            help,
+            MetricType::Counter,
+            |family| {
+                power
+                    .covered_s
+                    .iter()
+                    .try_for_each(|(domain, seconds)| family.counter(labels(domain), *seconds))
+            },
+        )?;
+        let help = "Times the power source could not be read";
+        family(
+            encoder,
+            "power_failed_reads",
+            help,
+            MetricType::Counter,
+            |family| {
+                let labels = vec![("source", power.source.as_str())];
+                family.counter(labels, power.failed_reads as f64)
             },
         )?;
         let help = "CPU time spent on reading the power source";
@@ -273,7 +322,21 @@ fn frames(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt::
             })
         },
     )?;
-    let help = "Frames answered from prediction because the detector could not be had";
+    let help = "Frames that skipped the detector: state E or P and not degraded";
+    family(
+        encoder,
+        "frames_skipped",
+        help,
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                let skipped = snapshot.states.skipped(snapshot.degraded_frames);
+                family.counter(vec![("camera", camera.name())], skipped as f64)
+            })
+        },
+    )?;
+    let help = "Frames answered from prediction because the detector could not be had: state P, and not \
+                skipped";
     family(
         encoder,
         "frames_degraded",

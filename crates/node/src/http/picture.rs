@@ -1,7 +1,6 @@
 //! The latest picture of a camera.
 
 use super::RouteState;
-use crate::frame::to_jpeg;
 use albireo_service::http::Problem;
 use axum::extract::{Path, State};
 use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
@@ -28,24 +27,19 @@ pub(super) async fn jpeg(
     State(shared): State<RouteState>,
     Path(camera): Path<String>,
 ) -> Result<Response, Problem> {
-    let Some(frame) = shared.camera(&camera)?.latest_frame() else {
+    let board = shared.camera(&camera)?;
+    let Some((seq, file)) = shared.pictures.newest(board, shared.view.limits).await else {
         let detail = format!("no picture came from camera `{camera}` yet");
         return Err(Problem::new(StatusCode::NOT_FOUND, detail));
     };
-    let failed = |reason: String| {
+    let bytes = file.map_err(|reason| {
         let detail = format!("the latest picture of camera `{camera}` cannot be shown: {reason}");
         Problem::new(StatusCode::INTERNAL_SERVER_ERROR, detail)
-    };
-    let limits = shared.view.limits;
-    // Decoding and encoding a picture takes milliseconds of a core.
-    let bytes = tokio::task::spawn_blocking(move || to_jpeg(&frame.picture, &limits))
-        .await
-        .map_err(|error| failed(error.to_string()))?
-        .map_err(|fault| failed(fault.to_string()))?;
+    })?;
     let headers = [
         (CONTENT_TYPE, "image/jpeg".to_owned()),
         (CACHE_CONTROL, "no-store".to_owned()),
-        (FRAME, frame.seq.to_string()),
+        (FRAME, seq.to_string()),
     ];
     Ok((headers, bytes).into_response())
 }

@@ -18,7 +18,7 @@ pub(super) struct CameraStates {
     frames: u64,
     /// How many had each state.
     states: FrameStates,
-    /// Share of frames with state E or P.
+    /// Share of frames that skipped the detector: state E or P and not degraded.
     skip_rate: f64,
     /// Frames answered from prediction because the detector could not be had.
     degraded_frames: u64,
@@ -47,8 +47,10 @@ pub(super) struct NodeStates {
     frames: u64,
     /// How many had each state, all cameras together.
     states: FrameStates,
-    /// Share of frames with state E or P, all cameras together.
+    /// Share of frames that skipped the detector, all cameras together: state E or P and not degraded.
     skip_rate: f64,
+    /// Frames answered from prediction because the detector could not be had, all cameras together.
+    degraded_frames: u64,
     /// Each camera's.
     cameras: Vec<CameraStates>,
 }
@@ -59,7 +61,7 @@ fn of(camera: &CameraBoard) -> CameraStates {
         camera: camera.name().to_owned(),
         frames: snapshot.states.frames(),
         states: snapshot.states,
-        skip_rate: snapshot.states.skip_rate(),
+        skip_rate: snapshot.skip_rate(),
         degraded_frames: snapshot.degraded_frames,
         dropped: snapshot.dropped,
         tau_max: snapshot.latest.and_then(|latest| latest.tau_max),
@@ -77,18 +79,16 @@ pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
     let cameras: Vec<_> = board.cameras().iter().map(|camera| of(camera)).collect();
     let mut states = FrameStates::default();
     for camera in &cameras {
-        states.e += camera.states.e;
-        states.p += camera.states.p;
-        states.ei += camera.states.ei;
-        states.i += camera.states.i;
-        states.ai += camera.states.ai;
+        states += camera.states;
     }
+    let degraded_frames = cameras.iter().map(|camera| camera.degraded_frames).sum();
     Json(NodeStates {
         node: board.node().to_owned(),
         uptime_s: board.uptime().as_secs_f64(),
         frames: states.frames(),
         states,
-        skip_rate: states.skip_rate(),
+        skip_rate: states.skip_rate(degraded_frames),
+        degraded_frames,
         cameras,
     })
 }

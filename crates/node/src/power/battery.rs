@@ -4,7 +4,9 @@
 //! which the plug was in is partial. Batteries renew their figures seldom, some once in many seconds.
 
 use super::config::PowerConfig;
-use super::meter::{Domain, INPUT_RAIL, Meter, MeterError, Rail, Reading, Value, Values};
+use super::error::MeterError;
+use super::meter::Meter;
+use super::reading::{Domain, INPUT_RAIL, Rail, Reading, Value, Values};
 use super::sysfs;
 use albireo_wire::EnergyQuality;
 use std::path::{Path, PathBuf};

@@ -4,12 +4,13 @@
 //! The child has a process group of its own, so that Ctrl-C in a terminal does not end it before us. If
 //! this process is killed outright, the child ends at the next line it prints, by the closed pipe.
 
+use parking_lot::{Condvar, Mutex};
 use std::collections::VecDeque;
 use std::io::{BufRead, BufReader, Read};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -45,12 +46,6 @@ struct ChildState {
     changed: Condvar,
     starts: AtomicU64,
     cpu_ns: AtomicU64,
-}
-
-impl ChildState {
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 /// The child and the thread that reads it.
@@ -89,23 +84,21 @@ impl LineChild {
 
     /// The lines since the last call, each with the time it came.
     pub(super) fn take(&self) -> Vec<(Instant, String)> {
-        self.shared.state().lines.drain(..).collect()
+        self.shared.state.lock().lines.drain(..).collect()
     }
 
     /// Waits up to `patience` for a line, and says whether there is one. It stays to be taken.
     pub(super) fn wait_for_line(&self, patience: Duration) -> bool {
-        let state = self.shared.state();
-        let (state, _) = self
-            .shared
+        let mut state = self.shared.state.lock();
+        self.shared
             .changed
-            .wait_timeout_while(state, patience, |s| s.lines.is_empty())
-            .unwrap_or_else(PoisonError::into_inner);
+            .wait_while_for(&mut state, |s| s.lines.is_empty(), patience);
         !state.lines.is_empty()
     }
 
     /// Kills a child that has given no sign for `longest`, so that it is started again.
     pub(super) fn kill_if_silent(&self, now: Instant, longest: Duration) {
-        let mut state = self.shared.state();
+        let mut state = self.shared.state.lock();
         let silent = state
             .last_sign
             .is_some_and(|sign| now.saturating_duration_since(sign) > longest);
@@ -119,7 +112,7 @@ impl LineChild {
 
     /// Why it last ended, if it ever did.
     pub(super) fn trouble(&self) -> Option<String> {
-        self.shared.state().trouble.clone()
+        self.shared.state.lock().trouble.clone()
     }
 
     /// How often it was started.
@@ -129,7 +122,7 @@ impl LineChild {
 
     /// The process now running.
     pub(super) fn process(&self) -> Option<u32> {
-        self.shared.state().child.as_ref().map(Child::id)
+        self.shared.state.lock().child.as_ref().map(Child::id)
     }
 
     /// CPU time of the thread that reads it.
@@ -141,7 +134,7 @@ impl LineChild {
 impl Drop for LineChild {
     fn drop(&mut self) {
         {
-            let mut state = self.shared.state();
+            let mut state = self.shared.state.lock();
             state.stopping = true;
             if let Some(child) = &mut state.child {
                 let _ = child.kill();
@@ -171,7 +164,7 @@ fn spawn(command: &mut Command, shared: &ChildState) -> std::io::Result<Option<C
     let mut child = command.spawn()?;
     shared.starts.fetch_add(1, Ordering::Relaxed);
     let output = child.stdout.take();
-    let mut state = shared.state();
+    let mut state = shared.state.lock();
     if state.stopping {
         let _ = child.kill();
     }
@@ -190,7 +183,7 @@ fn supervise(shared: &ChildState, mut command: Command, first: Option<ChildStdou
         }
         // The pipe is closed by now, so a child that still lives and cannot be killed (sudo) ends at its
         // next line.
-        let child = shared.state().child.take();
+        let child = shared.state.lock().child.take();
         let reaped = child.map(|mut child| {
             let _ = child.kill();
             child.wait()
@@ -205,11 +198,10 @@ fn supervise(shared: &ChildState, mut command: Command, first: Option<ChildStdou
         } else {
             pause
         };
-        let state = shared.state();
-        let (mut state, _) = shared
+        let mut state = shared.state.lock();
+        shared
             .changed
-            .wait_timeout_while(state, pause, |s| !s.stopping)
-            .unwrap_or_else(PoisonError::into_inner);
+            .wait_while_for(&mut state, |s| !s.stopping, pause);
         if state.stopping {
             return;
         }
@@ -222,7 +214,9 @@ fn supervise(shared: &ChildState, mut command: Command, first: Option<ChildStdou
         pause = (pause * 2).min(LONGEST_PAUSE);
         match spawn(&mut command, shared) {
             Ok(next) => output = next,
-            Err(error) => shared.state().trouble = Some(format!("it cannot be started: {error}")),
+            Err(error) => {
+                shared.state.lock().trouble = Some(format!("it cannot be started: {error}"))
+            }
         }
     }
 }
@@ -243,7 +237,7 @@ fn read(shared: &ChildState, output: ChildStdout) {
         }
         // A line without its end was cut off when the child died; its last number may be too.
         if line.pop() == Some(b'\n') {
-            let mut state = shared.state();
+            let mut state = shared.state.lock();
             state.last_sign = Some(at);
             if state.lines.len() == MOST_LINES {
                 state.lines.pop_front();

@@ -1,7 +1,8 @@
 //! Which meter: the one asked for, or the best this machine has.
 
 use super::config::{PowerConfig, PowerSource};
-use super::meter::{Meter, MeterError};
+use super::error::MeterError;
+use super::meter::Meter;
 use super::{Battery, Estimate, Ina, NoMeter, Nvml, Rapl, SumMeter, Tegrastats};
 
 /// The meters `auto` tries, best first: those of the whole board, those of a PC's parts, and then the

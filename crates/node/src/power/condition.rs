@@ -1,6 +1,5 @@
 //! The board's condition at one moment, and over a span: temperature, throttling, clocks, power mode.
 
-use super::tegrastats::TegrastatsLine;
 use albireo_wire::BoardState;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -23,22 +22,6 @@ pub struct Condition {
 }
 
 impl Condition {
-    /// What a line of `tegrastats` tells.
-    pub fn of_tegrastats(line: &TegrastatsLine) -> Self {
-        let hottest = line
-            .temperatures
-            .iter()
-            .filter(|(name, _)| is_a_sensor(name))
-            .max_by(|a, b| a.1.total_cmp(&b.1))
-            .map(|(name, celsius)| (Arc::from(name.as_str()), *celsius));
-        Self {
-            hottest,
-            cpu_mhz: line.cpu_mhz,
-            gpu_mhz: line.gpu_mhz,
-            ..Self::default()
-        }
-    }
-
     /// What two sources tell of the same moment: the hotter sensor, throttling by either, and of the rest
     /// what `self` tells first.
     pub fn and(self, other: Self) -> Self {
@@ -64,70 +47,121 @@ pub(super) fn is_a_sensor(name: &str) -> bool {
     !name.to_ascii_lowercase().starts_with("pmic")
 }
 
-/// Conditions of the last while, oldest first.
-#[derive(Debug)]
+/// How long conditions are kept.
+const KEEP: Duration = Duration::from_secs(60);
+
+/// Power modes that one span tells of.
+const MOST_MODES: usize = 8;
+
+/// Conditions of the last minute, oldest first.
+#[derive(Debug, Default)]
 pub(super) struct Conditions {
-    keep: Duration,
     kept: VecDeque<(Instant, Condition)>,
 }
 
 impl Conditions {
-    pub(super) fn new(keep: Duration) -> Self {
-        Self {
-            keep,
-            kept: VecDeque::new(),
-        }
-    }
-
-    pub(super) fn push(&mut self, at: Instant, condition: Condition) {
+    /// Adds a condition and gives those that are too old to be kept.
+    pub(super) fn push(&mut self, at: Instant, condition: Condition) -> Vec<(Instant, Condition)> {
         self.kept.push_back((at, condition));
-        while self
-            .kept
-            .front()
-            .is_some_and(|(first, _)| at.saturating_duration_since(*first) > self.keep)
-        {
-            self.kept.pop_front();
-        }
+        let young =
+            |(first, _): &(Instant, Condition)| at.saturating_duration_since(*first) <= KEEP;
+        let old = self.kept.partition_point(|entry| !young(entry));
+        self.kept.drain(..old).collect()
     }
 
-    /// The state over `[start, end]`; a span shorter than the time between two conditions has the last one
-    /// before its end. `None` where nothing is known.
-    pub(super) fn state(&self, start: Instant, end: Instant) -> Option<BoardState> {
+    /// Adds the kept conditions of `[start, end]` to `sum`; if that has none then, the last before `end`, so that
+    /// a span shorter than the time between two conditions has one.
+    pub(super) fn add_to(&self, sum: &mut ConditionSum, start: Instant, end: Instant) {
         let last = self.kept.partition_point(|(at, _)| *at <= end);
         let first = self.kept.partition_point(|(at, _)| *at < start);
-        let first = first.min(last.saturating_sub(1));
-        let mut state = BoardState::default();
-        let mut modes: Vec<&str> = Vec::new();
-        let (mut cpu, mut gpu) = (Mean::default(), Mean::default());
+        let first = if sum.count == 0 {
+            first.min(last.saturating_sub(1))
+        } else {
+            first.min(last)
+        };
         for (_, condition) in self.kept.range(first..last) {
-            if let Some((sensor, celsius)) = &condition.hottest
-                && state.hottest_celsius.is_none_or(|c| *celsius > c)
-            {
-                state.hottest_celsius = Some(*celsius);
-                state.hottest_sensor = Some(sensor.to_string());
-            }
-            if let Some(throttled) = condition.throttled {
-                state.throttled = Some(throttled || state.throttled.unwrap_or(false));
-            }
-            if let Some(mode) = &condition.mode
-                && modes.last() != Some(&&**mode)
-            {
-                modes.push(mode);
-            }
-            cpu.add(condition.cpu_mhz);
-            gpu.add(condition.gpu_mhz);
+            sum.add(condition);
         }
-        state.power_mode = (!modes.is_empty()).then(|| modes.join(", then "));
-        state.cpu_mhz = cpu.value();
-        state.gpu_mhz = gpu.value();
+    }
+
+    #[cfg(test)]
+    pub(super) fn len(&self) -> usize {
+        self.kept.len()
+    }
+}
+
+/// What a span tells of the board, condition by condition.
+#[derive(Clone, Debug, Default)]
+pub(super) struct ConditionSum {
+    count: u64,
+    hottest: Option<(Arc<str>, f64)>,
+    throttled: Option<bool>,
+    modes: Vec<Arc<str>>,
+    cpu: Mean,
+    gpu: Mean,
+}
+
+impl ConditionSum {
+    /// Adds a condition later than all before.
+    pub(super) fn add(&mut self, condition: &Condition) {
+        self.count += 1;
+        if let Some((sensor, celsius)) = &condition.hottest {
+            self.add_hottest(sensor, *celsius);
+        }
+        if let Some(throttled) = condition.throttled {
+            self.throttled = Some(throttled || self.throttled.unwrap_or(false));
+        }
+        if let Some(mode) = &condition.mode {
+            self.add_mode(mode);
+        }
+        self.cpu.add(condition.cpu_mhz);
+        self.gpu.add(condition.gpu_mhz);
+    }
+
+    /// Adds what was noted after this.
+    pub(super) fn append(&mut self, later: Self) {
+        self.count += later.count;
+        if let Some((sensor, celsius)) = &later.hottest {
+            self.add_hottest(sensor, *celsius);
+        }
+        if let Some(throttled) = later.throttled {
+            self.throttled = Some(throttled || self.throttled.unwrap_or(false));
+        }
+        later.modes.iter().for_each(|mode| self.add_mode(mode));
+        self.cpu.append(&later.cpu);
+        self.gpu.append(&later.gpu);
+    }
+
+    fn add_hottest(&mut self, sensor: &Arc<str>, celsius: f64) {
+        if self.hottest.as_ref().is_none_or(|(_, c)| celsius > *c) {
+            self.hottest = Some((Arc::clone(sensor), celsius));
+        }
+    }
+
+    fn add_mode(&mut self, mode: &Arc<str>) {
+        if self.modes.last() != Some(mode) && self.modes.len() < MOST_MODES {
+            self.modes.push(Arc::clone(mode));
+        }
+    }
+
+    /// The state; `None` where nothing is known.
+    pub(super) fn state(&self) -> Option<BoardState> {
+        let state = BoardState {
+            power_mode: (!self.modes.is_empty()).then(|| self.modes.join(", then ")),
+            hottest_celsius: self.hottest.as_ref().map(|(_, celsius)| *celsius),
+            hottest_sensor: self.hottest.as_ref().map(|(sensor, _)| sensor.to_string()),
+            throttled: self.throttled,
+            cpu_mhz: self.cpu.value(),
+            gpu_mhz: self.gpu.value(),
+        };
         (state != BoardState::default()).then_some(state)
     }
 }
 
-#[derive(Default)]
+#[derive(Clone, Debug, Default)]
 struct Mean {
     sum: f64,
-    count: u32,
+    count: u64,
 }
 
 impl Mean {
@@ -138,8 +172,13 @@ impl Mean {
         }
     }
 
+    fn append(&mut self, other: &Self) {
+        self.sum += other.sum;
+        self.count += other.count;
+    }
+
     fn value(&self) -> Option<f64> {
-        (self.count > 0).then(|| self.sum / f64::from(self.count))
+        (self.count > 0).then(|| self.sum / self.count as f64)
     }
 }
 
@@ -161,33 +200,41 @@ mod tests {
     fn a_span_tells_the_hottest_moment_any_throttling_and_the_mean_clock() {
         let start = Instant::now();
         let at = |s| start + Duration::from_secs(s);
-        let mut kept = Conditions::new(Duration::from_secs(600));
+        let mut kept = Conditions::default();
         kept.push(at(0), condition("cpu", 90.0, true, 9999.0, "15W"));
         kept.push(at(1), condition("cpu", 50.0, false, 1000.0, "15W"));
         kept.push(at(2), condition("gpu", 70.0, true, 2000.0, "MAXN"));
         kept.push(at(3), condition("cpu", 60.0, false, 3000.0, "MAXN"));
-        let state = kept.state(at(1), at(3)).unwrap();
-        assert_eq!(state.hottest_celsius, Some(70.0));
-        assert_eq!(state.hottest_sensor.as_deref(), Some("gpu"));
-        assert_eq!(state.throttled, Some(true));
-        assert_eq!(state.cpu_mhz, Some(2000.0));
-        assert_eq!(state.gpu_mhz, None);
-        assert_eq!(state.power_mode.as_deref(), Some("15W, then MAXN"));
+        let state = |start, end| {
+            let mut sum = ConditionSum::default();
+            kept.add_to(&mut sum, start, end);
+            sum.state()
+        };
+        let found = state(at(1), at(3)).unwrap();
+        assert_eq!(found.hottest_celsius, Some(70.0));
+        assert_eq!(found.hottest_sensor.as_deref(), Some("gpu"));
+        assert_eq!(found.throttled, Some(true));
+        assert_eq!(found.cpu_mhz, Some(2000.0));
+        assert_eq!(found.gpu_mhz, None);
+        assert_eq!(found.power_mode.as_deref(), Some("15W, then MAXN"));
         let moment = at(1) + Duration::from_millis(300);
-        let short = kept.state(moment, moment + Duration::from_millis(40));
+        let short = state(moment, moment + Duration::from_millis(40));
         assert_eq!(short.unwrap().hottest_celsius, Some(50.0));
     }
 
     #[test]
-    fn where_nothing_is_known_nothing_is_told() {
+    fn where_nothing_is_known_nothing_is_told_and_what_is_old_is_handed_out() {
         let start = Instant::now();
-        let mut kept = Conditions::new(Duration::from_secs(1));
-        assert_eq!(kept.state(start, start + Duration::from_secs(1)), None);
+        let mut kept = Conditions::default();
+        let mut old = 0;
         for i in 0..100 {
-            kept.push(start + Duration::from_secs(i), Condition::default());
+            let at = start + Duration::from_secs(i);
+            old += kept.push(at, Condition::default()).len();
         }
-        assert!(kept.kept.len() <= 2);
-        assert_eq!(kept.state(start, start + Duration::from_secs(99)), None);
+        assert_eq!((kept.len(), old), (61, 39));
+        let mut sum = ConditionSum::default();
+        kept.add_to(&mut sum, start, start + Duration::from_secs(99));
+        assert_eq!(sum.state(), None);
     }
 
     #[test]

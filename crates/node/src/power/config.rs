@@ -1,6 +1,6 @@
 //! The `[power]` section of the configuration.
 
-use super::meter::MeterError;
+use super::error::MeterError;
 use super::rails::RailTable;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;

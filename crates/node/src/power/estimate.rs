@@ -6,8 +6,10 @@
 //! together): user, nice, system, irq and softirq against those and idle, iowait and steal.
 
 use super::config::PowerConfig;
+use super::error::MeterError;
 use super::gpu_load::GpuLoad;
-use super::meter::{Domain, Meter, MeterError, Rail, Reading, Value, Values};
+use super::meter::Meter;
+use super::reading::{Domain, Rail, Reading, Value, Values};
 use super::sysfs;
 use albireo_wire::EnergyQuality;
 use std::path::PathBuf;

@@ -7,8 +7,10 @@
 //! INA238: `power1_input` (µW); on AGX Thor it measures the board's input, `VIN`.
 
 use super::config::PowerConfig;
-use super::meter::{Meter, MeterError, Reading};
+use super::error::MeterError;
+use super::meter::Meter;
 use super::rails::{RailMap, RailWatts};
+use super::reading::Reading;
 use super::sysfs;
 use albireo_wire::EnergyQuality;
 use std::path::{Path, PathBuf};

@@ -1,8 +1,13 @@
 //! No meter: clips carry no energy.
 
-use super::meter::{Meter, MeterError, Reading};
+use super::error::MeterError;
+use super::meter::Meter;
+use super::reading::Reading;
 use albireo_wire::EnergyQuality;
 use tokio::time::Instant;
+
+/// Its name.
+pub(super) const SOURCE: &str = "none";
 
 /// Reads nothing, ever.
 #[derive(Clone, Copy, Debug, Default)]
@@ -10,7 +15,7 @@ pub(crate) struct NoMeter;
 
 impl Meter for NoMeter {
     fn source(&self) -> &str {
-        "none"
+        SOURCE
     }
 
     fn quality(&self) -> EnergyQuality {

@@ -1,6 +1,7 @@
 //! From a board's rails to domains, by tables: the built-in ones in `boards.toml`, or the user's own.
 
-use super::meter::{Domain, INPUT_RAIL, MeterError, Rail, Reading, SUM_OF_RAILS, Value, Values};
+use super::error::MeterError;
+use super::reading::{Domain, INPUT_RAIL, Rail, Reading, SUM_OF_RAILS, Value, Values};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

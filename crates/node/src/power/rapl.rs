@@ -9,9 +9,9 @@
 
 use super::config::PowerConfig;
 use super::counter::Counter;
-use super::meter::{
-    Domain, INPUT_RAIL, Meter, MeterError, Rail, Reading, SUM_OF_RAILS, Value, Values,
-};
+use super::error::MeterError;
+use super::meter::Meter;
+use super::reading::{Domain, INPUT_RAIL, Rail, Reading, SUM_OF_RAILS, Value, Values};
 use super::sysfs;
 use albireo_wire::EnergyQuality;
 use std::path::{Path, PathBuf};

@@ -1,17 +1,22 @@
 //! The task that reads the meter at every interval, and the handle that answers for it.
 
 use super::choose;
-use super::condition::{Condition, Conditions};
+use super::condition::Condition;
 use super::config::PowerConfig;
 use super::cost::{MeterCost, thread_cpu};
-use super::history::{History, SpanEnergy};
+use super::error::MeterError;
+use super::ledger::{Ledger, Meta, SpanEnergy};
 use super::machine::Machine;
-use super::meter::{Meter, MeterError, Reading};
+use super::meter::Meter;
+use super::none;
+use super::reading::{Domain, Reading};
+use super::series::longest_gap;
+use super::user::EnergyUser;
 use albireo_wire::{BoardState, DomainWatts, EnergyQuality};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{Notify, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, MissedTickBehavior};
 use tokio_util::sync::CancellationToken;
@@ -19,8 +24,11 @@ use tokio_util::sync::CancellationToken;
 /// Time between two looks at the board's condition.
 const CONDITION_EVERY: Duration = Duration::from_secs(1);
 
-/// History kept at least.
-const KEEP_AT_LEAST: Duration = Duration::from_secs(600);
+/// How long a clip waits for a meter that seems to hang.
+const A_MOMENT: Duration = Duration::from_millis(50);
+
+/// Least time between a sample and one that is taken because a clip has ended.
+const BETWEEN_EXTRA_SAMPLES: Duration = Duration::from_millis(10);
 
 /// Power now.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,14 +41,35 @@ pub struct PowerNow {
     pub watts: Vec<DomainWatts>,
 }
 
+/// Energy since sampling began.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EnergySoFar {
+    /// Which domain.
+    pub domain: Domain,
+    /// Joules, over the time that samples cover.
+    pub joules: f64,
+    /// That time, seconds.
+    pub covered_s: f64,
+}
+
+/// How far the meter has been read.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Progress {
+    /// The newest sample.
+    newest: Option<Instant>,
+    /// The last attempt that failed.
+    failed: Option<Instant>,
+}
+
 /// What the sampler and its handles share. The lock is held for microseconds and never over a read.
 #[derive(Debug)]
 struct SamplerState {
     source: String,
     quality: EnergyQuality,
     interval: Duration,
-    history: Mutex<History>,
-    conditions: Mutex<Conditions>,
+    ledger: Mutex<Ledger>,
+    /// Asks for a sample before the next interval.
+    wanted: Notify,
     cost: Mutex<MeterCost>,
     failures: AtomicU64,
 }
@@ -49,34 +78,88 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Answers for the energy of any span of the kept history. Cheap to clone; never waits for the meter.
+/// Answers for the energy of clips, and of any span of the last minute. Cheap to clone.
 #[derive(Clone, Debug)]
 pub struct PowerHandle {
     shared: Arc<SamplerState>,
-    sampled: watch::Receiver<Option<Instant>>,
+    progress: watch::Receiver<Progress>,
 }
 
 impl PowerHandle {
-    /// Energy of the node over `[start, end]`, from the samples there are now.
+    /// Energy of the node over `[start, end]` within the last minute, from the samples there are now.
     pub fn energy(&self, start: Instant, end: Instant) -> SpanEnergy {
-        let shared = &self.shared;
-        lock(&shared.history).energy(start, end, &shared.source, shared.quality)
+        self.ledger().energy(start, end, self.meta())
     }
 
-    /// As [`energy`](Self::energy), but waits until a sample later than `end` is in, so that the end of
-    /// the span is interpolated and not held. Gives up waiting after three intervals or when the sampler
-    /// has stopped, and answers with what there is.
+    /// As [`energy`](Self::energy), but waits until the meter was read after `end`, so that the end of the span
+    /// is interpolated and not held: see [`settled`](Self::settled).
     pub async fn settled_energy(&self, start: Instant, end: Instant) -> SpanEnergy {
-        let mut sampled = self.sampled.clone();
-        let later = sampled.wait_for(|newest| newest.is_some_and(|at| at >= end));
-        let patience = 3 * self.shared.interval + Duration::from_millis(50);
-        let _ = tokio::time::timeout(patience, later).await;
+        self.settled(end, Duration::MAX).await;
         self.energy(start, end)
+    }
+
+    /// Waits until the meter was read after `end`: asks for that now, whatever the interval. Does not wait
+    /// without a meter, when it cannot be read or sampling has stopped; nor for longer than `patience`, than
+    /// until two intervals after `end` (a meter may deliver by its own clock), or, where the meter has not
+    /// answered for longer than is bridged, than a moment.
+    pub(crate) async fn settled(&self, end: Instant, patience: Duration) {
+        if self.shared.source == none::SOURCE {
+            return;
+        }
+        let mut progress = self.progress.clone();
+        let is_read = |seen: &Progress| seen.newest.max(seen.failed).is_some_and(|at| at >= end);
+        if is_read(&progress.borrow_and_update()) {
+            return;
+        }
+        self.shared.wanted.notify_one();
+        let newest = progress.borrow().newest;
+        let hangs = newest
+            .is_some_and(|newest| newest + longest_gap(self.shared.interval) < Instant::now());
+        let patience = if hangs {
+            A_MOMENT.min(patience)
+        } else {
+            patience
+        };
+        let limit = end + 2 * self.shared.interval + Duration::from_millis(50);
+        let limit = Instant::now()
+            .checked_add(patience)
+            .map_or(limit, |at| at.min(limit));
+        let _ = tokio::time::timeout_at(limit, progress.wait_for(is_read)).await;
+    }
+
+    /// The line of a user of the node's energy to its books; asked for twice, it is the same user.
+    pub(crate) fn user(&self, name: &str) -> EnergyUser {
+        let number = self.ledger().user(name);
+        EnergyUser::new(number, self.clone())
+    }
+
+    /// Energy by domain since sampling began, up to the newest sample.
+    pub fn so_far(&self) -> Vec<EnergySoFar> {
+        let told = self.ledger().since_start();
+        let so_far = |(domain, joules, covered_s)| EnergySoFar {
+            domain,
+            joules,
+            covered_s,
+        };
+        told.into_iter().map(so_far).collect()
+    }
+
+    /// The books, locked.
+    pub(super) fn ledger(&self) -> MutexGuard<'_, Ledger> {
+        lock(&self.shared.ledger)
+    }
+
+    /// What the books do not know of the meter.
+    pub(super) fn meta(&self) -> Meta<'_> {
+        Meta {
+            source: &self.shared.source,
+            quality: self.shared.quality,
+        }
     }
 
     /// Power now.
     pub fn now(&self) -> PowerNow {
-        let watts = lock(&self.shared.history).watts(Instant::now());
+        let watts = self.ledger().watts(Instant::now());
         PowerNow {
             source: self.shared.source.clone(),
             quality: if watts.is_empty() {
@@ -98,10 +181,10 @@ impl PowerHandle {
         self.shared.failures.load(Ordering::Relaxed)
     }
 
-    /// The board's state over `[start, end]`: temperature, throttling, clocks, power mode. `None` where the
-    /// board tells nothing of it.
+    /// The board's state over `[start, end]` within the last minute: temperature, throttling, clocks, power
+    /// mode. `None` where the board tells nothing of it.
     pub fn board(&self, start: Instant, end: Instant) -> Option<BoardState> {
-        lock(&self.shared.conditions).state(start, end)
+        self.ledger().board(start, end)
     }
 
     /// What reading the meter has cost so far.
@@ -110,14 +193,12 @@ impl PowerHandle {
     }
 }
 
-/// Opens the configured meter and starts sampling it until `shutdown`. Samples are kept for `keep`, and
-/// at least ten minutes: give it twice the longest clip.
+/// Opens the configured meter and starts sampling it until `shutdown`.
 ///
 /// # Errors
 /// [`MeterError`] when the meter asked for by name cannot be used here; `auto` always finds one.
 pub async fn start(
     config: &PowerConfig,
-    keep: Duration,
     shutdown: CancellationToken,
 ) -> Result<(PowerHandle, JoinHandle<()>), MeterError> {
     let wanted = config.clone();
@@ -128,7 +209,7 @@ pub async fn start(
         MeterError::Failed(format!("the power meter could not be opened: {error}"))
     })??;
     let interval = Duration::from_millis(config.interval_ms);
-    Ok(launch(meter, Some(machine), interval, keep, shutdown))
+    Ok(launch(meter, Some(machine), interval, shutdown))
 }
 
 /// As [`start`], with a meter already open, and without a look at the machine's condition.
@@ -136,31 +217,29 @@ pub async fn start(
 pub(crate) fn start_with(
     meter: Box<dyn Meter>,
     interval: Duration,
-    keep: Duration,
     shutdown: CancellationToken,
 ) -> (PowerHandle, JoinHandle<()>) {
-    launch(meter, None, interval, keep, shutdown)
+    launch(meter, None, interval, shutdown)
+}
+
+/// A handle to nothing, for tests that need no energy and no runtime.
+#[cfg(test)]
+pub(crate) fn without_a_meter() -> PowerHandle {
+    let interval = Duration::from_millis(100);
+    let state = SamplerState::new(&super::NoMeter, interval);
+    let (_, progress) = watch::channel(Progress::default());
+    let shared = Arc::new(state);
+    PowerHandle { shared, progress }
 }
 
 fn launch(
     meter: Box<dyn Meter>,
     machine: Option<Machine>,
     interval: Duration,
-    keep: Duration,
     shutdown: CancellationToken,
 ) -> (PowerHandle, JoinHandle<()>) {
-    let interval = interval.max(Duration::from_millis(1));
-    let keep = keep.max(KEEP_AT_LEAST);
-    let shared = Arc::new(SamplerState {
-        source: meter.source().to_owned(),
-        quality: meter.quality(),
-        interval,
-        history: Mutex::new(History::new(keep)),
-        conditions: Mutex::new(Conditions::new(keep)),
-        cost: Mutex::default(),
-        failures: AtomicU64::new(0),
-    });
-    let (announce, sampled) = watch::channel(None);
+    let shared = Arc::new(SamplerState::new(&*meter, interval));
+    let (announce, progress) = watch::channel(Progress::default());
     let senses = Sensors {
         meter,
         machine,
@@ -168,7 +247,22 @@ fn launch(
         cpu: Duration::ZERO,
     };
     let task = tokio::spawn(sample(senses, Arc::clone(&shared), announce, shutdown));
-    (PowerHandle { shared, sampled }, task)
+    (PowerHandle { shared, progress }, task)
+}
+
+impl SamplerState {
+    fn new(meter: &dyn Meter, interval: Duration) -> Self {
+        let interval = interval.max(Duration::from_millis(1));
+        Self {
+            source: meter.source().to_owned(),
+            quality: meter.quality(),
+            interval,
+            ledger: Mutex::new(Ledger::new(interval)),
+            wanted: Notify::new(),
+            cost: Mutex::default(),
+            failures: AtomicU64::new(0),
+        }
+    }
 }
 
 /// What is read at every interval, on a thread where waiting for files does no harm.
@@ -217,18 +311,26 @@ impl Sensors {
 async fn sample(
     mut senses: Sensors,
     shared: Arc<SamplerState>,
-    announce: watch::Sender<Option<Instant>>,
+    announce: watch::Sender<Progress>,
     shutdown: CancellationToken,
 ) {
     let began = Instant::now();
     let mut ticks = tokio::time::interval(shared.interval);
     ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
     let mut warned: Option<Instant> = None;
+    let mut last = began;
     loop {
-        tokio::select! {
+        // However many clips end, their samples cost no more than ten times the configured ones.
+        let earliest = last + BETWEEN_EXTRA_SAMPLES.max(shared.interval / 10);
+        let regular = tokio::select! {
+            biased;
             () = shutdown.cancelled() => break,
-            _ = ticks.tick() => {}
-        }
+            _ = ticks.tick() => true,
+            () = async {
+                tokio::time::sleep_until(earliest).await;
+                shared.wanted.notified().await;
+            } => false,
+        };
         let look = tokio::task::spawn_blocking(move || {
             let seen = senses.look();
             (senses, seen)
@@ -241,8 +343,9 @@ async fn sample(
             return;
         };
         senses = returned;
+        last = Instant::now();
         if let Some(condition) = seen.condition {
-            lock(&shared.conditions).push(seen.at, condition);
+            lock(&shared.ledger).looked(seen.at, condition);
         }
         {
             let mut cost = lock(&shared.cost);
@@ -251,9 +354,11 @@ async fn sample(
             cost.elapsed = began.elapsed();
         }
         match seen.readings {
-            Ok(readings) => record(&shared, &announce, seen.at, &readings),
+            Ok(readings) => record(&shared, &announce, seen.at, &readings, regular),
             Err(error) => {
                 let failures = shared.failures.fetch_add(1, Ordering::Relaxed) + 1;
+                // Nobody waits for a meter that does not answer.
+                announce.send_modify(|progress| progress.failed = Some(seen.at));
                 if warned.is_none_or(|w| w.elapsed() > Duration::from_secs(60)) {
                     tracing::warn!(%error, failures, "the power meter cannot be read now");
                     warned = Some(Instant::now());
@@ -267,18 +372,21 @@ async fn sample(
 
 fn record(
     shared: &SamplerState,
-    announce: &watch::Sender<Option<Instant>>,
+    announce: &watch::Sender<Progress>,
     at: Instant,
     readings: &[Reading],
+    regular: bool,
 ) {
     let newest = {
-        let mut history = lock(&shared.history);
+        let mut ledger = lock(&shared.ledger);
         for reading in readings {
-            history.push(reading.at.unwrap_or(at), reading);
+            // A meter that tells the time delivers by its own clock, whenever it is asked.
+            let regular = regular || reading.at.is_some();
+            ledger.sampled(reading.at.unwrap_or(at), reading, regular);
         }
-        history.newest()
+        ledger.newest()
     };
-    announce.send_if_modified(|last| std::mem::replace(last, newest) != newest);
+    announce.send_if_modified(|progress| std::mem::replace(&mut progress.newest, newest) != newest);
 }
 
 #[cfg(test)]

@@ -5,7 +5,9 @@
 //! added up. Domains are added up: an integrated and a plugged-in GPU are two.
 
 use super::condition::Condition;
-use super::meter::{Domain, INPUT_RAIL, Meter, MeterError, Rail, Reading, Value, Values};
+use super::error::MeterError;
+use super::meter::Meter;
+use super::reading::{Domain, INPUT_RAIL, Rail, Reading, Value, Values};
 use albireo_wire::EnergyQuality;
 use std::sync::Arc;
 use std::time::Duration;

@@ -3,7 +3,9 @@
 use super::choose;
 use super::config::{PowerConfig, PowerSource};
 use super::cost::thread_cpu;
-use super::meter::{Domain, Meter, MeterError, Reading, Value};
+use super::error::MeterError;
+use super::meter::Meter;
+use super::reading::{Domain, Reading, Value};
 use albireo_wire::EnergyQuality;
 use serde::Serialize;
 use std::time::Duration;

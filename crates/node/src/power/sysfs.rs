@@ -1,6 +1,6 @@
 //! Reading the small text files of sysfs and procfs, with errors that name the file and the remedy.
 
-use super::meter::MeterError;
+use super::error::MeterError;
 use std::io;
 use std::path::{Path, PathBuf};
 

@@ -10,8 +10,10 @@ pub use line::TegrastatsLine;
 use super::child::LineChild;
 use super::condition::Condition;
 use super::config::PowerConfig;
-use super::meter::{Meter, MeterError, Reading};
+use super::error::MeterError;
+use super::meter::Meter;
 use super::rails::RailMap;
+use super::reading::Reading;
 use super::sysfs;
 use albireo_wire::EnergyQuality;
 use std::path::PathBuf;
@@ -101,7 +103,7 @@ impl Tegrastats {
                         .to_owned(),
             });
         }
-        self.condition = Condition::of_tegrastats(&line);
+        self.condition = line.condition();
         Ok(())
     }
 
@@ -135,7 +137,7 @@ impl Meter for Tegrastats {
                 continue;
             };
             self.newest = at;
-            self.condition = Condition::of_tegrastats(&line);
+            self.condition = line.condition();
             if !line.rails.is_empty() {
                 let mut reading = self.map.reading(&line.rails);
                 reading.at = Some(at);

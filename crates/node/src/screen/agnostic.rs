@@ -69,7 +69,7 @@ struct InHand {
 
 /// The screen of one camera.
 #[derive(Clone, Debug)]
-pub struct AgnosticScreen {
+pub(crate) struct AgnosticScreen {
     audit: f64,
     scenes: EmptyScenes,
     calibration: Calibration,
@@ -80,16 +80,16 @@ pub struct AgnosticScreen {
 
 /// What a camera's agnostic screen has counted.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct AgnosticCounters {
+pub(crate) struct AgnosticCounters {
     /// Pictures it would have called empty that the detector looked at.
-    pub audited: u64,
+    pub(crate) audited: u64,
     /// Those of them in which the detector found something.
-    pub false_empty: u64,
+    pub(crate) false_empty: u64,
 }
 
 impl AgnosticScreen {
     /// A screen that knows nothing yet. `seed` decides which pictures are looked at by chance.
-    pub fn new(settings: &AgnosticSettings, seed: u64) -> Self {
+    pub(crate) fn new(settings: &AgnosticSettings, seed: u64) -> Self {
         Self {
             audit: settings.audit,
             scenes: EmptyScenes::new(),
@@ -101,13 +101,13 @@ impl AgnosticScreen {
     }
 
     /// Another frame begins: what was seen of the last one is of no more use.
-    pub fn next_frame(&mut self) {
+    pub(crate) fn next_frame(&mut self) {
         self.in_hand = None;
     }
 
     /// Whether nothing is in view. Follow it with [`detected`](Self::detected) when the detector looks at the
     /// same frame.
-    pub fn empty(&mut self, thumbnail: Thumbnail) -> bool {
+    pub(crate) fn empty(&mut self, thumbnail: Thumbnail) -> bool {
         let mut in_hand = self.judged(thumbnail);
         let chance = (self.random.next_u64() >> 11) as f64 / (1u64 << 53) as f64;
         in_hand.audited = in_hand.empty && chance < self.audit;
@@ -118,7 +118,7 @@ impl AgnosticScreen {
 
     /// The detector looked at the frame and did or did not find something. `thumbnail` is asked for when the
     /// screen itself was not asked about this frame.
-    pub fn detected(
+    pub(crate) fn detected(
         &mut self,
         found_something: bool,
         thumbnail: impl FnOnce() -> Option<Thumbnail>,
@@ -160,7 +160,7 @@ impl AgnosticScreen {
     }
 
     /// What it has counted.
-    pub const fn counters(&self) -> AgnosticCounters {
+    pub(crate) const fn counters(&self) -> AgnosticCounters {
         self.counters
     }
 }

@@ -1,18 +1,11 @@
-//! The screen as one camera's loop asks it: whichever kind is configured, with what it has learnt of this
-//! camera, and with a limit on how long it may be believed.
+//! The screen as one camera's loop asks it, whichever kind is configured.
 
-use super::agnostic::{AgnosticScreen, Thumbnail};
-use super::{EmptyRun, ScreenConfig, ScreenHandle, ScreenKind};
+use super::agnostic::Thumbnail;
+use super::{ScreenConfig, ScreenHandle, ScreenJudge, ScreenKind};
 use crate::detector::CameraSlot;
 use crate::frame::{InputFormat, Picture};
 use albireo_core::geometry::PictureSize;
 use std::sync::Arc;
-
-enum Kind {
-    None,
-    Model(ScreenHandle),
-    Agnostic(Box<AgnosticScreen>),
-}
 
 /// What one camera's screen has counted since the node started.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -42,35 +35,24 @@ pub fn decoding_target(
 }
 
 /// One camera's screen.
-pub(crate) struct CameraScreen {
-    kind: Kind,
-    run: EmptyRun,
+pub struct CameraScreen {
+    /// The model that all cameras share, where that is the kind.
+    model: Option<ScreenHandle>,
+    judge: ScreenJudge,
 }
 
 impl CameraScreen {
     /// The screen that `config` names; `model` is the one all cameras share, if there is one.
-    pub(crate) fn new(
-        config: &ScreenConfig,
-        model: Option<ScreenHandle>,
-        camera: CameraSlot,
-    ) -> Self {
-        let kind = match (config.kind(), model) {
-            (ScreenKind::Agnostic, _) => {
-                let seed = camera.0 as u64;
-                Kind::Agnostic(Box::new(AgnosticScreen::new(&config.agnostic, seed)))
-            }
-            (ScreenKind::Model, Some(model)) => Kind::Model(model),
-            (ScreenKind::Model | ScreenKind::None, _) => Kind::None,
-        };
+    pub fn new(config: &ScreenConfig, model: Option<ScreenHandle>, camera: CameraSlot) -> Self {
         Self {
-            kind,
-            run: EmptyRun::new(config.longest_empty_run),
+            model: model.filter(|_| config.kind() == ScreenKind::Model),
+            judge: ScreenJudge::new(config, camera.0 as u64),
         }
     }
 
     /// Whether there is nothing to ask.
     pub(crate) const fn is_none(&self) -> bool {
-        matches!(self.kind, Kind::None)
+        self.model.is_none() && !self.judge.is_agnostic()
     }
 
     /// The size to which a picture of `source` may be decoded, for this screen and a detector with that input.
@@ -79,54 +61,35 @@ impl CameraScreen {
         detector: InputFormat,
         source: PictureSize,
     ) -> PictureSize {
-        let screen = match &self.kind {
-            Kind::Model(model) => Some(model.input_format()),
-            Kind::None | Kind::Agnostic(_) => None,
-        };
+        let screen = self.model.as_ref().map(ScreenHandle::input_format);
         decoding_target(detector, screen, source)
     }
 
     /// A new frame begins.
     pub(crate) fn next_frame(&mut self) {
-        if let Kind::Agnostic(screen) = &mut self.kind {
-            screen.next_frame();
-        }
+        self.judge.next_frame();
     }
 
     /// Whether nothing is in view in `picture`; `None` when it cannot be said.
     pub(crate) async fn ask(&mut self, camera: CameraSlot, picture: &Arc<Picture>) -> Option<bool> {
-        let empty = match &mut self.kind {
-            Kind::None => None,
-            Kind::Model(model) => {
-                let verdict = model.ask(camera, Arc::clone(picture)).await;
+        match &self.model {
+            Some(model) => {
                 // The screen counts and logs its failures itself.
-                verdict.ok().map(|verdict| verdict.empty)
+                let verdict = model.ask(camera, Arc::clone(picture)).await.ok()?;
+                Some(self.judge.model_said(verdict.empty))
             }
-            Kind::Agnostic(screen) => {
-                Thumbnail::of(picture).map(|thumbnail| screen.empty(thumbnail))
-            }
-        }?;
-        Some(self.run.judge(empty))
+            None => self.judge.look_at(Thumbnail::of(picture)?),
+        }
     }
 
     /// The detector looked at `picture` and did or did not find something.
     pub(crate) fn detected(&mut self, picture: &Picture, found_something: bool) {
-        self.run.looked();
-        if let Kind::Agnostic(screen) = &mut self.kind {
-            screen.detected(found_something, || Thumbnail::of(picture));
-        }
+        self.judge
+            .detected(found_something, || Thumbnail::of(picture));
     }
 
     /// What it has counted.
     pub(crate) fn counts(&self) -> ScreenCounts {
-        let agnostic = match &self.kind {
-            Kind::Agnostic(screen) => screen.counters(),
-            Kind::None | Kind::Model(_) => Default::default(),
-        };
-        ScreenCounts {
-            forced: self.run.forced(),
-            audited: agnostic.audited,
-            false_empty: agnostic.false_empty,
-        }
+        self.judge.counts()
     }
 }

@@ -3,7 +3,7 @@
 /// Counts empty verdicts in a row. The paper has no such limit; a screen that is wrong about a scene is
 /// wrong about it for as long as the scene lasts.
 #[derive(Clone, Copy, Debug)]
-pub struct EmptyRun {
+pub(crate) struct EmptyRun {
     /// Longest run; 0 for no limit.
     longest: u32,
     run: u32,
@@ -12,7 +12,7 @@ pub struct EmptyRun {
 
 impl EmptyRun {
     /// At most `longest` empty frames in a row, 0 for any number.
-    pub const fn new(longest: u32) -> Self {
+    pub(crate) const fn new(longest: u32) -> Self {
         Self {
             longest,
             run: 0,
@@ -21,7 +21,7 @@ impl EmptyRun {
     }
 
     /// What counts of the screen's verdict `empty`: "not empty" when the run would be too long.
-    pub fn judge(&mut self, empty: bool) -> bool {
+    pub(crate) fn judge(&mut self, empty: bool) -> bool {
         if empty && self.longest != 0 && self.run >= self.longest {
             self.forced += 1;
             self.run = 0;
@@ -32,7 +32,7 @@ impl EmptyRun {
     }
 
     /// The detector looked, for whatever reason: the run is over.
-    pub fn looked(&mut self) {
+    pub(crate) fn looked(&mut self) {
         self.run = 0;
     }
 

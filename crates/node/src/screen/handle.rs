@@ -2,12 +2,13 @@
 
 use super::network::ScreenNetwork;
 use super::{Logits, ScreenConfig, ScreenKind};
-use crate::detector::task::{InferenceTask, TaskCounters, TaskSettings};
+use crate::detector::task::{InferenceTask, TaskCounters, TaskMeter, TaskSettings};
 use crate::detector::{
     CameraSlot, DetectorStatus, InferenceError, Preparation, PreparedPicture, StartError,
     prepare_off_thread,
 };
 use crate::frame::{InputFormat, Picture};
+use albireo_service::clock::milliseconds;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -89,8 +90,8 @@ impl ScreenHandle {
         Ok(ScreenVerdict {
             empty: logits[self.empty_class] > logits[1 - self.empty_class],
             logits,
-            queue_ms: inference.queued.as_secs_f64() * 1e3,
-            run_ms: (letterbox + inference.took).as_secs_f64() * 1e3,
+            queue_ms: milliseconds(inference.queued),
+            run_ms: milliseconds(letterbox + inference.took),
         })
     }
 
@@ -99,9 +100,19 @@ impl ScreenHandle {
         self.task.status()
     }
 
+    /// Its counters for whoever shows them: does not keep the screen running.
+    pub(crate) fn meter(&self) -> TaskMeter {
+        self.task.meter()
+    }
+
     /// What it has counted since it started.
     pub fn counters(&self) -> TaskCounters {
         self.task.counters()
+    }
+
+    /// Returns when it has been stopped, or what watches over it is gone.
+    pub(crate) async fn ended(&self) {
+        self.task.ended().await;
     }
 
     /// Takes no more pictures and returns when the run in hand has ended or has taken too long.

@@ -1,10 +1,13 @@
 //! The `[http]` section of the configuration.
 
-use super::{DAY_MS, Findings};
+use super::{DAY_MS, Findings, NamedToken};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::path::PathBuf;
+
+/// A token has at least so many characters.
+const LEAST_TOKEN: usize = 16;
 
 /// A secret that is not shown when printed for debugging.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -28,6 +31,10 @@ impl Token {
             Some("is empty; leave it out for no authentication")
         } else if !self.0.bytes().all(|byte| byte.is_ascii_graphic()) {
             Some("must be printable ASCII without spaces")
+        } else if self.0.len() < LEAST_TOKEN {
+            Some(
+                "has fewer than 16 characters, which can be guessed; `openssl rand -hex 16` makes one",
+            )
         } else {
             None
         }
@@ -55,6 +62,10 @@ pub struct HttpConfig {
     pub allow_unauthenticated: bool,
     /// A request other than the event stream that takes longer is answered with an error.
     pub timeout_ms: u64,
+    /// A connection that says nothing, or takes nothing of what is sent to it, for so long is closed.
+    pub idle_timeout_ms: u64,
+    /// Connections at a time. When all are taken, the one that was idle longest is closed for a new one.
+    pub max_connections: usize,
     /// Web origins whose pages may call the interface (`https://fleet.example`); none by default.
     pub cors_origins: Vec<String>,
 }
@@ -67,6 +78,8 @@ impl Default for HttpConfig {
             token_file: None,
             allow_unauthenticated: false,
             timeout_ms: 10_000,
+            idle_timeout_ms: 30_000,
+            max_connections: 256,
             cors_origins: Vec::new(),
         }
     }
@@ -75,6 +88,11 @@ impl Default for HttpConfig {
 impl HttpConfig {
     /// Notes what is wrong with the section.
     pub fn check(&self, findings: &mut Findings) {
+        self.check_beside(&[], findings);
+    }
+
+    /// As [`Self::check`], for a service that has named tokens too.
+    pub fn check_beside(&self, tokens: &[NamedToken], findings: &mut Findings) {
         if let Some(fault) = self.token.as_ref().and_then(Token::fault) {
             findings.add("http.token", fault);
         }
@@ -85,6 +103,7 @@ impl HttpConfig {
         if !self.listen.ip().is_loopback()
             && self.token.is_none()
             && self.token_file.is_none()
+            && tokens.is_empty()
             && !self.allow_unauthenticated
         {
             findings.add(
@@ -97,6 +116,9 @@ impl HttpConfig {
             );
         }
         findings.count("http.timeout_ms", self.timeout_ms, 1, DAY_MS);
+        findings.count("http.idle_timeout_ms", self.idle_timeout_ms, 100, DAY_MS);
+        let connections = self.max_connections as u64;
+        findings.count("http.max_connections", connections, 1, 100_000);
         for origin in &self.cors_origins {
             let host = origin
                 .strip_prefix("https://")

@@ -45,20 +45,32 @@ pub fn load<C: Configuration>(file: Option<&Path>) -> Result<C, ConfigError> {
     if !misspelt.is_empty() {
         return Err(fail(misspelt));
     }
+    let figment = figment.merge(
+        Env::prefixed(PREFIX)
+            .filter(|key| key.as_str().contains("__") || key == "camera")
+            .split("__"),
+    );
     let config: C = figment
-        .merge(
-            Env::prefixed(PREFIX)
-                .filter(|key| key.as_str().contains("__") || key == "camera")
-                .split("__"),
-        )
         .extract()
         .map_err(|error| fail(error.into_iter().map(finding).collect()))?;
-    let findings = config.findings();
+    let mut findings = config.findings();
     if findings.is_empty() {
-        Ok(config)
-    } else {
-        Err(fail(findings))
+        return Ok(config);
     }
+    for finding in &mut findings {
+        if finding.source.is_none() {
+            finding.source = source(&figment, &finding.key);
+        }
+    }
+    Err(fail(findings))
+}
+
+/// Where the value of `key` comes from, when it is not the file.
+fn source(figment: &Figment, key: &str) -> Option<String> {
+    let path = key.replace('[', ".").replace(']', "");
+    let metadata = figment.find_metadata(&path)?;
+    let from_file = matches!(metadata.source, Some(Source::File(_)));
+    (!from_file).then(|| metadata.name.to_string())
 }
 
 /// Variables that look like a key with one underscore where two belong: left alone they would silently
@@ -104,16 +116,28 @@ fn finding(error: figment::Error) -> Finding {
     }
 }
 
+/// What was expected, where that is the name of a type.
+fn in_words(expected: &str) -> &str {
+    match expected {
+        "f32" | "f64" => "a number",
+        "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number, 0 or more",
+        "i8" | "i16" | "i32" | "i64" | "isize" => "a whole number",
+        "bool" => "true or false",
+        other => other,
+    }
+}
+
 fn reason(kind: &figment::error::Kind) -> String {
     use figment::error::{Kind, OneOf};
     match kind {
         Kind::UnknownField(name, known) => {
             format!("unknown key `{name}`; known are {}", OneOf(known))
         }
-        Kind::UnknownVariant(value, known) => format!("`{value}` is not one of {}", OneOf(known)),
+        Kind::UnknownVariant(value, known) => format!("`{value}` is not {}", OneOf(known)),
         Kind::MissingField(name) => format!("`{name}` is missing"),
-        Kind::InvalidType(found, expected) => format!("must be {expected}, not {found}"),
-        Kind::InvalidValue(found, expected) => format!("must be {expected}, not {found}"),
+        Kind::InvalidType(found, expected) | Kind::InvalidValue(found, expected) => {
+            format!("must be {}, not {found}", in_words(expected))
+        }
         other => other.to_string(),
     }
 }

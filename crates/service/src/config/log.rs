@@ -21,7 +21,7 @@ pub struct LogConfig {
     /// How lines look.
     pub format: LogFormat,
     /// `error`, `warn`, `info`, `debug`, `trace`, or filter directives such as
-    /// `info,albireo::node=debug`.
+    /// `info,albireo_node=debug`.
     pub level: String,
 }
 

@@ -2,34 +2,41 @@
 
 use super::HttpError;
 use super::Problem;
-use crate::config::{HttpConfig, Token};
+use crate::config::{HttpConfig, NamedToken, Role, Token};
 use axum::extract::{Request, State};
 use axum::http::header::{AUTHORIZATION, HOST, WWW_AUTHENTICATE};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use std::net::IpAddr;
-use std::path::PathBuf;
+use std::net::{Ipv4Addr, Ipv6Addr};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
 
-/// Open to all: whether the node lives and works, and the page, which asks for the token itself.
-const OPEN: [&str; 3] = ["/", "/healthz", "/readyz"];
+/// Open to all: whether the service lives and works, the page, which asks for the token itself, and the description
+/// of the interface with the page that reads it, which are the same wherever this version runs and tell nothing of this
+/// service.
+const OPEN: [&str; 5] = ["/", "/healthz", "/readyz", "/openapi.json", "/docs"];
+
+/// Whether a path is open to all.
+fn is_open(path: &str) -> bool {
+    OPEN.contains(&path) || path.starts_with("/docs/")
+}
 
 /// Why a token file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum TokenError {
     /// It cannot be read.
-    #[error("http.token_file {file}: {source}")]
+    #[error("token_file {file}: {source}")]
     Unreadable {
         /// The file.
         file: PathBuf,
-        /// Why.
+        /// What the system says.
         source: std::io::Error,
     },
     /// Its first line is no token.
-    #[error("http.token_file {file}: the first line {fault}")]
+    #[error("token_file {file}: the first line {fault}")]
     Unusable {
         /// The file.
         file: PathBuf,
@@ -42,9 +49,18 @@ pub enum TokenError {
 #[derive(Clone)]
 pub(super) struct Guard(Arc<Rule>);
 
+/// Who a request comes from, as an extension of the request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Caller {
+    /// Name of the token: `token` for that of the section `[http]`, `anonymous` where none is needed.
+    pub name: Arc<str>,
+    /// What the caller may do.
+    pub role: Role,
+}
+
 enum Rule {
-    /// Requests must carry the token.
-    Token(Token),
+    /// Requests must carry one of the tokens.
+    Tokens(Vec<(Caller, Token)>),
     /// Only programs of this machine reach the listener. A web page could still have its own name point
     /// to this machine (DNS rebinding) and so be let in by the browser; the `Host` it was called by
     /// tells.
@@ -59,10 +75,15 @@ impl Guard {
     /// # Errors
     /// [`HttpError`] when the token file cannot be used, or other machines reach the listener without a
     /// token.
-    pub(crate) fn new(config: &HttpConfig, listener: &TcpListener) -> Result<Self, HttpError> {
+    pub(crate) fn new(
+        config: &HttpConfig,
+        named: &[NamedToken],
+        listener: &TcpListener,
+    ) -> Result<Self, HttpError> {
         let address = listener.local_addr().map_err(HttpError::Listener)?;
-        let rule = if let Some(token) = token(config)? {
-            Rule::Token(token)
+        let tokens = tokens(config, named)?;
+        let rule = if !tokens.is_empty() {
+            Rule::Tokens(tokens)
         } else if config.allow_unauthenticated {
             Rule::Anybody
         } else if address.ip().is_loopback() {
@@ -73,44 +94,91 @@ impl Guard {
         Ok(Self(Arc::new(rule)))
     }
 
-    /// The answer to a request that may not pass.
-    fn refuse(&self, uri: &Uri, headers: &HeaderMap) -> Option<Response> {
+    /// Who may pass, or the answer to a request that may not.
+    fn admit(
+        &self,
+        method: &Method,
+        uri: &Uri,
+        headers: &HeaderMap,
+    ) -> Result<Caller, Box<Response>> {
+        let anonymous = |role| Caller {
+            name: "anonymous".into(),
+            role,
+        };
         match &*self.0 {
-            Rule::Anybody => None,
-            Rule::ThisMachine if called_by_address(uri, headers) => None,
-            Rule::ThisMachine => Some(Problem::new(
+            Rule::Anybody => Ok(anonymous(Role::Tune)),
+            Rule::ThisMachine if called_by_address(uri, headers) => Ok(anonymous(Role::Tune)),
+            Rule::ThisMachine => Err(Box::new(Problem::new(
                 StatusCode::MISDIRECTED_REQUEST,
                 "without a token this interface answers only when called by address or as `localhost`; \
                  to reach it under another name set a token, or http.allow_unauthenticated = true",
             )
-            .into_response()),
-            Rule::Token(_) if OPEN.contains(&uri.path()) => None,
-            Rule::Token(token) if carries(headers, token) => None,
-            Rule::Token(_) => {
-                let detail = "this needs the header `Authorization: Bearer TOKEN` with the node's token";
-                let mut response = Problem::new(StatusCode::UNAUTHORIZED, detail).into_response();
-                response
-                    .headers_mut()
-                    .insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
-                Some(response)
+            .into_response())),
+            Rule::Tokens(tokens) => {
+                let holder = tokens.iter().find(|(_, token)| carries(headers, token));
+                let looks = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
+                match holder {
+                    Some((caller, _)) if looks || caller.role == Role::Tune => Ok(caller.clone()),
+                    Some((caller, _)) => {
+                        let detail = format!(
+                            "the token `{}` may look and not change: this needs one with the role `tune`",
+                            caller.name
+                        );
+                        Err(Box::new(Problem::new(StatusCode::FORBIDDEN, detail).into_response()))
+                    }
+                    None if is_open(uri.path()) => Ok(anonymous(Role::Read)),
+                    None => Err(Box::new(unauthorized())),
+                }
             }
         }
     }
 }
 
-fn token(config: &HttpConfig) -> Result<Option<Token>, TokenError> {
-    let Some(file) = &config.token_file else {
-        return Ok(config.token.clone());
-    };
+fn unauthorized() -> Response {
+    let detail = "this needs the header `Authorization: Bearer TOKEN` with the node's token";
+    let mut response = Problem::new(StatusCode::UNAUTHORIZED, detail).into_response();
+    response
+        .headers_mut()
+        .insert(WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
+    response
+}
+
+fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Token)>, TokenError> {
+    let own = (
+        Arc::from("token"),
+        Role::Tune,
+        &config.token,
+        &config.token_file,
+    );
+    let named = named.iter().map(|one| {
+        (
+            one.name.as_str().into(),
+            one.role,
+            &one.token,
+            &one.token_file,
+        )
+    });
+    let mut tokens = Vec::new();
+    for (name, role, token, file) in std::iter::once(own).chain(named) {
+        let token = match file {
+            Some(file) => Some(read(file)?),
+            None => token.clone(),
+        };
+        tokens.extend(token.map(|token| (Caller { name, role }, token)));
+    }
+    Ok(tokens)
+}
+
+fn read(file: &Path) -> Result<Token, TokenError> {
     let text = std::fs::read_to_string(file).map_err(|source| TokenError::Unreadable {
-        file: file.clone(),
+        file: file.to_owned(),
         source,
     })?;
     let token = Token::new(text.lines().next().unwrap_or_default().trim());
     match token.fault() {
-        None => Ok(Some(token)),
+        None => Ok(token),
         Some(fault) => Err(TokenError::Unusable {
-            file: file.clone(),
+            file: file.to_owned(),
             fault,
         }),
     }
@@ -128,24 +196,81 @@ fn carries(headers: &HeaderMap, token: &Token) -> bool {
     sent.ct_eq(token.secret().as_bytes()).into()
 }
 
+/// Whether the request names this machine by address or as `localhost`, and nothing else. A name that cannot be read,
+/// or two of them, is another name.
 fn called_by_address(uri: &Uri, headers: &HeaderMap) -> bool {
-    let host = uri
-        .authority()
-        .map(|authority| authority.as_str())
-        .or_else(|| headers.get(HOST).and_then(|value| value.to_str().ok()));
-    // HTTP/1.0 has no Host; no browser sends that.
-    let Some(host) = host else { return true };
-    let name = match host.strip_prefix('[') {
-        Some(rest) => rest.split(']').next().unwrap_or_default(),
-        None => host.rsplit_once(':').map_or(host, |(name, _)| name),
+    let mut hosts = headers.get_all(HOST).iter();
+    let host = match (uri.authority(), hosts.next()) {
+        (Some(authority), _) => Some(authority.as_str()),
+        (None, Some(host)) => match host.to_str() {
+            Ok(host) => Some(host),
+            Err(_) => return false,
+        },
+        (None, None) => None,
     };
-    name.eq_ignore_ascii_case("localhost") || name.parse::<IpAddr>().is_ok()
+    if hosts.next().is_some() {
+        return false;
+    }
+    // HTTP/1.0 has no Host; no browser sends that.
+    host.is_none_or(is_address)
 }
 
-/// Lets a request pass or answers it.
-pub(super) async fn guard(State(guard): State<Guard>, request: Request, next: Next) -> Response {
-    match guard.refuse(request.uri(), request.headers()) {
-        None => next.run(request).await,
-        Some(response) => response,
+fn is_address(host: &str) -> bool {
+    let is_port = |port: &str| port.bytes().all(|byte| byte.is_ascii_digit());
+    if let Some(rest) = host.strip_prefix('[') {
+        let Some((name, port)) = rest.split_once(']') else {
+            return false;
+        };
+        let port_is_right = port.is_empty() || port.strip_prefix(':').is_some_and(is_port);
+        return port_is_right && name.parse::<Ipv6Addr>().is_ok();
+    }
+    let (name, port) = host.split_once(':').unwrap_or((host, ""));
+    is_port(port) && (name.eq_ignore_ascii_case("localhost") || name.parse::<Ipv4Addr>().is_ok())
+}
+
+/// Lets a request pass, with its [`Caller`], or answers it.
+pub(super) async fn guard(
+    State(guard): State<Guard>,
+    mut request: Request,
+    next: Next,
+) -> Response {
+    match guard.admit(request.method(), request.uri(), request.headers()) {
+        Ok(caller) => {
+            request.extensions_mut().insert(caller);
+            next.run(request).await
+        }
+        Err(response) => *response,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::is_address;
+
+    #[test]
+    fn only_addresses_and_localhost_are_this_machine() {
+        for host in [
+            "localhost",
+            "LOCALHOST:80",
+            "127.0.0.1:8080",
+            "[::1]",
+            "[::1]:8080",
+        ] {
+            assert!(is_address(host), "{host}");
+        }
+        for host in [
+            "",
+            "evil.example",
+            "[::1].evil.example",
+            "[::1]evil",
+            "[::1",
+            "localhost:80@evil",
+            "localhost@evil",
+            "localhost:evil",
+            "127.0.0.1.evil.example",
+            "127.0.0.1:80:80",
+        ] {
+            assert!(!is_address(host), "{host}");
+        }
     }
 }

@@ -2,12 +2,13 @@
 
 use albireo_wire::{Knob, KnobError};
 use axum::body::{Body, to_bytes};
-use axum::extract::Request;
+use axum::extract::{Request, State};
 use axum::http::header::{ALLOW, CONTENT_TYPE};
 use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use serde::Serialize;
+use std::time::Duration;
 use utoipa::ToSchema;
 
 /// The media type of a problem document.
@@ -85,19 +86,22 @@ impl IntoResponse for Problem {
 
 /// Answers a path that is not there.
 pub(super) async fn not_found(request: Request) -> Problem {
-    Problem::new(
-        StatusCode::NOT_FOUND,
-        format!(
-            "there is nothing at {}; /openapi.json lists what is",
-            request.uri().path()
-        ),
-    )
+    Problem::new(StatusCode::NOT_FOUND, nothing_at(request.uri().path()))
+}
+
+fn nothing_at(path: &str) -> String {
+    format!("there is nothing at {path}; /openapi.json lists what is")
 }
 
 /// Turns errors that the framework answers in plain text (wrong method, unreadable query) into problem
 /// documents.
-pub(super) async fn translate(request: Request, next: Next) -> Response {
+pub(super) async fn translate(
+    State(limit): State<Duration>,
+    request: Request,
+    next: Next,
+) -> Response {
     let method = request.method().clone();
+    let path = request.uri().path().to_owned();
     let response = next.run(request).await;
     let status = response.status();
     let is_problem = response
@@ -125,7 +129,16 @@ pub(super) async fn translate(request: Request, next: Next) -> Response {
         .allowing(allowed)
     } else {
         let said = to_bytes(body, 4096).await.unwrap_or_default();
-        Problem::new(status, String::from_utf8_lossy(&said))
+        let said = String::from_utf8_lossy(&said);
+        let detail = match (said.trim(), status) {
+            ("", StatusCode::REQUEST_TIMEOUT) => {
+                format!("the request did not end within {limit:?}")
+            }
+            ("", StatusCode::NOT_FOUND) => nothing_at(&path),
+            ("", _) => status.canonical_reason().unwrap_or("an error").to_owned(),
+            (said, _) => said.to_owned(),
+        };
+        Problem::new(status, detail)
     };
     parts
         .headers

@@ -2,27 +2,36 @@
 
 use super::HttpError;
 use super::auth::{Guard, guard};
-use super::problem::{self, Problem};
-use crate::config::HttpConfig;
+use super::connections::{Connections, Limits};
+use super::problem;
+use crate::config::{HttpConfig, NamedToken};
 use axum::Router;
-use axum::extract::{DefaultBodyLimit, Request, State};
+use axum::extract::{DefaultBodyLimit, Request};
 use axum::http::header::{AUTHORIZATION, CONTENT_TYPE};
 use axum::http::{HeaderValue, Method, StatusCode};
-use axum::middleware::{Next, from_fn, from_fn_with_state};
-use axum::response::{IntoResponse, Response};
+use axum::middleware::from_fn_with_state;
 use std::time::Duration;
 use tokio::net::TcpListener;
+use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 use tower_http::cors::CorsLayer;
+use tower_http::timeout::TimeoutLayer;
+use tower_http::trace::TraceLayer;
 
 /// Largest body of a request, bytes. The largest legitimate one has about thirty.
 pub const BODY_LIMIT: usize = 16 << 10;
 
 /// Time the requests in hand have to end after the shutdown.
-const GRACE: Duration = Duration::from_secs(2);
+const GRACE: Duration = Duration::from_secs(1);
+
+/// How long to wait before taking connections again when there are no descriptors for them.
+const NO_DESCRIPTORS: Duration = Duration::from_millis(100);
 
 /// Serves `router` on `listener` with authentication, limits and problem documents until `shutdown`, then lets
-/// requests in hand end (event streams are closed by their router) for at most two seconds.
+/// requests in hand end (event streams are closed by their router) for at most a second.
+///
+/// A connection that says nothing, or does not take what is sent to it, for `http.idle_timeout_ms` is closed. There
+/// are at most `http.max_connections`; when all are taken the one that was idle longest is closed for a new one.
 ///
 /// # Errors
 /// [`HttpError`] when the token cannot be read, or the listener can be reached from other machines and
@@ -33,18 +42,76 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), HttpError> {
-    let allowed = Guard::new(config, &listener)?;
+    run_with_tokens(config, &[], router, listener, shutdown).await
+}
+
+/// As [`run`], with named tokens beside the one of the configuration.
+///
+/// # Errors
+/// As [`run`].
+pub async fn run_with_tokens(
+    config: &HttpConfig,
+    tokens: &[NamedToken],
+    router: Router,
+    listener: TcpListener,
+    shutdown: CancellationToken,
+) -> Result<(), HttpError> {
+    let allowed = Guard::new(config, tokens, &listener)?;
+    let router = layered(config, router, allowed);
+    let idle = Duration::from_millis(config.idle_timeout_ms);
+    let connections = Connections::new(Limits {
+        most: config.max_connections,
+        head: idle,
+        stalled: idle,
+    });
+    let mut serving = JoinSet::new();
+    loop {
+        let accepted = tokio::select! {
+            biased;
+            () = shutdown.cancelled() => break,
+            Some(_) = serving.join_next() => continue,
+            accepted = listener.accept() => accepted,
+        };
+        match accepted {
+            Ok((stream, _)) => {
+                // Events are short and should not wait for company.
+                let _ = stream.set_nodelay(true);
+                let serve = connections
+                    .clone()
+                    .serve(stream, router.clone(), shutdown.clone());
+                serving.spawn(serve);
+            }
+            // The other side was gone before it was accepted, or there are no descriptors left.
+            Err(error) => {
+                tracing::debug!(%error, "HTTP connection not accepted");
+                tokio::time::sleep(NO_DESCRIPTORS).await;
+            }
+        }
+    }
+    drop(listener);
+    let ending = async { while serving.join_next().await.is_some() {} };
+    if tokio::time::timeout(GRACE, ending).await.is_err() {
+        tracing::warn!("HTTP connections still open after {GRACE:?} were cut off");
+    }
+    Ok(())
+}
+
+fn layered(config: &HttpConfig, router: Router, allowed: Guard) -> Router {
     let limit = Duration::from_millis(config.timeout_ms);
     let inner = router
         .fallback(problem::not_found)
         .layer(DefaultBodyLimit::max(BODY_LIMIT))
-        .layer(from_fn_with_state(limit, within))
+        // Bounds the time until a response begins. Event streams begin at once and then last.
+        .layer(TimeoutLayer::with_status_code(
+            StatusCode::REQUEST_TIMEOUT,
+            limit,
+        ))
         .layer(from_fn_with_state(allowed, guard));
     // Axum puts the list of allowed methods on an answer outside all layers of its router; as the
     // fallback of another router the whole answer can be seen.
     let mut router = Router::new()
         .fallback_service(inner)
-        .layer(from_fn(problem::translate));
+        .layer(from_fn_with_state(limit, problem::translate));
     if !config.cors_origins.is_empty() {
         let origins: Vec<HeaderValue> = config
             .cors_origins
@@ -59,26 +126,11 @@ pub async fn run(
                 .allow_headers([AUTHORIZATION, CONTENT_TYPE]),
         );
     }
-    let stop = shutdown.clone();
-    let server =
-        axum::serve(listener, router).with_graceful_shutdown(async move { stop.cancelled().await });
-    tokio::select! {
-        ended = server.into_future() => ended.map_err(HttpError::Listener),
-        () = async { shutdown.cancelled().await; tokio::time::sleep(GRACE).await } => {
-            tracing::warn!("HTTP connections still open after {GRACE:?} were cut off");
-            Ok(())
-        }
-    }
-}
-
-/// Bounds the time until a response begins. Event streams begin at once and then last.
-async fn within(State(limit): State<Duration>, request: Request, next: Next) -> Response {
-    match tokio::time::timeout(limit, next.run(request)).await {
-        Ok(response) => response,
-        Err(_) => Problem::new(
-            StatusCode::REQUEST_TIMEOUT,
-            format!("the request did not end within {limit:?}"),
-        )
-        .into_response(),
-    }
+    // Without the query: a client may have put a secret there by mistake.
+    router.layer(
+        TraceLayer::new_for_http().make_span_with(|request: &Request| {
+            let (method, path) = (request.method(), request.uri().path());
+            tracing::info_span!("http", %method, path)
+        }),
+    )
 }

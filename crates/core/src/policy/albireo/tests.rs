@@ -3,7 +3,7 @@
 use super::*;
 use crate::detection::ClassId;
 use crate::geometry::{BoundingBox, PictureSize};
-use crate::policy::BoxSource;
+use crate::policy::{BoxSource, FrameEvidence, decide_at_once};
 
 const PICTURE: PictureSize = PictureSize::new(1280, 720);
 
@@ -31,28 +31,32 @@ impl Run {
         }
     }
 
+    /// Begins a frame, for a test that answers by itself.
     fn begin(&mut self, step: u32) -> Need {
-        let frame = FrameHead {
+        let head = self.head(step);
+        self.policy.begin(head)
+    }
+
+    fn head(&mut self, step: u32) -> FrameHead {
+        let head = FrameHead {
             index: self.index,
             step,
             picture: PICTURE,
         };
         self.index += 1;
-        self.policy.begin(frame)
+        head
     }
 
     /// A whole frame after `step` frames; `None` for a detector that cannot be had.
     fn frame(&mut self, step: u32, detections: Option<&[Detection]>) -> FrameState {
         self.index += u64::from(step) - 1;
-        let mut need = self.begin(step);
-        while need != Need::Nothing {
-            need = self.policy.answer(match (need, detections) {
-                (Need::Screen, _) => Evidence::Screen { empty: false },
-                (_, Some(detections)) => Evidence::Detections(detections),
-                (_, None) => Evidence::Unavailable,
-            });
-        }
-        self.policy.finish(&mut self.outcome);
+        let head = self.head(step);
+        let mut known = FrameEvidence {
+            empty: Some(false),
+            grey: None,
+            detections,
+        };
+        let Ok(()) = decide_at_once(&mut self.policy, head, &mut known, &mut self.outcome);
         self.outcome.state
     }
 

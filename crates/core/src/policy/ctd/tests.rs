@@ -2,9 +2,10 @@
 
 use super::*;
 use crate::policy::BoxSource;
+use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
 use crate::policy::Profile;
-use crate::policy::testing::{Available, Run, seen};
+use crate::policy::testing::{Run, seen};
 use proptest::prelude::*;
 
 /// Frames until the detector runs, which then finds `found`.
@@ -68,9 +69,9 @@ fn an_object_that_stands_still_is_left_alone_for_eight_frames() {
 fn lost_frames_count_towards_the_longest_skip() {
     let mut run = standing("0.5", Profile::Paper);
     let found = [seen(0.5, 0.9)];
-    assert_eq!(run.frame(8, Available::detections(&found)), P);
-    assert_eq!(run.frame(1, Available::detections(&found)), I);
-    assert_eq!(run.frame(9, Available::detections(&found)), I);
+    assert_eq!(run.frame(8, FrameEvidence::detections(&found)), P);
+    assert_eq!(run.frame(1, FrameEvidence::detections(&found)), I);
+    assert_eq!(run.frame(9, FrameEvidence::detections(&found)), I);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 use super::*;
 use crate::detection::ClassId;
 use crate::geometry::{BoundingBox, PictureSize};
-use crate::policy::BoxSource;
+use crate::policy::{BoxSource, FrameEvidence, decide_at_once};
 use proptest::prelude::*;
 
 const PICTURE: PictureSize = PictureSize::new(1280, 720);
@@ -53,19 +53,17 @@ struct World<'a> {
 
 fn frame(policy: &mut ExpectedLoss, world: World<'_>) -> Outcome {
     let mut outcome = Outcome::default();
-    let mut need = policy.begin(FrameHead {
+    let head = FrameHead {
         index: 0,
         step: world.step,
         picture: PICTURE,
-    });
-    while need != Need::Nothing {
-        let evidence = match need {
-            Need::Screen => world.empty.map(|empty| Evidence::Screen { empty }),
-            _ => world.detections.map(Evidence::Detections),
-        };
-        need = policy.answer(evidence.unwrap_or(Evidence::Unavailable));
-    }
-    policy.finish(&mut outcome);
+    };
+    let mut known = FrameEvidence {
+        empty: world.empty,
+        grey: None,
+        detections: world.detections,
+    };
+    let Ok(()) = decide_at_once(policy, head, &mut known, &mut outcome);
     outcome
 }
 

@@ -11,6 +11,8 @@
 //! and the velocities `y = v/U`, each detector frame multiplies the sums `A = Σ φφᵀ` and `B = Σ φyᵀ` by
 //! the memory and adds its own; a newcomer at φ gets `yᵀ = φᵀ (A + ridge·I)⁻¹ B`, clamped.
 
+use nalgebra::{Matrix4, Matrix4x3, Vector4};
+
 const FEATURES: usize = 4;
 /// Horizontal and vertical in s per frame, and the growth of both log-sides.
 pub(super) const VELOCITIES: usize = 3;
@@ -30,36 +32,25 @@ pub(super) fn features(center_x: f64, center_y: f64, log_size: f64) -> Features 
 /// The running regression.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct VelocityRegression {
-    a: [[f64; FEATURES]; FEATURES],
-    b: [[f64; VELOCITIES]; FEATURES],
-    weights: [[f64; VELOCITIES]; FEATURES],
+    a: Matrix4<f64>,
+    b: Matrix4x3<f64>,
+    weights: Matrix4x3<f64>,
     solved: bool,
 }
 
 impl VelocityRegression {
     /// Fades what was learnt, once a detector frame.
     pub(crate) fn fade(&mut self, memory: f64) {
-        self.a
-            .as_flattened_mut()
-            .iter_mut()
-            .for_each(|a| *a *= memory);
-        self.b
-            .as_flattened_mut()
-            .iter_mut()
-            .for_each(|b| *b *= memory);
+        self.a *= memory;
+        self.b *= memory;
         self.solved = false;
     }
 
     /// Learns that an object at `features` moves at `velocity`.
     pub(crate) fn learn(&mut self, features: &Features, velocity: &[f64; VELOCITIES]) {
-        for (row, &feature) in features.iter().enumerate() {
-            for (a, &other) in self.a[row].iter_mut().zip(features) {
-                *a += feature * other;
-            }
-            for (b, &velocity) in self.b[row].iter_mut().zip(velocity) {
-                *b += feature * velocity;
-            }
-        }
+        let features = Vector4::from(*features);
+        self.a += features * features.transpose();
+        self.b += features * nalgebra::RowVector3::from(*velocity);
         self.solved = false;
     }
 
@@ -71,51 +62,21 @@ impl VelocityRegression {
         largest: f64,
     ) -> [f64; VELOCITIES] {
         if !self.solved {
-            self.weights = solve(self.a, self.b, ridge);
+            self.weights = solve(self.a, &self.b, ridge);
             self.solved = true;
         }
-        std::array::from_fn(|velocity| {
-            let sum: f64 = (features.iter().zip(&self.weights))
-                .map(|(feature, weights)| feature * weights[velocity])
-                .sum();
-            sum.clamp(-largest, largest)
-        })
+        let expected = self.weights.tr_mul(&Vector4::from(*features));
+        std::array::from_fn(|velocity| expected[velocity].clamp(-largest, largest))
     }
 }
 
-/// Solves `(a + ridge·I) w = b` by Cholesky's decomposition. `a` is a sum of squares, so with the ridge
-/// it is positive definite; the pivot is kept at the ridge's own size against rounding.
-fn solve(
-    mut a: [[f64; FEATURES]; FEATURES],
-    mut b: [[f64; VELOCITIES]; FEATURES],
-    ridge: f64,
-) -> [[f64; VELOCITIES]; FEATURES] {
-    for i in 0..FEATURES {
-        a[i][i] += ridge;
-        for j in 0..=i {
-            let sum = (0..j).fold(a[i][j], |sum, k| sum - a[i][k] * a[j][k]);
-            a[i][j] = if i == j {
-                sum.max(ridge).sqrt()
-            } else {
-                sum / a[j][j]
-            };
-        }
-        let (solved, rest) = b.split_at_mut(i);
-        for (v, value) in rest[0].iter_mut().enumerate() {
-            let known = a[i].iter().zip(solved.iter());
-            let sum = known.fold(*value, |sum, (factor, row)| sum - factor * row[v]);
-            *value = sum / a[i][i];
-        }
-    }
-    for i in (0..FEATURES).rev() {
-        let (rest, solved) = b.split_at_mut(i + 1);
-        for (v, value) in rest[i].iter_mut().enumerate() {
-            let known = a[i + 1..].iter().zip(solved.iter());
-            let sum = known.fold(*value, |sum, (factors, row)| sum - factors[i] * row[v]);
-            *value = sum / a[i][i];
-        }
-    }
-    b
+/// Solves `(a + ridge·I) w = b` by Cholesky's decomposition. `a` is a sum of squares, so with the ridge it is positive
+/// definite; a pivot that rounding makes zero or less counts as the ridge.
+fn solve(a: Matrix4<f64>, b: &Matrix4x3<f64>, ridge: f64) -> Matrix4x3<f64> {
+    let regularised = a + Matrix4::from_diagonal_element(ridge);
+    nalgebra::Cholesky::new_with_substitute(regularised, ridge)
+        .map(|decomposed| decomposed.solve(b))
+        .unwrap_or_default()
 }
 
 #[cfg(test)]

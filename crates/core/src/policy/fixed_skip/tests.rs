@@ -2,8 +2,9 @@
 
 use super::*;
 use crate::policy::BoxSource::{Detected, Predicted};
+use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
-use crate::policy::testing::{Available, Run, seen};
+use crate::policy::testing::{Run, seen};
 
 /// Indices of the frames that ask the detector, of `frames` frames.
 fn asked(run: &mut Run, frames: u64) -> Vec<u64> {
@@ -94,7 +95,7 @@ fn a_due_frame_that_was_lost_or_given_up_makes_the_next_one_due() {
     let mut run = Run::new("fixed-skip:5", Profile::Paper);
     assert_eq!(asked(&mut run, 4), [0]);
     // 4 and 5 are lost.
-    assert_eq!(run.frame(3, Available::detections(&found)), I);
+    assert_eq!(run.frame(3, FrameEvidence::detections(&found)), I);
     assert!(asked(&mut run, 3).is_empty());
     assert_eq!(run.begin(1), Need::Detections);
     // 10 is given up.

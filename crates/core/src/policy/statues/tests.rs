@@ -3,9 +3,10 @@
 use super::*;
 use crate::detection::Detection;
 use crate::policy::BoxSource::{Detected, Predicted};
+use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
 use crate::policy::Profile;
-use crate::policy::testing::{Available, Run, seen};
+use crate::policy::testing::{Run, seen};
 
 const SIZE: PictureSize = PictureSize::new(64, 36);
 
@@ -26,10 +27,10 @@ fn show(
 ) -> FrameState {
     run.frame(
         1,
-        Available {
-            picture: Some(GreyPicture { size, pixels }),
+        FrameEvidence {
+            grey: Some(GreyPicture { size, pixels }),
             detections: found,
-            ..Available::default()
+            ..FrameEvidence::default()
         },
     )
 }
@@ -98,12 +99,12 @@ fn pictures_are_compared_with_the_frame_before() {
 fn after_lost_frames_the_last_picture_there_was_is_compared_with() {
     let mut run = watching("statues");
     let pixels = picture(20, 20, 200);
-    let available = Available {
-        picture: Some(GreyPicture {
+    let available = FrameEvidence {
+        grey: Some(GreyPicture {
             size: SIZE,
             pixels: &pixels,
         }),
-        ..Available::detections(&[])
+        ..FrameEvidence::detections(&[])
     };
     assert_eq!(run.begin(1), Need::GreyPicture);
     // That frame is given up, and two are lost.

@@ -34,7 +34,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
             duration_s,
             frames: 100,
             states,
-            skip_rate: states.skip_rate(),
+            skip_rate: states.skip_rate(0),
             degraded_frames: 0,
             dropped: DroppedFrames::default(),
             policy: "albireo".to_owned(),

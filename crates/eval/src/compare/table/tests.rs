@@ -92,6 +92,18 @@ fn gaps_of_the_meter_are_told_with_the_share_they_leave() {
         found.contains("samples cover 81.5 % of the worst run"),
         "{found}"
     );
+    let rows = |comparison: &Comparison| {
+        let summary = summarise(comparison);
+        let mean = |figure| summary.policies[0].mean(figure);
+        [mean(Figure::Joules), mean(Figure::Edp)]
+    };
+    assert_eq!(
+        rows(&comparison),
+        [None, None],
+        "no energy of a part of a run"
+    );
+    comparison.runs[0].report.energy.coverage = 0.9995;
+    assert!(rows(&comparison).iter().all(Option::is_some));
 }
 
 #[test]

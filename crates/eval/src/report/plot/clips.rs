@@ -44,7 +44,7 @@ pub(crate) fn clouds(results: &[ClipResult]) -> Vec<Cloud> {
         if let (Some(accuracy), Some(before)) =
             (result.accuracy, baseline.get(result.clip.as_str()))
         {
-            let skip = result.states.skip_rate() * 100.0;
+            let skip = result.skip_rate() * 100.0;
             let change = (accuracy.ap50 - before) * 100.0;
             clouds[index].points.push((skip, change));
         }

@@ -3,7 +3,8 @@
 use super::counters::Counters;
 use super::queue::{Batching, Job, Queue};
 use crate::detector::{CameraSlot, DetectorStatus, ExecutionProvider, InferenceError};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use parking_lot::{Condvar, Mutex, MutexGuard};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::{Notify, oneshot, watch};
@@ -18,6 +19,8 @@ pub(crate) struct Inference<T> {
     pub queued: Duration,
     /// From the start of the run to its end.
     pub took: Duration,
+    /// How many pictures the run looked at: this one's part of it is `took` divided by their number.
+    pub pictures: u32,
 }
 
 pub(super) type Answer<T> = Result<Inference<T>, InferenceError>;
@@ -86,8 +89,7 @@ impl<I, T> TaskState<I, T> {
     }
 
     fn lock(&self) -> MutexGuard<'_, State<I, T>> {
-        // Nothing that runs under this lock can leave the state half changed.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock()
     }
 
     /// Whether a picture would be taken now.
@@ -132,10 +134,7 @@ impl<I, T> TaskState<I, T> {
             let now = Instant::now();
             match state.queue.batch_complete_at() {
                 None => {
-                    state = self
-                        .work
-                        .wait(state)
-                        .unwrap_or_else(PoisonError::into_inner);
+                    self.work.wait(&mut state);
                 }
                 Some(time) if time > now => {
                     drop(state);
@@ -183,12 +182,14 @@ impl<I, T> TaskState<I, T> {
         Counters::add_many(&self.counters.completed, outputs.len());
         Counters::add(&self.counters.batches);
         let replies = running.map_or_else(Vec::new, |running| running.replies);
+        let pictures = u32::try_from(replies.len()).unwrap_or(u32::MAX);
         for ((reply, queued), output) in replies.into_iter().zip(outputs) {
             // The asker may have gone; that is its right.
             let _ = reply.send(Ok(Inference {
                 output,
                 queued,
                 took,
+                pictures,
             }));
         }
         true

@@ -44,7 +44,7 @@ impl Model for Scripted {
     fn run(&mut self, pictures: &[Scene]) -> Result<Vec<CameraSlot>, RunError> {
         let cameras: Vec<_> = pictures.iter().map(|(camera, _)| *camera).collect();
         self.started.send(cameras.clone()).ok();
-        let step = self.steps.lock().unwrap().recv();
+        let step = self.steps.lock().recv();
         match step {
             Ok(Step::Answer) => Ok(cameras),
             Ok(Step::AnswerTooFew) => Ok(cameras[1..].to_vec()),
@@ -410,6 +410,30 @@ async fn a_picture_waits_for_others_so_long_and_no_longer() {
     stage.end(Step::Answer);
     assert_eq!(one.await.unwrap().unwrap().queued, BATCH_WAIT / 2);
     assert_eq!(other.await.unwrap().unwrap().queued, Duration::ZERO);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_run_tells_its_own_time_whatever_was_waited_and_how_many_shared_it() {
+    const RUN: Duration = Duration::from_millis(20);
+    let mut stage = stage(in_threes()).await;
+    let first = stage.begin(0).await;
+    let waiting = [1, 2, 3].map(|camera| stage.ask(camera));
+    stage.until_waiting(3).await;
+    pass(Duration::from_millis(500)).await;
+    stage.end(Step::Answer);
+    assert_eq!(stage.next_run().await, [1, 2, 3]);
+    pass(RUN).await;
+    stage.end(Step::Answer);
+    let first = first.await.unwrap().unwrap();
+    assert_eq!(
+        (first.took, first.pictures),
+        (Duration::from_millis(500), 1)
+    );
+    for waited in waiting {
+        let answer = waited.await.unwrap().unwrap();
+        assert_eq!(answer.queued, Duration::from_millis(500));
+        assert_eq!((answer.took, answer.pictures), (RUN, 3));
+    }
 }
 
 #[tokio::test(start_paused = true)]

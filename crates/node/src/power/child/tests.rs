@@ -84,7 +84,13 @@ fn lines_nobody_takes_do_not_fill_the_memory() {
     );
     let given_up = std::time::Instant::now() + Duration::from_secs(60);
     loop {
-        let last = child.shared.state().lines.back().map(|(_, l)| l.clone());
+        let last = child
+            .shared
+            .state
+            .lock()
+            .lines
+            .back()
+            .map(|(_, l)| l.clone());
         if last.as_deref() == Some("end") {
             break;
         }

@@ -3,7 +3,9 @@
 //! Power is `RAIL current/average` in milliwatts without a unit (R32), with `mW` (R34 to R38), or with a
 //! third value, the maximum (R39). Only the first is used: the average runs since the program started.
 
+use crate::power::condition::{Condition, is_a_sensor};
 use crate::power::rails::RailWatts;
+use std::sync::Arc;
 
 /// What one line tells.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -23,6 +25,22 @@ pub struct TegrastatsLine {
 }
 
 impl TegrastatsLine {
+    /// What it tells of the board besides power.
+    pub fn condition(&self) -> Condition {
+        let hottest = self
+            .temperatures
+            .iter()
+            .filter(|(name, _)| is_a_sensor(name))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .map(|(name, celsius)| (Arc::from(name.as_str()), *celsius));
+        Condition {
+            hottest,
+            cpu_mhz: self.cpu_mhz,
+            gpu_mhz: self.gpu_mhz,
+            ..Condition::default()
+        }
+    }
+
     /// Reads a line. None for one that is not of `tegrastats`: it must tell the memory in use.
     pub fn parse(line: &str) -> Option<Self> {
         let words: Vec<&str> = line.split_ascii_whitespace().collect();

@@ -10,7 +10,7 @@ struct Log(Arc<Mutex<Vec<u8>>>);
 
 impl io::Write for Log {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.lock().unwrap().extend_from_slice(bytes);
+        self.0.lock().extend_from_slice(bytes);
         Ok(bytes.len())
     }
 
@@ -30,7 +30,7 @@ impl MakeWriter<'_> for Log {
 impl Log {
     /// The seconds after which it was said that the model is still being built.
     fn said_after(&self) -> Vec<u64> {
-        let log = String::from_utf8(self.0.lock().unwrap().clone()).unwrap();
+        let log = String::from_utf8(self.0.lock().clone()).unwrap();
         log.lines()
             .map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap())
             .filter(|entry| {
@@ -65,7 +65,7 @@ async fn a_model_that_takes_long_to_build_is_spoken_of_now_and_then_and_waited_f
         settings(),
         move || -> Result<Scripted, _> {
             building.send(()).unwrap();
-            may_go_on.lock().unwrap().recv().unwrap();
+            may_go_on.lock().recv().unwrap();
             Err(StartError::WarmUp {
                 path: "scripted.onnx".into(),
                 reason: "scripted end".to_owned(),

@@ -1,0 +1,88 @@
+//! What the benches share: boxes that wander about slowly, with noise and now and then a miss, as a detector would
+//! report them; the clock that is read, and how a figure is drawn from many rounds.
+
+use albireo_core::detection::{ClassId, Detection};
+use albireo_core::geometry::{BoundingBox, PictureSize};
+use rand_core::{RngCore, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use rustix::time::{ClockId, clock_gettime};
+
+/// The picture they wander in.
+pub const PICTURE: PictureSize = PictureSize::new(1280, 720);
+
+/// A scene with a fixed number of objects, the same at every run.
+#[derive(Debug)]
+pub struct Scene {
+    objects: Vec<(BoundingBox, [f64; 2])>,
+    random: Pcg64Mcg,
+}
+
+impl Scene {
+    /// A scene of `objects` objects.
+    pub fn new(objects: usize) -> Self {
+        let mut scene = Self {
+            objects: Vec::new(),
+            random: Pcg64Mcg::seed_from_u64(11),
+        };
+        for _ in 0..objects {
+            let center = [scene.between(0.05, 0.95), scene.between(0.05, 0.95)];
+            let side = scene.between(0.03, 0.12);
+            let velocity = [scene.between(-2e-3, 2e-3), scene.between(-2e-3, 2e-3)];
+            let bounding_box = BoundingBox::new(center[0], center[1], side, side);
+            scene.objects.push((bounding_box, velocity));
+        }
+        scene
+    }
+
+    /// Evenly distributed.
+    pub fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * (self.random.next_u64() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// The next `frames` frames; `missed` objects are not seen on each, and the order says nothing.
+    pub fn film(&mut self, frames: usize, missed: usize) -> Vec<Vec<Detection>> {
+        (0..frames).map(|_| self.frame(missed)).collect()
+    }
+
+    fn frame(&mut self, missed: usize) -> Vec<Detection> {
+        let mut seen = Vec::new();
+        for index in 0..self.objects.len() {
+            let noise = [(); 4].map(|()| self.between(-1e-3, 1e-3));
+            let (b, velocity) = &mut self.objects[index];
+            for (value, step) in [&mut b.center_x, &mut b.center_y].into_iter().zip(velocity) {
+                if !(0.05..0.95).contains(&(*value + *step)) {
+                    *step = -*step;
+                }
+                *value += *step;
+            }
+            seen.push(Detection {
+                bounding_box: BoundingBox::new(
+                    b.center_x + noise[0],
+                    b.center_y + noise[1],
+                    b.width + noise[2],
+                    b.height + noise[3],
+                ),
+                class: ClassId((index % 7) as u16),
+                confidence: 0.9,
+            });
+        }
+        for index in (1..seen.len()).rev() {
+            let other = (self.random.next_u64() % (index as u64 + 1)) as usize;
+            seen.swap(index, other);
+        }
+        seen.truncate(seen.len() - missed);
+        seen
+    }
+}
+
+/// Processor time of this thread so far, in seconds: what others do on a busy machine does not count.
+pub fn processor_seconds() -> f64 {
+    let time = clock_gettime(ClockId::ThreadCPUTime);
+    time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+}
+
+/// The lower quartile, the median and the upper quartile of `values`.
+pub fn quartiles(mut values: Vec<f64>) -> [f64; 3] {
+    values.sort_by(f64::total_cmp);
+    [1, 2, 3].map(|quarter| values[(values.len() - 1) * quarter / 4])
+}

@@ -1,0 +1,234 @@
+//! The one loop that asks a policy and answers it. Live camera, evaluation, benches and tests differ in where evidence
+//! comes from, and in nothing else.
+
+use super::{Evidence, FrameHead, GreyPicture, Need, Outcome, Policy};
+use crate::detection::Detection;
+use std::convert::Infallible;
+use std::future::{Future, ready};
+use std::pin::pin;
+use std::task::{Context, Poll, Waker};
+
+/// Where the evidence about one frame comes from, when it may have to be waited for.
+pub trait EvidenceSource {
+    /// Why the frame must be given up: its picture is broken, say. What merely cannot be had is
+    /// [`Evidence::Unavailable`].
+    type Error: Send;
+
+    /// What `need` asks for; never asked for [`Need::Nothing`]. `policy` is the one that asks, so that a source can
+    /// learn what the next frame will need ([`Policy::foresee`]) while it fetches this one's evidence.
+    ///
+    /// # Errors
+    /// When the frame is to be given up.
+    fn evidence(
+        &mut self,
+        need: Need,
+        policy: &dyn Policy,
+    ) -> impl Future<Output = Result<Evidence<'_>, Self::Error>> + Send;
+}
+
+/// Where the evidence about one frame comes from, when it is at hand.
+pub trait EvidenceAtHand {
+    /// Why the frame must be given up.
+    type Error: Send;
+
+    /// What `need` asks for; never asked for [`Need::Nothing`].
+    ///
+    /// # Errors
+    /// When the frame is to be given up.
+    fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, Self::Error>;
+}
+
+/// Takes `policy` through one frame: asks, answers as long as it needs anything, and writes state and boxes over
+/// `outcome`. Allocates nothing itself.
+///
+/// # Errors
+/// The source's, when the frame is given up. `outcome` is left as it was, and the policy goes on with the next frame
+/// as after a lost one.
+pub async fn decide<S: EvidenceSource>(
+    policy: &mut dyn Policy,
+    head: FrameHead,
+    source: &mut S,
+    outcome: &mut Outcome,
+) -> Result<(), S::Error> {
+    let mut need = policy.begin(head);
+    while need != Need::Nothing {
+        let evidence = source.evidence(need, &*policy).await?;
+        need = policy.answer(evidence);
+    }
+    policy.finish(outcome);
+    Ok(())
+}
+
+/// [`decide`] for evidence that is at hand.
+///
+/// # Errors
+/// As [`decide`].
+pub fn decide_at_once<S: EvidenceAtHand>(
+    policy: &mut dyn Policy,
+    head: FrameHead,
+    source: &mut S,
+    outcome: &mut Outcome,
+) -> Result<(), S::Error> {
+    let mut source = AtHand(source);
+    let mut deciding = pin!(decide(policy, head, &mut source, outcome));
+    let mut context = Context::from_waker(Waker::noop());
+    loop {
+        // The first poll is the last: nothing that it awaits is ever pending.
+        if let Poll::Ready(decided) = deciding.as_mut().poll(&mut context) {
+            return decided;
+        }
+    }
+}
+
+/// Evidence at hand is evidence that is waited for, for no time at all.
+struct AtHand<'a, S>(&'a mut S);
+
+impl<S: EvidenceAtHand> EvidenceSource for AtHand<'_, S> {
+    type Error = S::Error;
+
+    fn evidence(
+        &mut self,
+        need: Need,
+        _: &dyn Policy,
+    ) -> impl Future<Output = Result<Evidence<'_>, S::Error>> + Send {
+        ready(self.0.evidence(need))
+    }
+}
+
+/// Everything that can be known of a frame, known beforehand: for benches, tests and films without pictures. What is
+/// `None` is [`Evidence::Unavailable`].
+#[derive(Clone, Copy, Debug, Default)]
+pub struct FrameEvidence<'a> {
+    /// Whether the empty-scene screen says that nothing is in view.
+    pub empty: Option<bool>,
+    /// The picture in grey.
+    pub grey: Option<GreyPicture<'a>>,
+    /// What the detector finds.
+    pub detections: Option<&'a [Detection]>,
+}
+
+impl<'a> FrameEvidence<'a> {
+    /// A frame in which the detector finds `detections`; there is no screen and no picture.
+    pub fn detections(detections: &'a [Detection]) -> Self {
+        Self {
+            detections: Some(detections),
+            ..Self::default()
+        }
+    }
+
+    /// A frame in which the detector finds `detections` and the screen says "not empty".
+    pub fn in_view(detections: &'a [Detection]) -> Self {
+        Self {
+            empty: Some(false),
+            ..Self::detections(detections)
+        }
+    }
+}
+
+impl EvidenceAtHand for FrameEvidence<'_> {
+    type Error = Infallible;
+
+    fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, Infallible> {
+        let known = match need {
+            Need::Nothing => None,
+            Need::Screen => self.empty.map(|empty| Evidence::Screen { empty }),
+            Need::GreyPicture => self.grey.map(Evidence::GreyPicture),
+            Need::Detections => self.detections.map(Evidence::Detections),
+        };
+        Ok(known.unwrap_or(Evidence::Unavailable))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::PictureSize;
+    use crate::policy::testing::seen;
+    use crate::policy::{Albireo, AlbireoSettings, FrameState};
+
+    fn head(index: u64) -> FrameHead {
+        FrameHead {
+            index,
+            step: 1,
+            picture: PictureSize::new(1280, 720),
+        }
+    }
+
+    /// A picture that cannot be decoded.
+    struct Broken;
+
+    impl EvidenceAtHand for Broken {
+        type Error = Need;
+
+        fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, Need> {
+            Err(need)
+        }
+    }
+
+    #[test]
+    fn a_frame_that_is_given_up_leaves_the_outcome_and_the_next_one_is_decided() {
+        let mut policy = Albireo::new(AlbireoSettings::paper(), 3e-4).unwrap();
+        let found = [seen(0.5, 0.9)];
+        let mut known = FrameEvidence::in_view(&found);
+        let mut outcome = Outcome::default();
+        let Ok(()) = decide_at_once(&mut policy, head(0), &mut known, &mut outcome);
+        assert_eq!(outcome.state, FrameState::EI);
+        let before = outcome.clone();
+        policy.reset();
+        let given_up = decide_at_once(&mut policy, head(1), &mut Broken, &mut outcome);
+        assert_eq!(given_up, Err(Need::Screen));
+        assert_eq!(outcome, before);
+        let Ok(()) = decide_at_once(&mut policy, head(2), &mut known, &mut outcome);
+        assert_eq!(outcome.state, FrameState::EI);
+        assert_eq!(outcome.boxes.len(), 1);
+    }
+
+    /// Evidence that comes at the second poll.
+    struct Late<'a>(FrameEvidence<'a>);
+
+    impl EvidenceSource for Late<'_> {
+        type Error = Infallible;
+
+        async fn evidence(
+            &mut self,
+            need: Need,
+            _: &dyn Policy,
+        ) -> Result<Evidence<'_>, Infallible> {
+            let mut asked = false;
+            std::future::poll_fn(|context| {
+                context.waker().wake_by_ref();
+                match std::mem::replace(&mut asked, true) {
+                    true => Poll::Ready(()),
+                    false => Poll::Pending,
+                }
+            })
+            .await;
+            EvidenceAtHand::evidence(&mut self.0, need)
+        }
+    }
+
+    #[test]
+    fn evidence_that_is_waited_for_gives_the_outcome_of_evidence_at_hand() {
+        let found = [seen(0.5, 0.9)];
+        let known = FrameEvidence::in_view(&found);
+        let mut policies = [3e-4; 2].map(|u| Albireo::new(AlbireoSettings::paper(), u).unwrap());
+        let mut outcomes = [Outcome::default(), Outcome::default()];
+        let mut skipped = 0;
+        for index in 0..60 {
+            let [here, there] = &mut policies;
+            let [at_hand, waited_for] = &mut outcomes;
+            let Ok(()) = decide_at_once(here, head(index), &mut known.clone(), at_hand);
+            let mut late = Late(known);
+            let polls = {
+                let mut deciding = pin!(decide(there, head(index), &mut late, waited_for));
+                let mut context = Context::from_waker(Waker::noop());
+                (1..10).find(|_| deciding.as_mut().poll(&mut context).is_ready())
+            };
+            let needs = polls.unwrap() - 1;
+            assert_eq!(at_hand, waited_for);
+            assert_eq!(needs == 0, at_hand.state.is_skipped(), "frame {index}");
+            skipped += usize::from(needs == 0);
+        }
+        assert!(skipped > 10, "{skipped}");
+    }
+}

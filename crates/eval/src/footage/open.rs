@@ -1,0 +1,114 @@
+//! Opens the footage that a name on the command line means.
+
+use super::folder::PictureFolder;
+use super::source::FrameSource;
+use super::synthetic::Synthetic;
+use super::video::{Ffmpeg, Video, VideoEncoding};
+use albireo_node::frame::is_picture_file;
+use anyhow::{Context, bail};
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// What to replay, as it is named on the command line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SourceName {
+    /// `synth` or `synth:SEED`: the synthetic dashcam.
+    Synthetic {
+        /// Seed of the scene.
+        seed: u64,
+    },
+    /// A folder of JPEG and PNG files, or one such file.
+    Pictures(PathBuf),
+    /// A video file, or an address that `ffmpeg` can open (`rtsp://…`).
+    Video(String),
+}
+
+impl FromStr for SourceName {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        if text == "synth" {
+            return Ok(Self::Synthetic { seed: 1 });
+        }
+        if let Some(seed) = text.strip_prefix("synth:") {
+            return seed
+                .parse()
+                .map(|seed| Self::Synthetic { seed })
+                .map_err(|_| format!("`{seed}` is not a seed: use a whole number, as in synth:7"));
+        }
+        let path = Path::new(text);
+        if path.is_dir() || is_picture_file(path) {
+            return Ok(Self::Pictures(path.to_path_buf()));
+        }
+        Ok(Self::Video(text.to_owned()))
+    }
+}
+
+impl SourceName {
+    /// Opens the source. `rate`: frames per second of a source that has none of its own.
+    ///
+    /// # Errors
+    /// When it does not exist, cannot be read, or needs a program that is not installed.
+    pub async fn open(
+        &self,
+        rate: Option<f64>,
+        encoding: VideoEncoding,
+    ) -> anyhow::Result<Box<dyn FrameSource>> {
+        match self {
+            Self::Synthetic { seed } => {
+                let source = Synthetic::open(*seed, rate.unwrap_or(Synthetic::RATE))?;
+                Ok(Box::new(source))
+            }
+            Self::Pictures(path) => {
+                let folder = PictureFolder::open(path, rate.unwrap_or(PictureFolder::RATE))?;
+                Ok(Box::new(folder))
+            }
+            Self::Video(input) => {
+                if !input.contains("://") && !Path::new(input).exists() {
+                    bail!("{input}: no such file or folder");
+                }
+                let input = input.clone();
+                // ffprobe reads the file first; an address may take its time.
+                let video = tokio::task::spawn_blocking(move || {
+                    Video::open(&input, rate, encoding, Ffmpeg::default())
+                })
+                .await
+                .context("opening the video")??;
+                Ok(Box::new(video))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_source_is_told_by_its_name() {
+        let synthetic = |seed| Ok(SourceName::Synthetic { seed });
+        assert_eq!("synth".parse(), synthetic(1));
+        assert_eq!("synth:42".parse(), synthetic(42));
+        assert!("synth:x".parse::<SourceName>().is_err());
+        assert_eq!(
+            "rtsp://camera/1".parse(),
+            Ok(SourceName::Video("rtsp://camera/1".to_owned()))
+        );
+        assert_eq!(
+            "one.PNG".parse(),
+            Ok(SourceName::Pictures(PathBuf::from("one.PNG")))
+        );
+        let folder = env!("CARGO_MANIFEST_DIR");
+        assert_eq!(
+            folder.parse(),
+            Ok(SourceName::Pictures(PathBuf::from(folder)))
+        );
+    }
+
+    #[tokio::test]
+    async fn a_missing_file_is_named() {
+        let name: SourceName = "no/such/drive.mp4".parse().unwrap();
+        let error = name.open(None, VideoEncoding::Jpeg).await.err().unwrap();
+        assert!(error.to_string().contains("no/such/drive.mp4"));
+    }
+}

@@ -1,0 +1,139 @@
+//! The configuration of a hub: one TOML file, overridden by environment variables, checked as a whole before anything
+//! starts. Every key with its default is in `config/hub.toml`.
+
+mod sections;
+#[cfg(test)]
+mod tests;
+mod tuning;
+
+pub use sections::{DatabaseConfig, HistoryConfig, HubSection, IngestConfig, PresenceConfig};
+pub use tuning::{LocalChange, TuningConfig};
+
+use albireo_service::config::{
+    Configuration, Finding, Findings, HttpConfig, LogConfig, NamedToken, ZenohConfig, ZenohMode,
+};
+use albireo_wire::FleetKeys;
+use serde::de::{DeserializeOwned, Deserializer, Error as _};
+use serde::{Deserialize, Serialize};
+use std::net::{Ipv4Addr, SocketAddr};
+
+/// Largest payload taken from the network, bytes: a batch of reports at most as large when it is decompressed.
+pub(crate) const MAX_PAYLOAD_BYTES: usize = 4 << 20;
+
+/// All settings of a hub.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HubConfig {
+    /// Which fleet it is.
+    pub hub: HubSection,
+    /// How it reaches Zenoh.
+    #[serde(deserialize_with = "zenoh_section")]
+    pub zenoh: ZenohConfig,
+    /// The HTTP interface.
+    #[serde(deserialize_with = "http_section")]
+    pub http: HttpConfig,
+    /// Where the history is kept.
+    pub database: DatabaseConfig,
+    /// How reports are taken.
+    pub ingest: IngestConfig,
+    /// When a node counts as silent or offline.
+    pub presence: PresenceConfig,
+    /// How long history is kept.
+    pub history: HistoryConfig,
+    /// How values are set.
+    pub tuning: TuningConfig,
+    /// The log.
+    pub log: LogConfig,
+    /// Tokens of the HTTP interface beside `http.token`, one `[[token]]` each.
+    #[serde(rename = "token")]
+    pub tokens: Vec<NamedToken>,
+}
+
+impl Default for HubConfig {
+    fn default() -> Self {
+        Self {
+            hub: HubSection::default(),
+            zenoh: default_zenoh(),
+            http: default_http(),
+            database: DatabaseConfig::default(),
+            ingest: IngestConfig::default(),
+            presence: PresenceConfig::default(),
+            history: HistoryConfig::default(),
+            tuning: TuningConfig::default(),
+            log: LogConfig::default(),
+            tokens: Vec::new(),
+        }
+    }
+}
+
+/// A router beside the node's default endpoint, so that node and hub can be started on one machine.
+fn default_zenoh() -> ZenohConfig {
+    ZenohConfig {
+        mode: ZenohMode::Router,
+        listen: vec!["tcp/127.0.0.1:7448".to_owned()],
+        ..ZenohConfig::default()
+    }
+}
+
+fn default_http() -> HttpConfig {
+    HttpConfig {
+        listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 8090)),
+        ..HttpConfig::default()
+    }
+}
+
+fn zenoh_section<'de, D: Deserializer<'de>>(deserializer: D) -> Result<ZenohConfig, D::Error> {
+    over(&default_zenoh(), deserializer)
+}
+
+fn http_section<'de, D: Deserializer<'de>>(deserializer: D) -> Result<HttpConfig, D::Error> {
+    over(&default_http(), deserializer)
+}
+
+/// Reads a section whose keys that are not given have the hub's defaults, and not those of the section's own type.
+fn over<'de, T, D>(defaults: &T, deserializer: D) -> Result<T, D::Error>
+where
+    T: Serialize + DeserializeOwned,
+    D: Deserializer<'de>,
+{
+    let given = serde_json::Map::deserialize(deserializer)?;
+    let mut section = serde_json::to_value(defaults).map_err(D::Error::custom)?;
+    if let Some(section) = section.as_object_mut() {
+        section.extend(given);
+    }
+    serde_json::from_value(section).map_err(D::Error::custom)
+}
+
+impl HubConfig {
+    /// The keys of all nodes of the fleet.
+    ///
+    /// # Errors
+    /// When the prefix cannot be used; a configuration that passed its check has one that can.
+    pub fn keys(&self) -> Result<FleetKeys, albireo_wire::KeyError> {
+        FleetKeys::all(&self.hub.prefix)
+    }
+}
+
+impl Configuration for HubConfig {
+    const SECTIONS: &'static [&'static str] = &[
+        "HUB", "ZENOH", "HTTP", "DATABASE", "INGEST", "PRESENCE", "HISTORY", "TUNING", "LOG",
+        "TOKEN",
+    ];
+
+    fn findings(&self) -> Vec<Finding> {
+        let mut findings = Findings::default();
+        if let Err(error) = FleetKeys::all(&self.hub.prefix) {
+            findings.add("hub.prefix", error.to_string());
+        }
+        self.zenoh.check("zenoh", MAX_PAYLOAD_BYTES, &mut findings);
+        self.http.check_beside(&self.tokens, &mut findings);
+        NamedToken::check(&self.tokens, &mut findings);
+        self.database.check(&mut findings);
+        self.ingest.check(&mut findings);
+        self.presence.check(&mut findings);
+        self.history.check(&mut findings);
+        self.tuning.check(&mut findings);
+        self.log.check(&mut findings);
+        findings.into_vec()
+    }
+}

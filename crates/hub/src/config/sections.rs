@@ -1,0 +1,222 @@
+//! The sections that only a hub has.
+
+use albireo_service::config::Findings;
+use serde::{Deserialize, Serialize};
+
+/// Which fleet: the `[hub]` section.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HubSection {
+    /// First part (or parts) of every key of its nodes.
+    pub prefix: String,
+}
+
+impl Default for HubSection {
+    fn default() -> Self {
+        Self {
+            prefix: "albireo".to_owned(),
+        }
+    }
+}
+
+/// Where the history is kept: the `[database]` section.
+#[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DatabaseConfig {
+    /// `sqlite:FILE`, or `postgres://USER:PASSWORD@HOST/DATABASE`.
+    pub url: String,
+    /// Connections for reading, beside the one that writes.
+    pub readers: u32,
+    /// How long a statement may wait for a connection or a lock, milliseconds.
+    pub timeout_ms: u64,
+}
+
+impl std::fmt::Debug for DatabaseConfig {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("DatabaseConfig")
+            .field("url", &self.shown())
+            .field("readers", &self.readers)
+            .field("timeout_ms", &self.timeout_ms)
+            .finish()
+    }
+}
+
+impl Default for DatabaseConfig {
+    fn default() -> Self {
+        Self {
+            url: "sqlite:albireo-hub.db".to_owned(),
+            readers: 4,
+            timeout_ms: 5_000,
+        }
+    }
+}
+
+impl DatabaseConfig {
+    /// The URL without its password.
+    pub fn shown(&self) -> String {
+        match self.url.split_once("://") {
+            Some((scheme, rest)) => match rest.rsplit_once('@') {
+                Some((user, place)) => {
+                    let user = user.split(':').next().unwrap_or_default();
+                    format!("{scheme}://{user}@{place}")
+                }
+                None => self.url.clone(),
+            },
+            None => self.url.clone(),
+        }
+    }
+
+    pub(super) fn check(&self, findings: &mut Findings) {
+        let file = self.url.strip_prefix("sqlite:");
+        let postgres = ["postgres://", "postgresql://"]
+            .iter()
+            .any(|scheme| self.url.starts_with(scheme));
+        if !postgres && file.is_none() {
+            findings.add(
+                "database.url",
+                "must be sqlite:FILE or postgres://USER:PASSWORD@HOST/DATABASE",
+            );
+        }
+        if let Some(file) = file
+            && (file.is_empty() || file.contains(":memory:"))
+        {
+            findings.add(
+                "database.url",
+                "names no file: what the hub acknowledges must survive it",
+            );
+        }
+        findings.count("database.readers", self.readers.into(), 1, 64);
+        findings.count("database.timeout_ms", self.timeout_ms, 100, 600_000);
+    }
+}
+
+/// How reports are taken: the `[ingest]` section.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct IngestConfig {
+    /// Batches of reports that may wait; one more is answered "busy" at once.
+    pub queue: usize,
+    /// Bytes of batches that may wait.
+    pub queue_bytes: usize,
+    /// Shortest time between two commits, milliseconds: what comes in between is committed together.
+    pub commit_ms: u64,
+    /// Most reports of one commit.
+    pub commit_reports: usize,
+    /// What a node is told to wait when the queue is full, milliseconds.
+    pub busy_retry_ms: u64,
+    /// What a node is told to wait when the database cannot be written, milliseconds.
+    pub unavailable_retry_ms: u64,
+}
+
+impl Default for IngestConfig {
+    fn default() -> Self {
+        Self {
+            queue: 4096,
+            queue_bytes: 32 << 20,
+            commit_ms: 100,
+            commit_reports: 4000,
+            busy_retry_ms: 2_000,
+            unavailable_retry_ms: 5_000,
+        }
+    }
+}
+
+impl IngestConfig {
+    pub(super) fn check(&self, findings: &mut Findings) {
+        findings.count("ingest.queue", self.queue as u64, 1, 1 << 20);
+        findings.count(
+            "ingest.queue_bytes",
+            self.queue_bytes as u64,
+            super::MAX_PAYLOAD_BYTES as u64,
+            4 << 30,
+        );
+        findings.count("ingest.commit_ms", self.commit_ms, 0, 10_000);
+        findings.count(
+            "ingest.commit_reports",
+            self.commit_reports as u64,
+            1,
+            100_000,
+        );
+        findings.count("ingest.busy_retry_ms", self.busy_retry_ms, 1, 3_600_000);
+        findings.count(
+            "ingest.unavailable_retry_ms",
+            self.unavailable_retry_ms,
+            1,
+            3_600_000,
+        );
+    }
+}
+
+/// When a node counts as silent or offline: the `[presence]` section.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PresenceConfig {
+    /// A node is silent when it was not heard for so long, seconds.
+    pub silent_after_s: f64,
+    /// A node is offline when it was not heard for so long, seconds.
+    pub offline_after_s: f64,
+    /// Whether liveliness tokens are watched too: a node whose token is gone is offline at once.
+    pub tokens: bool,
+}
+
+impl Default for PresenceConfig {
+    fn default() -> Self {
+        Self {
+            silent_after_s: 95.0,
+            offline_after_s: 600.0,
+            tokens: true,
+        }
+    }
+}
+
+impl PresenceConfig {
+    pub(super) fn check(&self, findings: &mut Findings) {
+        let day = albireo_service::config::DAY_S;
+        findings.above_zero("presence.silent_after_s", self.silent_after_s, day);
+        findings.above_zero("presence.offline_after_s", self.offline_after_s, 30.0 * day);
+        if self.offline_after_s < self.silent_after_s {
+            findings.add(
+                "presence.offline_after_s",
+                "is below presence.silent_after_s",
+            );
+        }
+    }
+}
+
+/// How long history is kept: the `[history]` section.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HistoryConfig {
+    /// Days that clips are kept one by one.
+    pub clips_days: u32,
+    /// Days that sums over five minutes are kept. Sums over days are kept for ever.
+    pub five_minutes_days: u32,
+    /// Days that events and changes are kept.
+    pub events_days: u32,
+    /// Days that reports which could not be read are kept.
+    pub set_aside_days: u32,
+}
+
+impl Default for HistoryConfig {
+    fn default() -> Self {
+        Self {
+            clips_days: 14,
+            five_minutes_days: 180,
+            events_days: 90,
+            set_aside_days: 90,
+        }
+    }
+}
+
+impl HistoryConfig {
+    pub(super) fn check(&self, findings: &mut Findings) {
+        for (key, days) in [
+            ("history.clips_days", self.clips_days),
+            ("history.five_minutes_days", self.five_minutes_days),
+            ("history.events_days", self.events_days),
+            ("history.set_aside_days", self.set_aside_days),
+        ] {
+            findings.count(key, days.into(), 1, 36_500);
+        }
+    }
+}

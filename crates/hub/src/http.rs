@@ -1,0 +1,194 @@
+//! The routes of a hub.
+
+mod body;
+mod campaigns;
+mod clips;
+mod energy;
+mod events;
+mod health;
+mod metrics;
+mod nodes;
+mod threshold;
+
+use crate::config::HubConfig;
+use crate::desired::Desires;
+use crate::events::Events;
+use crate::ingest::IngestCounters;
+use crate::presence::{Fleet, ListenCounters};
+use crate::readiness::Readiness;
+use crate::store::{Store, StoreError};
+use crate::tuning::Tuner;
+use albireo_service::http::Problem;
+use axum::Router;
+use axum::extract::Query;
+use axum::extract::rejection::QueryRejection;
+use axum::http::StatusCode;
+use axum::routing::get;
+use std::sync::{Arc, OnceLock};
+use tokio_util::sync::CancellationToken;
+use utoipa::openapi::OpenApi;
+use utoipa::{Modify, OpenApi as _};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+/// What the routes look at.
+#[derive(Clone, Debug)]
+pub struct HubView {
+    /// Which parts do not work.
+    pub readiness: Arc<Readiness>,
+    /// Every node.
+    pub fleet: Arc<Fleet>,
+    /// What is desired of the nodes.
+    pub desires: Arc<Desires>,
+    /// What ingest counts.
+    pub ingest: Arc<IngestCounters>,
+    /// What is heard and could not be taken.
+    pub listen: Arc<ListenCounters>,
+    /// Events as they happen.
+    pub events: Events,
+    /// Cancelled when the hub stops.
+    pub shutdown: CancellationToken,
+    store: Arc<OnceLock<Store>>,
+    tuner: Arc<OnceLock<Arc<Tuner>>>,
+}
+
+impl HubView {
+    /// A hub that knows nobody yet.
+    pub fn new(config: &HubConfig, readiness: Arc<Readiness>, shutdown: CancellationToken) -> Self {
+        Self {
+            readiness,
+            fleet: Arc::new(Fleet::new(&config.presence)),
+            desires: Arc::default(),
+            ingest: Arc::default(),
+            listen: Arc::default(),
+            events: Events::new(),
+            shutdown,
+            store: Arc::default(),
+            tuner: Arc::default(),
+        }
+    }
+
+    /// Gives the routes the database, once it is open.
+    pub fn attach(&self, store: Store) {
+        // It is opened once.
+        let _ = self.store.set(store);
+    }
+
+    /// Gives the routes what tunes the fleet, once it runs.
+    pub(crate) fn attach_tuner(&self, tuner: Arc<Tuner>) {
+        // It is started once.
+        let _ = self.tuner.set(tuner);
+    }
+
+    /// What tunes the fleet.
+    ///
+    /// # Errors
+    /// A problem document while it does not run yet.
+    pub(crate) fn tuner(&self) -> Result<&Arc<Tuner>, Problem> {
+        self.tuner.get().ok_or_else(|| {
+            Problem::new(
+                StatusCode::SERVICE_UNAVAILABLE,
+                "the hub is not ready yet; /readyz says why",
+            )
+        })
+    }
+
+    /// The database.
+    ///
+    /// # Errors
+    /// A problem document while it is not open yet.
+    pub fn store(&self) -> Result<&Store, Problem> {
+        self.store.get().ok_or_else(|| {
+            Problem::new(
+                StatusCode::SERVICE_UNAVAILABLE,
+                "the database is not open yet; /readyz says why",
+            )
+        })
+    }
+}
+
+/// The parameters of a query, or what is wrong with them.
+fn query<T>(parameters: Result<Query<T>, QueryRejection>) -> Result<T, Problem> {
+    match parameters {
+        Ok(Query(parameters)) => Ok(parameters),
+        Err(rejection) => Err(Problem::new(StatusCode::BAD_REQUEST, rejection.body_text())),
+    }
+}
+
+/// A database that does not answer, as a problem document.
+fn unavailable(error: &StoreError) -> Problem {
+    let status = if error.passes() {
+        StatusCode::SERVICE_UNAVAILABLE
+    } else {
+        StatusCode::INTERNAL_SERVER_ERROR
+    };
+    Problem::new(status, error.to_string())
+}
+
+#[derive(utoipa::OpenApi)]
+#[openapi(
+    info(
+        title = "albireo hub",
+        description = "See, count and tune a fleet of nodes. Errors are problem documents (RFC 9457). Where tokens are \
+                       set, everything but `/`, `/healthz` and `/readyz` needs one; what changes something needs one \
+                       with the role `tune`.",
+    ),
+    components(schemas(Problem)),
+    modifiers(&Security),
+    security((), ("token" = []))
+)]
+struct Description;
+
+struct Security;
+
+impl Modify for Security {
+    fn modify(&self, openapi: &mut OpenApi) {
+        use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
+        let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
+        openapi
+            .components
+            .get_or_insert_default()
+            .add_security_scheme("token", SecurityScheme::Http(token));
+    }
+}
+
+fn described() -> OpenApiRouter<HubView> {
+    OpenApiRouter::with_openapi(Description::openapi())
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz))
+        .routes(routes!(metrics::text))
+        .routes(routes!(nodes::list))
+        .routes(routes!(nodes::one))
+        .routes(routes!(clips::list))
+        .routes(routes!(clips::csv))
+        .routes(routes!(clips::set_aside))
+        .routes(routes!(energy::sums))
+        .routes(routes!(events::stream))
+        .routes(routes!(threshold::put))
+        .routes(routes!(threshold::changes))
+        .routes(routes!(threshold::change))
+        .routes(routes!(threshold::drift))
+        .routes(routes!(campaigns::rollouts, campaigns::begin_rollout))
+        .routes(routes!(campaigns::one_rollout))
+        .routes(routes!(campaigns::command_rollout))
+        .routes(routes!(campaigns::trials, campaigns::begin_trial))
+        .routes(routes!(campaigns::one_trial))
+        .routes(routes!(campaigns::end_trial))
+}
+
+/// The OpenAPI document of a hub, as `/openapi.json` gives it.
+pub fn openapi() -> OpenApi {
+    described().split_for_parts().1
+}
+
+/// All routes, with their description.
+pub fn router(view: HubView) -> Router {
+    let (router, openapi) = described().split_for_parts();
+    let openapi = Arc::new(openapi);
+    router
+        .route(
+            "/openapi.json",
+            get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),
+        )
+        .with_state(view)
+}

@@ -1,0 +1,434 @@
+//! Rollouts and trials.
+
+use super::HubView;
+use super::body;
+use super::threshold::of_store;
+use crate::store::CampaignRow;
+use crate::tuning::campaigns::{Campaign, CampaignError, LeftOut, counts};
+use crate::tuning::members::Member;
+use crate::tuning::rollout::{Command, Entry, Phase, Rollout, RolloutPlan, RolloutRequest};
+use crate::tuning::trial::{Trial, TrialPhase, TrialPlan, TrialResult};
+use albireo_service::http::{Caller, Problem};
+use albireo_wire::KnobValue;
+use axum::Json;
+use axum::body::Bytes;
+use axum::extract::rejection::BytesRejection;
+use axum::extract::{Extension, Path, Query, State};
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use utoipa::{IntoParams, ToSchema};
+
+/// Most rollouts or trials of one answer.
+const MOST: i64 = 200;
+
+impl From<CampaignError> for Problem {
+    fn from(error: CampaignError) -> Self {
+        let status = match &error {
+            CampaignError::Plan(_) => StatusCode::UNPROCESSABLE_ENTITY,
+            CampaignError::Command(_)
+            | CampaignError::Elsewhere { .. }
+            | CampaignError::Taken { .. } => StatusCode::CONFLICT,
+            CampaignError::Unknown { .. } => StatusCode::NOT_FOUND,
+            CampaignError::Store(error) => return of_store(error),
+        };
+        Self::new(status, error.to_string())
+    }
+}
+
+/// Which rollouts or trials.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Which {
+    /// Only those with numbers below this.
+    before: Option<i64>,
+    /// How many at most; 20 by default.
+    limit: Option<i64>,
+}
+
+/// A stage of a rollout.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct StageView {
+    /// Nodes that are new in it.
+    nodes: usize,
+    /// How many of them have which outcome.
+    counts: BTreeMap<&'static str, usize>,
+}
+
+/// A rollout.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct RolloutView {
+    /// Its number.
+    id: i64,
+    /// Who began it.
+    who: String,
+    /// When, milliseconds since the Unix epoch.
+    begun_ms: i64,
+    /// When it ended.
+    ended_ms: Option<i64>,
+    /// The new value.
+    #[schema(value_type = BTreeMap<String, f64>)]
+    to: KnobValue,
+    /// Where it is.
+    #[serde(flatten)]
+    phase: Phase,
+    /// Whether it is paused.
+    paused: bool,
+    /// The stage it is in, from 1.
+    stage: usize,
+    /// Its stages.
+    stages: Vec<StageView>,
+    /// Its plan.
+    plan: RolloutPlan,
+    /// The seed that drew the order of the nodes.
+    seed: u64,
+    /// What happened, with its numbers; absent in a list.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    record: Option<Vec<Entry>>,
+    /// Its nodes; absent in a list.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    nodes: Option<Vec<Member>>,
+    /// Selected nodes that take no part; only in the answer to its begin.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    left_out: Vec<LeftOut>,
+}
+
+/// A trial.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct TrialView {
+    /// Its number.
+    id: i64,
+    /// Who began it.
+    who: String,
+    /// When, milliseconds since the Unix epoch.
+    begun_ms: i64,
+    /// When it ended.
+    ended_ms: Option<i64>,
+    /// Where it is.
+    #[serde(flatten)]
+    phase: TrialPhase,
+    /// Who ended it before its time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    ended_by: Option<String>,
+    /// Its plan.
+    plan: TrialPlan,
+    /// The seed that drew the groups.
+    seed: u64,
+    /// How many nodes have which outcome.
+    counts: BTreeMap<&'static str, usize>,
+    /// What was measured, once it is over.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    result: Option<TrialResult>,
+    /// Its nodes; absent in a list.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    nodes: Option<Vec<Member>>,
+    /// Selected nodes that take no part; only in the answer to its begin.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    left_out: Vec<LeftOut>,
+}
+
+/// Rollouts, the newest first.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct Rollouts {
+    rollouts: Vec<RolloutView>,
+    /// Give it as `before` for the next page; absent on the last.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    next: Option<i64>,
+}
+
+/// Trials, the newest first.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct Trials {
+    trials: Vec<TrialView>,
+    /// Give it as `before` for the next page; absent on the last.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    next: Option<i64>,
+}
+
+impl RolloutView {
+    fn new(row: Row, rollout: Rollout, whole: bool) -> Self {
+        let stage = |group: usize| {
+            let members: Vec<Member> = rollout
+                .members
+                .iter()
+                .filter(|m| m.group == group)
+                .cloned()
+                .collect();
+            StageView {
+                nodes: members.len(),
+                counts: counts(&members),
+            }
+        };
+        Self {
+            id: row.id,
+            who: row.who,
+            begun_ms: row.begun_ms,
+            ended_ms: row.ended_ms,
+            to: rollout.knob,
+            paused: rollout.paused_ms.is_some(),
+            stage: rollout.stage + 1,
+            stages: (0..rollout.stages).map(stage).collect(),
+            phase: rollout.phase,
+            plan: rollout.plan,
+            seed: rollout.seed,
+            record: whole.then_some(rollout.record),
+            nodes: whole.then_some(rollout.members),
+            left_out: Vec::new(),
+        }
+    }
+}
+
+impl TrialView {
+    fn new(row: Row, trial: Trial, whole: bool) -> Self {
+        Self {
+            id: row.id,
+            who: row.who,
+            begun_ms: row.begun_ms,
+            ended_ms: row.ended_ms,
+            phase: trial.phase,
+            ended_by: trial.ended_by,
+            plan: trial.plan,
+            seed: trial.seed,
+            counts: counts(&trial.members),
+            result: trial.result,
+            nodes: whole.then_some(trial.members),
+            left_out: Vec::new(),
+        }
+    }
+}
+
+/// What the database keeps beside the state.
+struct Row {
+    id: i64,
+    who: String,
+    begun_ms: i64,
+    ended_ms: Option<i64>,
+}
+
+impl From<CampaignRow> for Row {
+    fn from(row: CampaignRow) -> Self {
+        Self {
+            id: row.id,
+            who: row.who,
+            begun_ms: row.begun_ms,
+            ended_ms: row.ended_ms,
+        }
+    }
+}
+
+fn fresh(id: i64, who: &str) -> Row {
+    Row {
+        id,
+        who: who.to_owned(),
+        begun_ms: crate::clock::now_ms(),
+        ended_ms: None,
+    }
+}
+
+const NOT_OF_ITS_KIND: &str = "the database has something else under that number";
+
+async fn rollout(view: &HubView, id: i64) -> Result<RolloutView, Problem> {
+    match view.tuner()?.campaign("rollout", id).await? {
+        (row, Campaign::Rollout(rollout)) => Ok(RolloutView::new(row.into(), rollout, true)),
+        _ => Err(Problem::new(StatusCode::NOT_FOUND, NOT_OF_ITS_KIND)),
+    }
+}
+
+/// Begins a rollout
+///
+/// The body is its plan with the new value under its knob's name beside it:
+/// `{"u": 5e-4, "select": ["cam-*"], "stages": ["1", "10%", "50%", "100%"], "soak_s": 1800, "gates": ["joules<=+5%"]}`.
+#[utoipa::path(
+    post, path = "/api/v1/rollouts", tag = "tuning", request_body = RolloutPlan,
+    responses(
+        (status = 201, body = RolloutView),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+        (status = 503, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn begin_rollout(
+    State(view): State<HubView>,
+    Extension(caller): Extension<Caller>,
+    bytes: Result<Bytes, BytesRejection>,
+) -> Result<(StatusCode, Json<RolloutView>), Problem> {
+    let mut object = body::object(bytes)?;
+    let knob = body::knob(&mut object)?;
+    let plan: RolloutPlan = body::rest(object)?;
+    let begun = view
+        .tuner()?
+        .begin_rollout(RolloutRequest { knob, plan }, &caller.name)
+        .await?;
+    let (id, rollout, left_out) = begun;
+    let mut view = RolloutView::new(fresh(id, &caller.name), rollout, true);
+    view.left_out = left_out;
+    Ok((StatusCode::CREATED, Json(view)))
+}
+
+/// Rollouts, the newest first
+#[utoipa::path(
+    get, path = "/api/v1/rollouts", tag = "tuning", params(Which),
+    responses((status = 200, body = Rollouts), (status = 503, body = Problem, content_type = "application/problem+json"))
+)]
+pub(super) async fn rollouts(
+    State(view): State<HubView>,
+    Query(which): Query<Which>,
+) -> Result<Json<Rollouts>, Problem> {
+    let limit = which.limit.unwrap_or(20).clamp(1, MOST);
+    let found = view
+        .tuner()?
+        .list_campaigns("rollout", which.before.unwrap_or(i64::MAX), limit)
+        .await?;
+    let next = found
+        .last()
+        .filter(|_| found.len() as i64 == limit)
+        .map(|(row, _)| row.id);
+    let rollouts = found
+        .into_iter()
+        .filter_map(|(row, campaign)| match campaign {
+            Campaign::Rollout(rollout) => Some(RolloutView::new(row.into(), rollout, false)),
+            Campaign::Trial(_) => None,
+        });
+    Ok(Json(Rollouts {
+        rollouts: rollouts.collect(),
+        next,
+    }))
+}
+
+/// A rollout with its record and its nodes
+#[utoipa::path(
+    get, path = "/api/v1/rollouts/{id}", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
+    responses(
+        (status = 200, body = RolloutView),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn one_rollout(
+    State(view): State<HubView>,
+    Path(id): Path<i64>,
+) -> Result<Json<RolloutView>, Problem> {
+    Ok(Json(rollout(&view, id).await?))
+}
+
+/// Pauses, resumes, advances, returns or stops a rollout
+#[utoipa::path(
+    post, path = "/api/v1/rollouts/{id}/{command}", tag = "tuning",
+    params(
+        ("id" = i64, Path, description = "Its number."),
+        ("command" = Command, Path, description = "`pause`, `resume`, `next`, `return` or `stop`."),
+    ),
+    responses(
+        (status = 200, body = RolloutView),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn command_rollout(
+    State(view): State<HubView>,
+    Extension(caller): Extension<Caller>,
+    Path((id, command)): Path<(i64, String)>,
+) -> Result<Json<RolloutView>, Problem> {
+    let names = ["pause", "resume", "next", "return", "stop"];
+    let command = serde_json::from_value(command.clone().into()).map_err(|_| {
+        Problem::new(
+            StatusCode::NOT_FOUND,
+            format!("a rollout cannot be asked to `{command}`"),
+        )
+        .allowing(names)
+    })?;
+    view.tuner()?
+        .command_rollout(id, command, &caller.name)
+        .await?;
+    Ok(Json(rollout(&view, id).await?))
+}
+
+/// Begins a trial
+///
+/// `{"values": [{"u": 1e-4}, {"u": 3e-4}], "select": ["cam-*"], "duration_s": 3600}`
+#[utoipa::path(
+    post, path = "/api/v1/trials", tag = "tuning", request_body = TrialPlan,
+    responses(
+        (status = 201, body = TrialView),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn begin_trial(
+    State(view): State<HubView>,
+    Extension(caller): Extension<Caller>,
+    bytes: Result<Bytes, BytesRejection>,
+) -> Result<(StatusCode, Json<TrialView>), Problem> {
+    let plan: TrialPlan = body::rest(body::object(bytes)?)?;
+    let (id, trial, left_out) = view.tuner()?.begin_trial(plan, &caller.name).await?;
+    let mut view = TrialView::new(fresh(id, &caller.name), trial, true);
+    view.left_out = left_out;
+    Ok((StatusCode::CREATED, Json(view)))
+}
+
+/// Trials, the newest first
+#[utoipa::path(
+    get, path = "/api/v1/trials", tag = "tuning", params(Which),
+    responses((status = 200, body = Trials), (status = 503, body = Problem, content_type = "application/problem+json"))
+)]
+pub(super) async fn trials(
+    State(view): State<HubView>,
+    Query(which): Query<Which>,
+) -> Result<Json<Trials>, Problem> {
+    let limit = which.limit.unwrap_or(20).clamp(1, MOST);
+    let found = view
+        .tuner()?
+        .list_campaigns("trial", which.before.unwrap_or(i64::MAX), limit)
+        .await?;
+    let next = found
+        .last()
+        .filter(|_| found.len() as i64 == limit)
+        .map(|(row, _)| row.id);
+    let trials = found
+        .into_iter()
+        .filter_map(|(row, campaign)| match campaign {
+            Campaign::Trial(trial) => Some(TrialView::new(row.into(), trial, false)),
+            Campaign::Rollout(_) => None,
+        });
+    Ok(Json(Trials {
+        trials: trials.collect(),
+        next,
+    }))
+}
+
+async fn trial(view: &HubView, id: i64) -> Result<TrialView, Problem> {
+    match view.tuner()?.campaign("trial", id).await? {
+        (row, Campaign::Trial(trial)) => Ok(TrialView::new(row.into(), trial, true)),
+        _ => Err(Problem::new(StatusCode::NOT_FOUND, NOT_OF_ITS_KIND)),
+    }
+}
+
+/// A trial with its result and its nodes
+#[utoipa::path(
+    get, path = "/api/v1/trials/{id}", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
+    responses(
+        (status = 200, body = TrialView),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn one_trial(
+    State(view): State<HubView>,
+    Path(id): Path<i64>,
+) -> Result<Json<TrialView>, Problem> {
+    Ok(Json(trial(&view, id).await?))
+}
+
+/// Ends a trial before its time
+///
+/// What was measured until now is its result; the old values return.
+#[utoipa::path(
+    post, path = "/api/v1/trials/{id}/end", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
+    responses(
+        (status = 200, body = TrialView),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn end_trial(
+    State(view): State<HubView>,
+    Extension(caller): Extension<Caller>,
+    Path(id): Path<i64>,
+) -> Result<Json<TrialView>, Problem> {
+    view.tuner()?.end_trial(id, &caller.name).await?;
+    Ok(Json(trial(&view, id).await?))
+}

@@ -1,0 +1,212 @@
+//! Clips, as pages of JSON and as CSV, and what was set aside.
+
+use super::{HubView, query, unavailable};
+use crate::store::{ClipQuery, StoredClip, StoredSetAside};
+use albireo_service::http::Problem;
+use axum::Json;
+use axum::body::Body;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Query, State};
+use axum::http::StatusCode;
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+use bytes::Bytes;
+use futures_util::stream;
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+/// Most of one page.
+const MOST: i64 = 1000;
+
+/// Which clips.
+#[derive(Clone, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Selection {
+    /// Of this node.
+    node: Option<String>,
+    /// Of this camera of it.
+    camera: Option<String>,
+    /// Begun at this time or later, milliseconds since the Unix epoch.
+    since_ms: Option<i64>,
+    /// Begun before this time, milliseconds since the Unix epoch.
+    until_ms: Option<i64>,
+    /// `next` of the page before.
+    cursor: Option<i64>,
+    /// At most so many, 100 by default, 1000 at most.
+    limit: Option<i64>,
+}
+
+impl Selection {
+    fn query(&self, limit: i64) -> Result<ClipQuery, Problem> {
+        if self.camera.is_some() && self.node.is_none() {
+            let detail = "`camera` needs `node`: cameras of different nodes may have one name";
+            return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
+        }
+        Ok(ClipQuery {
+            node: self.node.clone(),
+            camera: self.camera.clone(),
+            since_ms: self.since_ms,
+            until_ms: self.until_ms,
+            before_id: self.cursor,
+            limit,
+        })
+    }
+}
+
+/// A page of clips, the last received first.
+#[derive(Serialize, ToSchema)]
+pub(super) struct ClipPage {
+    clips: Vec<StoredClip>,
+    /// What to give as `cursor` for the next page; absent on the last.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    next: Option<i64>,
+}
+
+/// Clips by node, camera and time, page by page
+///
+/// `curl 'http://127.0.0.1:8090/api/v1/clips?node=car-7&limit=20'`
+#[utoipa::path(
+    get, path = "/api/v1/clips", tag = "history", params(Selection),
+    responses(
+        (status = 200, body = ClipPage),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+        (status = 503, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn list(
+    State(view): State<HubView>,
+    selection: Result<Query<Selection>, QueryRejection>,
+) -> Result<Json<ClipPage>, Problem> {
+    let selection = query(selection)?;
+    let limit = selection.limit.unwrap_or(100).clamp(1, MOST);
+    let wanted = selection.query(limit + 1)?;
+    let mut clips = view
+        .store()?
+        .clips(&wanted)
+        .await
+        .map_err(|error| unavailable(&error))?;
+    let more = clips.len() as i64 > limit;
+    clips.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
+    let next = more.then(|| clips.last().map(|clip| clip.id)).flatten();
+    Ok(Json(ClipPage { clips, next }))
+}
+
+/// The same clips as CSV, all of them, or `limit`
+///
+/// They are read and sent in pages: the file may be larger than the memory.
+/// `curl -O 'http://127.0.0.1:8090/api/v1/clips.csv?since_ms=1790000000000'`
+#[utoipa::path(
+    get, path = "/api/v1/clips.csv", tag = "history", params(Selection),
+    responses(
+        (status = 200, content_type = "text/csv", body = String),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+        (status = 503, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn csv(
+    State(view): State<HubView>,
+    selection: Result<Query<Selection>, QueryRejection>,
+) -> Result<Response, Problem> {
+    let selection = query(selection)?;
+    let store = view.store()?.clone();
+    let left = selection.limit.unwrap_or(i64::MAX);
+    let first = selection.query(left.min(MOST))?;
+    // The first page is read before anything is answered: an error is then an answer of its own.
+    let page = store
+        .clips(&first)
+        .await
+        .map_err(|error| unavailable(&error))?;
+    let state = (store, first, Some(page), left, true);
+    let pages = stream::unfold(state, |(store, mut wanted, page, left, head)| async move {
+        let clips = page?;
+        let text = match written(&clips, head) {
+            Ok(text) => text,
+            Err(error) => return Some((Err(error), (store, wanted, None, 0, false))),
+        };
+        let left = left - clips.len() as i64;
+        let full = clips.len() as i64 == wanted.limit;
+        wanted.before_id = clips.last().map(|clip| clip.id);
+        wanted.limit = left.min(MOST);
+        let next = if full && left > 0 {
+            match store.clips(&wanted).await {
+                Ok(clips) => Some(clips),
+                Err(error) => {
+                    let error = std::io::Error::other(error.to_string());
+                    return Some((Err(error), (store, wanted, None, 0, false)));
+                }
+            }
+        } else {
+            None
+        };
+        Some((Ok(Bytes::from(text)), (store, wanted, next, left, false)))
+    });
+    let headers = [
+        (CONTENT_TYPE, "text/csv; charset=utf-8"),
+        (CONTENT_DISPOSITION, "attachment; filename=\"clips.csv\""),
+    ];
+    Ok((headers, Body::from_stream(pages)).into_response())
+}
+
+fn written(clips: &[StoredClip], head: bool) -> std::io::Result<Vec<u8>> {
+    let mut writer = csv::WriterBuilder::new()
+        .has_headers(head)
+        .from_writer(Vec::new());
+    for clip in clips {
+        writer.serialize(clip).map_err(std::io::Error::other)?;
+    }
+    writer
+        .into_inner()
+        .map_err(|error| std::io::Error::other(error.to_string()))
+}
+
+/// Which reports that were set aside.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct AsideSelection {
+    /// Of this node.
+    node: Option<String>,
+    /// `next` of the page before.
+    cursor: Option<i64>,
+    /// At most so many, 20 by default, 100 at most.
+    limit: Option<i64>,
+}
+
+/// A page of reports that could not be read, the latest first.
+#[derive(Serialize, ToSchema)]
+pub(super) struct AsidePage {
+    reports: Vec<StoredSetAside>,
+    /// What to give as `cursor` for the next page; absent on the last.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    next: Option<i64>,
+}
+
+/// Reports that could not be read, with their cause
+///
+/// They are acknowledged, so that they do not hold up those behind them, and kept here.
+/// `curl http://127.0.0.1:8090/api/v1/set-aside`
+#[utoipa::path(
+    get, path = "/api/v1/set-aside", tag = "history", params(AsideSelection),
+    responses(
+        (status = 200, body = AsidePage),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+        (status = 503, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn set_aside(
+    State(view): State<HubView>,
+    selection: Result<Query<AsideSelection>, QueryRejection>,
+) -> Result<Json<AsidePage>, Problem> {
+    let selection = query(selection)?;
+    let limit = selection.limit.unwrap_or(20).clamp(1, 100);
+    let mut reports = view
+        .store()?
+        .set_aside(selection.node.as_deref(), selection.cursor, limit + 1)
+        .await
+        .map_err(|error| unavailable(&error))?;
+    let more = reports.len() as i64 > limit;
+    reports.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
+    let next = more.then(|| reports.last().map(|one| one.id)).flatten();
+    Ok(Json(AsidePage { reports, next }))
+}

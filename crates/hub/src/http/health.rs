@@ -1,0 +1,78 @@
+//! Whether the hub lives, and whether it works.
+
+use super::HubView;
+use albireo_service::http::{self, Problem};
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use utoipa::ToSchema;
+
+/// The process answers.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Health {
+    /// Always `ok`.
+    status: &'static str,
+    /// The program's version.
+    version: &'static str,
+}
+
+/// Whether reports are taken and committed.
+#[derive(Serialize, ToSchema)]
+pub(super) struct HubReadiness {
+    /// Whether everything works.
+    ready: bool,
+    /// What does not work and why, by part: `database`, `zenoh`.
+    reasons: BTreeMap<&'static str, String>,
+}
+
+/// [`HubReadiness`] as a problem document.
+#[derive(Serialize, ToSchema)]
+pub(super) struct HubNotReady {
+    #[serde(flatten)]
+    problem: Problem,
+    #[serde(flatten)]
+    readiness: HubReadiness,
+}
+
+/// Whether the process answers
+///
+/// `curl http://127.0.0.1:8090/healthz`
+#[utoipa::path(get, path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
+pub(super) async fn healthz() -> Json<Health> {
+    Json(Health {
+        status: "ok",
+        version: env!("CARGO_PKG_VERSION"),
+    })
+}
+
+/// Whether reports are taken: the database can be written, the Zenoh session is open
+///
+/// `curl http://127.0.0.1:8090/readyz`
+#[utoipa::path(
+    get, path = "/readyz", tag = "health", security(()),
+    responses(
+        (status = 200, body = HubReadiness),
+        (status = 503, body = HubNotReady, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn readyz(State(view): State<HubView>) -> Response {
+    let reasons = view.readiness.reasons();
+    let readiness = HubReadiness {
+        ready: reasons.is_empty(),
+        reasons,
+    };
+    if readiness.ready {
+        return Json(readiness).into_response();
+    }
+    let words: Vec<_> = readiness
+        .reasons
+        .iter()
+        .map(|(part, reason)| format!("{part}: {reason}"))
+        .collect();
+    let status = StatusCode::SERVICE_UNAVAILABLE;
+    let problem = Problem::new(status, words.join("; "));
+    http::response(status, &HubNotReady { problem, readiness })
+}

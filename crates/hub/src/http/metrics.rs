@@ -1,0 +1,142 @@
+//! Metrics for Prometheus, as text (0.0.4).
+
+use super::HubView;
+use crate::presence::PresenceState;
+use axum::extract::State;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use std::fmt::Write as _;
+use std::sync::atomic::Ordering;
+
+const PLAIN: &str = "text/plain; version=0.0.4; charset=utf-8";
+
+/// Figures of the hub
+///
+/// `curl http://127.0.0.1:8090/metrics`
+#[utoipa::path(
+    get, path = "/metrics", tag = "metrics",
+    responses((status = 200, content_type = "text/plain", body = String))
+)]
+pub(super) async fn text(State(view): State<HubView>) -> Response {
+    ([(CONTENT_TYPE, PLAIN)], written(&view)).into_response()
+}
+
+fn written(view: &HubView) -> String {
+    let mut text = String::new();
+    let mut family = |name: &str, kind: &str, help: &str, samples: &[(&str, f64)]| {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "# HELP {name} {help}\n# TYPE {name} {kind}");
+        for (labels, value) in samples {
+            let _ = writeln!(text, "{name}{labels} {value}");
+        }
+    };
+    let version = format!("{{version=\"{}\"}}", env!("CARGO_PKG_VERSION"));
+    family(
+        "albireo_hub_build_info",
+        "gauge",
+        "The program that runs, always 1",
+        &[(&version, 1.0)],
+    );
+    let ready = f64::from(u8::from(view.readiness.reasons().is_empty()));
+    family(
+        "albireo_hub_ready",
+        "gauge",
+        "Whether reports are taken and committed",
+        &[("", ready)],
+    );
+    let states: Vec<(String, f64)> = PresenceState::ALL
+        .into_iter()
+        .zip(view.fleet.by_state())
+        .map(|(state, nodes)| (format!("{{state=\"{}\"}}", state.as_str()), nodes as f64))
+        .collect();
+    let states: Vec<(&str, f64)> = states
+        .iter()
+        .map(|(labels, nodes)| (labels.as_str(), *nodes))
+        .collect();
+    family("albireo_hub_nodes", "gauge", "Nodes by state", &states);
+    let one = view.ingest.snapshot();
+    for (name, help, value) in [
+        (
+            "albireo_hub_batches_total",
+            "Batches acknowledged",
+            one.batches,
+        ),
+        ("albireo_hub_clips_total", "Clips written", one.clips),
+        (
+            "albireo_hub_reports_again_total",
+            "Reports that were there already",
+            one.again,
+        ),
+        (
+            "albireo_hub_reports_set_aside_total",
+            "Reports that could not be read",
+            one.set_aside,
+        ),
+        (
+            "albireo_hub_reports_missing_total",
+            "Numbers found missing",
+            one.missing,
+        ),
+        (
+            "albireo_hub_conflicts_total",
+            "Batches with a number that belongs to another report",
+            one.conflicts,
+        ),
+        (
+            "albireo_hub_clock_off_total",
+            "Clips of nodes whose clock is off",
+            one.clock_off,
+        ),
+        ("albireo_hub_commits_total", "Commits", one.commits),
+        (
+            "albireo_hub_database_errors_total",
+            "Transactions that failed",
+            one.database_errors,
+        ),
+        (
+            "albireo_hub_answers_lost_total",
+            "Answers that could not be sent",
+            one.answers_lost,
+        ),
+        (
+            "albireo_hub_statuses_total",
+            "Status messages taken",
+            view.fleet.statuses(),
+        ),
+        (
+            "albireo_hub_statuses_overrun_total",
+            "Status messages that found their queue full",
+            view.listen.overrun.load(Ordering::Relaxed),
+        ),
+        (
+            "albireo_hub_statuses_unreadable_total",
+            "Status messages that cannot be read",
+            view.listen.unreadable.load(Ordering::Relaxed),
+        ),
+        (
+            "albireo_hub_pulls_total",
+            "Questions of nodes for what is desired",
+            view.listen.pulls.load(Ordering::Relaxed),
+        ),
+    ] {
+        family(name, "counter", help, &[("", value as f64)]);
+    }
+    family(
+        "albireo_hub_batches_refused_total",
+        "counter",
+        "Batches not taken, by reason",
+        &[
+            ("{reason=\"busy\"}", one.refused_busy as f64),
+            ("{reason=\"unavailable\"}", one.refused_unavailable as f64),
+            ("{reason=\"unreadable\"}", one.refused_unreadable as f64),
+            ("{reason=\"conflict\"}", one.refused_conflict as f64),
+        ],
+    );
+    family(
+        "albireo_hub_acknowledged_after_p99_seconds",
+        "gauge",
+        "99th percentile of the time from a batch's arrival to its acknowledgement, of the last ones",
+        &[("", one.acknowledged_after_p99_s)],
+    );
+    text
+}

@@ -1,0 +1,146 @@
+//! The nodes of the fleet.
+
+use super::{HubView, query, unavailable};
+use crate::presence::{NodeView, PresenceState};
+use crate::store::InstanceView;
+use albireo_service::http::Problem;
+use axum::Json;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Path, Query, State};
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+/// Most nodes of one page.
+const MOST: usize = 1000;
+
+/// Which nodes.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Selection {
+    /// Of this state only: `online`, `degraded`, `silent`, `offline`.
+    state: Option<String>,
+    /// With this text in the name.
+    search: Option<String>,
+    /// After the node of this name: `next` of the page before.
+    cursor: Option<String>,
+    /// At most so many, 100 by default, 1000 at most.
+    limit: Option<usize>,
+}
+
+/// A page of nodes, in the order of their names.
+#[derive(Serialize, ToSchema)]
+pub(super) struct NodePage {
+    /// Nodes of the fleet by state, whatever is selected.
+    counts: Counts,
+    nodes: Vec<NodeView>,
+    /// What to give as `cursor` for the next page; absent on the last.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    next: Option<String>,
+}
+
+/// Nodes by state.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Counts {
+    online: u64,
+    degraded: u64,
+    silent: u64,
+    offline: u64,
+}
+
+/// A node with its instances.
+#[derive(Serialize, ToSchema)]
+pub(super) struct NodeDetail {
+    #[serde(flatten)]
+    node: NodeView,
+    /// Its instances, the last heard first: more than one after its state was made anew, or when two nodes have this
+    /// name.
+    instances: Vec<InstanceView>,
+}
+
+/// The nodes of the fleet, page by page
+///
+/// `curl 'http://127.0.0.1:8090/api/v1/nodes?state=degraded&limit=20'`
+#[utoipa::path(
+    get, path = "/api/v1/nodes", tag = "nodes", params(Selection),
+    responses(
+        (status = 200, body = NodePage),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn list(
+    State(view): State<HubView>,
+    selection: Result<Query<Selection>, QueryRejection>,
+) -> Result<Json<NodePage>, Problem> {
+    let selection = query(selection)?;
+    let state = match selection.state.as_deref() {
+        None => None,
+        Some(name) => match PresenceState::named(name) {
+            Some(state) => Some(state),
+            None => {
+                let known = PresenceState::ALL.map(PresenceState::as_str);
+                let detail = format!(
+                    "there is no state `{name}`; there are: {}",
+                    known.join(", ")
+                );
+                return Err(Problem::new(StatusCode::BAD_REQUEST, detail).allowing(known));
+            }
+        },
+    };
+    let limit = selection.limit.unwrap_or(100).clamp(1, MOST);
+    let search = selection.search.unwrap_or_default();
+    let mut nodes = view
+        .fleet
+        .list(selection.cursor.as_deref(), limit + 1, |name, is| {
+            state.is_none_or(|state| state == is) && name.contains(&search)
+        });
+    let more = nodes.len() > limit;
+    nodes.truncate(limit);
+    let next = more
+        .then(|| nodes.last().map(|node| node.node.clone()))
+        .flatten();
+    let [online, degraded, silent, offline] = view.fleet.by_state();
+    let counts = Counts {
+        online,
+        degraded,
+        silent,
+        offline,
+    };
+    Ok(Json(NodePage {
+        counts,
+        nodes,
+        next,
+    }))
+}
+
+/// One node with its instances
+///
+/// `curl http://127.0.0.1:8090/api/v1/nodes/car-7`
+#[utoipa::path(
+    get, path = "/api/v1/nodes/{node}", tag = "nodes", params(("node" = String, Path, description = "Its name")),
+    responses(
+        (status = 200, body = NodeDetail),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+        (status = 503, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn one(
+    State(view): State<HubView>,
+    Path(node): Path<String>,
+) -> Result<Json<NodeDetail>, Problem> {
+    let instances = view
+        .store()?
+        .instances(&node)
+        .await
+        .map_err(|error| unavailable(&error))?;
+    let known = view.fleet.view(&node).ok_or_else(|| {
+        let detail =
+            format!("no node `{node}` was ever heard; /api/v1/nodes lists those that were");
+        Problem::new(StatusCode::NOT_FOUND, detail)
+    })?;
+    Ok(Json(NodeDetail {
+        node: known,
+        instances,
+    }))
+}

@@ -1,0 +1,224 @@
+//! A report as the row of a clip: figures in whole microjoules, microseconds and parts per million, each checked.
+
+use crate::store::SetupKey;
+use crate::store::rows::text;
+use crate::store::tables::ClipRow;
+use albireo_wire::{ClipEnd, ClipReport, EnergyQuality};
+use serde_json::json;
+
+/// Largest energy of a clip, joules: about 3 kWh.
+const MOST_JOULES: f64 = 1e7;
+/// Longest clip and latency, seconds.
+const MOST_SECONDS: f64 = 10.0 * 86_400.0;
+/// Most frames of a clip, and of any other count.
+const MOST_COUNT: u64 = 1_000_000_000;
+/// A clip that began later than this after it was received has a clock that is off, milliseconds.
+const FUTURE_MS: i64 = 3_600_000;
+/// A clip that began earlier than this before it was received, too.
+const PAST_MS: i64 = 400 * 86_400_000;
+
+/// Where the clock of a node is believed: the time a clip is filed under, and whether it is the node's own.
+pub(crate) fn filed_under(started_ns: u64, received_ms: i64) -> (i64, bool) {
+    let told = i64::try_from(started_ns / 1_000_000).unwrap_or(i64::MAX);
+    let believable =
+        (received_ms - PAST_MS..=received_ms.saturating_add(FUTURE_MS)).contains(&told);
+    if believable {
+        (told, true)
+    } else {
+        (received_ms, false)
+    }
+}
+
+/// The code of an energy quality in the database.
+pub(crate) const fn quality_code(quality: EnergyQuality) -> i64 {
+    match quality {
+        EnergyQuality::Measured => 0,
+        EnergyQuality::Partial => 1,
+        EnergyQuality::Estimated => 2,
+        EnergyQuality::Unavailable => 3,
+    }
+}
+
+/// What a report says, before its names have numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Facts {
+    pub(crate) setup: SetupKey,
+    /// With 0 in the place of camera, instance and setup.
+    pub(crate) row: ClipRow,
+    /// Whether the node's clock is believed.
+    pub(crate) clock: bool,
+}
+
+/// Reads the figures of a report received at `received_ms`.
+///
+/// # Errors
+/// Which figure cannot be, in words: the report is then set aside.
+pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Result<Facts, String> {
+    let (at_ms, clock) = filed_under(report.started_ns, received_ms);
+    let energy = &report.energy;
+    let (total, detector) = (&report.total_latency_ms, &report.detector_latency_ms);
+    let states = &report.states;
+    let frames = count("frames", report.frames)?;
+    let added = [states.e, states.p, states.ei, states.i, states.ai]
+        .into_iter()
+        .try_fold(0_u64, u64::checked_add);
+    if added != Some(report.frames) {
+        return Err(format!(
+            "frames is {frames}, and the five states add up to {added:?}"
+        ));
+    }
+    let detector_calls = count("detector_latency_ms.count", detector.count)?;
+    let detector_mean_us = micro(
+        "detector_latency_ms.mean",
+        detector.mean / 1e3,
+        MOST_SECONDS,
+    )?;
+    let latencies = count("total_latency_ms.count", total.count)?;
+    let latency_mean_us = micro("total_latency_ms.mean", total.mean / 1e3, MOST_SECONDS)?;
+    let duration_us = micro("duration_s", report.duration_s, MOST_SECONDS)?;
+    let degraded = count("degraded_frames", report.degraded_frames)?;
+    let avoided_calls = (count("E", states.e)? + count("P", states.p)? - degraded).max(0);
+    let joules = |name: &str, joules: Option<f64>| {
+        joules
+            .map(|joules| micro(name, joules, MOST_JOULES))
+            .transpose()
+    };
+    let energy_uj = joules("energy.joules", energy.joules)?;
+    let node_uj = joules("energy.node_joules", energy.node_joules)?;
+    // A domain is the whole node's; the clip has the same share of it as of the total.
+    let share = match (energy.joules, energy.node_joules) {
+        (Some(own), Some(node)) if node > 0.0 => (own / node).clamp(0.0, 1.0),
+        _ => 1.0,
+    };
+    let domain = |name: &str| {
+        let found = energy.domains.iter().find(|domain| domain.domain == name);
+        joules(name, found.map(|domain| domain.joules * share))
+    };
+    // What the calls that were avoided would have cost: the time of a call at the clip's mean power, over the time that
+    // the joules are of.
+    let covered_us = if energy.is_whole() {
+        duration_us as f64
+    } else {
+        duration_us as f64 * energy.coverage
+    };
+    let avoided_uj = match energy_uj {
+        Some(_) if avoided_calls == 0 => Some(0),
+        Some(energy_uj) if detector_calls > 0 && covered_us > 0.0 => {
+            let watts = energy_uj as f64 / covered_us;
+            let uj = avoided_calls as f64 * detector_mean_us as f64 * watts;
+            (uj <= MOST_JOULES * 1e6).then_some(uj.round() as i64)
+        }
+        _ => None,
+    };
+    let product = |mean_us: i64, count: i64| {
+        mean_us
+            .checked_mul(count)
+            .ok_or_else(|| "a mean latency times its count is too large".to_owned())
+    };
+    let edp = energy.edp.filter(|edp| edp.is_finite());
+    let row = ClipRow {
+        camera_id: 0,
+        instance_id: 0,
+        setup_id: 0,
+        report: number,
+        at_ms,
+        received_ms,
+        started_ns: i64::try_from(report.started_ns).unwrap_or(i64::MAX),
+        clip: text(&report.clip),
+        ended_by: match report.ended_by {
+            ClipEnd::NextClip => "next_clip",
+            ClipEnd::Window => "window",
+            ClipEnd::Silence => "silence",
+            ClipEnd::Shutdown => "shutdown",
+        }
+        .to_owned(),
+        duration_us,
+        frames,
+        frames_e: count("E", states.e)?,
+        frames_p: count("P", states.p)?,
+        frames_ei: count("E+I", states.ei)?,
+        frames_i: count("I", states.i)?,
+        frames_ai: count("AI", states.ai)?,
+        degraded,
+        dropped: dropped(report)?,
+        latency_mean_us,
+        latency_p50_us: micro("total_latency_ms.p50", total.p50 / 1e3, MOST_SECONDS)?,
+        latency_p95_us: micro("total_latency_ms.p95", total.p95 / 1e3, MOST_SECONDS)?,
+        latency_p99_us: micro("total_latency_ms.p99", total.p99 / 1e3, MOST_SECONDS)?,
+        latency_us: product(latency_mean_us, latencies)?,
+        detector_calls,
+        detector_mean_us,
+        detector_p50_us: micro("detector_latency_ms.p50", detector.p50 / 1e3, MOST_SECONDS)?,
+        detector_p95_us: micro("detector_latency_ms.p95", detector.p95 / 1e3, MOST_SECONDS)?,
+        detector_p99_us: micro("detector_latency_ms.p99", detector.p99 / 1e3, MOST_SECONDS)?,
+        detector_us: product(detector_mean_us, detector_calls)?,
+        avoided_calls,
+        avoided_uj,
+        quality: quality_code(energy.quality),
+        energy_uj,
+        node_uj,
+        gpu_uj: domain("gpu")?,
+        cpu_uj: domain("cpu")?,
+        io_mem_uj: domain("io_mem")?,
+        edp,
+        samples: count("energy.samples", energy.samples)?,
+        coverage_ppm: micro("energy.coverage", energy.coverage, 1.0 + 1e-6)?,
+        details: details(report),
+    };
+    let knob = report.knob;
+    let setup = SetupKey {
+        policy: text(&report.policy),
+        knob: knob.map(|knob| knob.name.to_owned()).unwrap_or_default(),
+        value: knob.map(|knob| knob.value.to_string()).unwrap_or_default(),
+        model: text(&report.model),
+        provider: text(&report.provider),
+        power_source: text(&energy.source),
+        total_from: text(&energy.total_from),
+    };
+    Ok(Facts { setup, row, clock })
+}
+
+/// What is not summed: changes of the knob within the clip, the board, frames that were dropped by kind.
+fn details(report: &ClipReport) -> Option<String> {
+    let mut details = serde_json::Map::new();
+    if report.knob_changes.len() > 1 {
+        details.insert("knob_changes".into(), json!(report.knob_changes));
+    }
+    if let Some(board) = &report.board {
+        details.insert("board".into(), json!(board));
+    }
+    if dropped_total(report) != Some(0) {
+        details.insert("dropped".into(), json!(report.dropped));
+    }
+    (!details.is_empty()).then(|| text(&serde_json::Value::Object(details).to_string()))
+}
+
+fn dropped_total(report: &ClipReport) -> Option<u64> {
+    report
+        .dropped
+        .by_kind()
+        .iter()
+        .try_fold(0_u64, |sum, (_, frames)| sum.checked_add(*frames))
+}
+
+fn dropped(report: &ClipReport) -> Result<i64, String> {
+    match dropped_total(report) {
+        Some(total) => count("dropped", total),
+        None => Err("dropped: more frames than can be counted".to_owned()),
+    }
+}
+
+fn count(name: &str, value: u64) -> Result<i64, String> {
+    if value > MOST_COUNT {
+        return Err(format!("{name} is {value}, above {MOST_COUNT}"));
+    }
+    i64::try_from(value).map_err(|error| error.to_string())
+}
+
+/// A value in millionths.
+fn micro(name: &str, value: f64, most: f64) -> Result<i64, String> {
+    if !(value >= 0.0 && value <= most) {
+        return Err(format!("{name} is {value}, and not from 0 to {most}"));
+    }
+    Ok((value * 1e6).round() as i64)
+}

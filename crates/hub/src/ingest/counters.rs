@@ -1,0 +1,103 @@
+//! What ingest counts.
+
+use albireo_wire::RefusalReason;
+use parking_lot::Mutex;
+use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+/// Ages of acknowledgements and commits that the percentiles are of.
+const KEPT: usize = 4096;
+
+macro_rules! counters {
+    ($($(#[$meta:meta])* $name:ident,)+) => {
+        /// Counters of ingest, since the hub started.
+        #[derive(Debug, Default)]
+        pub struct IngestCounters {
+            $($name: AtomicU64,)+
+            acknowledged_after: Mutex<VecDeque<Duration>>,
+        }
+
+        /// Where the counters stand.
+        #[derive(Clone, Copy, Debug, Default, PartialEq)]
+        pub struct IngestSnapshot {
+            $($(#[$meta])* pub $name: u64,)+
+            /// 99th percentile of the time from a batch's arrival to its acknowledgement, seconds, of the last ones;
+            /// 0 before the first.
+            pub acknowledged_after_p99_s: f64,
+        }
+
+        impl IngestCounters {
+            $(pub(crate) fn $name(&self, more: u64) {
+                self.$name.fetch_add(more, Ordering::Relaxed);
+            })+
+
+            /// Where they stand.
+            pub fn snapshot(&self) -> IngestSnapshot {
+                IngestSnapshot {
+                    $($name: self.$name.load(Ordering::Relaxed),)+
+                    acknowledged_after_p99_s: self.p99().as_secs_f64(),
+                }
+            }
+        }
+    };
+}
+
+counters! {
+    /// Batches acknowledged.
+    batches,
+    /// Clips written.
+    clips,
+    /// Reports that were there already.
+    again,
+    /// Reports set aside.
+    set_aside,
+    /// Numbers found missing.
+    missing,
+    /// Batches with a number that belongs to another report.
+    conflicts,
+    /// Clips of a node whose clock is off.
+    clock_off,
+    /// Batches refused because too many wait.
+    refused_busy,
+    /// Batches refused because the database could not be written.
+    refused_unavailable,
+    /// Batches refused because they cannot be read.
+    refused_unreadable,
+    /// Batches refused because their numbers belong to other reports.
+    refused_conflict,
+    /// Commits.
+    commits,
+    /// Transactions that failed.
+    database_errors,
+    /// Answers that could not be handed over or sent.
+    answers_lost,
+}
+
+impl IngestCounters {
+    pub(crate) fn refuse(&self, reason: RefusalReason) {
+        match reason {
+            RefusalReason::Busy => self.refused_busy(1),
+            RefusalReason::Unavailable => self.refused_unavailable(1),
+            RefusalReason::Unreadable => self.refused_unreadable(1),
+            RefusalReason::Conflict => self.refused_conflict(1),
+        }
+    }
+
+    pub(crate) fn acknowledged_after(&self, age: Duration) {
+        let mut ages = self.acknowledged_after.lock();
+        if ages.len() == KEPT {
+            ages.pop_front();
+        }
+        ages.push_back(age);
+    }
+
+    fn p99(&self) -> Duration {
+        let mut ages: Vec<Duration> = self.acknowledged_after.lock().iter().copied().collect();
+        if ages.is_empty() {
+            return Duration::ZERO;
+        }
+        let place = (ages.len() * 99).div_ceil(100).saturating_sub(1);
+        *ages.select_nth_unstable(place).1
+    }
+}

@@ -1,0 +1,103 @@
+//! Sends answers, on a thread of its own: a reply to a slow network may block for seconds.
+
+use super::IngestCounters;
+use albireo_wire::{RefusalReason, ReportAnswer, ReportRefusal, VERSION};
+use serde::Serialize;
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::JoinHandle;
+use zenoh::Wait;
+use zenoh::query::Query;
+
+/// Answers that may wait. One more is dropped: the node sees no answer, and asks again.
+const QUEUE: usize = 16_384;
+
+struct Reply {
+    query: Query,
+    payload: Vec<u8>,
+    error: bool,
+}
+
+/// Where answers go.
+#[derive(Clone, Debug)]
+pub(crate) struct Replies {
+    sender: SyncSender<Reply>,
+    counters: Arc<IngestCounters>,
+}
+
+/// A refusal.
+pub(crate) fn refusal(
+    reason: RefusalReason,
+    detail: impl Into<String>,
+    retry_after_ms: Option<u64>,
+) -> ReportRefusal {
+    ReportRefusal {
+        v: VERSION,
+        reason,
+        detail: detail.into(),
+        retry_after_ms,
+    }
+}
+
+impl Replies {
+    /// Starts the thread; it ends when the last sender is gone.
+    ///
+    /// # Errors
+    /// When the system gives no thread.
+    pub(crate) fn start(counters: Arc<IngestCounters>) -> std::io::Result<(Self, JoinHandle<()>)> {
+        let (sender, replies) = sync_channel(QUEUE);
+        let counted = Arc::clone(&counters);
+        let thread = std::thread::Builder::new()
+            .name("replies".to_owned())
+            .spawn(move || send(&replies, &counted))?;
+        Ok((Self { sender, counters }, thread))
+    }
+
+    /// Acknowledges.
+    pub(crate) fn answer(&self, query: Query, answer: &ReportAnswer) {
+        self.hand_over(query, answer, false);
+    }
+
+    /// Gives any answer.
+    pub(crate) fn give(&self, query: Query, answer: &impl Serialize) {
+        self.hand_over(query, answer, false);
+    }
+
+    /// Says no.
+    pub(crate) fn refuse(&self, query: Query, refusal: ReportRefusal) {
+        self.hand_over(query, &refusal, true);
+    }
+
+    fn hand_over(&self, query: Query, message: &impl Serialize, error: bool) {
+        let Ok(payload) = serde_json::to_vec(message) else {
+            return self.counters.answers_lost(1);
+        };
+        let reply = Reply {
+            query,
+            payload,
+            error,
+        };
+        if self.sender.try_send(reply).is_err() {
+            self.counters.answers_lost(1);
+        }
+    }
+}
+
+fn send(replies: &Receiver<Reply>, counters: &IngestCounters) {
+    while let Ok(reply) = replies.recv() {
+        let Reply {
+            query,
+            payload,
+            error,
+        } = reply;
+        let sent = if error {
+            query.reply_err(payload).wait()
+        } else {
+            query.reply(query.key_expr().clone(), payload).wait()
+        };
+        if let Err(error) = sent {
+            counters.answers_lost(1);
+            tracing::debug!(%error, "an answer was not sent");
+        }
+    }
+}

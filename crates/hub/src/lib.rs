@@ -1,0 +1,16 @@
+//! The hub of a fleet: it takes the nodes' clip reports exactly once, knows which nodes are there and how they are,
+//! keeps their history in a database, and shows it by HTTP. [`run()`] is the service.
+
+mod clock;
+pub mod config;
+pub mod desired;
+pub mod events;
+pub mod http;
+pub mod ingest;
+pub mod presence;
+pub mod readiness;
+mod run;
+pub mod store;
+pub mod tuning;
+
+pub use run::run;

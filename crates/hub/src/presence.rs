@@ -1,0 +1,16 @@
+//! Which nodes are there and how they are: by the freshness of their status, their health, and, where it is to be had,
+//! the liveliness token.
+
+mod entry;
+mod fleet;
+mod listen;
+mod news;
+mod state;
+#[cfg(test)]
+mod tests;
+
+pub(crate) use fleet::Remembered;
+pub use fleet::{Fleet, NodeView};
+pub use listen::ListenCounters;
+pub(crate) use listen::{ListenSetup, Pokes, listen};
+pub use state::{Facts, Limits, PresenceState, Token, judge};

@@ -1,0 +1,189 @@
+//! What is known of one node.
+
+use super::fleet::{NodeView, Remembered};
+use super::news::NodeNews;
+use super::state::{PresenceState, Token};
+use albireo_wire::{HealthState, NodeStatus, StatusMessage};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// One run of a node's process.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Run {
+    instance: String,
+    machine: Option<String>,
+    started_ns: u64,
+}
+
+impl Run {
+    pub(super) fn of(message: &StatusMessage) -> Self {
+        Self {
+            instance: message.instance.clone(),
+            machine: message.machine.clone(),
+            started_ns: message.started_ns,
+        }
+    }
+}
+
+/// One node.
+#[derive(Clone, Debug)]
+pub(super) struct Entry {
+    pub(super) state: PresenceState,
+    pub(super) since_ms: i64,
+    pub(super) why: String,
+    pub(super) heard: Option<Instant>,
+    pub(super) heard_ms: Option<i64>,
+    pub(super) token: Token,
+    pub(super) run: Option<Run>,
+    /// The run heard before the present one, and when.
+    other: Option<(Run, Instant)>,
+    /// Why the identity is not one node's alone, and until when that holds.
+    pub(super) identity: Option<(String, Instant)>,
+    pub(super) seq: u64,
+    pub(super) health: HealthState,
+    pub(super) reasons: String,
+    pub(super) waiting: u64,
+    pub(super) generation: u64,
+    /// The last full status as JSON: a third of the size of the same in fields.
+    status: Option<Arc<str>>,
+    pub(super) needs_full: bool,
+    pub(super) poked: Option<Instant>,
+    /// It is on the list of those to be written.
+    pub(super) dirty: bool,
+    /// Its full status is to be written too.
+    pub(super) status_dirty: bool,
+}
+
+impl Entry {
+    /// A node of which nothing is known.
+    pub(super) fn new(now_ms: i64) -> Self {
+        Self {
+            state: PresenceState::Silent,
+            since_ms: now_ms,
+            why: "no status has come yet".to_owned(),
+            heard: None,
+            heard_ms: None,
+            token: Token::Unknown,
+            run: None,
+            other: None,
+            identity: None,
+            seq: 0,
+            health: HealthState::Ready,
+            reasons: String::new(),
+            waiting: 0,
+            generation: 0,
+            status: None,
+            needs_full: true,
+            poked: None,
+            dirty: false,
+            status_dirty: false,
+        }
+    }
+
+    /// A node as the database has it.
+    pub(super) fn remembered(node: Remembered, now: Instant) -> Self {
+        let mut entry = Self::new(node.since_ms);
+        entry.state = node.state;
+        entry.why = node.why;
+        entry.heard = node.state.is_heard().then_some(now);
+        entry.heard_ms = node.heard_ms;
+        entry.run = node.instance.map(|instance| Run {
+            instance,
+            machine: node.machine,
+            started_ns: node.started_ns.map_or(0, i64::unsigned_abs),
+        });
+        entry.generation = node.generation.unsigned_abs();
+        if let Some(text) = node.status
+            && let Ok(status) = serde_json::from_str::<NodeStatus>(&text)
+        {
+            entry.health = status.health.state;
+            entry.take_status(&status);
+            entry.status_dirty = false;
+        }
+        entry
+    }
+
+    /// Another run than before. One after the other is a restart; a run that comes back after another was heard lives
+    /// beside it.
+    pub(super) fn another_run(&mut self, run: Run, now: Instant, silent: Duration) {
+        let Some(before) = self.run.replace(run.clone()) else {
+            return;
+        };
+        let back = self.other.as_ref().is_some_and(|(other, heard)| {
+            *other == run && now.saturating_duration_since(*heard) < silent
+        });
+        if back {
+            let unknown = || "unknown".to_owned();
+            let what = if before.instance != run.instance {
+                format!(
+                    "two nodes have this name: instances {} and {}",
+                    run.instance, before.instance
+                )
+            } else if before.machine != run.machine {
+                format!(
+                    "one instance is on two machines: {} and {}",
+                    run.machine.unwrap_or_else(unknown),
+                    before.machine.clone().unwrap_or_else(unknown)
+                )
+            } else {
+                "two processes run as this node".to_owned()
+            };
+            self.identity = Some((what, now + silent.saturating_mul(2)));
+        }
+        self.other = Some((before, self.heard.unwrap_or(now)));
+    }
+
+    /// Takes a full status; whether it differs from the last.
+    pub(super) fn take_status(&mut self, status: &NodeStatus) -> bool {
+        let reasons: Vec<String> = status
+            .health
+            .reasons
+            .iter()
+            .map(|(part, reason)| format!("{part}: {reason}"))
+            .collect();
+        self.reasons = reasons.join("; ");
+        let text = serde_json::to_string(status).unwrap_or_default();
+        if self.status.as_deref() == Some(&text) {
+            return false;
+        }
+        self.status = Some(text.into());
+        self.status_dirty = true;
+        true
+    }
+
+    /// What is to be written.
+    pub(super) fn news(&mut self) -> NodeNews {
+        let status = std::mem::take(&mut self.status_dirty)
+            .then(|| self.status.as_deref().map(str::to_owned))
+            .flatten();
+        let run = self.run.as_ref();
+        NodeNews {
+            state: self.state,
+            since_ms: self.since_ms,
+            why: self.why.clone(),
+            heard_ms: self.heard_ms,
+            instance: run.map(|run| run.instance.clone()),
+            machine: run.and_then(|run| run.machine.clone()),
+            started_ns: run.and_then(|run| i64::try_from(run.started_ns).ok()),
+            generation: i64::try_from(self.generation).unwrap_or(i64::MAX),
+            status,
+        }
+    }
+
+    pub(super) fn view(&self, name: &str) -> NodeView {
+        NodeView {
+            node: name.to_owned(),
+            state: self.state,
+            since_ms: self.since_ms,
+            why: self.why.clone(),
+            heard_ms: self.heard_ms,
+            instance: self.run.as_ref().map(|run| run.instance.clone()),
+            waiting: self.waiting,
+            generation: self.generation,
+            status: self
+                .status
+                .as_deref()
+                .and_then(|text| serde_json::from_str(text).ok()),
+        }
+    }
+}

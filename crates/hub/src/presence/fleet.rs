@@ -1,0 +1,347 @@
+//! Every node, in memory.
+
+use super::entry::{Entry, Run};
+use super::news::{News, Notice};
+use super::state::{Facts, Limits, PresenceState, Token, judge};
+use crate::config::PresenceConfig;
+use albireo_wire::{NodeStatus, StatusMessage};
+use parking_lot::{Mutex, RwLock};
+use serde::Serialize;
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::Bound::{Excluded, Unbounded};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use utoipa::ToSchema;
+
+/// Most nodes written in one transaction.
+const MOST_NEWS: usize = 2000;
+/// Most notices that wait for the database; further ones are only counted.
+const MOST_NOTICES: usize = 1000;
+/// A node is not poked more often.
+const POKE_EVERY: Duration = Duration::from_secs(5);
+
+/// A node as it is shown.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct NodeView {
+    /// Its name.
+    pub node: String,
+    /// How it is.
+    pub state: PresenceState,
+    /// Since when, milliseconds since the Unix epoch.
+    pub since_ms: i64,
+    /// Why; empty when online.
+    pub why: String,
+    /// When the last status came, milliseconds since the Unix epoch.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub heard_ms: Option<i64>,
+    /// Its instance.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub instance: Option<String>,
+    /// Reports that wait in its outbox.
+    pub waiting: u64,
+    /// Generation of the desired value in force.
+    pub generation: u64,
+    /// The last full status.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<NodeStatus>)]
+    pub status: Option<serde_json::Value>,
+}
+
+/// A node as the database has it.
+#[derive(Clone, Debug)]
+pub(crate) struct Remembered {
+    pub(crate) name: String,
+    pub(crate) state: PresenceState,
+    pub(crate) since_ms: i64,
+    pub(crate) why: String,
+    pub(crate) heard_ms: Option<i64>,
+    pub(crate) instance: Option<String>,
+    pub(crate) machine: Option<String>,
+    pub(crate) started_ns: Option<i64>,
+    pub(crate) generation: i64,
+    pub(crate) status: Option<String>,
+}
+
+/// All nodes.
+#[derive(Debug)]
+pub struct Fleet {
+    limits: Limits,
+    nodes: RwLock<BTreeMap<Arc<str>, Entry>>,
+    /// Nodes to be written.
+    dirty: Mutex<VecDeque<Arc<str>>>,
+    notices: Mutex<Vec<Notice>>,
+    /// Where the sweep goes on.
+    swept: Mutex<Option<Arc<str>>>,
+    statuses: AtomicU64,
+}
+
+impl Fleet {
+    /// Nobody yet.
+    pub fn new(config: &PresenceConfig) -> Self {
+        let seconds = |s: f64| Duration::try_from_secs_f64(s).unwrap_or(Duration::MAX);
+        Self {
+            limits: Limits {
+                silent: seconds(config.silent_after_s),
+                offline: seconds(config.offline_after_s),
+            },
+            nodes: RwLock::default(),
+            dirty: Mutex::default(),
+            notices: Mutex::default(),
+            swept: Mutex::default(),
+            statuses: AtomicU64::new(0),
+        }
+    }
+
+    /// Takes what the database remembers. Who was heard then has until the silent limit from `now` on to be heard again.
+    pub(crate) fn remember(&self, nodes: Vec<Remembered>, now: Instant) {
+        let mut map = self.nodes.write();
+        for node in nodes {
+            let name: Arc<str> = node.name.as_str().into();
+            map.insert(name, Entry::remembered(node, now));
+        }
+    }
+
+    /// Takes a status; whether the node should be poked to tell all.
+    pub(crate) fn heard(
+        &self,
+        node: &str,
+        message: &StatusMessage,
+        now: Instant,
+        now_ms: i64,
+    ) -> bool {
+        self.statuses.fetch_add(1, Ordering::Relaxed);
+        let mut nodes = self.nodes.write();
+        let name: Arc<str> = match nodes.get_key_value(node) {
+            Some((name, _)) => Arc::clone(name),
+            None => node.into(),
+        };
+        let entry = nodes
+            .entry(Arc::clone(&name))
+            .or_insert_with(|| Entry::new(now_ms));
+        let run = Run::of(message);
+        let same = entry.run.as_ref() == Some(&run);
+        if same && message.full.is_none() && !entry.needs_full && message.seq <= entry.seq {
+            // Overtaken by a later one.
+            return false;
+        }
+        let follows = same && entry.seq.checked_add(1) == Some(message.seq);
+        if !same {
+            entry.another_run(run, now, self.limits.silent);
+        }
+        let mut changed = entry.generation != message.generation;
+        entry.heard = Some(now);
+        entry.heard_ms = Some(now_ms);
+        if entry.token == Token::Gone {
+            entry.token = Token::Unknown;
+        }
+        entry.seq = message.seq;
+        entry.waiting = message.waiting;
+        entry.generation = message.generation;
+        match &message.full {
+            Some(full) => {
+                entry.needs_full = false;
+                changed |= entry.take_status(full);
+            }
+            None if !follows => entry.needs_full = true,
+            None => {}
+        }
+        entry.health = message.health;
+        if changed {
+            self.mark(&name, entry);
+        }
+        self.settle(&name, entry, now, now_ms);
+        let due = |poked: Instant| now.saturating_duration_since(poked) >= POKE_EVERY;
+        let poke = entry.needs_full && entry.poked.is_none_or(due);
+        if poke {
+            entry.poked = Some(now);
+        }
+        poke
+    }
+
+    /// Takes what happened to a liveliness token.
+    pub(crate) fn token(&self, node: &str, present: bool, now: Instant, now_ms: i64) {
+        let mut nodes = self.nodes.write();
+        let Some(name) = nodes.get_key_value(node).map(|(name, _)| Arc::clone(name)) else {
+            return;
+        };
+        if let Some(entry) = nodes.get_mut(&name) {
+            entry.token = if present { Token::Present } else { Token::Gone };
+            self.settle(&name, entry, now, now_ms);
+        }
+    }
+
+    /// Makes a node known that has sent reports and no status yet.
+    pub(crate) fn reported(&self, node: &str, now_ms: i64) {
+        if self.nodes.read().contains_key(node) {
+            return;
+        }
+        let mut nodes = self.nodes.write();
+        nodes
+            .entry(node.into())
+            .or_insert_with(|| Entry::new(now_ms));
+    }
+
+    /// Looks at a tenth of the nodes for those that time made silent or offline.
+    pub(crate) fn sweep(&self, now: Instant, now_ms: i64) {
+        let mut swept = self.swept.lock();
+        let mut nodes = self.nodes.write();
+        let most = nodes.len() / 10 + 1;
+        // Behind the last one it begins anew.
+        for from in [swept.take().map_or(Unbounded, Excluded), Unbounded] {
+            let mut last = None;
+            let range = nodes.range_mut::<Arc<str>, _>((from, Unbounded));
+            for (name, entry) in range.take(most) {
+                self.settle(name, entry, now, now_ms);
+                last = Some(Arc::clone(name));
+            }
+            *swept = last;
+            if swept.is_some() {
+                break;
+            }
+        }
+    }
+
+    /// Judges, and notes a change.
+    fn settle(&self, name: &Arc<str>, entry: &mut Entry, now: Instant, now_ms: i64) {
+        if entry
+            .identity
+            .as_ref()
+            .is_some_and(|(_, until)| *until <= now)
+        {
+            entry.identity = None;
+        }
+        // Remembered as silent or offline, and not heard since: it stays so.
+        if entry.heard.is_none() && entry.heard_ms.is_some() {
+            return;
+        }
+        let facts = Facts {
+            heard_ago: entry
+                .heard
+                .map(|heard| now.saturating_duration_since(heard)),
+            token: entry.token,
+            health: entry.health,
+            reasons: &entry.reasons,
+            identity: entry.identity.as_ref().map(|(why, _)| why.as_str()),
+        };
+        let (state, why) = judge(&facts, self.limits);
+        if state != entry.state {
+            entry.since_ms = now_ms;
+        }
+        if (state, why.as_str()) != (entry.state, entry.why.as_str()) {
+            entry.state = state;
+            entry.why = why;
+            self.mark(name, entry);
+        }
+    }
+
+    /// Puts a node on the list of those to be written, unless it is there.
+    fn mark(&self, name: &Arc<str>, entry: &mut Entry) {
+        if !std::mem::replace(&mut entry.dirty, true) {
+            self.dirty.lock().push_back(Arc::clone(name));
+        }
+    }
+
+    /// Whether a full status is missing.
+    pub(crate) fn needs_full_status(&self, node: &str) -> bool {
+        let nodes = self.nodes.read();
+        nodes.get(node).is_some_and(|entry| entry.needs_full)
+    }
+
+    /// Notes a batch that cannot be read.
+    pub(crate) fn unreadable(&self, node: &str, reason: &str, now_ms: i64) {
+        self.note(Notice::new("refused", node, reason, now_ms));
+    }
+
+    fn note(&self, notice: Notice) {
+        let mut notices = self.notices.lock();
+        if notices.len() < MOST_NOTICES {
+            notices.push(notice);
+        }
+    }
+
+    /// Whether there is something to be written.
+    pub(crate) fn has_news(&self) -> bool {
+        !self.dirty.lock().is_empty() || !self.notices.lock().is_empty()
+    }
+
+    /// Takes what is to be written, at most as much as one transaction may have.
+    pub(crate) fn take_news(&self) -> News {
+        let names: Vec<Arc<str>> = {
+            let mut dirty = self.dirty.lock();
+            let count = dirty.len().min(MOST_NEWS);
+            dirty.drain(..count).collect()
+        };
+        let mut nodes = self.nodes.write();
+        let mut news = News::default();
+        for name in names {
+            if let Some(entry) = nodes.get_mut(&name) {
+                entry.dirty = false;
+                news.nodes.push((name.to_string(), entry.news()));
+            }
+        }
+        news.notices = std::mem::take(&mut *self.notices.lock());
+        news
+    }
+
+    /// Takes back what was not written.
+    pub(crate) fn give_back(&self, news: News) {
+        let mut nodes = self.nodes.write();
+        for (name, node) in news.nodes {
+            let name: Arc<str> = name.into();
+            if let Some(entry) = nodes.get_mut(&name) {
+                entry.status_dirty |= node.status.is_some();
+                self.mark(&name, entry);
+            }
+        }
+        drop(nodes);
+        for notice in news.notices {
+            self.note(notice);
+        }
+    }
+
+    /// How many nodes have each state, in the order of [`PresenceState::ALL`].
+    pub fn by_state(&self) -> [u64; 4] {
+        let mut counts = [0; 4];
+        for entry in self.nodes.read().values() {
+            for (count, state) in counts.iter_mut().zip(PresenceState::ALL) {
+                *count += u64::from(entry.state == state);
+            }
+        }
+        counts
+    }
+
+    /// Status messages taken since the start.
+    pub fn statuses(&self) -> u64 {
+        self.statuses.load(Ordering::Relaxed)
+    }
+
+    /// One node.
+    pub fn view(&self, node: &str) -> Option<NodeView> {
+        let nodes = self.nodes.read();
+        nodes.get(node).map(|entry| entry.view(node))
+    }
+
+    /// Nodes after `after` in the order of their names, at most `most`, of those that `wanted` chooses by name and
+    /// state.
+    pub fn list(
+        &self,
+        after: Option<&str>,
+        most: usize,
+        wanted: impl Fn(&str, PresenceState) -> bool,
+    ) -> Vec<NodeView> {
+        let nodes = self.nodes.read();
+        let from = after.map_or(Unbounded, Excluded);
+        nodes
+            .range::<str, _>((from, Unbounded))
+            .filter(|(name, entry)| wanted(name, entry.state))
+            .take(most)
+            .map(|(name, entry)| entry.view(name))
+            .collect()
+    }
+
+    /// All names, in order.
+    pub fn names(&self) -> Vec<Arc<str>> {
+        self.nodes.read().keys().cloned().collect()
+    }
+}

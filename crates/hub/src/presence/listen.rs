@@ -1,0 +1,250 @@
+//! Hears status messages and tokens, answers pulls, pokes.
+//!
+//! Zenoh's threads only hand over to bounded queues. A status that finds its queue full is dropped: the next one shows a
+//! gap in the numbers, and the hub asks for all.
+
+use super::Fleet;
+use crate::clock::now_ms;
+use crate::desired::Desires;
+use crate::ingest::{Replies, refusal};
+use albireo_wire::{FleetKeys, Poke, PullRequest, RefusalReason, StatusMessage, VERSION};
+use anyhow::anyhow;
+use bytes::Bytes;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::time::{Duration, Instant};
+use tokio::sync::mpsc;
+use tokio_util::sync::CancellationToken;
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::CongestionControl;
+use zenoh::query::Queryable;
+use zenoh::sample::SampleKind;
+use zenoh::{Session, Wait};
+
+/// Messages that may wait.
+const QUEUE: usize = 65_536;
+/// Pokes that may wait; one more is not sent, and the next status finds out anyway.
+const POKES: usize = 65_536;
+/// Time between two looks at a tenth of the nodes.
+const SWEEP: Duration = Duration::from_millis(500);
+/// Pause after so many pokes: thousands of nodes that ask at once are a storm of the hub's own making.
+const POKES_AT_ONCE: usize = 50;
+const POKE_PAUSE: Duration = Duration::from_millis(10);
+
+enum Heard {
+    Status { node: String, payload: Bytes },
+    Token { node: String, present: bool },
+}
+
+/// What is declared; undeclared when dropped.
+pub(crate) struct Listening {
+    _status: Subscriber<()>,
+    _tokens: Option<Subscriber<()>>,
+    _pulls: Queryable<()>,
+    /// Says which node should ask now what is desired.
+    pub(crate) pokes: Pokes,
+}
+
+/// Where pokes go.
+#[derive(Clone, Debug)]
+pub(crate) struct Pokes(SyncSender<(String, u64)>);
+
+impl Pokes {
+    /// Pokes `node` about `generation`. Never waits.
+    pub(crate) fn poke(&self, node: &str, generation: u64) {
+        // The next status or report finds out without it.
+        let _ = self.0.try_send((node.to_owned(), generation));
+    }
+}
+
+/// Counts of what was heard and could not be taken.
+#[derive(Debug, Default)]
+pub struct ListenCounters {
+    /// Status messages that found their queue full.
+    pub overrun: AtomicU64,
+    /// Status messages that cannot be read.
+    pub unreadable: AtomicU64,
+    /// Pulls answered.
+    pub pulls: AtomicU64,
+}
+
+/// What [`listen`] needs.
+pub(crate) struct ListenSetup<'a> {
+    pub(crate) session: &'a Session,
+    pub(crate) prefix: &'a str,
+    /// Whether liveliness tokens are watched.
+    pub(crate) tokens: bool,
+    pub(crate) fleet: Arc<Fleet>,
+    pub(crate) desires: Arc<Desires>,
+    pub(crate) replies: Replies,
+    pub(crate) counters: Arc<ListenCounters>,
+    pub(crate) shutdown: CancellationToken,
+}
+
+/// Declares everything and starts the task that takes what is heard, until the shutdown.
+pub(crate) async fn listen(setup: ListenSetup<'_>) -> anyhow::Result<Listening> {
+    let ListenSetup {
+        session,
+        prefix,
+        tokens,
+        fleet,
+        desires,
+        replies,
+        counters,
+        shutdown,
+    } = setup;
+    let keys = FleetKeys::all(prefix)?;
+    let (sender, heard) = mpsc::channel(QUEUE);
+    let pokes = poker(session.clone(), prefix.to_owned())?;
+    tokio::spawn(take(
+        heard,
+        Arc::clone(&fleet),
+        pokes.clone(),
+        Arc::clone(&counters),
+        shutdown,
+    ));
+    let queue = sender.clone();
+    let counted = Arc::clone(&counters);
+    let status = session
+        .declare_subscriber(keys.status())
+        .callback(move |sample| {
+            let Some(node) = FleetKeys::node_of(sample.key_expr().as_str()) else {
+                return;
+            };
+            let heard = Heard::Status {
+                node: node.to_owned(),
+                payload: Bytes::copy_from_slice(&sample.payload().to_bytes()),
+            };
+            if queue.try_send(heard).is_err() {
+                counted.overrun.fetch_add(1, Ordering::Relaxed);
+            }
+        })
+        .await
+        .map_err(|error| anyhow!("status messages cannot be heard: {error}"))?;
+    let tokens = if tokens {
+        let subscriber = session
+            .liveliness()
+            .declare_subscriber(keys.alive())
+            .history(true)
+            .callback(move |sample| {
+                if let Some(node) = FleetKeys::node_of(sample.key_expr().as_str()) {
+                    // A token that is not taken costs time only: status tells the rest.
+                    let _ = sender.try_send(Heard::Token {
+                        node: node.to_owned(),
+                        present: sample.kind() == SampleKind::Put,
+                    });
+                }
+            })
+            .await
+            .map_err(|error| anyhow!("liveliness tokens cannot be watched: {error}"))?;
+        Some(subscriber)
+    } else {
+        None
+    };
+    let pulls = session
+        .declare_queryable(keys.pull())
+        .complete(true)
+        .callback(move |query| {
+            counters.pulls.fetch_add(1, Ordering::Relaxed);
+            let payload = query
+                .payload()
+                .map(|payload| payload.to_bytes().into_owned());
+            let request = payload.as_deref().map(albireo_wire::read::<PullRequest>);
+            let node = FleetKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
+            match (request, node) {
+                (Some(Ok(_)), Some(node)) => {
+                    let mut desired = desires.of(&node);
+                    desired.send_full_status = fleet.needs_full_status(&node);
+                    replies.give(query, &desired);
+                }
+                (Some(Err(error)), _) => {
+                    let reason = RefusalReason::Unreadable;
+                    replies.refuse(query, refusal(reason, error.to_string(), None));
+                }
+                _ => {
+                    let reason = RefusalReason::Unreadable;
+                    replies.refuse(query, refusal(reason, "a query without a payload", None));
+                }
+            }
+        })
+        .await
+        .map_err(|error| anyhow!("what is desired cannot be answered: {error}"))?;
+    Ok(Listening {
+        _status: status,
+        _tokens: tokens,
+        _pulls: pulls,
+        pokes,
+    })
+}
+
+/// A thread that sends pokes, since a put may block; it ends when the last sender is gone.
+fn poker(session: Session, prefix: String) -> anyhow::Result<Pokes> {
+    let (sender, pokes) = sync_channel::<(String, u64)>(POKES);
+    std::thread::Builder::new()
+        .name("pokes".to_owned())
+        .spawn(move || {
+            let mut sent = 0_usize;
+            while let Ok((node, generation)) = pokes.recv() {
+                let Ok(keys) = FleetKeys::new(&prefix, &node) else {
+                    continue;
+                };
+                let poke = Poke {
+                    v: VERSION,
+                    generation,
+                };
+                let payload = serde_json::to_vec(&poke).unwrap_or_default();
+                let put = session
+                    .put(keys.poke(), payload)
+                    .congestion_control(CongestionControl::Drop)
+                    .wait();
+                if let Err(error) = put {
+                    tracing::debug!(%error, node, "a poke was not sent");
+                }
+                sent += 1;
+                if sent.is_multiple_of(POKES_AT_ONCE) {
+                    std::thread::sleep(POKE_PAUSE);
+                }
+            }
+        })?;
+    Ok(Pokes(sender))
+}
+
+async fn take(
+    mut heard: mpsc::Receiver<Heard>,
+    fleet: Arc<Fleet>,
+    pokes: Pokes,
+    counters: Arc<ListenCounters>,
+    shutdown: CancellationToken,
+) {
+    let mut sweep = tokio::time::interval(SWEEP);
+    loop {
+        let one = tokio::select! {
+            () = shutdown.cancelled() => return,
+            one = heard.recv() => match one {
+                Some(one) => one,
+                None => return,
+            },
+            _ = sweep.tick() => {
+                fleet.sweep(Instant::now(), now_ms());
+                continue;
+            }
+        };
+        match one {
+            Heard::Token { node, present } => fleet.token(&node, present, Instant::now(), now_ms()),
+            Heard::Status { node, payload } => {
+                match albireo_wire::read::<StatusMessage>(&payload) {
+                    Ok(message) => {
+                        if fleet.heard(&node, &message, Instant::now(), now_ms()) {
+                            pokes.poke(&node, 0);
+                        }
+                    }
+                    Err(error) => {
+                        counters.unreadable.fetch_add(1, Ordering::Relaxed);
+                        tracing::debug!(node, %error, "a status cannot be read");
+                    }
+                }
+            }
+        }
+    }
+}

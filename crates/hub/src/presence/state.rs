@@ -1,0 +1,111 @@
+//! The state of a node as a function of what is known. Pure: docs/hub.md has the same predicates in words.
+
+use albireo_wire::HealthState;
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+use utoipa::ToSchema;
+
+/// How a node is.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum PresenceState {
+    /// It is heard, and everything works.
+    Online,
+    /// It is heard, and something does not work.
+    Degraded,
+    /// It was not heard for a while.
+    Silent,
+    /// It is gone.
+    Offline,
+}
+
+impl PresenceState {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Online, Self::Degraded, Self::Silent, Self::Offline];
+
+    /// Its name.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Online => "online",
+            Self::Degraded => "degraded",
+            Self::Silent => "silent",
+            Self::Offline => "offline",
+        }
+    }
+
+    /// The state of that name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|state| state.as_str() == name)
+    }
+
+    /// Whether it is heard.
+    pub const fn is_heard(self) -> bool {
+        matches!(self, Self::Online | Self::Degraded)
+    }
+}
+
+/// What is known of the liveliness token.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Token {
+    /// None was seen, or the node was heard since it went: it tells nothing.
+    #[default]
+    Unknown,
+    /// It is there.
+    Present,
+    /// It went, and nothing was heard since.
+    Gone,
+}
+
+/// What is known of a node.
+#[derive(Clone, Copy, Debug)]
+pub struct Facts<'a> {
+    /// Since the last status; `None` when none ever came.
+    pub heard_ago: Option<Duration>,
+    /// The token.
+    pub token: Token,
+    /// What the last status says.
+    pub health: HealthState,
+    /// Its reasons, in words; may be empty while the full status is on its way.
+    pub reasons: &'a str,
+    /// Why the name or the instance is not one node's alone.
+    pub identity: Option<&'a str>,
+}
+
+/// From when on a node counts as silent and as offline.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Silent after.
+    pub silent: Duration,
+    /// Offline after.
+    pub offline: Duration,
+}
+
+/// The state, and why.
+pub fn judge(facts: &Facts<'_>, limits: Limits) -> (PresenceState, String) {
+    let Some(ago) = facts.heard_ago else {
+        return (PresenceState::Silent, "no status has come yet".to_owned());
+    };
+    if facts.token == Token::Gone {
+        let why = "its liveliness token went: it stopped, or its link broke";
+        return (PresenceState::Offline, why.to_owned());
+    }
+    let quiet = |limit: Duration| format!("no status for {} s", limit.as_secs_f64());
+    if ago >= limits.offline {
+        return (PresenceState::Offline, quiet(limits.offline));
+    }
+    if ago >= limits.silent {
+        return (PresenceState::Silent, quiet(limits.silent));
+    }
+    if let Some(identity) = facts.identity {
+        return (PresenceState::Degraded, identity.to_owned());
+    }
+    let said = match (facts.health, facts.reasons) {
+        (HealthState::Ready, _) => return (PresenceState::Online, String::new()),
+        (HealthState::Degraded, "") => "a part does not work",
+        (HealthState::NotReady, "") => "it does not answer frames",
+        (_, reasons) => reasons,
+    };
+    (PresenceState::Degraded, said.to_owned())
+}

@@ -1,0 +1,177 @@
+//! The state function by table, and the fleet over time.
+
+use super::*;
+use crate::config::PresenceConfig;
+use albireo_wire::{HealthState, StatusMessage, VERSION};
+use std::time::{Duration, Instant};
+
+const LIMITS: Limits = Limits {
+    silent: Duration::from_secs(95),
+    offline: Duration::from_secs(600),
+};
+
+#[test]
+fn the_state_is_what_the_table_in_the_documentation_says() {
+    use HealthState::{Degraded as Bad, NotReady, Ready};
+    use PresenceState::{Degraded, Offline, Online, Silent};
+    let some = |seconds| Some(Duration::from_secs(seconds));
+    for (heard_ago, token, health, reasons, identity, state, why) in [
+        (
+            None,
+            Token::Unknown,
+            Ready,
+            "",
+            None,
+            Silent,
+            "no status has come yet",
+        ),
+        (
+            None,
+            Token::Present,
+            Ready,
+            "",
+            None,
+            Silent,
+            "no status has come yet",
+        ),
+        (some(0), Token::Unknown, Ready, "", None, Online, ""),
+        (some(94), Token::Present, Ready, "", None, Online, ""),
+        (
+            some(95),
+            Token::Present,
+            Ready,
+            "",
+            None,
+            Silent,
+            "no status for 95 s",
+        ),
+        (
+            some(599),
+            Token::Unknown,
+            Bad,
+            "a: b",
+            None,
+            Silent,
+            "no status for 95 s",
+        ),
+        (
+            some(600),
+            Token::Present,
+            Ready,
+            "",
+            None,
+            Offline,
+            "no status for 600 s",
+        ),
+        (
+            some(1),
+            Token::Gone,
+            Ready,
+            "",
+            None,
+            Offline,
+            "its liveliness token went: it stopped, or its link broke",
+        ),
+        (some(1), Token::Unknown, Bad, "a: b", None, Degraded, "a: b"),
+        (
+            some(1),
+            Token::Unknown,
+            Bad,
+            "",
+            None,
+            Degraded,
+            "a part does not work",
+        ),
+        (
+            some(1),
+            Token::Unknown,
+            NotReady,
+            "",
+            None,
+            Degraded,
+            "it does not answer frames",
+        ),
+        (
+            some(1),
+            Token::Unknown,
+            Ready,
+            "",
+            Some("twins"),
+            Degraded,
+            "twins",
+        ),
+        (
+            some(1),
+            Token::Unknown,
+            Bad,
+            "a: b",
+            Some("twins"),
+            Degraded,
+            "twins",
+        ),
+        (
+            some(95),
+            Token::Unknown,
+            Ready,
+            "",
+            Some("twins"),
+            Silent,
+            "no status for 95 s",
+        ),
+    ] {
+        let facts = Facts {
+            heard_ago,
+            token,
+            health,
+            reasons,
+            identity,
+        };
+        assert_eq!(judge(&facts, LIMITS), (state, why.to_owned()), "{facts:?}");
+    }
+}
+
+fn life(seq: u64) -> StatusMessage {
+    StatusMessage {
+        v: VERSION,
+        instance: "0".repeat(32),
+        machine: None,
+        started_ns: 1,
+        seq,
+        t_ns: 0,
+        health: HealthState::Ready,
+        waiting: 0,
+        generation: 0,
+        full: None,
+    }
+}
+
+#[test]
+fn a_node_that_is_not_heard_gets_silent_then_offline_and_comes_back() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let start = Instant::now();
+    let at = |seconds| start + Duration::from_secs(seconds);
+    let state = || fleet.view("a").unwrap().state;
+    assert!(fleet.heard("a", &life(0), at(0), 0));
+    assert_eq!(state(), PresenceState::Online);
+    for (seconds, expected) in [
+        (94, PresenceState::Online),
+        (96, PresenceState::Silent),
+        (601, PresenceState::Offline),
+    ] {
+        fleet.sweep(at(seconds), seconds as i64 * 1000);
+        assert_eq!(state(), expected);
+    }
+    assert_eq!(fleet.view("a").unwrap().since_ms, 601_000);
+    fleet.heard("a", &life(1), at(700), 700_000);
+    assert_eq!(state(), PresenceState::Online);
+}
+
+#[test]
+fn a_poke_for_a_lost_status_comes_at_most_every_few_seconds() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let start = Instant::now();
+    assert!(fleet.heard("a", &life(0), start, 0));
+    assert!(!fleet.heard("a", &life(3), start + Duration::from_secs(1), 0));
+    assert!(fleet.heard("a", &life(9), start + Duration::from_secs(6), 0));
+    assert!(fleet.needs_full_status("a"));
+}

@@ -1,0 +1,25 @@
+//! Which parts of the hub do not work, and why.
+
+use parking_lot::Mutex;
+use std::collections::BTreeMap;
+
+/// Parts that do not work; empty when the hub is ready.
+#[derive(Debug, Default)]
+pub struct Readiness(Mutex<BTreeMap<&'static str, String>>);
+
+impl Readiness {
+    /// Says that `part` does not work.
+    pub fn hold(&self, part: &'static str, reason: &str) {
+        self.0.lock().insert(part, reason.to_owned());
+    }
+
+    /// Says that `part` works.
+    pub fn release(&self, part: &'static str) {
+        self.0.lock().remove(part);
+    }
+
+    /// What does not work, by part.
+    pub fn reasons(&self) -> BTreeMap<&'static str, String> {
+        self.0.lock().clone()
+    }
+}

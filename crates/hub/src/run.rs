@@ -1,0 +1,233 @@
+//! The service: a hub and its HTTP interface, from start to stop.
+
+use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
+use crate::events::EventsChanged;
+use crate::http::{self, HubView};
+use crate::ingest::{IngestWriter, Intake, Replies, WriterSetup};
+use crate::presence::{ListenSetup, listen};
+use crate::readiness::Readiness;
+use crate::store::Store;
+use crate::tuning::{self, Tuner};
+use albireo_service::session;
+use anyhow::{Context, anyhow};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+use zenoh::Session;
+
+/// What a hub's session needs beyond what is configured. A long lease, because a storm of joining nodes can keep a
+/// router busy for half a minute, and a session that is lost then declares everything anew and makes it longer. Room
+/// for nodes that connect to the hub itself: the default refuses the thousand-and-first without a word.
+const SESSION: session::Settings<'static> = &[
+    ("transport/link/tx/lease", "60000"),
+    ("transport/unicast/max_sessions", "12000"),
+    ("transport/unicast/accept_pending", "2000"),
+];
+
+/// How long stopping may take.
+const STOP_LIMIT: Duration = Duration::from_millis(4500);
+/// Pause before the database is tried again.
+const DATABASE_RETRY: Duration = Duration::from_secs(1);
+
+/// Runs a hub and its HTTP interface on `listener` until `shutdown`.
+///
+/// HTTP answers first, so that a health check sees a hub whose database or router is not there yet.
+///
+/// # Errors
+/// When the configuration cannot be used, or the HTTP interface may not be offered as configured.
+pub async fn run(
+    config: &HubConfig,
+    listener: TcpListener,
+    shutdown: CancellationToken,
+) -> anyhow::Result<()> {
+    let address = listener
+        .local_addr()
+        .context("the listener has no address")?;
+    let readiness = Arc::new(Readiness::default());
+    readiness.hold("zenoh", "the session is not open yet");
+    readiness.hold("database", "it is not open yet");
+    let view = HubView::new(config, Arc::clone(&readiness), shutdown.clone());
+    // HTTP outlives the rest, so that a look is possible until the end.
+    let serving = CancellationToken::new();
+    let http = albireo_service::http::run_with_tokens(
+        &config.http,
+        &config.tokens,
+        http::router(view.clone()),
+        listener,
+        serving.clone(),
+    );
+    tracing::info!(
+        http = format!("http://{address}"),
+        prefix = config.hub.prefix,
+        "listening"
+    );
+    let hub = async {
+        let ended = parts(config, &view, &shutdown).await;
+        serving.cancel();
+        ended
+    };
+    let (http, hub) = tokio::join!(
+        async {
+            let ended = http.await.context("[http]");
+            // Without its interface a hub cannot be watched or stopped: it ends.
+            shutdown.cancel();
+            ended
+        },
+        hub
+    );
+    hub.and(http)
+}
+
+/// Starts the parts in order, waits for the shutdown, and stops them in the opposite one.
+async fn parts(
+    config: &HubConfig,
+    view: &HubView,
+    shutdown: &CancellationToken,
+) -> anyhow::Result<()> {
+    let readiness = &view.readiness;
+    let Some(store) = open_store(config, readiness, shutdown).await? else {
+        return Ok(());
+    };
+    let nodes = store.remembered().await?;
+    tracing::info!(
+        database = store.kind(),
+        nodes = nodes.len(),
+        "history is open"
+    );
+    view.fleet.remember(nodes, Instant::now());
+    view.attach(store.clone());
+    readiness.release("database");
+    let Some(session) = open_session(config, readiness, shutdown).await? else {
+        store.close().await;
+        return Ok(());
+    };
+
+    let (replies, replier) = Replies::start(Arc::clone(&view.ingest))?;
+    let (intake, queue) = Intake::new(&config.ingest, replies.clone(), Arc::clone(&view.ingest));
+    let changed = EventsChanged::default();
+    let writer = IngestWriter::new(WriterSetup {
+        config: config.ingest.clone(),
+        history: config.history.clone(),
+        store: store.clone(),
+        replies: replies.clone(),
+        counters: Arc::clone(&view.ingest),
+        readiness: Arc::clone(readiness),
+        fleet: Arc::clone(&view.fleet),
+        desires: Arc::clone(&view.desires),
+        events: changed.clone(),
+    });
+    let writing = tokio::spawn(writer.run(queue));
+    let following = tokio::spawn(view.events.clone().follow(
+        store.clone(),
+        changed,
+        shutdown.clone(),
+    ));
+    let listening = listen(ListenSetup {
+        session: &session,
+        prefix: &config.hub.prefix,
+        tokens: config.presence.tokens,
+        fleet: Arc::clone(&view.fleet),
+        desires: Arc::clone(&view.desires),
+        replies,
+        counters: Arc::clone(&view.listen),
+        shutdown: shutdown.clone(),
+    })
+    .await?;
+    let reports = session
+        .declare_queryable(config.keys()?.report())
+        .complete(true)
+        .callback(move |query| intake.take(query))
+        .await
+        .map_err(|error| anyhow!("reports cannot be taken: {error}"))?;
+    let tuner = Tuner::open(
+        store.clone(),
+        view.fleet.clone(),
+        Arc::clone(&view.desires),
+        listening.pokes.clone(),
+        config.tuning.clone(),
+        session.zid().to_string(),
+    );
+    let tuner = Arc::new(tuner.await?);
+    view.attach_tuner(Arc::clone(&tuner));
+    let tuning = tokio::spawn(tuning::follow(tuner, shutdown.clone()));
+    // Who was known tells where it stands now, and not at its next period.
+    for node in view.fleet.names() {
+        listening
+            .pokes
+            .poke(&node, view.desires.of(&node).generation);
+    }
+    readiness.release("zenoh");
+    let zenoh: Vec<String> = session
+        .info()
+        .locators()
+        .await
+        .iter()
+        .map(ToString::to_string)
+        .collect();
+    tracing::info!(?zenoh, "ready");
+
+    shutdown.cancelled().await;
+    readiness.hold("zenoh", "the hub stops");
+    // With the queryable the queue's only sender goes: the writer commits what waits, and ends.
+    drop(reports);
+    let stop = async {
+        let _ = writing.await;
+        let _ = following.await;
+        let _ = tuning.await;
+        drop(listening);
+        // The last answers go before the session does.
+        let _ = tokio::task::spawn_blocking(move || replier.join()).await;
+        if let Err(error) = session.close().await {
+            tracing::warn!(%error, "Zenoh session not closed cleanly");
+        }
+        store.close().await;
+    };
+    if tokio::time::timeout(STOP_LIMIT, stop).await.is_err() {
+        tracing::warn!("not everything could be committed before the end; the nodes keep it");
+    }
+    Ok(())
+}
+
+/// Opens the database, and tries again while it cannot be reached.
+async fn open_store(
+    config: &HubConfig,
+    readiness: &Readiness,
+    shutdown: &CancellationToken,
+) -> anyhow::Result<Option<Store>> {
+    loop {
+        match Store::open(&config.database).await {
+            Ok(store) => return Ok(Some(store)),
+            Err(error) if error.passes() => {
+                tracing::warn!(%error, database = config.database.shown(), "trying again");
+                readiness.hold("database", &error.to_string());
+            }
+            Err(error) => {
+                return Err(anyhow!("[database] {}: {error}", config.database.shown()));
+            }
+        }
+        tokio::select! {
+            () = tokio::time::sleep(DATABASE_RETRY) => {}
+            () = shutdown.cancelled() => return Ok(None),
+        }
+    }
+}
+
+async fn open_session(
+    config: &HubConfig,
+    readiness: &Readiness,
+    shutdown: &CancellationToken,
+) -> anyhow::Result<Option<Session>> {
+    let session = session::open_patiently(
+        &config.zenoh,
+        MAX_PAYLOAD_BYTES,
+        SESSION,
+        shutdown,
+        |error| {
+            tracing::warn!(%error, "trying again");
+            readiness.hold("zenoh", &error.to_string());
+        },
+    )
+    .await?;
+    Ok(session)
+}

@@ -1,0 +1,68 @@
+//! Why the database did not do what was asked.
+
+/// Why the database did not do what was asked.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// It holds something else, or was written by a newer program.
+    #[error("{0}")]
+    Refused(String),
+    /// It cannot be reached or written now: it is not there, full, locked, read-only.
+    #[error("{0}")]
+    Unavailable(String),
+    /// It does not take what it was given.
+    #[error("the database refuses a statement: {0}")]
+    Statement(String),
+}
+
+impl StoreError {
+    /// Whether the same may succeed later, without anything else being changed by the caller.
+    pub fn passes(&self) -> bool {
+        matches!(self, Self::Unavailable(_))
+    }
+}
+
+/// Classes of PostgreSQL's error codes that say something of its state and nothing of the statement: connection,
+/// transaction rollback, resources, operator intervention, system, and a read-only transaction.
+const STATES: [&str; 6] = ["08", "40", "53", "57", "58", "25"];
+/// Lock not available, cancelled by time-out.
+const LOCKED: [&str; 1] = ["55P03"];
+
+impl From<sqlx::Error> for StoreError {
+    fn from(error: sqlx::Error) -> Self {
+        match &error {
+            sqlx::Error::Database(database) => {
+                let code = database.code().unwrap_or_default();
+                // SQLite: CORRUPT, CONSTRAINT, MISMATCH, RANGE and plain ERROR are about what is done; BUSY, LOCKED,
+                // READONLY, IOERR, FULL, CANTOPEN are about its state. The low byte of its codes is the kind.
+                let passes = match code.parse::<u32>() {
+                    Ok(number) if code.len() < 5 => {
+                        matches!(number & 0xff, 5 | 6 | 7 | 8 | 10 | 13 | 14)
+                    }
+                    _ => {
+                        STATES.iter().any(|class| code.starts_with(class))
+                            || LOCKED.contains(&code.as_ref())
+                    }
+                };
+                if passes {
+                    Self::Unavailable(format!("the database cannot be used now: {database}"))
+                } else {
+                    Self::Statement(format!("{database} (code {code})"))
+                }
+            }
+            sqlx::Error::Configuration(reason) => Self::Refused(format!("database.url: {reason}")),
+            sqlx::Error::ColumnDecode { .. }
+            | sqlx::Error::ColumnNotFound(_)
+            | sqlx::Error::RowNotFound
+            | sqlx::Error::Decode(_)
+            | sqlx::Error::Encode(_)
+            | sqlx::Error::TypeNotFound { .. } => Self::Statement(error.to_string()),
+            other => Self::Unavailable(format!("the database cannot be reached: {other}")),
+        }
+    }
+}
+
+impl From<serde_json::Error> for StoreError {
+    fn from(error: serde_json::Error) -> Self {
+        Self::Statement(format!("rows cannot be written as JSON: {error}"))
+    }
+}

@@ -1,0 +1,48 @@
+//! Reading, on connections of its own.
+
+mod energy;
+mod history;
+
+pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution};
+pub use history::{ClipQuery, InstanceView, StoredClip, StoredEvent, StoredSetAside};
+
+use super::{Store, StoreError};
+use crate::presence::{PresenceState, Remembered};
+use sqlx::Any;
+use sqlx::Row as _;
+use sqlx::any::{AnyArguments, AnyRow};
+
+impl Store {
+    fn query(&self, text: &str) -> sqlx::query::Query<'static, Any, AnyArguments> {
+        sqlx::query(self.dialect.sql(text))
+    }
+
+    async fn all(
+        &self,
+        query: sqlx::query::Query<'static, Any, AnyArguments>,
+    ) -> Result<Vec<AnyRow>, StoreError> {
+        Ok(query.fetch_all(&self.readers).await?)
+    }
+
+    /// Every node as it was known last.
+    pub(crate) async fn remembered(&self) -> Result<Vec<Remembered>, StoreError> {
+        let rows = self.all(self.query("SELECT * FROM nodes")).await?;
+        rows.iter()
+            .map(|row| {
+                let state: String = row.try_get("state")?;
+                Ok(Remembered {
+                    name: row.try_get("name")?,
+                    state: PresenceState::named(&state).unwrap_or(PresenceState::Silent),
+                    since_ms: row.try_get("since_ms")?,
+                    why: row.try_get("why")?,
+                    heard_ms: row.try_get("heard_ms")?,
+                    instance: row.try_get("instance")?,
+                    machine: row.try_get("machine")?,
+                    started_ns: row.try_get("started_ns")?,
+                    generation: row.try_get("generation")?,
+                    status: row.try_get("status")?,
+                })
+            })
+            .collect()
+    }
+}

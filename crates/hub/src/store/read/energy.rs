@@ -1,0 +1,184 @@
+//! Sums over time and fleet. Measured, partial and estimated energy are never added.
+
+use super::history::quality_name;
+use crate::store::{Store, StoreError};
+use serde::{Deserialize, Serialize};
+use sqlx::Row as _;
+use utoipa::ToSchema;
+
+/// What sums are grouped by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EnergyBy {
+    /// Nothing: one sum over all.
+    #[default]
+    All,
+    /// Node.
+    Node,
+    /// Node and camera.
+    Camera,
+    /// Day, UTC.
+    Day,
+    /// Policy.
+    Policy,
+    /// Policy and value of its knob.
+    Knob,
+}
+
+/// How long the spans are that the sums were made from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Resolution {
+    /// Five minutes.
+    FiveMinutes,
+    /// Days, UTC.
+    Day,
+}
+
+/// Which clips are summed.
+#[derive(Clone, Debug)]
+pub struct EnergyQuery {
+    /// Grouped by.
+    pub by: EnergyBy,
+    /// From spans of that length.
+    pub resolution: Resolution,
+    /// From this time on, seconds since the Unix epoch.
+    pub since_s: i64,
+    /// Before this time.
+    pub until_s: i64,
+    /// Of this node only.
+    pub node: Option<String>,
+    /// At most so many groups.
+    pub limit: i64,
+}
+
+/// Sums of one group and one quality.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct EnergyGroup {
+    /// Node, camera (`node/camera`), day (seconds since the Unix epoch), policy, or policy and value (`albireo u=0.0003`);
+    /// empty for the sum over all.
+    pub group: String,
+    /// `measured`, `partial`, `estimated` or `unavailable`: sums of different qualities are never added.
+    pub quality: &'static str,
+    /// Clips.
+    pub clips: i64,
+    /// Seconds of clips.
+    pub duration_s: f64,
+    /// Frames.
+    pub frames: i64,
+    /// Frames answered without the detector, degraded ones not among them: calls of it that were avoided.
+    pub avoided_calls: i64,
+    /// Calls of the detector.
+    pub detector_calls: i64,
+    /// Share of frames with state E or P that are not degraded.
+    pub skip_rate: f64,
+    /// Energy, joules: exact sums of what the nodes report, in whole microjoules.
+    pub joules: f64,
+    /// Of it the GPU's.
+    pub gpu_joules: f64,
+    /// Of it the processor's.
+    pub cpu_joules: f64,
+    /// Of it memory's and input and output's.
+    pub io_mem_joules: f64,
+    /// Always an estimate, whatever the quality: what calling the detector on every frame would have cost, by each
+    /// clip's own mean power over its own mean detector time for each call that was avoided.
+    pub vanilla_joules_estimated: f64,
+    /// Avoided calls in clips without a call or without energy: they have no price, and are not in the estimate.
+    pub unpriced_calls: i64,
+}
+
+impl Store {
+    /// Sums, in the order of the groups.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub async fn energy(&self, wanted: &EnergyQuery) -> Result<Vec<EnergyGroup>, StoreError> {
+        let table = match wanted.resolution {
+            Resolution::FiveMinutes => "sums_5m",
+            Resolution::Day => "sums_day",
+        };
+        let cameras = "JOIN cameras m ON m.id = t.camera_id JOIN nodes n ON n.id = m.node_id";
+        let setups = "JOIN setups s ON s.id = t.setup_id";
+        let (group, mut joins) = match wanted.by {
+            EnergyBy::All => ("''", String::new()),
+            EnergyBy::Node => ("n.name", cameras.to_owned()),
+            EnergyBy::Camera => ("n.name || '/' || m.name", cameras.to_owned()),
+            EnergyBy::Day => (
+                "CAST((t.bucket_s - t.bucket_s % 86400) AS TEXT)",
+                String::new(),
+            ),
+            EnergyBy::Policy => ("s.policy", setups.to_owned()),
+            EnergyBy::Knob => (
+                "s.policy || CASE WHEN s.knob = '' THEN '' ELSE ' ' || s.knob || '=' || s.value END",
+                setups.to_owned(),
+            ),
+        };
+        let mut filter = String::new();
+        if wanted.node.is_some() {
+            filter += " AND n.name = $4";
+            if !joins.contains("cameras") {
+                joins = format!("{joins} {cameras}");
+            }
+        }
+        let sum = |column: &str| format!("CAST(SUM(t.{column}) AS BIGINT) AS {column}");
+        let sums: Vec<String> = [
+            "clips",
+            "duration_us",
+            "frames",
+            "avoided_calls",
+            "unpriced_calls",
+            "detector_calls",
+            "avoided_uj",
+            "energy_uj",
+            "gpu_uj",
+            "cpu_uj",
+            "io_mem_uj",
+        ]
+        .into_iter()
+        .map(sum)
+        .collect();
+        let text = format!(
+            "SELECT {group} AS grouped, CAST(t.quality AS BIGINT) AS quality, {} FROM {table} t {joins} \
+             WHERE t.bucket_s >= $1 AND t.bucket_s < $2{filter} GROUP BY 1, 2 ORDER BY 1, 2 LIMIT $3",
+            sums.join(", ")
+        );
+        let mut query = self
+            .query(&text)
+            .bind(wanted.since_s)
+            .bind(wanted.until_s)
+            .bind(wanted.limit);
+        if let Some(node) = &wanted.node {
+            query = query.bind(node.clone());
+        }
+        self.all(query)
+            .await?
+            .iter()
+            .map(|row| {
+                let number = |name: &str| row.try_get::<i64, _>(name);
+                let joules = |name: &str| number(name).map(|uj| uj as f64 / 1e6);
+                let (frames, avoided) = (number("frames")?, number("avoided_calls")?);
+                Ok(EnergyGroup {
+                    group: row.try_get("grouped")?,
+                    quality: quality_name(number("quality")?),
+                    clips: number("clips")?,
+                    duration_s: number("duration_us")? as f64 / 1e6,
+                    frames,
+                    avoided_calls: avoided,
+                    detector_calls: number("detector_calls")?,
+                    skip_rate: if frames > 0 {
+                        avoided as f64 / frames as f64
+                    } else {
+                        0.0
+                    },
+                    joules: joules("energy_uj")?,
+                    gpu_joules: joules("gpu_uj")?,
+                    cpu_joules: joules("cpu_uj")?,
+                    io_mem_joules: joules("io_mem_uj")?,
+                    vanilla_joules_estimated: (number("energy_uj")? + number("avoided_uj")?) as f64
+                        / 1e6,
+                    unpriced_calls: number("unpriced_calls")?,
+                })
+            })
+            .collect()
+    }
+}

@@ -1,0 +1,53 @@
+//! What is too old goes, a small range at a time, so that the writer never waits long for it.
+
+use super::StoreError;
+use super::write::Writing;
+use crate::config::HistoryConfig;
+
+/// Most rows of one step.
+pub(crate) const STEP: i64 = 2000;
+
+const DAY_MS: i64 = 86_400_000;
+
+impl Writing<'_> {
+    /// Deletes at most [`STEP`] rows of each table that are older than is kept at `now_ms`; how many it were. 0: there
+    /// is nothing more to delete.
+    pub(crate) async fn retain(
+        &mut self,
+        history: &HistoryConfig,
+        now_ms: i64,
+    ) -> Result<u64, StoreError> {
+        let before = |days: u32| now_ms.saturating_sub(i64::from(days) * DAY_MS);
+        let mut deleted = 0;
+        for (text, bound) in [
+            (
+                "DELETE FROM clips WHERE id IN (SELECT id FROM clips WHERE received_ms < $1 \
+                 AND id < (SELECT COALESCE(min(id), 0) FROM clips) + $2)",
+                before(history.clips_days),
+            ),
+            (
+                "DELETE FROM sums_5m WHERE (bucket_s, camera_id, setup_id, quality) IN (SELECT bucket_s, camera_id, \
+                 setup_id, quality FROM sums_5m WHERE bucket_s < $1 ORDER BY bucket_s LIMIT $2)",
+                before(history.five_minutes_days).div_euclid(1000),
+            ),
+            (
+                "DELETE FROM events WHERE id IN (SELECT id FROM events WHERE at_ms < $1 \
+                 AND id < (SELECT COALESCE(min(id), 0) FROM events) + $2)",
+                before(history.events_days),
+            ),
+            (
+                "DELETE FROM changes WHERE id IN (SELECT id FROM changes WHERE at_ms < $1 \
+                 AND id < (SELECT COALESCE(min(id), 0) FROM changes) + $2)",
+                before(history.events_days),
+            ),
+            (
+                "DELETE FROM set_aside WHERE id IN (SELECT id FROM set_aside WHERE received_ms < $1 \
+                 AND id < (SELECT COALESCE(min(id), 0) FROM set_aside) + $2)",
+                before(history.set_aside_days),
+            ),
+        ] {
+            deleted += self.delete(text, bound, STEP).await?;
+        }
+        Ok(deleted)
+    }
+}

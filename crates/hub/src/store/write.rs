@@ -1,0 +1,140 @@
+//! Writing: one connection, one transaction at a time, a few statements with many rows each.
+
+mod names;
+mod tallies;
+mod tuning;
+
+pub(crate) use names::SetupKey;
+pub(crate) use tallies::{Instance, Known};
+pub(crate) use tuning::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, knob};
+
+use super::rows::{Row, insert, parameter};
+use super::{Dialect, Store, StoreError};
+use serde::Serialize;
+use sqlx::any::AnyArguments;
+use sqlx::{Any, AnyConnection, Connection as _, Transaction};
+
+/// The connection that writes. It is made when it is needed, and anew after an error.
+#[derive(Debug)]
+pub(crate) struct Writer {
+    store: Store,
+    connection: Option<AnyConnection>,
+}
+
+impl Store {
+    /// The one that writes. A second one would wait for the first.
+    pub(crate) fn writer(&self) -> Writer {
+        Writer {
+            store: self.clone(),
+            connection: None,
+        }
+    }
+}
+
+impl Writer {
+    /// Begins a transaction.
+    pub(crate) async fn begin(&mut self) -> Result<Writing<'_>, StoreError> {
+        let connection = match self.connection.take() {
+            Some(connection) => connection,
+            None => self.store.connect().await?,
+        };
+        let dialect = self.store.dialect;
+        let connection = self.connection.insert(connection);
+        // SQLite: a transaction that begins by reading and then writes fails at once when another wrote in between.
+        let transaction = match dialect {
+            Dialect::Sqlite => connection.begin_with("BEGIN IMMEDIATE").await?,
+            Dialect::Postgres => connection.begin().await?,
+        };
+        Ok(Writing {
+            transaction,
+            dialect,
+        })
+    }
+
+    /// Gives the connection up after an error: the next transaction has a new one.
+    pub(crate) async fn give_up(&mut self) {
+        if let Some(connection) = self.connection.take() {
+            // A server that is gone cannot be told.
+            let _ =
+                tokio::time::timeout(std::time::Duration::from_secs(1), connection.close()).await;
+        }
+    }
+
+    /// Closes the connection; SQLite's log is then in its file.
+    pub(crate) async fn close(mut self) {
+        self.give_up().await;
+    }
+}
+
+/// A transaction. Nothing of it is there until [`Writing::commit`] has returned.
+#[derive(Debug)]
+pub(crate) struct Writing<'c> {
+    transaction: Transaction<'c, Any>,
+    dialect: Dialect,
+}
+
+impl Writing<'_> {
+    /// Commits; what was written then survives a power loss.
+    pub(crate) async fn commit(self) -> Result<(), StoreError> {
+        Ok(self.transaction.commit().await?)
+    }
+
+    fn query(&self, text: &str) -> sqlx::query::Query<'static, Any, AnyArguments> {
+        sqlx::query(self.dialect.sql(text))
+    }
+
+    /// Runs a statement on those rows; nothing is done without rows. How many rows of the table it touched.
+    async fn with<T: Serialize>(&mut self, text: &str, rows: &[T]) -> Result<u64, StoreError> {
+        if rows.is_empty() {
+            return Ok(0);
+        }
+        let query = self.query(text).bind(parameter(rows)?);
+        Ok(query.execute(&mut *self.transaction).await?.rows_affected())
+    }
+
+    /// The rows a statement on those rows gives.
+    async fn ask<T: Serialize>(
+        &mut self,
+        text: &str,
+        rows: &[T],
+    ) -> Result<Vec<sqlx::any::AnyRow>, StoreError> {
+        if rows.is_empty() {
+            return Ok(Vec::new());
+        }
+        let query = self.query(text).bind(parameter(rows)?);
+        Ok(query.fetch_all(&mut *self.transaction).await?)
+    }
+
+    /// Inserts rows into `table`.
+    pub(crate) async fn insert<R: Row>(
+        &mut self,
+        table: &str,
+        rows: &[R],
+    ) -> Result<u64, StoreError> {
+        self.with(&insert::<R>(table), rows).await
+    }
+
+    /// Inserts rows into `table`, but those that are there already.
+    pub(crate) async fn insert_new<R: Row>(
+        &mut self,
+        table: &str,
+        rows: &[R],
+    ) -> Result<u64, StoreError> {
+        let text = insert::<R>(table) + " ON CONFLICT DO NOTHING";
+        self.with(&text, rows).await
+    }
+
+    /// From here to the commit no other hub writes events: their numbers then grow in the order of commits, so that
+    /// who reads after a number misses none.
+    pub(crate) async fn events_in_order(&mut self) -> Result<(), StoreError> {
+        /// Number of the lock.
+        const LOCK: i64 = 0x0a1b_14e1;
+        if self.dialect == Dialect::Postgres {
+            sqlx::query("SELECT pg_advisory_xact_lock($1)")
+                .bind(LOCK)
+                .execute(&mut *self.transaction)
+                .await?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,452 @@
+//! Orders, desired values and what became of them; rollouts and trials.
+
+use super::Writing;
+use crate::store::rows::{Key, insert, parameter, row, text};
+use crate::store::{Dialect, Store, StoreError};
+use albireo_wire::KnobValue;
+use sqlx::Row as _;
+use sqlx::any::AnyRow;
+
+row! {
+    /// A value ordered for some nodes.
+    pub(crate) struct OrderRow {
+        generation: i64,
+        at_ms: i64,
+        who: String,
+        why: String,
+        origin: String,
+        selector: String,
+        knob: String,
+        value: String,
+    }
+}
+
+row! {
+    /// What became of an order at one node.
+    pub(crate) struct OrderNodeRow {
+        generation: i64,
+        node: String,
+        from_value: Option<String>,
+        outcome: String,
+        at_ms: i64,
+        detail: String,
+    }
+}
+
+row! {
+    /// What is desired of a node.
+    pub(crate) struct DesiredRow {
+        node: String,
+        generation: i64,
+        knob: String,
+        value: String,
+    }
+}
+
+/// A rollout or trial as it is kept.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct CampaignRow {
+    pub(crate) id: i64,
+    pub(crate) kind: String,
+    pub(crate) begun_ms: i64,
+    pub(crate) ended_ms: Option<i64>,
+    pub(crate) who: String,
+    pub(crate) state: String,
+}
+
+/// One figure of the clips of one node, summed: how many, the sum, the sum of squares, of each figure.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct ClipSums {
+    pub(crate) node: String,
+    pub(crate) quality: i64,
+    pub(crate) clips: i64,
+    /// Of skip rate, joules, EDP, latency, degraded share: clips that have it, sum, sum of squares.
+    pub(crate) figures: [(i64, f64, f64); 5],
+}
+
+/// Whose clips are summed: node, knob, value, and when they were received.
+pub(crate) type ClipWindow = Key<5>;
+
+const OPEN: &str = "outcome IN ('pending', 'waiting', 'timed_out')";
+const CAMPAIGN: &str = "id, kind, begun_ms, ended_ms, who, state";
+
+impl Writing<'_> {
+    /// The next generation: greater than any before, whatever hub gave it.
+    pub(crate) async fn next_generation(&mut self) -> Result<i64, StoreError> {
+        let query = self.query(
+            "UPDATE counters SET value = value + 1 WHERE name = 'generation' RETURNING value",
+        );
+        let row = query.fetch_one(&mut *self.transaction).await?;
+        Ok(row.try_get("value")?)
+    }
+
+    /// Notes an order and its nodes, and makes its value the desired one where none of a higher generation is.
+    pub(crate) async fn order(
+        &mut self,
+        order: OrderRow,
+        nodes: &[OrderNodeRow],
+    ) -> Result<(), StoreError> {
+        let desired: Vec<DesiredRow> = nodes
+            .iter()
+            .map(|node| DesiredRow {
+                node: node.node.clone(),
+                generation: order.generation,
+                knob: order.knob.clone(),
+                value: order.value.clone(),
+            })
+            .collect();
+        let statement = format!(
+            "UPDATE order_nodes SET outcome = 'superseded', at_ms = $2 WHERE {OPEN} AND generation < $3 \
+             AND node IN (SELECT CAST(r.value ->> 0 AS TEXT) FROM {{ROWS}})"
+        );
+        let names: Vec<Key<1>> = nodes
+            .iter()
+            .map(|node| Key([node.node.as_str().into()]))
+            .collect();
+        let query = self
+            .query(&statement)
+            .bind(parameter(&names)?)
+            .bind(order.at_ms)
+            .bind(order.generation);
+        query.execute(&mut *self.transaction).await?;
+        let statement = insert::<DesiredRow>("desired")
+            + " ON CONFLICT (node) DO UPDATE SET generation = excluded.generation, knob = excluded.knob, \
+               value = excluded.value WHERE excluded.generation > desired.generation";
+        self.with(&statement, &desired).await?;
+        self.insert("orders", &[order]).await?;
+        self.outcomes(nodes).await
+    }
+
+    /// Notes what became of orders.
+    pub(crate) async fn outcomes(&mut self, nodes: &[OrderNodeRow]) -> Result<(), StoreError> {
+        let statement = insert::<OrderNodeRow>("order_nodes")
+            + " ON CONFLICT (generation, node) DO UPDATE SET outcome = excluded.outcome, at_ms = excluded.at_ms, \
+               detail = excluded.detail";
+        self.with(&statement, nodes).await?;
+        Ok(())
+    }
+
+    /// Begins a rollout or trial, driven by `driver`. Returns its number.
+    pub(crate) async fn begin_campaign(
+        &mut self,
+        kind: &str,
+        who: &str,
+        driver: &str,
+        now_ms: i64,
+        until_ms: i64,
+        state: &str,
+    ) -> Result<i64, StoreError> {
+        let query = self.query(
+            "INSERT INTO campaigns (kind, begun_ms, who, driver, driven_until_ms, state) \
+             VALUES ($1, $2, $3, $4, $5, $6) RETURNING id",
+        );
+        let query = query.bind(kind.to_owned()).bind(now_ms).bind(text(who));
+        let query = query
+            .bind(driver.to_owned())
+            .bind(until_ms)
+            .bind(text(state));
+        Ok(query
+            .fetch_one(&mut *self.transaction)
+            .await?
+            .try_get("id")?)
+    }
+
+    /// Keeps the state of a rollout or trial.
+    pub(crate) async fn save_campaign(
+        &mut self,
+        id: i64,
+        ended_ms: Option<i64>,
+        state: &str,
+    ) -> Result<(), StoreError> {
+        let query = self.query("UPDATE campaigns SET ended_ms = $2, state = $3 WHERE id = $1");
+        let query = query.bind(id).bind(ended_ms).bind(text(state));
+        query.execute(&mut *self.transaction).await?;
+        Ok(())
+    }
+
+    /// Takes the rollouts and trials that nobody drives, and renews those that `driver` does. On SQLite there is one hub, and
+    /// whoever drove them before is gone.
+    pub(crate) async fn claim_campaigns(
+        &mut self,
+        driver: &str,
+        now_ms: i64,
+        until_ms: i64,
+    ) -> Result<Vec<i64>, StoreError> {
+        let free = match self.dialect {
+            Dialect::Sqlite => "$3 = $3",
+            Dialect::Postgres => "driven_until_ms < $3",
+        };
+        let statement = format!(
+            "UPDATE campaigns SET driver = $1, driven_until_ms = $2 WHERE ended_ms IS NULL \
+             AND (driver = $1 OR {free}) RETURNING id"
+        );
+        let query = self
+            .query(&statement)
+            .bind(driver.to_owned())
+            .bind(until_ms)
+            .bind(now_ms);
+        let rows = query.fetch_all(&mut *self.transaction).await?;
+        rows.iter().map(|row| Ok(row.try_get("id")?)).collect()
+    }
+
+    /// Drives an ended rollout again: its values return.
+    pub(crate) async fn reopen_campaign(
+        &mut self,
+        id: i64,
+        driver: &str,
+        until_ms: i64,
+        state: &str,
+    ) -> Result<(), StoreError> {
+        let query = self.query(
+            "UPDATE campaigns SET ended_ms = NULL, driver = $2, driven_until_ms = $3, state = $4 WHERE id = $1",
+        );
+        let query = query
+            .bind(id)
+            .bind(driver.to_owned())
+            .bind(until_ms)
+            .bind(text(state));
+        query.execute(&mut *self.transaction).await?;
+        Ok(())
+    }
+}
+
+impl Store {
+    /// The desired values of higher generations than `after`.
+    pub(crate) async fn desired_after(
+        &self,
+        after: i64,
+    ) -> Result<Vec<(String, i64, KnobValue)>, StoreError> {
+        let sql = self
+            .dialect
+            .sql("SELECT node, generation, knob, value FROM desired WHERE generation > $1");
+        let rows = sqlx::query(sql)
+            .bind(after)
+            .fetch_all(&self.readers)
+            .await?;
+        let read = |row: &AnyRow| -> Result<_, StoreError> {
+            let value: String = row.try_get("value")?;
+            Ok((
+                row.try_get("node")?,
+                row.try_get("generation")?,
+                knob(row.try_get("knob")?, &value)?,
+            ))
+        };
+        rows.iter().map(read).collect()
+    }
+
+    /// What became of the orders from generation `from` to `to`; of one node only, if it is given.
+    pub(crate) async fn order_nodes(
+        &self,
+        from: i64,
+        to: i64,
+        node: Option<&str>,
+    ) -> Result<Vec<OrderNodeRow>, StoreError> {
+        let sql = self.dialect.sql(
+            "SELECT generation, node, from_value, outcome, at_ms, detail FROM order_nodes \
+             WHERE generation BETWEEN $1 AND $2 AND ($3 = '' OR node = $3) ORDER BY generation DESC, node",
+        );
+        let query = sqlx::query(sql)
+            .bind(from)
+            .bind(to)
+            .bind(node.unwrap_or_default().to_owned());
+        query
+            .fetch_all(&self.readers)
+            .await?
+            .iter()
+            .map(order_node)
+            .collect()
+    }
+
+    /// Orders whose outcome is open at some nodes.
+    pub(crate) async fn open_order_nodes(&self) -> Result<Vec<OrderNodeRow>, StoreError> {
+        let statement = format!(
+            "SELECT generation, node, from_value, outcome, at_ms, detail FROM order_nodes WHERE {OPEN}"
+        );
+        let rows = sqlx::query(self.dialect.sql(&statement))
+            .fetch_all(&self.readers)
+            .await?;
+        rows.iter().map(order_node).collect()
+    }
+
+    /// The newest orders below generation `before`; those of one node only, if it is given.
+    pub(crate) async fn orders(
+        &self,
+        before: i64,
+        node: Option<&str>,
+        limit: i64,
+    ) -> Result<Vec<OrderRow>, StoreError> {
+        let sql = self.dialect.sql(
+            "SELECT generation, at_ms, who, why, origin, selector, knob, value FROM orders \
+             WHERE generation < $1 AND ($2 = '' OR generation IN (SELECT generation FROM order_nodes WHERE node = $2)) \
+             ORDER BY generation DESC LIMIT $3",
+        );
+        let query = sqlx::query(sql)
+            .bind(before)
+            .bind(node.unwrap_or_default().to_owned())
+            .bind(limit);
+        let read = |row: &AnyRow| -> Result<_, StoreError> {
+            Ok(OrderRow {
+                generation: row.try_get("generation")?,
+                at_ms: row.try_get("at_ms")?,
+                who: row.try_get("who")?,
+                why: row.try_get("why")?,
+                origin: row.try_get("origin")?,
+                selector: row.try_get("selector")?,
+                knob: row.try_get("knob")?,
+                value: row.try_get("value")?,
+            })
+        };
+        query
+            .fetch_all(&self.readers)
+            .await?
+            .iter()
+            .map(read)
+            .collect()
+    }
+
+    /// How many nodes have which outcome, by order, from generation `from` to `to`.
+    pub(crate) async fn outcome_counts(
+        &self,
+        from: i64,
+        to: i64,
+    ) -> Result<Vec<(i64, String, i64)>, StoreError> {
+        let sql = self.dialect.sql(
+            "SELECT generation, outcome, count(*) AS nodes FROM order_nodes WHERE generation BETWEEN $1 AND $2 \
+             GROUP BY generation, outcome",
+        );
+        let rows = sqlx::query(sql)
+            .bind(from)
+            .bind(to)
+            .fetch_all(&self.readers)
+            .await?;
+        let read = |row: &AnyRow| {
+            Ok((
+                row.try_get("generation")?,
+                row.try_get("outcome")?,
+                row.try_get("nodes")?,
+            ))
+        };
+        rows.iter().map(read).collect()
+    }
+
+    /// The newest rollouts or trials with numbers below `before`.
+    pub(crate) async fn campaigns(
+        &self,
+        kind: &str,
+        before: i64,
+        limit: i64,
+    ) -> Result<Vec<CampaignRow>, StoreError> {
+        let statement = format!(
+            "SELECT {CAMPAIGN} FROM campaigns WHERE kind = $1 AND id < $2 ORDER BY id DESC LIMIT $3"
+        );
+        let query = sqlx::query(self.dialect.sql(&statement))
+            .bind(kind.to_owned())
+            .bind(before)
+            .bind(limit);
+        query
+            .fetch_all(&self.readers)
+            .await?
+            .iter()
+            .map(campaign)
+            .collect()
+    }
+
+    /// One rollout or trial.
+    pub(crate) async fn campaign(&self, id: i64) -> Result<Option<CampaignRow>, StoreError> {
+        let statement = format!("SELECT {CAMPAIGN} FROM campaigns WHERE id = $1");
+        let row = sqlx::query(self.dialect.sql(&statement))
+            .bind(id)
+            .fetch_optional(&self.readers)
+            .await?;
+        row.as_ref().map(campaign).transpose()
+    }
+
+    /// Sums over the clips that had one value in force from begin to end, by node and energy quality.
+    pub(crate) async fn clip_sums(
+        &self,
+        windows: &[ClipWindow],
+    ) -> Result<Vec<ClipSums>, StoreError> {
+        const DAY_MS: i64 = 86_400_000;
+        let figures = [
+            "CAST(c.frames_e + c.frames_p - c.degraded AS DOUBLE PRECISION) / NULLIF(c.frames, 0)",
+            "CAST(c.energy_uj AS DOUBLE PRECISION) / 1000000",
+            "c.edp",
+            "CAST(c.latency_p99_us AS DOUBLE PRECISION) / 1000",
+            "CAST(c.degraded AS DOUBLE PRECISION) / NULLIF(c.frames, 0)",
+        ];
+        let sums: Vec<String> = (figures.iter().enumerate())
+            .map(|(i, f)| {
+                format!(
+                    "count({f}) AS n{i}, COALESCE(sum({f}), CAST(0 AS DOUBLE PRECISION)) AS s{i}, \
+                     COALESCE(sum(({f}) * ({f})), CAST(0 AS DOUBLE PRECISION)) AS q{i}"
+                )
+            })
+            .collect();
+        // A clip is filed under its begin, which lies less than a day before it is received if anybody is to decide
+        // on it: without that bound every clip ever received would be looked at.
+        let statement = format!(
+            "SELECT n.name AS node, CAST(c.quality AS BIGINT) AS quality, count(*) AS clips, {} FROM {{ROWS}} \
+             JOIN nodes n ON n.name = CAST(r.value ->> 0 AS TEXT) JOIN cameras k ON k.node_id = n.id \
+             JOIN clips c ON c.camera_id = k.id AND c.at_ms >= CAST(r.value ->> 3 AS BIGINT) - {DAY_MS} \
+             JOIN setups s ON s.id = c.setup_id \
+             WHERE s.knob = CAST(r.value ->> 1 AS TEXT) AND s.value = CAST(r.value ->> 2 AS TEXT) \
+             AND c.received_ms >= CAST(r.value ->> 3 AS BIGINT) AND c.received_ms <= CAST(r.value ->> 4 AS BIGINT) \
+             AND (c.details IS NULL OR c.details NOT LIKE '%knob_changes%') GROUP BY n.name, c.quality",
+            sums.join(", ")
+        );
+        let mut found = Vec::new();
+        // A connection that reads is not held for long.
+        for windows in windows.chunks(500) {
+            let query = sqlx::query(self.dialect.sql(&statement)).bind(parameter(windows)?);
+            for row in query.fetch_all(&self.readers).await? {
+                let mut sums = ClipSums {
+                    node: row.try_get("node")?,
+                    quality: row.try_get("quality")?,
+                    clips: row.try_get("clips")?,
+                    figures: [(0, 0.0, 0.0); 5],
+                };
+                for (i, figure) in sums.figures.iter_mut().enumerate() {
+                    let column = |letter: char| format!("{letter}{i}");
+                    *figure = (
+                        row.try_get(column('n').as_str())?,
+                        row.try_get(column('s').as_str())?,
+                        row.try_get(column('q').as_str())?,
+                    );
+                }
+                found.push(sums);
+            }
+        }
+        Ok(found)
+    }
+}
+
+fn order_node(row: &AnyRow) -> Result<OrderNodeRow, StoreError> {
+    Ok(OrderNodeRow {
+        generation: row.try_get("generation")?,
+        node: row.try_get("node")?,
+        from_value: row.try_get("from_value")?,
+        outcome: row.try_get("outcome")?,
+        at_ms: row.try_get("at_ms")?,
+        detail: row.try_get("detail")?,
+    })
+}
+
+fn campaign(row: &AnyRow) -> Result<CampaignRow, StoreError> {
+    Ok(CampaignRow {
+        id: row.try_get("id")?,
+        kind: row.try_get("kind")?,
+        begun_ms: row.try_get("begun_ms")?,
+        ended_ms: row.try_get("ended_ms")?,
+        who: row.try_get("who")?,
+        state: row.try_get("state")?,
+    })
+}
+
+/// A knob's value as it is kept: name and shortest text.
+pub(crate) fn knob(name: String, value: &str) -> Result<KnobValue, StoreError> {
+    let number: f64 = value
+        .parse()
+        .map_err(|_| StoreError::Statement(format!("`{value}` is kept as a value of `{name}`")))?;
+    let object: serde_json::Map<_, _> = [(name, number.into())].into_iter().collect();
+    Ok(serde_json::from_value(object.into())?)
+}

@@ -1,0 +1,21 @@
+//! Tuning the fleet: a value for selected nodes, changes in stages that are gated on what is measured, comparisons of
+//! values on random groups.
+//!
+//! What decides is pure: [`selector`], [`gate`], [`rollout`], [`trial`] know neither clock nor network nor database.
+
+pub(crate) mod campaigns;
+pub(crate) mod change;
+pub mod desired;
+pub mod fleet;
+pub mod gate;
+pub mod members;
+pub mod metric;
+pub mod rollout;
+pub mod selector;
+pub mod statistics;
+mod task;
+pub mod trial;
+pub mod tuner;
+
+pub(crate) use task::follow;
+pub use tuner::Tuner;

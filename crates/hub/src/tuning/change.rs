@@ -1,0 +1,116 @@
+//! A value for selected nodes, by hand: who would change, who cannot, and what became of it.
+
+use super::selector::Selector;
+use super::tuner::{NewOrder, OutcomeLine, Tuner};
+use crate::store::StoreError;
+use albireo_wire::KnobValue;
+use std::collections::HashSet;
+use tokio::sync::mpsc;
+
+/// A value for selected nodes.
+#[derive(Clone, Debug)]
+pub(crate) struct ChangeRequest {
+    pub(crate) knob: KnobValue,
+    pub(crate) select: Selector,
+    pub(crate) dry_run: bool,
+    pub(crate) why: String,
+}
+
+/// An order that was given, or would be.
+#[derive(Debug)]
+pub(crate) struct Change {
+    /// The value that was ordered.
+    pub(crate) knob: KnobValue,
+    /// Its generation; absent in a dry run, and where nobody was to change.
+    pub(crate) generation: Option<u64>,
+    /// What is known at once.
+    pub(crate) lines: Vec<OutcomeLine>,
+    /// Nodes whose answer is awaited.
+    pub(crate) awaited: HashSet<String>,
+    /// Brings their answers.
+    pub(crate) follow: mpsc::UnboundedReceiver<OutcomeLine>,
+}
+
+impl Tuner {
+    /// Orders a value for the selected nodes, or says who would change.
+    pub(crate) async fn change(
+        &self,
+        request: ChangeRequest,
+        who: &str,
+    ) -> Result<Change, StoreError> {
+        let ChangeRequest {
+            knob,
+            select,
+            dry_run,
+            why,
+        } = request;
+        let taken = Self::taken(&*self.campaigns.lock().await);
+        let (mut lines, mut nodes, mut known) = (Vec::new(), Vec::new(), HashSet::new());
+        let line = |node: &str, outcome, from, detail: String| OutcomeLine {
+            node: node.to_owned(),
+            outcome,
+            from,
+            to: knob,
+            detail,
+        };
+        for facts in self.fleet.nodes() {
+            if !select.selects(&facts.name, &facts.labels()) {
+                continue;
+            }
+            known.insert(facts.name.clone());
+            let from = facts.knob();
+            if let Some(other) = taken.get(&facts.name) {
+                let detail = format!("takes part in {other}: end or return that first");
+                lines.push(line(&facts.name, "refused", from, detail));
+            } else if let Some(name) = facts.knob_name().filter(|name| *name != knob.name) {
+                let detail = format!("its policy is turned by `{name}`, not by `{}`", knob.name);
+                lines.push(line(&facts.name, "refused", from, detail));
+            } else if from == Some(knob)
+                && self
+                    .desired_value(&facts.name)
+                    .is_some_and(|d| d.knob == knob)
+            {
+                lines.push(line(&facts.name, "unchanged", from, String::new()));
+            } else if dry_run {
+                let detail = if facts.reachable {
+                    ""
+                } else {
+                    "out of reach: on its return"
+                };
+                lines.push(line(&facts.name, "would_change", from, detail.to_owned()));
+            } else {
+                nodes.push((facts.name, from));
+            }
+        }
+        for name in select.named().filter(|name| !known.contains(*name)) {
+            lines.push(line(
+                name,
+                "refused",
+                None,
+                "there is no node of that name".to_owned(),
+            ));
+        }
+        let awaited = nodes.iter().map(|(node, _)| node.clone()).collect();
+        let (tell, follow) = mpsc::unbounded_channel();
+        let generation = if nodes.is_empty() {
+            None
+        } else {
+            let order = NewOrder {
+                knob,
+                nodes,
+                who: who.to_owned(),
+                why,
+                origin: "hand".to_owned(),
+                selector: select.to_string(),
+            };
+            Some(self.order(order, Some(tell)).await?)
+        };
+        Ok(Change {
+            knob,
+            generation,
+            lines,
+            awaited,
+            follow,
+        })
+    }
+}

@@ -1,0 +1,83 @@
+//! The desired values by node, in memory, as the database has them.
+
+use albireo_wire::KnobValue;
+use parking_lot::RwLock;
+use std::collections::HashMap;
+
+/// A desired value.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DesiredValue {
+    /// Its number.
+    pub generation: u64,
+    /// The value.
+    pub knob: KnobValue,
+}
+
+/// The desired values by node.
+#[derive(Debug, Default)]
+pub struct DesiredValues(RwLock<HashMap<String, DesiredValue>>);
+
+impl DesiredValues {
+    /// Takes a value; one of a lower or the same generation changes nothing. Returns whether it was taken.
+    pub fn set(&self, node: &str, value: DesiredValue) -> bool {
+        let mut values = self.0.write();
+        match values.get_mut(node) {
+            Some(present) if present.generation >= value.generation => false,
+            Some(present) => {
+                *present = value;
+                true
+            }
+            None => {
+                values.insert(node.to_owned(), value);
+                true
+            }
+        }
+    }
+
+    /// The value desired of a node.
+    pub fn get(&self, node: &str) -> Option<DesiredValue> {
+        self.0.read().get(node).copied()
+    }
+
+    /// All of them.
+    pub fn all(&self) -> Vec<(String, DesiredValue)> {
+        let values = self.0.read();
+        values
+            .iter()
+            .map(|(node, value)| (node.clone(), *value))
+            .collect()
+    }
+
+    /// The highest generation; 0 without any.
+    pub fn highest(&self) -> u64 {
+        let values = self.0.read();
+        values
+            .values()
+            .map(|value| value.generation)
+            .max()
+            .unwrap_or(0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn a_lower_generation_never_replaces_a_higher(generations in prop::collection::vec(0u64..20, 1..30)) {
+            let values = DesiredValues::default();
+            let mut highest = None;
+            for generation in generations {
+                let knob = KnobValue { name: "u", value: generation as f64 };
+                let taken = values.set("n", DesiredValue { generation, knob });
+                prop_assert_eq!(taken, highest.is_none_or(|highest| generation > highest));
+                highest = highest.max(Some(generation));
+                prop_assert_eq!(values.get("n").map(|v| v.generation), highest);
+                prop_assert_eq!(values.highest(), highest.unwrap_or(0));
+            }
+            prop_assert_eq!(values.get("other"), None);
+        }
+    }
+}

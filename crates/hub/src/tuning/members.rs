@@ -1,0 +1,340 @@
+//! The nodes of a rollout or a trial: what each is to have, and what it has said.
+
+use albireo_wire::KnobValue;
+use rand_core::{RngCore, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Milliseconds since the Unix epoch, by the hub's clock.
+pub type Millis = i64;
+
+/// What a node is to have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Target {
+    /// What it has.
+    #[default]
+    Untouched,
+    /// The value of its stage or group.
+    New,
+    /// The value it had before.
+    Old,
+}
+
+/// Where a node is with its target.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(tag = "outcome", rename_all = "snake_case")]
+pub enum Outcome {
+    /// Nothing was asked of it.
+    #[default]
+    Untouched,
+    /// Asked; it has not said anything yet.
+    Pending,
+    /// It is out of reach; it will find the value when it returns.
+    Waiting,
+    /// It reported the value.
+    Applied {
+        /// When the hub heard it.
+        at_ms: Millis,
+    },
+    /// It reported that it does not take the value.
+    Refused {
+        /// Why.
+        reason: String,
+    },
+    /// It is in reach and did not report the value in time; it may still.
+    TimedOut,
+    /// It stayed out of reach until the deadline; the value was withdrawn.
+    Missed,
+}
+
+impl Outcome {
+    /// Whether the node has said what became of the value, or is known not to be able to.
+    pub const fn is_decided(&self) -> bool {
+        !matches!(self, Self::Pending)
+    }
+
+    /// What follows from what is `seen` of a node that was asked, at `asked_ms`, for `wanted` with that generation. A node that was
+    /// away has its time anew from its return.
+    pub(crate) fn next(
+        &self,
+        seen: &Seen,
+        wanted: KnobValue,
+        generation: u64,
+        asked_ms: &mut Millis,
+        patience_ms: Millis,
+        now: Millis,
+    ) -> Self {
+        use Outcome::{Applied, Missed, Pending, Refused, TimedOut, Untouched, Waiting};
+        let has_it = seen.generation >= generation && seen.knob == Some(wanted);
+        match (self, &seen.refused) {
+            (Applied { .. } | Untouched | Missed, _) => self.clone(),
+            _ if has_it => Applied { at_ms: now },
+            (_, Some((refused, reason))) if *refused == generation => Refused {
+                reason: reason.clone(),
+            },
+            (Refused { .. }, _) => self.clone(),
+            _ if !seen.reachable => Waiting,
+            (TimedOut, _) => TimedOut,
+            (Waiting, _) => {
+                *asked_ms = now;
+                Pending
+            }
+            _ if now - *asked_ms >= patience_ms => TimedOut,
+            _ => Pending,
+        }
+    }
+
+    /// When it was applied.
+    pub const fn applied_at(&self) -> Option<Millis> {
+        match self {
+            Self::Applied { at_ms } => Some(*at_ms),
+            _ => None,
+        }
+    }
+
+    /// Its name in messages and tables.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Untouched => "untouched",
+            Self::Pending => "pending",
+            Self::Waiting => "waiting",
+            Self::Applied { .. } => "applied",
+            Self::Refused { .. } => "refused",
+            Self::TimedOut => "timed_out",
+            Self::Missed => "missed",
+        }
+    }
+}
+
+/// What the hub knows of a node at a moment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Seen {
+    /// Whether it is in reach.
+    pub reachable: bool,
+    /// Generation in force that it reported last.
+    pub generation: u64,
+    /// Value in force on all of its cameras that it reported last; `None` when they differ or have none.
+    pub knob: Option<KnobValue>,
+    /// The desired value it reported last as refused: generation and reason.
+    pub refused: Option<(u64, String)>,
+}
+
+/// One node of a rollout or trial.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Member {
+    /// Its name.
+    pub node: String,
+    /// Its stage or group, from 0.
+    pub group: usize,
+    /// The value it had at the beginning.
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    pub before: KnobValue,
+    /// What it is to have.
+    pub target: Target,
+    /// The target that it was last asked for.
+    pub asked: Target,
+    /// Generation of that.
+    pub generation: u64,
+    /// When it was asked.
+    pub asked_ms: Millis,
+    /// What it said.
+    #[serde(flatten)]
+    pub outcome: Outcome,
+}
+
+impl Member {
+    /// A node that nothing is asked of.
+    pub fn new(node: impl Into<String>, group: usize, before: KnobValue) -> Self {
+        Self {
+            node: node.into(),
+            group,
+            before,
+            target: Target::Untouched,
+            asked: Target::Untouched,
+            generation: 0,
+            asked_ms: 0,
+            outcome: Outcome::Untouched,
+        }
+    }
+
+    /// Sets what it is to have. One that was never asked for anything has nothing to go back from.
+    pub fn aim(&mut self, target: Target) {
+        self.target = match (target, self.asked) {
+            (Target::Old, Target::Untouched) => Target::Untouched,
+            _ => target,
+        };
+    }
+
+    /// Whether it has to be asked.
+    pub fn is_due(&self) -> bool {
+        self.target != self.asked && self.target != Target::Untouched
+    }
+
+    /// Notes that it was asked for its target.
+    pub fn asked(&mut self, generation: u64, now: Millis) {
+        self.asked = self.target;
+        self.generation = generation;
+        self.asked_ms = now;
+        // A node whose value was withdrawn stays named as one that missed it.
+        if !(self.outcome == Outcome::Missed && self.target == Target::Old) {
+            self.outcome = Outcome::Pending;
+        }
+    }
+
+    /// Takes in what is known of the node. `new` is the value of its group. Returns whether the outcome changed.
+    pub fn observe(
+        &mut self,
+        seen: &Seen,
+        new: KnobValue,
+        patience_ms: Millis,
+        now: Millis,
+    ) -> bool {
+        if matches!(self.outcome, Outcome::Untouched | Outcome::Missed) || self.is_due() {
+            return false;
+        }
+        let wanted = if self.asked == Target::Old {
+            self.before
+        } else {
+            new
+        };
+        let next = self.outcome.next(
+            seen,
+            wanted,
+            self.generation,
+            &mut self.asked_ms,
+            patience_ms,
+            now,
+        );
+        let changed = next != self.outcome;
+        self.outcome = next;
+        changed
+    }
+}
+
+/// The order of `0..count` that `seed` gives: Fisher and Yates.
+pub fn shuffled(count: usize, seed: u64) -> Vec<usize> {
+    let mut random = Pcg64Mcg::seed_from_u64(seed);
+    let mut order: Vec<usize> = (0..count).collect();
+    for i in (1..count).rev() {
+        // The multiplication spreads 64 random bits over 0..=i; its bias is below 2^-40 for any fleet.
+        let pick = (u128::from(random.next_u64()) * (i as u128 + 1)) >> 64;
+        order.swap(i, pick as usize);
+    }
+    order
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const NEW: KnobValue = u(5e-4);
+    const OLD: KnobValue = u(3e-4);
+
+    const fn u(value: f64) -> KnobValue {
+        KnobValue { name: "u", value }
+    }
+
+    fn seen(reachable: bool, generation: u64, knob: KnobValue) -> Seen {
+        Seen {
+            reachable,
+            generation,
+            knob: Some(knob),
+            refused: None,
+        }
+    }
+
+    fn asked() -> Member {
+        let mut member = Member::new("n", 0, OLD);
+        member.aim(Target::New);
+        assert!(member.is_due());
+        member.asked(7, 0);
+        member
+    }
+
+    #[test]
+    fn applied_is_what_the_node_reports() {
+        let refused = |generation| Seen {
+            refused: Some((generation, "range".to_owned())),
+            ..seen(true, 6, OLD)
+        };
+        for (what, seen, at, expected) in [
+            ("nothing yet", seen(true, 6, OLD), 10, "pending"),
+            ("the value", seen(true, 7, NEW), 10, "applied"),
+            (
+                "a later generation's same value",
+                seen(true, 8, NEW),
+                10,
+                "applied",
+            ),
+            (
+                "its generation, but another value",
+                seen(true, 7, OLD),
+                10,
+                "pending",
+            ),
+            (
+                "the value by accident, before it was asked",
+                seen(true, 6, NEW),
+                10,
+                "pending",
+            ),
+            ("no answer in time", seen(true, 6, OLD), 100, "timed_out"),
+            ("away", seen(false, 6, OLD), 100, "waiting"),
+            (
+                "applied and away since",
+                seen(false, 7, NEW),
+                100,
+                "applied",
+            ),
+            ("refused", refused(7), 10, "refused"),
+            ("an earlier one refused", refused(6), 10, "pending"),
+        ] {
+            let mut member = asked();
+            member.observe(&seen, NEW, 100, at);
+            assert_eq!(member.outcome.name(), expected, "{what}");
+        }
+    }
+
+    #[test]
+    fn a_node_that_was_away_has_its_full_time_after_its_return() {
+        let mut member = asked();
+        for (reachable, at, expected) in [
+            (false, 50, "waiting"),
+            (true, 5_000, "pending"),
+            (true, 5_099, "pending"),
+            (true, 5_100, "timed_out"),
+        ] {
+            member.observe(&seen(reachable, 6, OLD), NEW, 100, at);
+            assert_eq!(member.outcome.name(), expected, "{at}");
+        }
+        member.observe(&seen(true, 7, NEW), NEW, 100, 9_000);
+        assert_eq!(member.outcome, Outcome::Applied { at_ms: 9_000 });
+    }
+
+    #[test]
+    fn one_that_was_never_asked_has_nothing_to_go_back_from() {
+        let mut member = Member::new("n", 0, OLD);
+        member.aim(Target::Old);
+        assert!(!member.is_due());
+        let mut member = asked();
+        member.aim(Target::Old);
+        assert!(member.is_due());
+        member.asked(9, 1);
+        member.observe(&seen(true, 9, OLD), NEW, 100, 2);
+        assert_eq!(member.outcome, Outcome::Applied { at_ms: 2 });
+    }
+
+    proptest! {
+        #[test]
+        fn a_shuffle_has_everybody_once_and_is_the_same_for_the_same_seed(count in 0usize..200, seed in any::<u64>()) {
+            let order = shuffled(count, seed);
+            prop_assert_eq!(&order, &shuffled(count, seed));
+            let mut sorted = order;
+            sorted.sort_unstable();
+            prop_assert_eq!(sorted, (0..count).collect::<Vec<_>>());
+        }
+    }
+}

@@ -1,0 +1,149 @@
+//! What a rollout is gated on and a trial compares: figures of clips, by node.
+
+use super::statistics::Moments;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+use utoipa::ToSchema;
+
+/// What a person asks about.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Metric {
+    /// Share of a clip's frames that skipped the detector.
+    SkipRate,
+    /// Joules of a clip.
+    Joules,
+    /// Energy-delay product of a clip, J·ms/frame.
+    Edp,
+    /// 99th percentile of a clip's latencies from reception to publication, ms.
+    LatencyP99,
+    /// Share of a clip's frames answered from prediction because the detector could not be had.
+    Degraded,
+    /// Share of a clip's frames whose detector run failed, where reports tell.
+    DetectorErrors,
+}
+
+impl Metric {
+    /// All of them.
+    pub const ALL: [Self; 6] = [
+        Self::SkipRate,
+        Self::Joules,
+        Self::Edp,
+        Self::LatencyP99,
+        Self::Degraded,
+        Self::DetectorErrors,
+    ];
+
+    /// Its name in gates, messages and tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::SkipRate => "skip_rate",
+            Self::Joules => "joules",
+            Self::Edp => "edp",
+            Self::LatencyP99 => "latency_p99",
+            Self::Degraded => "degraded",
+            Self::DetectorErrors => "detector_errors",
+        }
+    }
+
+    /// The metric of that name.
+    pub fn by_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|metric| metric.name() == name)
+    }
+
+    /// Whether more of it is worse.
+    pub const fn more_is_worse(self) -> bool {
+        !matches!(self, Self::SkipRate)
+    }
+
+    /// What is compared: energy that was measured and energy that was estimated are two figures.
+    pub const fn figures(self) -> &'static [Figure] {
+        match self {
+            Self::SkipRate => &[Figure::SkipRate],
+            Self::Joules => &[Figure::JoulesMeasured, Figure::JoulesEstimated],
+            Self::Edp => &[Figure::EdpMeasured, Figure::EdpEstimated],
+            Self::LatencyP99 => &[Figure::LatencyP99],
+            Self::Degraded => &[Figure::Degraded],
+            Self::DetectorErrors => &[Figure::DetectorErrors],
+        }
+    }
+}
+
+impl fmt::Display for Metric {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// One kind of number that clips have. Energy that was metered over a part of the clip only is in none of them.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Figure {
+    /// Share of frames that skipped the detector.
+    SkipRate,
+    /// Joules of clips whose energy was measured.
+    JoulesMeasured,
+    /// Joules of clips whose energy was estimated.
+    JoulesEstimated,
+    /// EDP of clips whose energy was measured.
+    EdpMeasured,
+    /// EDP of clips whose energy was estimated.
+    EdpEstimated,
+    /// 99th percentile of latency, ms.
+    LatencyP99,
+    /// Share of degraded frames.
+    Degraded,
+    /// Share of frames with a detector error.
+    DetectorErrors,
+}
+
+impl Figure {
+    /// All of them, in the order of tables.
+    pub const ALL: [Self; 8] = [
+        Self::SkipRate,
+        Self::JoulesMeasured,
+        Self::JoulesEstimated,
+        Self::EdpMeasured,
+        Self::EdpEstimated,
+        Self::LatencyP99,
+        Self::Degraded,
+        Self::DetectorErrors,
+    ];
+
+    /// Its name in messages and tables.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::SkipRate => "skip_rate",
+            Self::JoulesMeasured => "joules_measured",
+            Self::JoulesEstimated => "joules_estimated",
+            Self::EdpMeasured => "edp_measured",
+            Self::EdpEstimated => "edp_estimated",
+            Self::LatencyP99 => "latency_p99",
+            Self::Degraded => "degraded",
+            Self::DetectorErrors => "detector_errors",
+        }
+    }
+}
+
+impl fmt::Display for Figure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A node's clips over a window: each figure over the clips that have it.
+pub type Figures = BTreeMap<Figure, Moments>;
+
+/// A node's clips before a change and after it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct BeforeAfter {
+    /// With the old value in force, over the baseline before the change.
+    pub before: Figures,
+    /// With the new value in force, since the node reported it.
+    pub after: Figures,
+}

@@ -1,0 +1,295 @@
+//! A change in stages, each gated on what was measured: a state machine without clock, network or database.
+//!
+//! The caller tells what it sees of nodes ([`Rollout::observe`]), lets time pass ([`Rollout::tick`]), brings the
+//! measurements it is asked for ([`Rollout::measured`]) and people's commands ([`Rollout::command`]). It reads off which nodes
+//! are to be asked for which value ([`Rollout::due`]). Everything it knows is serialised; a rollout read from the database goes on
+//! where it was.
+
+mod command;
+mod plan;
+mod record;
+mod step;
+#[cfg(test)]
+mod tests;
+
+pub use command::{Command, CommandError};
+pub(crate) use plan::check_why;
+pub use plan::{OnFailure, PlanError, RolloutPlan, RolloutRequest, StageSize};
+pub use record::{Entry, What};
+
+use super::members::{Member, Millis, Outcome, Seen, Target, shuffled};
+use albireo_wire::KnobValue;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// How often at most a stage's gates are judged: half-way (only a failure counts), at the end of the soak, at the
+/// end of the patience.
+pub const LOOKS: u8 = 3;
+
+/// Most entries of a rollout's record; the oldest beyond are left out.
+const MOST_ENTRIES: usize = 500;
+
+/// Where a rollout is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(tag = "phase", rename_all = "snake_case")]
+pub enum Phase {
+    /// The stage's nodes were asked for the new value; their reports are awaited.
+    Applying {
+        /// Since when.
+        since_ms: Millis,
+    },
+    /// The stage's nodes have the new value; measuring.
+    Soaking {
+        /// Since when.
+        since_ms: Millis,
+        /// How often its gates were judged.
+        looks: u8,
+    },
+    /// Nothing happens until somebody decides.
+    Held {
+        /// Since when.
+        since_ms: Millis,
+        /// Why.
+        reason: String,
+    },
+    /// All stages have passed; nodes out of reach are awaited until their deadline.
+    Finishing {
+        /// Since when.
+        since_ms: Millis,
+    },
+    /// All nodes are getting their old values back.
+    Returning {
+        /// Since when.
+        since_ms: Millis,
+        /// Why.
+        reason: String,
+    },
+    /// Every stage has passed.
+    Done,
+    /// Every node in reach has its old value back; the others find it when they return.
+    Returned,
+    /// Ended by hand, values as they were.
+    Stopped,
+}
+
+impl Phase {
+    /// Its name in messages and tables.
+    pub const fn name(&self) -> &'static str {
+        match self {
+            Self::Applying { .. } => "applying",
+            Self::Soaking { .. } => "soaking",
+            Self::Held { .. } => "held",
+            Self::Finishing { .. } => "finishing",
+            Self::Returning { .. } => "returning",
+            Self::Done => "done",
+            Self::Returned => "returned",
+            Self::Stopped => "stopped",
+        }
+    }
+
+    /// Whether nothing more happens by itself or by hand, but a return.
+    pub const fn has_ended(&self) -> bool {
+        matches!(self, Self::Done | Self::Returned | Self::Stopped)
+    }
+}
+
+/// Nodes to ask for a value.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Order {
+    /// The value.
+    pub knob: KnobValue,
+    /// The nodes.
+    pub nodes: Vec<String>,
+    /// Whether it is the old value that returns.
+    pub is_return: bool,
+}
+
+/// Measurements that are wanted: clips of each node before it was asked, with its old value, and since it reported the new value.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MeasurementRequest {
+    /// The new value.
+    pub knob: KnobValue,
+    /// The nodes.
+    pub nodes: Vec<Window>,
+}
+
+/// The two windows of a node.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Window {
+    /// The node.
+    pub node: String,
+    /// The value before.
+    pub old: KnobValue,
+    /// When the window before begins.
+    pub from_ms: Millis,
+    /// When it ends: the node was asked.
+    pub asked_ms: Millis,
+    /// When the window after begins: the node reported the value.
+    pub applied_ms: Millis,
+}
+
+/// A rollout: its plan, its nodes, where it is, and its record.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Rollout {
+    /// The new value.
+    pub knob: KnobValue,
+    /// How.
+    pub plan: RolloutPlan,
+    /// The seed that drew the order of the nodes.
+    pub seed: u64,
+    /// Number of its stages that have nodes.
+    pub stages: usize,
+    /// The nodes, in the order of their stages.
+    pub members: Vec<Member>,
+    /// The stage it is in, from 0.
+    pub stage: usize,
+    /// Where it is.
+    pub phase: Phase,
+    /// Since when it is paused.
+    pub paused_ms: Option<Millis>,
+    /// What happened, oldest first.
+    pub record: Vec<Entry>,
+    /// Whether measurements were asked for and have not come. Not kept: after a restart they are asked for again.
+    #[serde(skip)]
+    measuring: bool,
+}
+
+/// A node that a rollout or trial may take: its name, the value in force, whether it is in reach.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Candidate {
+    /// Its name.
+    pub node: String,
+    /// The value in force.
+    pub before: KnobValue,
+    /// Whether it is in reach.
+    pub reachable: bool,
+}
+
+impl Rollout {
+    /// Begins a rollout on `candidates`: in the order that the seed draws, those in reach first.
+    ///
+    /// # Errors
+    /// [`PlanError`] when the plan makes no sense, or there is no node.
+    pub fn begin(
+        request: RolloutRequest,
+        mut candidates: Vec<Candidate>,
+        seed: u64,
+        who: &str,
+        now: Millis,
+    ) -> Result<Self, PlanError> {
+        let RolloutRequest { knob, plan } = request;
+        plan.check()?;
+        if candidates.is_empty() {
+            return Err(PlanError::new(
+                "select",
+                "no node that can take the value is selected",
+            ));
+        }
+        // The draw shall depend on the seed and the nodes alone.
+        candidates.sort_by(|a, b| a.node.cmp(&b.node));
+        let drawn = shuffled(candidates.len(), seed);
+        let (near, far): (Vec<_>, Vec<_>) =
+            drawn.into_iter().partition(|i| candidates[*i].reachable);
+        let sizes = plan.new_in_stages(candidates.len());
+        let stages = (0..)
+            .zip(&sizes)
+            .flat_map(|(stage, size)| std::iter::repeat_n(stage, *size));
+        let members = near.into_iter().chain(far).zip(stages).map(|(i, stage)| {
+            let candidate = &candidates[i];
+            Member::new(candidate.node.clone(), stage, candidate.before)
+        });
+        let mut rollout = Self {
+            knob,
+            seed,
+            stages: sizes.len(),
+            members: members.collect(),
+            stage: 0,
+            phase: Phase::Applying { since_ms: now },
+            paused_ms: None,
+            record: Vec::new(),
+            measuring: false,
+            plan,
+        };
+        rollout.note(now, Entry::by(who, What::Begun));
+        rollout.enter_stage(0, now);
+        Ok(rollout)
+    }
+
+    /// The nodes that have to be asked, by value. After the request stands in the database they are told with
+    /// [`Rollout::asked`].
+    pub fn due(&self) -> Vec<Order> {
+        let mut orders: Vec<Order> = Vec::new();
+        for member in self.members.iter().filter(|member| member.is_due()) {
+            let is_return = member.target == Target::Old;
+            let knob = if is_return { member.before } else { self.knob };
+            match orders
+                .iter_mut()
+                .find(|order| order.knob == knob && order.is_return == is_return)
+            {
+                Some(order) => order.nodes.push(member.node.clone()),
+                None => orders.push(Order {
+                    knob,
+                    nodes: vec![member.node.clone()],
+                    is_return,
+                }),
+            }
+        }
+        orders
+    }
+
+    /// Notes that the nodes of `order` were asked, with that generation.
+    pub fn asked(&mut self, order: &Order, generation: u64, now: Millis) {
+        let named: std::collections::HashSet<&str> =
+            order.nodes.iter().map(String::as_str).collect();
+        for member in self
+            .members
+            .iter_mut()
+            .filter(|m| m.is_due() && named.contains(m.node.as_str()))
+        {
+            member.asked(generation, now);
+        }
+    }
+
+    /// The nodes whose state matters now.
+    pub fn watched(&self) -> impl Iterator<Item = &str> {
+        use Outcome::{Pending, Refused, TimedOut, Waiting};
+        let open =
+            |outcome: &Outcome| matches!(outcome, Pending | Waiting | TimedOut | Refused { .. });
+        let watched = self
+            .members
+            .iter()
+            .filter(move |member| open(&member.outcome));
+        watched.map(|member| member.node.as_str())
+    }
+
+    /// Takes in what is known of nodes. Returns whether anything changed.
+    pub fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Seen>) -> bool {
+        let patience = seconds(self.plan.apply_within_s);
+        let mut changed = false;
+        for member in &mut self.members {
+            if matches!(
+                member.outcome,
+                Outcome::Untouched | Outcome::Applied { .. } | Outcome::Missed
+            ) {
+                continue;
+            }
+            if let Some(seen) = look(&member.node) {
+                changed |= member.observe(&seen, self.knob, patience, now);
+            }
+        }
+        changed
+    }
+
+    fn note(&mut self, now: Millis, mut entry: Entry) {
+        entry.at_ms = now;
+        entry.stage = self.stage + 1;
+        if self.record.len() >= MOST_ENTRIES {
+            self.record.remove(0);
+        }
+        self.record.push(entry);
+    }
+}
+
+pub(crate) fn seconds(seconds: f64) -> Millis {
+    (seconds * 1000.0) as Millis
+}

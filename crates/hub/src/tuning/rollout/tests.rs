@@ -1,0 +1,563 @@
+use super::super::gate::Verdict;
+use super::super::metric::{BeforeAfter, Figure, Figures};
+use super::super::statistics::Moments;
+use super::*;
+use proptest::prelude::*;
+use std::collections::BTreeMap;
+
+const OLD: KnobValue = KnobValue {
+    name: "u",
+    value: 3e-4,
+};
+const NEW: KnobValue = KnobValue {
+    name: "u",
+    value: 5e-4,
+};
+const SECOND: Millis = 1_000;
+
+#[derive(Clone)]
+struct SimNode {
+    seen: Seen,
+    desired: Option<(u64, KnobValue)>,
+    refuses: bool,
+    /// Energy of a clip under the new value, relative to the old.
+    factor: f64,
+}
+
+/// A fleet that does what it is told, and a hub that carries orders out.
+#[derive(Clone)]
+struct World {
+    nodes: BTreeMap<String, SimNode>,
+    generation: u64,
+    now: Millis,
+    /// Nodes that had the new value at the same time, at most.
+    most_new: usize,
+}
+
+impl World {
+    fn new(count: usize) -> Self {
+        let node = |i: usize| {
+            let node = SimNode {
+                seen: Seen {
+                    reachable: true,
+                    generation: 0,
+                    knob: Some(OLD),
+                    refused: None,
+                },
+                desired: None,
+                refuses: false,
+                factor: 0.9,
+            };
+            (format!("cam-{i:03}"), node)
+        };
+        Self {
+            nodes: (0..count).map(node).collect(),
+            generation: 0,
+            now: 0,
+            most_new: 0,
+        }
+    }
+
+    fn candidates(&self) -> Vec<Candidate> {
+        let candidate = |(name, node): (&String, &SimNode)| Candidate {
+            node: name.clone(),
+            before: OLD,
+            reachable: node.seen.reachable,
+        };
+        self.nodes.iter().map(candidate).collect()
+    }
+
+    fn have(&self, knob: KnobValue) -> usize {
+        self.nodes
+            .values()
+            .filter(|n| n.seen.knob == Some(knob))
+            .count()
+    }
+
+    /// A second passes.
+    fn step(&mut self, rollout: &mut Rollout) {
+        self.now += SECOND;
+        for order in rollout.due() {
+            self.generation += 1;
+            for name in &order.nodes {
+                if let Some(node) = self.nodes.get_mut(name) {
+                    node.desired = Some((self.generation, order.knob));
+                }
+            }
+            rollout.asked(&order, self.generation, self.now);
+        }
+        for node in self.nodes.values_mut().filter(|n| n.seen.reachable) {
+            match node.desired {
+                Some((generation, _)) if node.refuses => {
+                    node.seen.refused = Some((generation, "range".to_owned()));
+                }
+                Some((generation, knob)) if generation > node.seen.generation => {
+                    node.seen.generation = generation;
+                    node.seen.knob = Some(knob);
+                }
+                _ => {}
+            }
+        }
+        self.most_new = self.most_new.max(self.have(NEW));
+        rollout.observe(self.now, |name| {
+            self.nodes.get(name).map(|n| n.seen.clone())
+        });
+        if let Some(request) = rollout.tick(self.now) {
+            let measured: Vec<_> = request.nodes.iter().map(|w| self.measure(w)).collect();
+            rollout.measured(self.now, &measured);
+        }
+    }
+
+    fn measure(&self, window: &Window) -> BeforeAfter {
+        assert_eq!(window.old, OLD);
+        assert!(window.from_ms < window.asked_ms && window.asked_ms <= window.applied_ms);
+        let clips = |level: f64, offset: f64| {
+            Moments::of([0.99, 1.0, 1.01, 0.995, 1.005].map(|s| level * s + offset))
+        };
+        let figures = |factor: f64| -> Figures {
+            [
+                (Figure::SkipRate, clips(0.5, 0.0)),
+                (Figure::JoulesMeasured, clips(100.0 * factor, 0.0)),
+                (Figure::LatencyP99, clips(20.0, 0.0)),
+                (Figure::Degraded, Moments::of([0.0; 5])),
+            ]
+            .into()
+        };
+        BeforeAfter {
+            before: figures(1.0),
+            after: figures(self.nodes[&window.node].factor),
+        }
+    }
+
+    fn run(&mut self, rollout: &mut Rollout, seconds: usize) {
+        for _ in 0..seconds {
+            self.step(rollout);
+        }
+    }
+
+    fn run_until(&mut self, rollout: &mut Rollout, phase: &str) {
+        for _ in 0..100_000 {
+            if rollout.phase.name() == phase {
+                return;
+            }
+            self.step(rollout);
+        }
+        panic!("never {phase}: {:?} {:#?}", rollout.phase, rollout.record);
+    }
+
+    fn begin(&self, plan: RolloutPlan) -> Rollout {
+        let request = RolloutRequest { knob: NEW, plan };
+        Rollout::begin(request, self.candidates(), 7, "ops", self.now).unwrap()
+    }
+}
+
+fn plan() -> RolloutPlan {
+    RolloutPlan {
+        stages: ["1", "10%", "50%", "100%"]
+            .map(|s| s.parse().unwrap())
+            .to_vec(),
+        soak_s: 100.0,
+        patience_s: 50.0,
+        offline_deadline_s: 1_000.0,
+        ..RolloutPlan::default()
+    }
+}
+
+fn stages_entered(rollout: &Rollout) -> Vec<&str> {
+    let entered = rollout.record.iter().filter(|e| e.what == What::Stage);
+    entered.map(|e| e.text.as_str()).collect()
+}
+
+#[test]
+fn a_share_is_rounded_up_and_never_to_nobody() {
+    for (size, all, expected) in [
+        ("10%", 30, 3),
+        ("10%", 31, 4),
+        ("1%", 3, 1),
+        ("0.001%", 10, 1),
+        ("50%", 1, 1),
+        ("5", 3, 3),
+        ("5", 30, 5),
+        ("all", 7, 7),
+        ("33.3%", 1000, 333),
+    ] {
+        assert_eq!(
+            size.parse::<StageSize>().unwrap().of(all),
+            expected,
+            "{size} of {all}"
+        );
+    }
+    for wrong in ["0", "0%", "101%", "-1", "1.5", "few", "nan%"] {
+        assert!(wrong.parse::<StageSize>().is_err(), "{wrong}");
+    }
+    assert_eq!(plan().new_in_stages(40), [1, 3, 16, 20]);
+    assert_eq!(plan().new_in_stages(1), [1]);
+    assert_eq!(plan().new_in_stages(2), [1, 1]);
+}
+
+#[test]
+fn a_rollout_whose_gates_pass_goes_through_its_stages_to_all() {
+    let mut world = World::new(40);
+    let mut rollout = world.begin(plan());
+    world.run(&mut rollout, 90);
+    assert_eq!((world.have(NEW), rollout.phase.name()), (1, "soaking"));
+    world.run_until(&mut rollout, "done");
+    assert_eq!(
+        stages_entered(&rollout),
+        ["1 nodes", "3 nodes", "16 nodes", "20 nodes"]
+    );
+    assert_eq!(world.have(NEW), 40);
+    // Four stages of a hundred seconds: none was shorter than its soak.
+    assert!(world.now >= 400 * SECOND, "{}", world.now);
+    let judged: Vec<_> = rollout
+        .record
+        .iter()
+        .filter(|e| e.what == What::Judged)
+        .collect();
+    assert_eq!(judged.len(), 8, "half-way and at the end of each");
+    assert!(
+        judged
+            .iter()
+            .all(|e| e.gates.iter().any(|g| g.change.is_some()))
+    );
+}
+
+#[test]
+fn a_stage_that_fails_its_gate_gives_all_nodes_of_the_rollout_their_old_value_back() {
+    let mut world = World::new(40);
+    let mut rollout = world.begin(plan());
+    world.run_until(&mut rollout, "soaking");
+    // The canary was lucky; of the others every clip costs a third more.
+    let canary = rollout.members[0].node.clone();
+    for (name, node) in &mut world.nodes {
+        node.factor = if *name == canary { 0.9 } else { 1.33 };
+    }
+    world.run_until(&mut rollout, "returned");
+    assert_eq!(stages_entered(&rollout).len(), 2);
+    assert_eq!(world.most_new, 4);
+    assert_eq!((world.have(NEW), world.have(OLD)), (0, 40));
+    let failed = rollout
+        .record
+        .iter()
+        .find(|e| e.verdict == Some(Verdict::Failed))
+        .unwrap();
+    let gate = failed
+        .gates
+        .iter()
+        .find(|g| g.verdict == Verdict::Failed)
+        .unwrap();
+    assert_eq!((gate.figure, gate.nodes), (Some(Figure::JoulesMeasured), 3));
+    let change = gate.change.unwrap();
+    assert!(
+        (change.mean - 0.33).abs() < 0.01 && change.lower > 0.05,
+        "{change:?}"
+    );
+    // It is noticed half-way, not at the end of the soak.
+    assert!(world.now < 200 * SECOND);
+}
+
+#[test]
+fn a_failed_stage_is_held_where_the_plan_says_so_and_a_person_decides() {
+    let mut world = World::new(10);
+    world.nodes.values_mut().for_each(|n| n.factor = 2.0);
+    let mut rollout = world.begin(RolloutPlan {
+        on_failure: OnFailure::Hold,
+        ..plan()
+    });
+    world.run_until(&mut rollout, "held");
+    world.run(&mut rollout, 500);
+    assert_eq!((rollout.phase.name(), world.have(NEW)), ("held", 1));
+    let mut onward = rollout.clone();
+    onward.command(Command::Next, "ops", world.now).unwrap();
+    let mut there = world.clone();
+    there.run_until(&mut onward, "held");
+    assert_eq!(there.have(NEW), 5);
+    rollout.command(Command::Return, "ops", world.now).unwrap();
+    world.run_until(&mut rollout, "returned");
+    assert_eq!(world.have(NEW), 0);
+    let by: Vec<_> = rollout
+        .record
+        .iter()
+        .filter_map(|e| e.who.as_deref())
+        .collect();
+    assert_eq!(by, ["ops", "ops"]);
+}
+
+#[test]
+fn a_stage_that_cannot_be_judged_waits_its_patience_and_is_held() {
+    let mut world = World::new(10);
+    let mut rollout = world.begin(RolloutPlan {
+        gates: vec!["detector_errors<=+0.01".parse().unwrap()],
+        ..plan()
+    });
+    world.run_until(&mut rollout, "held");
+    assert_eq!(world.have(NEW), 1);
+    assert!(
+        (150 * SECOND..160 * SECOND).contains(&world.now),
+        "{}",
+        world.now
+    );
+    let Phase::Held { reason, .. } = &rollout.phase else {
+        panic!()
+    };
+    assert!(
+        reason.contains("detector_errors<=+0.01 (not measured)"),
+        "{reason}"
+    );
+    rollout.command(Command::Resume, "ops", world.now).unwrap();
+    assert_eq!(rollout.phase.name(), "soaking");
+}
+
+#[test]
+fn nodes_out_of_reach_come_last_do_not_stop_the_rollout_and_are_missed_after_their_deadline() {
+    let mut world = World::new(10);
+    for name in ["cam-001", "cam-004"] {
+        world.nodes.get_mut(name).unwrap().seen.reachable = false;
+    }
+    let mut rollout = world.begin(plan());
+    let last: Vec<_> = rollout
+        .members
+        .iter()
+        .filter(|m| m.group == 2)
+        .map(|m| m.node.as_str())
+        .collect();
+    assert!(
+        last.contains(&"cam-001") && last.contains(&"cam-004"),
+        "{last:?}"
+    );
+    world.run_until(&mut rollout, "finishing");
+    assert_eq!(world.have(NEW), 8);
+    // One returns in time, and applies what it finds; the other is too late, and what it finds is the old value.
+    world.nodes.get_mut("cam-001").unwrap().seen.reachable = true;
+    world.run_until(&mut rollout, "done");
+    assert_eq!(world.nodes["cam-001"].seen.knob, Some(NEW));
+    world.run(&mut rollout, 2);
+    world.nodes.get_mut("cam-004").unwrap().seen.reachable = true;
+    world.run(&mut rollout, 2);
+    assert_eq!(world.nodes["cam-004"].seen.knob, Some(OLD));
+    let ended = rollout
+        .record
+        .iter()
+        .rfind(|e| e.what == What::Done)
+        .unwrap();
+    assert!(ended.text.contains("cam-004 missed"), "{}", ended.text);
+}
+
+#[test]
+fn a_stage_whose_nodes_refuse_fails_without_waiting_for_its_soak() {
+    let mut world = World::new(10);
+    world.nodes.values_mut().for_each(|n| n.refuses = true);
+    let mut rollout = world.begin(plan());
+    world.run_until(&mut rollout, "returned");
+    assert!(world.now < 10 * SECOND, "{}", world.now);
+    assert_eq!(world.most_new, 0);
+}
+
+#[test]
+fn a_paused_rollout_stands_still_and_its_soak_does_not_run_on() {
+    let mut world = World::new(10);
+    let mut rollout = world.begin(plan());
+    world.run_until(&mut rollout, "soaking");
+    world.run(&mut rollout, 30);
+    rollout.command(Command::Pause, "ops", world.now).unwrap();
+    world.run(&mut rollout, 1_000);
+    assert_eq!((rollout.phase.name(), world.have(NEW)), ("soaking", 1));
+    rollout.command(Command::Resume, "ops", world.now).unwrap();
+    world.run(&mut rollout, 60);
+    assert_eq!(world.have(NEW), 1, "the soak has 70 s left");
+    world.run(&mut rollout, 20);
+    assert!(world.have(NEW) > 1);
+}
+
+#[test]
+fn commands_that_make_no_sense_are_refused() {
+    let mut world = World::new(4);
+    let mut rollout = world.begin(plan());
+    assert!(rollout.command(Command::Resume, "ops", 0).is_err());
+    world.run_until(&mut rollout, "done");
+    for command in [
+        Command::Pause,
+        Command::Resume,
+        Command::Next,
+        Command::Stop,
+    ] {
+        assert!(
+            rollout.command(command, "ops", world.now).is_err(),
+            "{command:?}"
+        );
+    }
+    // The old value can be had back after the end too.
+    rollout.command(Command::Return, "ops", world.now).unwrap();
+    world.run_until(&mut rollout, "returned");
+    assert_eq!(world.have(OLD), 4);
+    let error = rollout.command(Command::Return, "ops", 0).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "a rollout that is returned cannot be asked to return"
+    );
+}
+
+#[test]
+fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
+    for (field, wrong) in [
+        (
+            "stages",
+            RolloutPlan {
+                stages: vec![],
+                ..plan()
+            },
+        ),
+        (
+            "stages",
+            RolloutPlan {
+                stages: vec![StageSize::Share(0.5)],
+                ..plan()
+            },
+        ),
+        (
+            "soak_s",
+            RolloutPlan {
+                soak_s: f64::NAN,
+                ..plan()
+            },
+        ),
+        (
+            "soak_s",
+            RolloutPlan {
+                soak_s: 0.0,
+                ..plan()
+            },
+        ),
+        (
+            "confidence",
+            RolloutPlan {
+                confidence: 1.0,
+                ..plan()
+            },
+        ),
+        (
+            "fewest_clips",
+            RolloutPlan {
+                fewest_clips: 1,
+                ..plan()
+            },
+        ),
+        (
+            "fewest_applied",
+            RolloutPlan {
+                fewest_applied: 0.0,
+                ..plan()
+            },
+        ),
+    ] {
+        assert_eq!(wrong.check().unwrap_err().field, field);
+    }
+    plan().check().unwrap();
+    RolloutPlan::default().check().unwrap();
+    let nobody = RolloutRequest {
+        knob: NEW,
+        plan: plan(),
+    };
+    assert_eq!(
+        Rollout::begin(nobody, vec![], 1, "ops", 0)
+            .unwrap_err()
+            .field,
+        "select"
+    );
+}
+
+#[derive(Clone, Debug)]
+enum Chance {
+    Away(usize),
+    Back(usize),
+    Refuses(usize),
+    Costs(usize, f64),
+    Command(Command),
+    Restart,
+    Time(usize),
+}
+
+fn chance() -> impl Strategy<Value = Chance> {
+    let node = 0usize..12;
+    let command = prop::sample::select(vec![
+        Command::Pause,
+        Command::Resume,
+        Command::Next,
+        Command::Return,
+        Command::Stop,
+    ]);
+    prop_oneof![
+        2 => node.clone().prop_map(Chance::Away),
+        2 => node.clone().prop_map(Chance::Back),
+        1 => node.clone().prop_map(Chance::Refuses),
+        1 => (node, 0.5..1.5f64).prop_map(|(node, factor)| Chance::Costs(node, factor)),
+        1 => command.prop_map(Chance::Command),
+        2 => Just(Chance::Restart),
+        6 => (1usize..120).prop_map(Chance::Time),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn whatever_happens_no_stage_begins_unjudged_and_a_returned_rollout_leaves_nobody_behind(
+        chances in prop::collection::vec(chance(), 0..40), count in 1usize..12,
+    ) {
+        let mut world = World::new(count);
+        let mut rollout = world.begin(plan());
+        for chance in chances {
+            let name = |i: usize| format!("cam-{:03}", i % count);
+            let mut node = |i: usize, change: &dyn Fn(&mut SimNode)| {
+                if let Some(node) = world.nodes.get_mut(&name(i)) { change(node) }
+            };
+            match chance {
+                Chance::Away(i) => node(i, &|n| n.seen.reachable = false),
+                Chance::Back(i) => node(i, &|n| n.seen.reachable = true),
+                Chance::Refuses(i) => node(i, &|n| n.refuses = true),
+                Chance::Costs(i, factor) => node(i, &|n| n.factor = factor),
+                Chance::Command(command) => drop(rollout.command(command, "ops", world.now)),
+                Chance::Restart => {
+                    // Killed and read from the database, also in the middle of a measurement.
+                    let text = serde_json::to_string(&rollout).unwrap();
+                    rollout = serde_json::from_str(&text).unwrap();
+                }
+                Chance::Time(seconds) => world.run(&mut rollout, seconds),
+            }
+            let stage = rollout.stage;
+            for member in &rollout.members {
+                prop_assert!(member.group <= stage || member.target != Target::New);
+            }
+        }
+        for (i, entry) in rollout.record.iter().enumerate() {
+            if entry.what == What::Stage && entry.stage > 1 {
+                let before = &rollout.record[..i];
+                let last = before.iter().rfind(|e| matches!(e.what, What::Judged | What::Next)).unwrap();
+                prop_assert_eq!(last.stage, entry.stage - 1);
+                prop_assert!(last.what == What::Next || last.verdict == Some(Verdict::Passed));
+            }
+        }
+        // Everybody comes back; whatever waits is resolved, and the old value is ordered back.
+        for node in world.nodes.values_mut() {
+            node.seen.reachable = true;
+            node.refuses = false;
+        }
+        let _ = rollout.command(Command::Return, "ops", world.now);
+        world.run(&mut rollout, 1_000);
+        prop_assert_eq!(rollout.phase.name(), "returned");
+        prop_assert_eq!(world.have(NEW), 0);
+    }
+
+    #[test]
+    fn left_alone_a_rollout_comes_to_an_end_or_is_held(seed in any::<u64>(), count in 1usize..30, away in 0usize..30) {
+        let mut world = World::new(count);
+        for i in shuffled(count, seed).into_iter().take(away) {
+            let node = world.nodes.values_mut().nth(i).unwrap();
+            node.seen.reachable = false;
+        }
+        let mut rollout = world.begin(plan());
+        world.run(&mut rollout, 3_000);
+        let phase = rollout.phase.name();
+        prop_assert!(["done", "held", "returned"].contains(&phase), "{} {:?}", phase, rollout.record);
+    }
+}

@@ -1,0 +1,296 @@
+//! Which nodes a change is about: names, globs, labels, all.
+//!
+//! A [`Selector`] is a list of terms; a node is selected when any term matches it. A term is `all`, a name or
+//! glob (`cam-7`, `cam-*`), or a label (`region=north`, `region=n*`); parts joined by `&` must all match
+//! (`cam-* & region=north`), and a part after `!` must not (`all & !cam-3`).
+
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::str::FromStr;
+
+/// Most terms of a selector; longer lists of names are a label that somebody has yet to give.
+const MOST_TERMS: usize = 1_000;
+
+/// Why a text is no selector.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "`{text}` selects no nodes: {reason}; write `all`, a name, a glob such as `cam-*`, or a label such as `region=north`"
+)]
+pub struct SelectorError {
+    text: String,
+    reason: &'static str,
+}
+
+/// Which nodes are meant. In JSON it is a list of terms.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "Vec<String>", into = "Vec<String>")]
+pub struct Selector(Vec<Term>);
+
+/// Parts that must all match.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Term(Vec<Part>);
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Part {
+    negated: bool,
+    what: What,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum What {
+    All,
+    Name(String),
+    Label { key: String, value: String },
+}
+
+impl Selector {
+    /// A selector of the given terms.
+    ///
+    /// # Errors
+    /// [`SelectorError`] when there is none, or one cannot be read.
+    pub fn new<T: AsRef<str>>(terms: &[T]) -> Result<Self, SelectorError> {
+        let fault = |text: &str, reason| SelectorError {
+            text: text.to_owned(),
+            reason,
+        };
+        if terms.is_empty() {
+            return Err(fault("", "it is empty"));
+        }
+        if terms.len() > MOST_TERMS {
+            return Err(fault("…", "it has more than 1000 terms"));
+        }
+        let read = |term: &T| {
+            let term = term.as_ref();
+            let parts: Result<Vec<_>, _> = term.split('&').map(part).collect();
+            parts.map(Term).map_err(|reason| fault(term, reason))
+        };
+        Ok(Self(terms.iter().map(read).collect::<Result<_, _>>()?))
+    }
+
+    /// Selects every node.
+    pub fn everybody() -> Self {
+        Self(vec![Term(vec![Part {
+            negated: false,
+            what: What::All,
+        }])])
+    }
+
+    /// Whether a node of that name and those labels is meant.
+    pub fn selects(&self, name: &str, labels: &BTreeMap<String, String>) -> bool {
+        let holds = |part: &Part| {
+            let found = match &part.what {
+                What::All => true,
+                What::Name(pattern) => glob(pattern, name),
+                What::Label { key, value } => labels.get(key).is_some_and(|has| glob(value, has)),
+            };
+            found != part.negated
+        };
+        self.0.iter().any(|term| term.0.iter().all(holds))
+    }
+
+    /// The names that stand in it without a glob: a caller who names a node wants to hear when there is none of
+    /// that name.
+    pub fn named(&self) -> impl Iterator<Item = &str> {
+        self.0.iter().filter_map(|term| match term.0.as_slice() {
+            [
+                Part {
+                    negated: false,
+                    what: What::Name(name),
+                },
+            ] if !name.contains(['*', '?']) => Some(name.as_str()),
+            _ => None,
+        })
+    }
+}
+
+fn part(text: &str) -> Result<Part, &'static str> {
+    let text = text.trim();
+    let (negated, text) = match text.strip_prefix('!') {
+        Some(rest) => (true, rest.trim_start()),
+        None => (false, text),
+    };
+    let pattern = |text: &str| {
+        let plain = |c: char| c.is_ascii_alphanumeric() || "-_.*?/:".contains(c);
+        if text.is_empty() {
+            Err("a part of it is empty")
+        } else if !text.chars().all(plain) {
+            Err("it has a character that no name has")
+        } else {
+            Ok(text.to_owned())
+        }
+    };
+    let what = match text.split_once('=') {
+        Some((key, value)) => What::Label {
+            key: pattern(key.trim())?,
+            value: pattern(value.trim())?,
+        },
+        None if text == "all" || text == "*" => What::All,
+        None => What::Name(pattern(text)?),
+    };
+    Ok(Part { negated, what })
+}
+
+/// Whether `text` matches `pattern`: `*` stands for any characters, `?` for one. Linear in the product of
+/// the lengths at worst, whatever the pattern.
+fn glob(pattern: &str, text: &str) -> bool {
+    let (pattern, text) = (pattern.as_bytes(), text.as_bytes());
+    let (mut p, mut t) = (0, 0);
+    // Where the last star stood, and up to where it has swallowed the text.
+    let mut star: Option<(usize, usize)> = None;
+    while t < text.len() {
+        match pattern.get(p) {
+            Some(b'*') => {
+                star = Some((p, t));
+                p += 1;
+            }
+            Some(&c) if c == b'?' || c == text[t] => {
+                p += 1;
+                t += 1;
+            }
+            _ => match star {
+                Some((at, swallowed)) => {
+                    star = Some((at, swallowed + 1));
+                    p = at + 1;
+                    t = swallowed + 1;
+                }
+                None => return false,
+            },
+        }
+    }
+    pattern[p..].iter().all(|c| *c == b'*')
+}
+
+impl FromStr for Selector {
+    type Err = SelectorError;
+
+    /// Terms separated by commas: `cam-*,region=north`.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let terms: Vec<_> = text
+            .split(',')
+            .filter(|term| !term.trim().is_empty())
+            .collect();
+        Self::new(&terms)
+    }
+}
+
+impl TryFrom<Vec<String>> for Selector {
+    type Error = SelectorError;
+
+    fn try_from(terms: Vec<String>) -> Result<Self, Self::Error> {
+        Self::new(&terms)
+    }
+}
+
+impl From<Selector> for Vec<String> {
+    fn from(selector: Selector) -> Self {
+        selector.0.iter().map(ToString::to_string).collect()
+    }
+}
+
+impl fmt::Display for Selector {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, term) in self.0.iter().enumerate() {
+            let comma = if i == 0 { "" } else { ", " };
+            write!(f, "{comma}{term}")?;
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Term {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        for (i, part) in self.0.iter().enumerate() {
+            let and = if i == 0 { "" } else { " & " };
+            let not = if part.negated { "!" } else { "" };
+            write!(f, "{and}{not}")?;
+            match &part.what {
+                What::All => f.write_str("all")?,
+                What::Name(name) => f.write_str(name)?,
+                What::Label { key, value } => write!(f, "{key}={value}")?,
+            }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn selected(selector: &str) -> Vec<&'static str> {
+        let fleet = [
+            ("cam-1", "north"),
+            ("cam-2", "south"),
+            ("cam-10", "north"),
+            ("bus-1", "north"),
+            ("x", ""),
+        ];
+        let selector: Selector = selector.parse().unwrap();
+        let has = |region: &str| {
+            let labels = [("region".to_owned(), region.to_owned())];
+            labels.into_iter().filter(|_| !region.is_empty()).collect()
+        };
+        fleet
+            .iter()
+            .filter(|(name, region)| selector.selects(name, &has(region)))
+            .map(|(name, _)| *name)
+            .collect()
+    }
+
+    #[test]
+    fn names_globs_labels_and_all_select_what_they_say() {
+        for (selector, expected) in [
+            ("cam-1", vec!["cam-1"]),
+            ("cam-?", vec!["cam-1", "cam-2"]),
+            ("cam-*", vec!["cam-1", "cam-2", "cam-10"]),
+            ("*-1", vec!["cam-1", "bus-1"]),
+            ("*", vec!["cam-1", "cam-2", "cam-10", "bus-1", "x"]),
+            ("all", vec!["cam-1", "cam-2", "cam-10", "bus-1", "x"]),
+            ("region=north", vec!["cam-1", "cam-10", "bus-1"]),
+            ("region=*", vec!["cam-1", "cam-2", "cam-10", "bus-1"]),
+            ("region=north & cam-*", vec!["cam-1", "cam-10"]),
+            ("all & !region=north", vec!["cam-2", "x"]),
+            ("!cam-*", vec!["bus-1", "x"]),
+            ("cam-2,x", vec!["cam-2", "x"]),
+            ("nobody", vec![]),
+        ] {
+            assert_eq!(selected(selector), expected, "{selector}");
+        }
+    }
+
+    #[test]
+    fn a_selector_that_cannot_be_meant_is_refused() {
+        for text in ["", ",", "a b", "region=", "=north", "cam-1 &", "käse", "!"] {
+            assert!(text.parse::<Selector>().is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn only_whole_names_are_named() {
+        let selector: Selector = "cam-1,cam-*,region=north,!x,all".parse().unwrap();
+        assert_eq!(selector.named().collect::<Vec<_>>(), ["cam-1"]);
+    }
+
+    proptest! {
+        #[test]
+        fn a_selector_comes_back_from_json_as_it_was(terms in prop::collection::vec("!?[a-z*?-]{1,8}(=[a-z*]{1,4})?( & [a-z]{1,3})?", 1..4)) {
+            let selector = Selector::new(&terms).unwrap();
+            let text = serde_json::to_string(&selector).unwrap();
+            prop_assert_eq!(serde_json::from_str::<Selector>(&text).unwrap(), selector);
+        }
+
+        #[test]
+        fn a_glob_agrees_with_the_obvious_recursion(pattern in "[ab*?]{0,8}", text in "[ab]{0,8}") {
+            fn plain(pattern: &[u8], text: &[u8]) -> bool {
+                match pattern.split_first() {
+                    None => text.is_empty(),
+                    Some((b'*', rest)) => (0..=text.len()).any(|n| plain(rest, &text[n..])),
+                    Some((&c, rest)) => text.split_first().is_some_and(|(&first, text)| (c == b'?' || c == first) && plain(rest, text)),
+                }
+            }
+            prop_assert_eq!(glob(&pattern, &text), plain(pattern.as_bytes(), text.as_bytes()));
+        }
+    }
+}

@@ -1,0 +1,444 @@
+//! Carries orders out: keeps them in the database, pokes the nodes, and follows what the nodes report.
+
+use super::desired::DesiredValue;
+use super::fleet::{Fleet, NodeFacts};
+use super::members::{Millis, Outcome};
+use crate::clock::now_ms;
+use crate::config::TuningConfig;
+use crate::desired::Desires;
+use crate::presence::Pokes;
+use crate::store::{OrderNodeRow, OrderRow, Store, StoreError, Writer};
+use albireo_wire::KnobValue;
+use parking_lot::Mutex;
+use serde::Serialize;
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+use tokio::sync::mpsc;
+use utoipa::ToSchema;
+
+/// How long after a poke that was not followed a node is poked again.
+const POKE_AGAIN_MS: Millis = 5_000;
+
+/// A desired value, and the nodes that are to have it again with what each had in its place.
+type SetBack = (KnobValue, Vec<(String, Option<KnobValue>)>);
+
+/// What an order came to at one node.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct OutcomeLine {
+    /// The node.
+    pub node: String,
+    /// `applied`, `refused`, `waiting` (out of reach: applied on its return), `timed_out`, `pending`, `superseded`; `unchanged` where it
+    /// has the value already, `would_change` in a dry run.
+    pub outcome: &'static str,
+    /// The value in force before, if it was known.
+    #[schema(value_type = Option<BTreeMap<String, f64>>)]
+    pub from: Option<KnobValue>,
+    /// The value ordered.
+    #[schema(value_type = BTreeMap<String, f64>)]
+    pub to: KnobValue,
+    /// Why, where there is something to say.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub detail: String,
+}
+
+impl OutcomeLine {
+    /// Whether nothing more is to come for the node within a request.
+    pub fn is_final(&self) -> bool {
+        self.outcome != "pending"
+    }
+}
+
+/// A value for some nodes.
+#[derive(Clone, Debug)]
+pub(crate) struct NewOrder {
+    pub(crate) knob: KnobValue,
+    /// The nodes, with the values they have.
+    pub(crate) nodes: Vec<(String, Option<KnobValue>)>,
+    pub(crate) who: String,
+    pub(crate) why: String,
+    /// `hand`, `rollout 3`, `trial 4`, `drift`.
+    pub(crate) origin: String,
+    pub(crate) selector: String,
+}
+
+/// An order that a node has not answered finally.
+#[derive(Clone, Debug)]
+struct OpenOrder {
+    generation: u64,
+    knob: KnobValue,
+    from: Option<KnobValue>,
+    asked_ms: Millis,
+    poked_ms: Millis,
+    outcome: Outcome,
+}
+
+/// A node whose value in force is not the desired one, although it had taken it.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct Drift {
+    /// The node.
+    pub node: String,
+    /// Since when the hub knows, milliseconds since the Unix epoch.
+    pub since_ms: Millis,
+    /// The value desired.
+    #[schema(value_type = BTreeMap<String, f64>)]
+    pub desired: KnobValue,
+    /// The value in force; absent where the cameras differ.
+    #[schema(value_type = Option<BTreeMap<String, f64>>)]
+    pub in_force: Option<KnobValue>,
+    /// How often it was set back.
+    pub set_back: u32,
+}
+
+/// Tunes the fleet.
+pub struct Tuner {
+    pub(super) store: Store,
+    writer: tokio::sync::Mutex<Writer>,
+    pub(super) fleet: Arc<dyn Fleet>,
+    /// Where pulls and acknowledgements are answered from.
+    desires: Arc<Desires>,
+    pokes: Pokes,
+    pub(super) config: TuningConfig,
+    /// This hub among several on one database.
+    pub(super) driver: String,
+    open: Mutex<HashMap<String, OpenOrder>>,
+    followers: Mutex<HashMap<u64, mpsc::UnboundedSender<OutcomeLine>>>,
+    drift: Mutex<BTreeMap<String, Drift>>,
+    pub(super) campaigns: tokio::sync::Mutex<super::campaigns::Campaigns>,
+}
+
+impl std::fmt::Debug for Tuner {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Tuner").finish_non_exhaustive()
+    }
+}
+
+pub(crate) fn text(knob: KnobValue) -> String {
+    knob.value.to_string()
+}
+
+impl Tuner {
+    /// Reads what is desired and what is open from the database.
+    ///
+    /// # Errors
+    /// When the database cannot be read.
+    pub(crate) async fn open(
+        store: Store,
+        fleet: Arc<dyn Fleet>,
+        desires: Arc<Desires>,
+        pokes: Pokes,
+        config: TuningConfig,
+        driver: String,
+    ) -> Result<Self, StoreError> {
+        let tuner = Self {
+            writer: tokio::sync::Mutex::new(store.writer()),
+            store,
+            fleet,
+            desires,
+            pokes,
+            config,
+            driver,
+            open: Mutex::default(),
+            followers: Mutex::default(),
+            drift: Mutex::default(),
+            campaigns: tokio::sync::Mutex::default(),
+        };
+        for (node, generation, knob) in tuner.store.desired_after(0).await? {
+            tuner.desire(&node, generation.unsigned_abs(), knob);
+        }
+        for row in tuner.store.open_order_nodes().await? {
+            let generation = row.generation.unsigned_abs();
+            let Some(desired) = tuner
+                .desires
+                .values
+                .get(&row.node)
+                .filter(|d| d.generation == generation)
+            else {
+                continue;
+            };
+            let from = row.from_value.and_then(|value| value.parse().ok());
+            let order = OpenOrder {
+                generation,
+                knob: desired.knob,
+                from: from.map(|value| KnobValue {
+                    value,
+                    ..desired.knob
+                }),
+                // Its time counts anew: nobody listened meanwhile.
+                asked_ms: now_ms(),
+                poked_ms: 0,
+                outcome: Outcome::Pending,
+            };
+            tuner.open.lock().insert(row.node, order);
+        }
+        Ok(tuner)
+    }
+
+    /// Makes a value the desired one, unless one of a higher generation is.
+    fn desire(&self, node: &str, generation: u64, knob: KnobValue) {
+        self.desires
+            .values
+            .set(node, DesiredValue { generation, knob });
+    }
+
+    /// The database.
+    pub(crate) fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// The desired value of a node.
+    pub(super) fn desired_value(&self, node: &str) -> Option<DesiredValue> {
+        self.desires.values.get(node)
+    }
+
+    /// Takes what other hubs on the same database have ordered.
+    pub(crate) async fn learn(&self) -> Result<(), StoreError> {
+        let known = self.desires.values.highest();
+        let after = i64::try_from(known).unwrap_or(i64::MAX);
+        for (node, generation, knob) in self.store.desired_after(after).await? {
+            self.desire(&node, generation.unsigned_abs(), knob);
+        }
+        Ok(())
+    }
+
+    /// Runs `work` in a transaction of the writing connection, which is given up after an error.
+    pub(super) async fn write<T>(
+        &self,
+        work: impl AsyncFnOnce(&mut crate::store::Writing<'_>) -> Result<T, StoreError>,
+    ) -> Result<T, StoreError> {
+        let mut writer = self.writer.lock().await;
+        let worked = async {
+            let mut writing = writer.begin().await?;
+            let worked = work(&mut writing).await?;
+            writing.commit().await?;
+            Ok(worked)
+        };
+        let worked = worked.await;
+        if worked.is_err() {
+            writer.give_up().await;
+        }
+        worked
+    }
+
+    /// Orders a value: when this returns it stands in the database, pulls are answered with it, and the nodes were
+    /// poked. What the nodes report is told to `follower`.
+    pub(crate) async fn order(
+        &self,
+        order: NewOrder,
+        follower: Option<mpsc::UnboundedSender<OutcomeLine>>,
+    ) -> Result<u64, StoreError> {
+        let now = now_ms();
+        let reachable = |node: &str| self.fleet.node(node).is_some_and(|facts| facts.reachable);
+        let generation = self
+            .write(async |writing| {
+                let generation = writing.next_generation().await?;
+                let row = OrderRow {
+                    generation,
+                    at_ms: now,
+                    who: order.who.clone(),
+                    why: order.why.clone(),
+                    origin: order.origin.clone(),
+                    selector: order.selector.clone(),
+                    knob: order.knob.name.to_owned(),
+                    value: text(order.knob),
+                };
+                let nodes: Vec<_> = (order.nodes.iter())
+                    .map(|(node, from)| OrderNodeRow {
+                        generation,
+                        node: node.clone(),
+                        from_value: from.map(text),
+                        outcome: if reachable(node) {
+                            "pending"
+                        } else {
+                            "waiting"
+                        }
+                        .to_owned(),
+                        at_ms: now,
+                        detail: String::new(),
+                    })
+                    .collect();
+                writing.order(row, &nodes).await?;
+                Ok(generation.unsigned_abs())
+            })
+            .await?;
+        if let Some(follower) = follower {
+            self.followers.lock().insert(generation, follower);
+        }
+        for (node, from) in &order.nodes {
+            self.desire(node, generation, order.knob);
+            let fresh = OpenOrder {
+                generation,
+                knob: order.knob,
+                from: *from,
+                asked_ms: now,
+                poked_ms: now,
+                outcome: Outcome::Pending,
+            };
+            let before = self.open.lock().insert(node.clone(), fresh);
+            if let Some(before) = before {
+                self.tell(&before, node, "superseded", String::new());
+            }
+            self.drift.lock().remove(node);
+            self.pokes.poke(node, generation);
+        }
+        Ok(generation)
+    }
+
+    fn tell(&self, order: &OpenOrder, node: &str, outcome: &'static str, detail: String) {
+        let mut followers = self.followers.lock();
+        if let Some(follower) = followers.get(&order.generation) {
+            let line = OutcomeLine {
+                node: node.to_owned(),
+                outcome,
+                from: order.from,
+                to: order.knob,
+                detail,
+            };
+            if follower.send(line).is_err() {
+                followers.remove(&order.generation);
+            }
+        }
+    }
+
+    /// Looks at what the nodes with open orders have reported.
+    ///
+    /// # Errors
+    /// When the outcomes cannot be kept; they are then found again at the next look.
+    pub(crate) async fn look(&self, now: Millis) -> Result<(), StoreError> {
+        let patience = super::rollout::seconds(self.config.apply_within_s);
+        let mut rows = Vec::new();
+        let mut changed: Vec<(String, OpenOrder)> = Vec::new();
+        {
+            let open = self.open.lock();
+            for (node, order) in open.iter() {
+                let Some(facts) = self.fleet.node(node) else {
+                    continue;
+                };
+                let mut order = order.clone();
+                let seen = facts.seen();
+                let next = order.outcome.next(
+                    &seen,
+                    order.knob,
+                    order.generation,
+                    &mut order.asked_ms,
+                    patience,
+                    now,
+                );
+                if next == Outcome::Pending
+                    && seen.reachable
+                    && now - order.poked_ms >= POKE_AGAIN_MS
+                {
+                    order.poked_ms = now;
+                    self.pokes.poke(node, order.generation);
+                    changed.push((node.clone(), order.clone()));
+                }
+                if next != order.outcome {
+                    let detail = match &next {
+                        Outcome::Refused { reason } => reason.clone(),
+                        _ => String::new(),
+                    };
+                    rows.push(OrderNodeRow {
+                        generation: i64::try_from(order.generation).unwrap_or(i64::MAX),
+                        node: node.clone(),
+                        from_value: order.from.map(text),
+                        outcome: next.name().to_owned(),
+                        at_ms: now,
+                        detail,
+                    });
+                    order.outcome = next;
+                    changed.push((node.clone(), order));
+                }
+            }
+        }
+        if !rows.is_empty() {
+            self.write(async |writing| writing.outcomes(&rows).await)
+                .await?;
+        }
+        for (node, order) in changed {
+            {
+                let mut open = self.open.lock();
+                let still = open
+                    .get(&node)
+                    .is_some_and(|present| present.generation == order.generation);
+                if !still {
+                    continue;
+                }
+                match order.outcome {
+                    Outcome::Applied { .. } | Outcome::Refused { .. } => open.remove(&node),
+                    _ => open.insert(node.clone(), order.clone()),
+                };
+            }
+            let detail = match &order.outcome {
+                Outcome::Refused { reason } => reason.clone(),
+                _ => String::new(),
+            };
+            self.tell(&order, &node, order.outcome.name(), detail);
+        }
+        Ok(())
+    }
+
+    /// Looks for nodes whose value was changed after they had taken the desired one; sets them back where the
+    /// configuration says so.
+    pub(crate) async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
+        let mut back: HashMap<String, SetBack> = HashMap::new();
+        for (node, desired) in self.desires.values.all() {
+            let Some(facts) = self.fleet.node(&node) else {
+                continue;
+            };
+            if !drifted(&facts, desired) {
+                // One that was set back stays listed until it has taken the value again.
+                if facts.generation >= desired.generation {
+                    self.drift.lock().remove(&node);
+                }
+                continue;
+            }
+            let mut drift = self.drift.lock();
+            let entry = drift.entry(node.clone()).or_insert_with(|| Drift {
+                node: node.clone(),
+                since_ms: now,
+                desired: desired.knob,
+                in_force: facts.knob(),
+                set_back: 0,
+            });
+            entry.in_force = facts.knob();
+            if self.config.local_change.is_set_back() && entry.set_back < self.config.set_back_times
+            {
+                entry.set_back += 1;
+                let group = back.entry(format!("{} {}", desired.knob.name, text(desired.knob)));
+                group
+                    .or_insert_with(|| (desired.knob, Vec::new()))
+                    .1
+                    .push((node, facts.knob()));
+            }
+        }
+        for (knob, nodes) in back.into_values() {
+            let counts: Vec<_> = (nodes.iter())
+                .filter_map(|(node, _)| self.drift.lock().get(node).cloned())
+                .collect();
+            let order = NewOrder {
+                knob,
+                nodes,
+                who: "hub".to_owned(),
+                why: "changed at the node".to_owned(),
+                origin: "drift".to_owned(),
+                selector: String::new(),
+            };
+            self.order(order, None).await?;
+            // Ordering forgets the drift; how often a node was set back must be known the next time.
+            let mut drift = self.drift.lock();
+            drift.extend(counts.into_iter().map(|entry| (entry.node.clone(), entry)));
+        }
+        Ok(())
+    }
+
+    /// The nodes that have drifted.
+    pub fn drift(&self) -> Vec<Drift> {
+        self.drift.lock().values().cloned().collect()
+    }
+}
+
+/// Whether a node has taken the desired value and has another one now.
+fn drifted(facts: &NodeFacts, desired: DesiredValue) -> bool {
+    facts.status.is_some()
+        && facts.generation == desired.generation
+        && facts.knob() != Some(desired.knob)
+}

@@ -1,0 +1,207 @@
+//! Sums, pages, files.
+
+use crate::support::postgres::Postgres;
+use crate::support::{Hub, Said, batch, config, deliver, instance, now_ns, sqlite, uplink};
+use std::collections::BTreeMap;
+
+async fn sums_are_exact(database: &str) {
+    let hub = Hub::start(config(database)).await;
+    let session = uplink(&hub.zenoh).await;
+    let start = now_ns() - 90_000_000_000_000;
+    for (node, one) in [("car-1", instance('a')), ("car-2", instance('b'))] {
+        for first in (0..200).step_by(50) {
+            let sent = batch(node, &one, first..=first + 49, start);
+            assert_eq!(deliver(&session, &sent).await, Said::Stored(first + 49));
+        }
+    }
+    let clips = hub.get("/api/v1/clips?limit=1000").await;
+    let clips = clips["clips"].as_array().unwrap();
+    assert_eq!(clips.len(), 400);
+    // In whole microjoules, so that the order does not matter.
+    let uj = |joules: &serde_json::Value| (joules.as_f64().unwrap() * 1e6).round() as i64;
+    let mut raw: BTreeMap<(String, String), (i64, i64)> = BTreeMap::new();
+    for clip in clips {
+        let key = (clip["node"].to_string(), clip["quality"].to_string());
+        let sum = raw.entry(key).or_default();
+        sum.0 += uj(&clip["joules"]);
+        sum.1 += clip["frames"].as_i64().unwrap();
+    }
+    assert_eq!(raw.len(), 6);
+    let day = 86_400_000;
+    let now_ms = i64::try_from(now_ns() / 1_000_000).unwrap();
+    let since = now_ms / day * day - 3 * day;
+    for (path, resolution) in [
+        (format!("/api/v1/energy?by=node&since_ms={since}"), "day"),
+        (
+            format!("/api/v1/energy?by=node&since_ms={}", since + 300_000),
+            "five_minutes",
+        ),
+    ] {
+        let energy = hub.get(&path).await;
+        assert_eq!(energy["resolution"], resolution);
+        let mut sums = BTreeMap::new();
+        for group in energy["groups"].as_array().unwrap() {
+            let key = (group["group"].to_string(), group["quality"].to_string());
+            let sum = (uj(&group["joules"]), group["frames"].as_i64().unwrap());
+            assert!(sums.insert(key, sum).is_none());
+            assert!(group["vanilla_joules_estimated"].as_f64() > group["joules"].as_f64());
+        }
+        assert_eq!(sums, raw, "{path}");
+    }
+    let knobs = hub.get("/api/v1/energy?by=knob").await;
+    assert!(
+        knobs["groups"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .all(|group| group["group"] == "albireo u=0.0003"),
+        "{knobs}"
+    );
+
+    // Pages and the file hold each clip once.
+    let (mut seen, mut cursor) = (Vec::new(), String::new());
+    loop {
+        let page = hub.get(&format!("/api/v1/clips?limit=70{cursor}")).await;
+        seen.extend(
+            page["clips"]
+                .as_array()
+                .unwrap()
+                .iter()
+                .map(|clip| clip["id"].as_i64().unwrap()),
+        );
+        match page["next"].as_i64() {
+            Some(next) => cursor = format!("&cursor={next}"),
+            None => break,
+        }
+    }
+    seen.dedup();
+    assert_eq!(seen.len(), 400);
+    let csv = reqwest::get(format!("{}/api/v1/clips.csv", hub.http))
+        .await
+        .unwrap();
+    let csv = csv.text().await.unwrap();
+    assert_eq!(csv.lines().count(), 401);
+    assert!(
+        csv.starts_with("id,node,camera,"),
+        "{}",
+        csv.lines().next().unwrap()
+    );
+    session.close().await.unwrap();
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sums_are_those_of_the_clips_and_qualities_are_never_added() {
+    let folder = tempfile::tempdir().unwrap();
+    sums_are_exact(&sqlite(folder.path())).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_sums_are_those_of_the_clips_and_qualities_are_never_added() {
+    let server = Postgres::start();
+    sums_are_exact(&server.url()).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_database_that_is_not_the_hubs_is_refused_and_left_alone() {
+    use albireo_hub::config::DatabaseConfig;
+    use albireo_hub::store::{Store, StoreError};
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("letter.db");
+    std::fs::write(
+        &file,
+        "Dear reader, this is no database, and it has enough words to be one.".repeat(40),
+    )
+    .unwrap();
+    let before = std::fs::read(&file).unwrap();
+    let config = DatabaseConfig {
+        url: format!("sqlite:{}", file.display()),
+        ..DatabaseConfig::default()
+    };
+    let error = Store::open(&config).await.unwrap_err();
+    assert!(matches!(error, StoreError::Refused(_)), "{error:?}");
+    assert!(error.to_string().contains("database.url"), "{error}");
+    assert_eq!(std::fs::read(&file).unwrap(), before);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reader_that_comes_back_gets_the_events_it_missed_and_is_told_to_look_anew_when_it_cannot()
+ {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let session = uplink(&hub.zenoh).await;
+    let start = now_ns() - 3_600_000_000_000;
+    let one = instance('a');
+    assert_eq!(
+        deliver(&session, &batch("car-1", &one, 1..=1, start)).await,
+        Said::Stored(1)
+    );
+    assert_eq!(
+        deliver(&session, &batch("car-1", &one, 4..=4, start)).await,
+        Said::Stored(4)
+    );
+    let told = read_events(&hub, "0", "event: gap").await;
+    assert!(
+        told.contains("\"first\":2") && told.contains("id: "),
+        "{told}"
+    );
+    let told = read_events(&hub, "999999", "event: resync").await;
+    assert!(told.contains("another database"), "{told}");
+    session.close().await.unwrap();
+    hub.stop().await;
+}
+
+/// What the stream says until `wanted` is in it.
+async fn read_events(hub: &Hub, last: &str, wanted: &str) -> String {
+    let client = reqwest::Client::new();
+    let request = client
+        .get(format!("{}/api/v1/events", hub.http))
+        .header("Last-Event-ID", last);
+    let mut response = request.send().await.unwrap();
+    let mut told = String::new();
+    let reading = async {
+        while let Some(chunk) = response.chunk().await.unwrap() {
+            told.push_str(&String::from_utf8_lossy(&chunk));
+            // An event ends with an empty line.
+            if told
+                .split(wanted)
+                .nth(1)
+                .is_some_and(|rest| rest.contains("\n\n"))
+            {
+                break;
+            }
+        }
+    };
+    tokio::time::timeout(crate::support::PATIENCE, reading)
+        .await
+        .unwrap();
+    told
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tables_of_a_newer_program_or_of_another_one_are_refused() {
+    use albireo_hub::config::DatabaseConfig;
+    use albireo_hub::store::{Store, StoreError};
+    use sqlx::Connection as _;
+    for (statements, wanted) in [
+        (
+            "UPDATE hub_meta SET value = '999' WHERE key = 'version'",
+            "newer",
+        ),
+        ("DROP TABLE hub_meta", "not a hub's"),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        let config = DatabaseConfig {
+            url: sqlite(folder.path()),
+            ..DatabaseConfig::default()
+        };
+        Store::open(&config).await.unwrap().close().await;
+        let mut raw = sqlx::AnyConnection::connect(&config.url).await.unwrap();
+        sqlx::query(statements).execute(&mut raw).await.unwrap();
+        raw.close().await.unwrap();
+        let error = Store::open(&config).await.unwrap_err();
+        assert!(matches!(error, StoreError::Refused(_)), "{error:?}");
+        assert!(error.to_string().contains(wanted), "{error}");
+    }
+}

@@ -1,0 +1,10 @@
+//! Promises of the hub, over real Zenoh sessions and real databases. Tests named `postgres_…` start a server of their own.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod support;
+
+mod history;
+mod ingest;
+mod presence;
+mod tuning;

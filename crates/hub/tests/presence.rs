@@ -1,0 +1,155 @@
+//! Which nodes are there and how they are.
+
+use crate::support::{Hub, config, full_status, instance, sqlite, status, uplink};
+use albireo_wire::{Desired, Poke, PullRequest, StatusMessage, VERSION};
+use std::time::Duration;
+
+async fn say(session: &zenoh::Session, node: &str, message: &StatusMessage) {
+    let payload = serde_json::to_vec(message).unwrap();
+    session
+        .put(format!("albireo/@status/{node}"), payload)
+        .await
+        .unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(&sqlite(folder.path()));
+    config.presence.silent_after_s = 1.5;
+    config.presence.offline_after_s = 4.0;
+    let hub = Hub::start(config).await;
+    let session = uplink(&hub.zenoh).await;
+    let one = instance('a');
+    say(&session, "car-1", &full_status(&one, 0, &[])).await;
+    let node = hub
+        .until("/api/v1/nodes/car-1", |node| node["state"] == "online")
+        .await;
+    assert_eq!(node["status"]["policy"], "albireo");
+    say(
+        &session,
+        "car-1",
+        &full_status(&one, 1, &[("detector", "it hangs")]),
+    )
+    .await;
+    let node = hub
+        .until("/api/v1/nodes/car-1", |node| node["state"] == "degraded")
+        .await;
+    assert_eq!(node["why"], "detector: it hangs");
+    let node = hub
+        .until("/api/v1/nodes/car-1", |node| node["state"] == "silent")
+        .await;
+    assert_eq!(node["why"], "no status for 1.5 s");
+    hub.until("/api/v1/nodes/car-1", |node| node["state"] == "offline")
+        .await;
+    let page = hub.get("/api/v1/nodes?state=offline").await;
+    assert_eq!(page["counts"]["offline"], 1);
+    assert_eq!(page["nodes"][0]["node"], "car-1");
+    session.close().await.unwrap();
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let session = uplink(&hub.zenoh).await;
+    let pokes = session
+        .declare_subscriber("albireo/@poke/car-2")
+        .await
+        .unwrap();
+    let one = instance('b');
+    say(&session, "car-2", &full_status(&one, 0, &[])).await;
+    hub.until("/api/v1/nodes/car-2", |node| node["state"] == "online")
+        .await;
+    assert!(!pull(&session, "car-2", &one).await.send_full_status);
+    say(&session, "car-2", &status(&one, 5)).await;
+    let poke = tokio::time::timeout(Duration::from_secs(30), pokes.recv_async()).await;
+    let poke = poke.unwrap().unwrap();
+    albireo_wire::read::<Poke>(&poke.payload().to_bytes()).unwrap();
+    assert!(pull(&session, "car-2", &one).await.send_full_status);
+    say(
+        &session,
+        "car-2",
+        &full_status(&one, 6, &[("power", "no meter")]),
+    )
+    .await;
+    hub.until("/api/v1/nodes/car-2", |node| {
+        node["why"] == "power: no meter"
+    })
+    .await;
+    assert!(!pull(&session, "car-2", &one).await.send_full_status);
+    session.close().await.unwrap();
+    hub.stop().await;
+}
+
+async fn pull(session: &zenoh::Session, node: &str, instance: &str) -> Desired {
+    let request = PullRequest {
+        v: VERSION,
+        instance: instance.into(),
+        generation: 0,
+    };
+    let replies = session
+        .get(format!("albireo/@pull/{node}"))
+        .payload(serde_json::to_vec(&request).unwrap())
+        .timeout(Duration::from_secs(20))
+        .await
+        .unwrap();
+    let reply = replies.recv_async().await.unwrap();
+    let sample = reply.into_result().unwrap();
+    albireo_wire::read(&sample.payload().to_bytes()).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn two_nodes_of_one_name_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let session = uplink(&hub.zenoh).await;
+    let (one, other) = (instance('a'), instance('b'));
+    say(&session, "car-3", &full_status(&one, 0, &[])).await;
+    hub.until("/api/v1/nodes/car-3", |node| node["state"] == "online")
+        .await;
+    // A restart under a new identity is nothing of note.
+    say(&session, "car-3", &full_status(&other, 0, &[])).await;
+    hub.until("/api/v1/nodes/car-3", |node| {
+        node["instance"] == other.as_str()
+    })
+    .await;
+    assert_eq!(hub.get("/api/v1/nodes/car-3").await["state"], "online");
+    // Both alive is.
+    say(&session, "car-3", &full_status(&one, 1, &[])).await;
+    let node = hub
+        .until("/api/v1/nodes/car-3", |node| node["state"] == "degraded")
+        .await;
+    let why = node["why"].as_str().unwrap();
+    assert!(why.starts_with("two nodes have this name"), "{why}");
+    session.close().await.unwrap();
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_restarted_hub_knows_what_it_knew_and_pokes() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let session = uplink(&hub.zenoh).await;
+    let one = instance('c');
+    say(
+        &session,
+        "car-4",
+        &full_status(&one, 0, &[("screen", "no model")]),
+    )
+    .await;
+    let before = hub
+        .until("/api/v1/nodes/car-4", |node| node["state"] == "degraded")
+        .await;
+    let again = hub.config.clone();
+    session.close().await.unwrap();
+    hub.stop().await;
+
+    let hub = Hub::start(again).await;
+    let after = hub.get("/api/v1/nodes/car-4").await;
+    for key in ["state", "why", "since_ms", "status"] {
+        assert_eq!(after[key], before[key], "{key}");
+    }
+    hub.stop().await;
+}

@@ -1,0 +1,316 @@
+//! A hub with a real database, real Zenoh sessions of nodes, and what they say.
+
+#![allow(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    unreachable_pub
+)]
+
+pub mod postgres;
+
+use albireo_hub::config::HubConfig;
+use albireo_wire::{
+    ClipEnd, ClipEnergy, ClipReport, DomainEnergy, DroppedFrames, EnergyQuality, FrameStates,
+    HealthState, HealthStatus, KnobValue, NodeStatus, OutboxStatus, Percentiles, ReportAnswer,
+    ReportBatch, ReportRefusal, StatusMessage, VERSION,
+};
+use serde_json::Value;
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
+
+/// The longest any single thing may take on a busy machine.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A port nobody listens on at this moment.
+pub fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0")
+        .and_then(|listener| listener.local_addr())
+        .unwrap()
+        .port()
+}
+
+/// A running hub.
+pub struct Hub {
+    pub http: String,
+    pub zenoh: String,
+    pub config: HubConfig,
+    shutdown: CancellationToken,
+    task: tokio::task::JoinHandle<anyhow::Result<()>>,
+}
+
+/// A configuration with addresses of its own.
+pub fn config(database: &str) -> HubConfig {
+    let mut config = HubConfig::default();
+    config.zenoh.listen = vec![format!("tcp/127.0.0.1:{}", free_port())];
+    config.database.url = database.to_owned();
+    config.database.timeout_ms = 10_000;
+    config.ingest.commit_ms = 20;
+    config
+}
+
+/// A file in `folder`.
+pub fn sqlite(folder: &Path) -> String {
+    format!("sqlite:{}", folder.join("hub.db").display())
+}
+
+impl Hub {
+    /// Starts a hub and waits until it is ready.
+    pub async fn start(config: HubConfig) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let http = format!("http://{}", listener.local_addr().unwrap());
+        let shutdown = CancellationToken::new();
+        let (given, stop) = (config.clone(), shutdown.clone());
+        let task = tokio::spawn(async move { albireo_hub::run(&given, listener, stop).await });
+        let hub = Self {
+            zenoh: config.zenoh.listen[0].clone(),
+            http,
+            config,
+            shutdown,
+            task,
+        };
+        hub.until("/readyz", |answer| answer["ready"] == true).await;
+        hub
+    }
+
+    /// Stops it as a signal would.
+    pub async fn stop(self) {
+        self.shutdown.cancel();
+        self.task.await.unwrap().unwrap();
+    }
+
+    /// What a path answers.
+    pub async fn get(&self, path: &str) -> Value {
+        let response = reqwest::get(format!("{}{path}", self.http)).await.unwrap();
+        response.json().await.unwrap()
+    }
+
+    /// Asks until the answer is as wanted.
+    pub async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            let answer = match reqwest::get(format!("{}{path}", self.http)).await {
+                Ok(response) => response.json().await.unwrap_or(Value::Null),
+                Err(_) => Value::Null,
+            };
+            if wanted(&answer) {
+                return answer;
+            }
+            assert!(
+                Instant::now() < until,
+                "{path} never came to what is wanted: {answer}"
+            );
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+}
+
+/// A Zenoh session of a node's uplink.
+pub async fn uplink(endpoint: &str) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{endpoint}\"]")),
+        ("connect/timeout_ms", "-1".to_owned()),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    zenoh::open(config).await.unwrap()
+}
+
+/// What came back of a batch.
+#[derive(Debug, PartialEq)]
+pub enum Said {
+    Stored(u64),
+    Refused(ReportRefusal),
+    Nothing,
+}
+
+/// Sends a payload on the key of `node`.
+pub async fn send(session: &zenoh::Session, node: &str, payload: Vec<u8>) -> Said {
+    let key = format!("albireo/@report/{node}");
+    let replies = session
+        .get(key)
+        .payload(payload)
+        .timeout(Duration::from_secs(20))
+        .await
+        .unwrap();
+    while let Ok(reply) = replies.recv_async().await {
+        match reply.result() {
+            Ok(sample) => {
+                let answer: ReportAnswer =
+                    albireo_wire::read(&sample.payload().to_bytes()).unwrap();
+                return Said::Stored(answer.stored);
+            }
+            Err(error) => {
+                if let Ok(refusal) = albireo_wire::read(&error.payload().to_bytes()) {
+                    return Said::Refused(refusal);
+                }
+            }
+        }
+    }
+    Said::Nothing
+}
+
+/// Sends a batch, again and again until somebody answers.
+pub async fn deliver(session: &zenoh::Session, batch: &ReportBatch) -> Said {
+    let until = Instant::now() + PATIENCE;
+    loop {
+        match send(session, &batch.node, batch.to_payload().unwrap()).await {
+            Said::Nothing => {}
+            said => return said,
+        }
+        assert!(Instant::now() < until, "nobody answers");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+/// 32 hexadecimal digits made of one.
+pub fn instance(digit: char) -> String {
+    std::iter::repeat_n(digit, 32).collect()
+}
+
+/// Now, nanoseconds since the Unix epoch.
+pub fn now_ns() -> u64 {
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    u64::try_from(since.unwrap().as_nanos()).unwrap()
+}
+
+/// A report of that number that began `number` × 40 s after `started_ns`.
+pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
+    let joules = 100.1 + number as f64 / 3.0;
+    let percentiles = |count, mean| Percentiles {
+        count,
+        mean,
+        p50: mean,
+        p95: mean * 2.0,
+        p99: mean * 3.0,
+    };
+    ClipReport {
+        v: VERSION,
+        node: node.into(),
+        camera: "front".into(),
+        clip: format!("window-{number}"),
+        report: number,
+        ended_by: ClipEnd::Window,
+        started_ns: started_ns + number * 40_000_000_000,
+        duration_s: 40.0,
+        frames: 1200,
+        states: FrameStates {
+            e: 100,
+            p: 700,
+            ei: 50,
+            i: 300,
+            ai: 50,
+        },
+        skip_rate: 800.0 / 1200.0,
+        degraded_frames: 20,
+        dropped: DroppedFrames::default(),
+        policy: "albireo".into(),
+        knob: Some(KnobValue {
+            name: "u",
+            value: 3e-4,
+        }),
+        knob_changes: Vec::new(),
+        model: "detector.onnx".into(),
+        provider: "cpu".into(),
+        total_latency_ms: percentiles(1200, 11.3),
+        detector_latency_ms: percentiles(400, 30.7),
+        energy: ClipEnergy {
+            joules: Some(joules),
+            node_joules: Some(joules * 2.0),
+            edp: Some(joules * 40_000.0 / 1200.0),
+            quality: if number.is_multiple_of(3) {
+                EnergyQuality::Measured
+            } else if number % 3 == 1 {
+                EnergyQuality::Partial
+            } else {
+                EnergyQuality::Estimated
+            },
+            source: "rapl".into(),
+            total_from: "input_rail".into(),
+            samples: 400,
+            coverage: 1.0,
+            domains: vec![DomainEnergy {
+                domain: "cpu".into(),
+                joules: joules * 1.5,
+                mean_watts: 3.0,
+                peak_watts: None,
+            }],
+        },
+        board: None,
+    }
+}
+
+/// The batch of the reports of those numbers.
+pub fn batch(
+    node: &str,
+    instance: &str,
+    numbers: std::ops::RangeInclusive<u64>,
+    started_ns: u64,
+) -> ReportBatch {
+    ReportBatch {
+        v: VERSION,
+        node: node.into(),
+        instance: instance.into(),
+        machine: None,
+        first: *numbers.start(),
+        last: *numbers.end(),
+        lost: 0,
+        reports: numbers
+            .map(|number| report(node, number, started_ns))
+            .collect(),
+    }
+}
+
+/// A sign of life.
+pub fn status(instance: &str, seq: u64) -> StatusMessage {
+    StatusMessage {
+        v: VERSION,
+        instance: instance.into(),
+        machine: None,
+        started_ns: 1,
+        seq,
+        t_ns: now_ns(),
+        health: HealthState::Ready,
+        waiting: 0,
+        generation: 0,
+        full: None,
+    }
+}
+
+/// A full status.
+pub fn full_status(instance: &str, seq: u64, reasons: &[(&str, &str)]) -> StatusMessage {
+    let state = if reasons.is_empty() {
+        HealthState::Ready
+    } else {
+        HealthState::Degraded
+    };
+    let full = NodeStatus {
+        version: "0.1.0".into(),
+        labels: Default::default(),
+        cameras: Vec::new(),
+        policy: "albireo".into(),
+        model: "detector.onnx".into(),
+        provider: Some("cpu".into()),
+        power_source: "rapl".into(),
+        power_quality: EnergyQuality::Measured,
+        health: HealthStatus {
+            state,
+            reasons: reasons
+                .iter()
+                .map(|(part, reason)| ((*part).to_owned(), (*reason).to_owned()))
+                .collect(),
+        },
+        outbox: OutboxStatus::default(),
+        refused: None,
+    };
+    StatusMessage {
+        health: state,
+        full: Some(Box::new(full)),
+        ..status(instance, seq)
+    }
+}

@@ -1,0 +1,470 @@
+//! Values reach nodes, rollouts go on, back and over a restart, trials compare: with simulated nodes over real sessions.
+
+use crate::support::postgres::Postgres;
+use crate::support::{Hub, PATIENCE, config, sqlite};
+use albireo_hub::config::HubConfig;
+use albireo_service::config::{NamedToken, Role, Token};
+use albireo_simulate::{Behaviour, Options};
+use reqwest::StatusCode;
+use serde_json::{Value, json};
+use std::time::Duration;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+/// A fleet that is played until it is dropped.
+struct Played {
+    stop: CancellationToken,
+    task: Option<JoinHandle<anyhow::Result<albireo_simulate::Summary>>>,
+}
+
+/// Few nodes that live fast.
+fn fleet(nodes: usize) -> Options {
+    Options {
+        nodes,
+        sessions: 2.min(nodes),
+        duration: Duration::from_secs(600),
+        status_s: 0.5,
+        clip_s: 0.2,
+        gather: 1,
+        drain: Duration::from_secs(10),
+        ..Options::default()
+    }
+}
+
+impl Played {
+    async fn begin(hub: &Hub, options: Options) -> Self {
+        let options = Options {
+            connect: hub.zenoh.clone(),
+            ..options
+        };
+        let stop = CancellationToken::new();
+        let count = options.nodes as u64;
+        let task = tokio::spawn(albireo_simulate::run(options, stop.clone(), |_| {}));
+        hub.until("/api/v1/nodes?limit=1000", |answer| {
+            let known = |node: &&Value| node["status"]["cameras"][0]["u"].is_f64();
+            let nodes = answer["nodes"].as_array().into_iter().flatten();
+            nodes.filter(known).count() as u64 == count
+        })
+        .await;
+        Self {
+            stop,
+            task: Some(task),
+        }
+    }
+
+    async fn end(mut self) -> albireo_simulate::Summary {
+        self.stop.cancel();
+        let task = self.task.take().unwrap();
+        tokio::time::timeout(PATIENCE, task)
+            .await
+            .unwrap()
+            .unwrap()
+            .unwrap()
+    }
+}
+
+impl Drop for Played {
+    fn drop(&mut self) {
+        self.stop.cancel();
+    }
+}
+
+async fn put(hub: &Hub, body: Value) -> (StatusCode, Value) {
+    let request = reqwest::Client::new()
+        .put(format!("{}/api/v1/threshold", hub.http))
+        .json(&body);
+    let response = request.send().await.unwrap();
+    (response.status(), response.json().await.unwrap())
+}
+
+async fn post(hub: &Hub, path: &str, body: Value) -> (StatusCode, Value) {
+    let request = reqwest::Client::new()
+        .post(format!("{}{path}", hub.http))
+        .json(&body);
+    let response = request.send().await.unwrap();
+    (response.status(), response.json().await.unwrap())
+}
+
+fn values(nodes: &Value) -> Vec<f64> {
+    let nodes = nodes["nodes"].as_array().unwrap().iter();
+    nodes
+        .map(|node| node["status"]["cameras"][0]["u"].as_f64().unwrap())
+        .collect()
+}
+
+async fn values_reach_nodes(database: &str) {
+    let hub = Hub::start(config(database)).await;
+    let played = Played::begin(&hub, fleet(6)).await;
+    let dry = json!({"u": 5e-4, "select": ["sim-*"], "dry_run": true});
+    let (status, answer) = put(&hub, dry).await;
+    assert_eq!(
+        (status, &answer["counts"]),
+        (StatusCode::OK, &json!({"would_change": 6})),
+        "{answer}"
+    );
+    assert_eq!(hub.get("/api/v1/changes").await["changes"], json!([]));
+
+    let some = json!({"u": 5e-4, "select": "region=north,sim-000001,nobody", "why": "a test"});
+    let (status, answer) = put(&hub, some).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    // Nodes 0 and 4 are in the north.
+    assert_eq!(
+        answer["counts"],
+        json!({"applied": 3, "refused": 1}),
+        "{answer}"
+    );
+    let mut found = values(&hub.get("/api/v1/nodes").await);
+    assert_eq!(found, [5e-4, 5e-4, 3e-4, 3e-4, 5e-4, 3e-4]);
+    let change = answer["change"].as_u64().unwrap();
+    let changes = hub.get("/api/v1/changes?node=sim-000004").await;
+    let first = &changes["changes"][0];
+    assert_eq!(
+        (&first["change"], &first["why"], &first["u"]),
+        (&json!(change), &json!("a test"), &Value::Null)
+    );
+    assert_eq!(
+        (&first["to"], &first["who"]),
+        (&json!({"u": 5e-4}), &json!("anonymous"))
+    );
+    let detail = hub.get(&format!("/api/v1/changes/{change}")).await;
+    assert_eq!(detail["nodes"][0]["from"], json!({"u": 3e-4}));
+    assert_eq!(detail["nodes"][0]["outcome"], "applied");
+
+    // The same again changes nobody; a value out of range is refused by the nodes, in their words.
+    let (_, answer) = put(&hub, json!({"u": 5e-4, "select": ["sim-000001"]})).await;
+    assert_eq!(
+        (&answer["counts"], &answer["change"]),
+        (&json!({"unchanged": 1}), &Value::Null)
+    );
+    let (_, answer) = put(&hub, json!({"u": 7.0, "select": ["sim-000001"]})).await;
+    assert_eq!(answer["counts"], json!({"refused": 1}), "{answer}");
+    assert!(
+        answer["nodes"][0]["detail"]
+            .as_str()
+            .unwrap()
+            .contains("from 1e-9 to 1")
+    );
+    played.end().await;
+    hub.stop().await;
+
+    // What was desired is desired after a restart of the hub, and the generations go on.
+    let hub = Hub::start(config(database)).await;
+    let played = Played::begin(&hub, fleet(6)).await;
+    hub.until("/api/v1/nodes", |nodes| values(nodes)[..2] == [5e-4, 5e-4])
+        .await;
+    let (_, answer) = put(&hub, json!({"u": 1e-4, "select": "all"})).await;
+    assert!(answer["change"].as_u64().unwrap() > change + 1, "{answer}");
+    found = values(&hub.get("/api/v1/nodes").await);
+    assert_eq!(found, [1e-4; 6]);
+    played.end().await;
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_value_reaches_the_selected_nodes_and_is_applied_when_they_report_it() {
+    let folder = tempfile::tempdir().unwrap();
+    values_reach_nodes(&sqlite(folder.path())).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_a_value_reaches_the_selected_nodes_and_is_applied_when_they_report_it() {
+    let server = Postgres::start();
+    values_reach_nodes(&server.url()).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn outcomes_are_told_as_they_come() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let played = Played::begin(&hub, fleet(4)).await;
+    let request = reqwest::Client::new()
+        .put(format!("{}/api/v1/threshold", hub.http))
+        .header("accept", "application/x-ndjson")
+        .json(&json!({"u": 2e-4, "select": ["all"], "wait_s": 60}));
+    let response = request.send().await.unwrap();
+    assert_eq!(response.headers()["content-type"], "application/x-ndjson");
+    let text = response.text().await.unwrap();
+    let lines: Vec<Value> = text
+        .lines()
+        .map(|line| serde_json::from_str(line).unwrap())
+        .collect();
+    assert_eq!(lines.len(), 5, "{text}");
+    assert!(
+        lines[..4].iter().all(|line| line["outcome"] == "applied"),
+        "{text}"
+    );
+    assert_eq!(lines[4]["counts"], json!({"applied": 4}));
+    played.end().await;
+    hub.stop().await;
+}
+
+/// Short stages, so that a rollout is walked in seconds.
+fn rollout(u: f64) -> Value {
+    json!({
+        "u": u, "select": ["all"], "stages": ["1", "50%", "100%"], "soak_s": 4, "patience_s": 6, "baseline_s": 20,
+        "gates": ["joules<=+10%", "skip_rate>=-0.2"], "fewest_clips": 5, "seed": 3,
+    })
+}
+
+async fn ended(hub: &Hub, id: &Value) -> Value {
+    hub.until(&format!("/api/v1/rollouts/{id}"), |rollout| {
+        ["done", "returned", "held", "stopped"].contains(&rollout["phase"].as_str().unwrap_or(""))
+    })
+    .await
+}
+
+/// Waits until every node has told some clips, so that there is something to compare with.
+async fn have_clips(hub: &Hub, clips: u64) {
+    hub.until("/api/v1/energy?by=node", |energy| {
+        let groups = energy["groups"]
+            .as_array()
+            .map(Vec::as_slice)
+            .unwrap_or_default();
+        groups.len() >= 6
+            && groups
+                .iter()
+                .all(|group| group["clips"].as_u64() >= Some(clips))
+    })
+    .await;
+}
+
+async fn harm_is_undone(database: &str) {
+    let hub = Hub::start(config(database)).await;
+    let behaviour = Behaviour {
+        spoilt_above: Some(4e-4),
+        spoilt_by: 1.6,
+        measured: true,
+    };
+    let played = Played::begin(
+        &hub,
+        Options {
+            behaviour,
+            ..fleet(6)
+        },
+    )
+    .await;
+    have_clips(&hub, 15).await;
+    let (status, begun) = post(&hub, "/api/v1/rollouts", rollout(5e-4)).await;
+    assert_eq!(status, StatusCode::CREATED, "{begun}");
+    // A node of a rollout is not turned by another hand.
+    let (_, answer) = put(&hub, json!({"u": 1e-4, "select": ["sim-000002"]})).await;
+    assert_eq!(answer["counts"], json!({"refused": 1}), "{answer}");
+    let returned = ended(&hub, &begun["id"]).await;
+    assert_eq!(returned["phase"], "returned", "{returned}");
+    let record = returned["record"].as_array().unwrap();
+    let judged = record
+        .iter()
+        .rfind(|entry| entry["what"] == "judged")
+        .unwrap();
+    let gate = judged["gates"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|gate| gate["verdict"] == "failed")
+        .unwrap();
+    assert_eq!(
+        (&gate["gate"], &gate["figure"]),
+        (&json!("joules<=+10%"), &json!("joules_measured"))
+    );
+    assert!(gate["change"]["lower"].as_f64().unwrap() > 0.1, "{gate}");
+    hub.until("/api/v1/nodes", |nodes| values(nodes) == [3e-4; 6])
+        .await;
+    // Only the canary ever had the value; it stands in the history with its return.
+    let changes = hub.get("/api/v1/changes").await;
+    let origins: Vec<&Value> = changes["changes"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|c| &c["origin"])
+        .collect();
+    let name = format!("rollout {}", begun["id"]);
+    assert_eq!(origins, [&json!(name), &json!(name)], "{changes}");
+    played.end().await;
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rollout_that_does_harm_gives_the_old_value_back_by_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    harm_is_undone(&sqlite(folder.path())).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_a_rollout_that_does_harm_gives_the_old_value_back_by_itself() {
+    let server = Postgres::start();
+    harm_is_undone(&server.url()).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rollout_goes_on_where_it_was_when_the_hub_starts_anew_and_reaches_all_nodes() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let played = Played::begin(&hub, fleet(6)).await;
+    have_clips(&hub, 15).await;
+    let (_, begun) = post(&hub, "/api/v1/rollouts", rollout(5e-4)).await;
+    let path = format!("/api/v1/rollouts/{}", begun["id"]);
+    hub.until(&path, |rollout| rollout["phase"] == "soaking")
+        .await;
+    let again = hub.config.clone();
+    hub.stop().await;
+    let hub = Hub::start(again).await;
+    let done = ended(&hub, &begun["id"]).await;
+    assert_eq!(done["phase"], "done", "{done}");
+    let whats = done["record"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|entry| entry["what"].as_str().unwrap());
+    assert_eq!(whats.filter(|what| *what == "stage").count(), 3);
+    assert_eq!(values(&hub.get("/api/v1/nodes").await), [5e-4; 6]);
+    // Also after its end the old values can be had back.
+    let (status, answer) = post(&hub, &format!("{path}/return"), json!({})).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    assert_eq!(ended(&hub, &begun["id"]).await["phase"], "returned");
+    hub.until("/api/v1/nodes", |nodes| values(nodes) == [3e-4; 6])
+        .await;
+    let (status, answer) = post(&hub, &format!("{path}/pause"), json!({})).await;
+    assert_eq!(status, StatusCode::CONFLICT, "{answer}");
+    played.end().await;
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_trial_measures_each_value_on_its_group_and_gives_the_old_value_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let played = Played::begin(&hub, fleet(8)).await;
+    let plan = json!({"values": [{"u": 1e-5}, {"u": 1e-2}], "select": ["all"], "duration_s": 5, "seed": 1});
+    let (status, begun) = post(&hub, "/api/v1/trials", plan).await;
+    assert_eq!(status, StatusCode::CREATED, "{begun}");
+    let path = format!("/api/v1/trials/{}", begun["id"]);
+    let done = hub.until(&path, |trial| trial["phase"] == "done").await;
+    let arms = done["result"]["values"].as_array().unwrap();
+    let joules = |arm: &Value| {
+        let figures = arm["figures"].as_array().unwrap();
+        figures
+            .iter()
+            .find(|figure| figure["figure"] == "joules_estimated")
+            .unwrap()
+            .clone()
+    };
+    assert_eq!(
+        (&arms[0]["applied"], &arms[1]["applied"]),
+        (&json!(4), &json!(4))
+    );
+    // Three decades of u are most of the frames: the difference stands out of any noise.
+    let difference = &joules(&arms[1])["difference"];
+    assert!(difference["upper"].as_f64().unwrap() < 0.0, "{done}");
+    hub.until("/api/v1/nodes", |nodes| values(nodes) == [3e-4; 8])
+        .await;
+    played.end().await;
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_token_that_may_read_cannot_tune_and_the_history_names_who_did() {
+    let folder = tempfile::tempdir().unwrap();
+    let token = |name: &str, role, secret: &str| NamedToken {
+        name: name.to_owned(),
+        role,
+        token: Some(Token::new(secret)),
+        token_file: None,
+    };
+    let hub = Hub::start(HubConfig {
+        tokens: vec![
+            token("screen", Role::Read, "look"),
+            token("night shift", Role::Tune, "turn"),
+        ],
+        ..config(&sqlite(folder.path()))
+    })
+    .await;
+    let client = reqwest::Client::new();
+    let ask = |method: reqwest::Method, path: &str, secret: &str| {
+        client
+            .request(method, format!("{}{path}", hub.http))
+            .bearer_auth(secret)
+    };
+    let body = json!({"u": 1e-4, "select": ["all"]});
+    for (path, method) in [
+        ("/api/v1/threshold", reqwest::Method::PUT),
+        ("/api/v1/rollouts", reqwest::Method::POST),
+        ("/api/v1/rollouts/1/next", reqwest::Method::POST),
+        ("/api/v1/trials", reqwest::Method::POST),
+    ] {
+        let response = ask(method, path, "look").json(&body).send().await.unwrap();
+        assert_eq!(response.status(), StatusCode::FORBIDDEN, "{path}");
+        assert_eq!(
+            response.headers()["content-type"],
+            "application/problem+json"
+        );
+    }
+    let response = ask(reqwest::Method::GET, "/api/v1/changes", "look")
+        .send()
+        .await
+        .unwrap();
+    assert_eq!(response.status(), StatusCode::OK);
+    // Nobody is there to be tuned; the request itself is allowed.
+    let response = ask(reqwest::Method::PUT, "/api/v1/threshold", "turn")
+        .json(&body)
+        .send()
+        .await
+        .unwrap();
+    assert_eq!(response.status(), StatusCode::NOT_FOUND);
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_request_that_makes_no_sense_is_refused_with_what_would_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    for (path, body, expected) in [
+        (
+            "/api/v1/rollouts",
+            json!({"u": 1e-4, "select": ["all"], "stages": ["0%"]}),
+            "stages",
+        ),
+        (
+            "/api/v1/rollouts",
+            json!({"u": 1e-4, "select": ["all"], "gates": ["joules>=5%"]}),
+            "joules",
+        ),
+        (
+            "/api/v1/rollouts",
+            json!({"u": 1e-4, "select": ["all"], "soke_s": 5}),
+            "soke_s",
+        ),
+        ("/api/v1/rollouts", json!({"select": ["all"]}), "knob"),
+        (
+            "/api/v1/rollouts",
+            json!({"u": 1e-4, "select": ["all"]}),
+            "select: no node",
+        ),
+        ("/api/v1/trials", json!({"values": [{"u": 1e-4}]}), "values"),
+    ] {
+        let (status, answer) = post(&hub, path, body).await;
+        assert_eq!(status, StatusCode::UNPROCESSABLE_ENTITY, "{answer}");
+        assert!(
+            answer["detail"].as_str().unwrap().contains(expected),
+            "{expected}: {answer}"
+        );
+    }
+    let (status, _) = post(&hub, "/api/v1/rollouts/77/next", json!({})).await;
+    assert_eq!(status, StatusCode::NOT_FOUND);
+    let (status, answer) = post(&hub, "/api/v1/rollouts/77/hurry", json!({})).await;
+    assert_eq!(
+        (status, answer["allowed"].as_array().unwrap().len()),
+        (StatusCode::NOT_FOUND, 5)
+    );
+    let openapi = hub.get("/openapi.json").await;
+    for path in [
+        "/api/v1/threshold",
+        "/api/v1/rollouts/{id}",
+        "/api/v1/trials",
+        "/api/v1/changes/{change}",
+    ] {
+        assert!(openapi["paths"][path].is_object(), "{path}");
+    }
+    hub.stop().await;
+}

@@ -1,0 +1,62 @@
+//! Why a node cannot start, or had to end: which part, and what to do.
+
+use crate::board::SetupError;
+use crate::detector::StartError;
+use crate::power::MeterError;
+use albireo_core::policy::PolicyConfigError;
+use albireo_service::http::HttpError;
+use albireo_service::supervise::TaskFailed;
+use albireo_wire::KeyError;
+
+/// Why a node cannot start, or had to end.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum NodeError {
+    /// The configuration describes no node.
+    #[error(transparent)]
+    Setup(#[from] SetupError),
+    /// A name cannot stand in a key.
+    #[error(transparent)]
+    Key(#[from] KeyError),
+    /// The policy cannot be made.
+    #[error(transparent)]
+    Policy(#[from] PolicyConfigError),
+    /// Zenoh refuses something.
+    #[error("{0}")]
+    Zenoh(String),
+    /// The power meter cannot be used.
+    #[error("[power]: {0}")]
+    Power(#[from] MeterError),
+    /// The detector cannot be started.
+    #[error("[detector]: {0}")]
+    Detector(#[source] StartError),
+    /// The empty-scene screen cannot be started.
+    #[error("[screen]: {0}")]
+    Screen(#[source] StartError),
+    /// The state directory cannot be used.
+    #[error("[node]: {0}")]
+    State(String),
+    /// A camera cannot be served.
+    #[error("camera `{camera}`: {error}")]
+    Camera {
+        /// Its name.
+        camera: String,
+        /// Why.
+        #[source]
+        error: Box<NodeError>,
+    },
+    /// The HTTP interface cannot be offered.
+    #[error("[http]: {0}")]
+    Http(#[from] HttpError),
+    /// A task the node cannot do without has failed.
+    #[error(transparent)]
+    Task(#[from] TaskFailed),
+    /// The operating system refuses something.
+    #[error("{what}: {source}")]
+    System {
+        /// What was tried.
+        what: &'static str,
+        /// Why it failed.
+        source: std::io::Error,
+    },
+}

@@ -1,0 +1,94 @@
+//! The parts of a node that its readiness knows, and what a fault of each means.
+//!
+//! | part | not ready | degraded |
+//! | --- | --- | --- |
+//! | `detector` | it starts, or its session is being rebuilt | |
+//! | `screen` | | its session is being rebuilt: the detector is asked instead |
+//! | `cameras` | they are not subscribed to yet | no frame has come from one for a while |
+//! | `power` | | the meter cannot be read, or gives no samples |
+//! | `outbox` | | reports are lost, or do not survive a power loss though a state directory is set |
+//! | `zenoh` | the local session is not open, or closed | another node has the same name |
+//! | `uplink` | | the session toward the hub is not open |
+//! | `disk` | | the state directory cannot be written |
+//! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or one that frames do not need does not run |
+
+use crate::board::Board;
+use crate::detector::DetectorStatus;
+use crate::power::PowerHandle;
+use albireo_service::readiness::Fault;
+use albireo_wire::EnergyQuality;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The detector.
+pub const DETECTOR: &str = "detector";
+/// The empty-scene screen, where it is a model.
+pub const SCREEN: &str = "screen";
+/// The cameras; the subject is a camera's name.
+pub const CAMERAS: &str = "cameras";
+/// The power meter.
+pub const POWER: &str = "power";
+/// Clip reports on their way to the hub.
+pub const OUTBOX: &str = "outbox";
+/// The local Zenoh session.
+pub const ZENOH: &str = "zenoh";
+/// The Zenoh session toward the hub.
+pub const UPLINK: &str = "uplink";
+/// The state directory.
+pub const DISK: &str = "disk";
+/// The tasks; the subject is a task's name.
+pub const TASKS: &str = albireo_service::supervise::PART;
+
+/// A meter may take so long for its first sample.
+const FIRST_SAMPLE: Duration = Duration::from_secs(15);
+
+/// All parts, as metrics list them.
+pub const PARTS: [&str; 9] = [
+    DETECTOR, SCREEN, CAMERAS, POWER, OUTBOX, ZENOH, UPLINK, DISK, TASKS,
+];
+
+/// What the status of the detector means for the node: without it there are only predictions.
+pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
+    match status {
+        DetectorStatus::Starting => Some(Fault::not_ready("the session is being built")),
+        DetectorStatus::Degraded { reason, .. } => {
+            Some(Fault::not_ready(format!("degraded: {reason}")))
+        }
+        DetectorStatus::Ready { .. } => None,
+    }
+}
+
+/// What the status of the screen means for the node: without it the detector is asked.
+pub(crate) fn of_screen(status: &DetectorStatus) -> Option<Fault> {
+    of_detector(status).map(|fault| Fault::degraded(fault.reason))
+}
+
+/// Looks from now on whether frames come from every camera.
+pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
+    let start = tokio::time::Instant::now();
+    for camera in board.cameras() {
+        let name = camera.name().to_owned();
+        let camera = Arc::clone(camera);
+        board.readiness().probe(CAMERAS, name, move || {
+            let seconds = silence.as_secs_f64();
+            match camera.snapshot().last_frame_age {
+                Some(age) => (age > silence)
+                    .then(|| Fault::degraded(format!("no frame for more than {seconds} s"))),
+                None => (start.elapsed() > silence)
+                    .then(|| Fault::degraded("no frame has come since the start")),
+            }
+        });
+    }
+}
+
+/// Looks from now on whether the power meter gives samples.
+pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
+    let power = power.clone();
+    let begun = tokio::time::Instant::now();
+    board.readiness().probe(POWER, "", move || {
+        let silent = power.source() != "none"
+            && begun.elapsed() > FIRST_SAMPLE
+            && power.now().quality == EnergyQuality::Unavailable;
+        silent.then(|| Fault::degraded(format!("{} gives no samples", power.source())))
+    });
+}

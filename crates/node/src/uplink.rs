@@ -1,0 +1,482 @@
+//! The node's side of the hub: reports as queries that are answered after the hub's commit, status, and what the hub
+//! desires. One thread, for each of these may wait.
+//!
+//! Only an answer acknowledges. No reply, an error, a refusal and a time-out all mean: keep, and try again after a
+//! pause that doubles, with jitter.
+
+mod desired;
+mod query;
+mod status;
+
+pub(crate) use desired::DesiredKeeper;
+
+use crate::board::Board;
+use crate::outbox::{Acknowledged, Outbox, OutboxConfig};
+use albireo_service::clock::unix_nanoseconds;
+use albireo_service::config::UplinkConfig;
+use albireo_service::session;
+use albireo_wire::{Desired, FleetKeys, PullRequest, RefusalReason, ReportAnswer, VERSION};
+use query::{Asked, ask};
+use status::StatusTeller;
+use std::collections::BTreeMap;
+use std::hash::{BuildHasher, RandomState};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use zenoh::Session;
+use zenoh::Wait;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::Querier;
+
+/// How often the status is looked at for changes.
+const LOOK: Duration = Duration::from_secs(1);
+
+/// How long the last reports may take to reach a hub when the node stops: what is not there then is kept.
+const LAST_TRY: Duration = Duration::from_millis(1500);
+
+/// What the uplink works with.
+pub(crate) struct UplinkSetup {
+    /// What is told.
+    pub board: Arc<Board>,
+    /// What is delivered.
+    pub outbox: Outbox,
+    /// The manners.
+    pub config: OutboxConfig,
+    /// Keys toward the hub.
+    pub keys: FleetKeys,
+    /// Labels of the node.
+    pub labels: BTreeMap<String, String>,
+    /// What the hub desires, and what is in force.
+    pub desired: DesiredKeeper,
+    /// Where the hub is found.
+    pub way: Way,
+}
+
+/// The way to the hub.
+pub(crate) enum Way {
+    /// The local session serves both.
+    Local(Session),
+    /// A session of its own, opened anew when it has gone stale.
+    Own(UplinkConfig),
+}
+
+/// The uplink's thread. Ends when told.
+pub(crate) struct Uplink {
+    stop: Arc<AtomicBool>,
+    outbox: Outbox,
+    thread: Option<std::thread::JoinHandle<()>>,
+}
+
+impl Uplink {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// When the system has no thread left.
+    pub(crate) fn start(setup: UplinkSetup) -> std::io::Result<Self> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let outbox = setup.outbox.clone();
+        let mut worker = Worker {
+            teller: StatusTeller::new(setup.labels.clone()),
+            setup,
+            stop: Arc::clone(&stop),
+            poked: Arc::new(AtomicU64::new(0)),
+            pull_due: true,
+            failures: 0,
+            retry_at: Instant::now(),
+            last_answer: Instant::now(),
+            watched_until: None,
+            counted_at: None,
+        };
+        let thread = std::thread::Builder::new()
+            .name("uplink".to_owned())
+            .spawn(move || worker.run())?;
+        Ok(Self {
+            stop,
+            outbox,
+            thread: Some(thread),
+        })
+    }
+
+    /// Tells the thread to try once more and end; blocks until it has.
+    pub(crate) fn stop(mut self) {
+        self.tell();
+        if let Some(thread) = self.thread.take()
+            && thread.join().is_err()
+        {
+            tracing::error!("the uplink failed");
+        }
+    }
+
+    fn tell(&self) {
+        self.stop.store(true, Ordering::Release);
+        self.outbox.wake();
+    }
+}
+
+impl Drop for Uplink {
+    fn drop(&mut self) {
+        self.tell();
+    }
+}
+
+struct Worker {
+    setup: UplinkSetup,
+    teller: StatusTeller,
+    stop: Arc<AtomicBool>,
+    /// Highest generation that was poked.
+    poked: Arc<AtomicU64>,
+    pull_due: bool,
+    failures: u32,
+    retry_at: Instant,
+    last_answer: Instant,
+    watched_until: Option<Instant>,
+    counted_at: Option<Instant>,
+}
+
+enum Served {
+    Stopped,
+    Stale,
+    Failed(zenoh::Error),
+}
+
+impl Worker {
+    fn run(&mut self) {
+        loop {
+            let session = match &self.setup.way {
+                Way::Local(session) => session.clone(),
+                Way::Own(uplink) => match session::open_uplink(uplink) {
+                    Ok(session) => session,
+                    Err(error) => {
+                        tracing::warn!("{error:#}");
+                        (self.setup.board.readiness())
+                            .part(crate::readiness::UPLINK)
+                            .degraded("the hub's router cannot be reached");
+                        if self.pause() {
+                            return;
+                        }
+                        continue;
+                    }
+                },
+            };
+            self.setup
+                .board
+                .readiness()
+                .part(crate::readiness::UPLINK)
+                .works();
+            self.last_answer = Instant::now();
+            let served = self.serve(&session);
+            let own = matches!(self.setup.way, Way::Own(..));
+            if own && let Err(error) = session.close().wait() {
+                tracing::debug!(%error, "uplink not closed cleanly");
+            }
+            match served {
+                Served::Stopped => return,
+                Served::Stale => {
+                    tracing::warn!("the uplink brought no answer for long: opened anew")
+                }
+                Served::Failed(error) => {
+                    tracing::error!(
+                        error = session::plain(&error),
+                        "the hub cannot be spoken to"
+                    );
+                    if self.pause() {
+                        return;
+                    }
+                }
+            }
+        }
+    }
+
+    /// Waits a while with jitter; whether to stop.
+    fn pause(&mut self) -> bool {
+        let until = Instant::now() + self.next_pause(None);
+        let mut revision = 0;
+        while Instant::now() < until {
+            if self.stop.load(Ordering::Acquire) {
+                return true;
+            }
+            revision = self.setup.outbox.wait_for_change(revision, until);
+        }
+        self.stop.load(Ordering::Acquire)
+    }
+
+    fn serve(&mut self, session: &Session) -> Served {
+        match self.serve_until(session) {
+            Ok(served) => served,
+            Err(error) => Served::Failed(error),
+        }
+    }
+
+    fn serve_until(&mut self, session: &Session) -> zenoh::Result<Served> {
+        let keys = self.setup.keys.clone();
+        let timeout = Duration::from_millis(self.setup.config.answer_timeout_ms);
+        let querier = |key: String| -> zenoh::Result<Querier<'static>> {
+            session
+                .declare_querier(key)
+                .timeout(timeout)
+                .congestion_control(CongestionControl::Block)
+                .priority(Priority::DataLow)
+                .wait()
+        };
+        let reports = querier(keys.report())?;
+        let pulls = querier(keys.pull())?;
+        let bell = self.setup.outbox.clone();
+        let _listener = reports
+            .matching_listener()
+            .callback(move |_| bell.wake())
+            .wait()?;
+        let status = session
+            .declare_publisher(keys.status())
+            .congestion_control(CongestionControl::Drop)
+            .priority(crate::publishing::COUNTERS)
+            .wait()?;
+        let (bell, poked) = (self.setup.outbox.clone(), Arc::clone(&self.poked));
+        let _poke = session
+            .declare_subscriber(keys.poke())
+            .callback(move |sample| {
+                let generation =
+                    albireo_wire::read::<albireo_wire::Poke>(&sample.payload().to_bytes())
+                        .map_or(1, |poke| poke.generation.max(1));
+                poked.fetch_max(generation, Ordering::AcqRel);
+                bell.wake();
+            })
+            .wait()?;
+        let counters = self.counters(session)?;
+        let _alive = match &self.setup.way {
+            Way::Own(uplink) if uplink.liveliness => {
+                Some(session.liveliness().declare_token(keys.alive()).wait()?)
+            }
+            _ => None,
+        };
+
+        let mut revision = 0;
+        let mut last_try = None;
+        self.pull_due = true;
+        loop {
+            let stopping = self.stop.load(Ordering::Acquire);
+            let connected = reports.matching_status().wait()?.matching();
+            if self.poked.swap(0, Ordering::AcqRel) > 0 {
+                self.pull_due = true;
+            }
+            if !stopping {
+                self.tell_status(&status)?;
+                self.tell_counters(&counters)?;
+                if self.pull_due && pulls.matching_status().wait()?.matching() {
+                    self.pull(&pulls);
+                }
+            }
+            let mut again = false;
+            if connected && Instant::now() >= self.retry_at {
+                again = self.deliver(&reports);
+            }
+            if stopping {
+                let until = *last_try.get_or_insert_with(|| Instant::now() + LAST_TRY);
+                if !again || Instant::now() >= until {
+                    return Ok(Served::Stopped);
+                }
+            }
+            if let Way::Own(uplink) = &self.setup.way {
+                let stale = Duration::from_secs(uplink.reopen_s.max(10));
+                let waits = self.setup.outbox.counts().waiting > 0;
+                if !waits {
+                    self.last_answer = Instant::now();
+                } else if self.last_answer.elapsed() > stale {
+                    return Ok(Served::Stale);
+                }
+            }
+            if !again {
+                let mut until = Instant::now() + LOOK;
+                if connected && self.failures > 0 {
+                    until = until.min(self.retry_at);
+                }
+                revision = self.setup.outbox.wait_for_change(revision, until);
+            }
+        }
+    }
+
+    /// Sends the oldest batch; whether there may be more to send at once.
+    fn deliver(&mut self, reports: &Querier<'_>) -> bool {
+        let Some(batch) = self.setup.outbox.batch(self.setup.board.node()) else {
+            return false;
+        };
+        let payload = match batch.message.to_payload() {
+            Ok(payload) => payload,
+            Err(error) => {
+                tracing::error!(%error, "clip reports cannot be written");
+                self.not_acknowledged(None);
+                return false;
+            }
+        };
+        let timeout = Duration::from_millis(self.setup.config.answer_timeout_ms);
+        match ask::<ReportAnswer>(reports, payload, timeout, (&self.stop, LAST_TRY)) {
+            Asked::Answered(answer) => {
+                self.last_answer = Instant::now();
+                let taken = self.setup.outbox.acknowledge(&batch, answer.stored);
+                if let Some(desired) = &answer.desired {
+                    self.take(desired);
+                }
+                match taken {
+                    Acknowledged::Removed(number) => {
+                        tracing::debug!(
+                            number,
+                            stored = answer.stored,
+                            "clip reports acknowledged"
+                        );
+                        self.failures = 0;
+                        true
+                    }
+                    Acknowledged::NewInstance => {
+                        self.failures = 0;
+                        self.teller.full_is_due();
+                        true
+                    }
+                    Acknowledged::Nothing => {
+                        tracing::warn!(
+                            stored = answer.stored,
+                            first = batch.message.first,
+                            "the hub has not stored what was sent"
+                        );
+                        self.not_acknowledged(None);
+                        false
+                    }
+                }
+            }
+            Asked::Refused(refusal) => {
+                self.last_answer = Instant::now();
+                if refusal.reason == RefusalReason::Conflict && self.setup.outbox.conflict(&batch) {
+                    self.failures = 0;
+                    self.teller.full_is_due();
+                    return true;
+                }
+                tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub did not take clip reports");
+                self.not_acknowledged(refusal.retry_after_ms.map(Duration::from_millis));
+                false
+            }
+            Asked::Nobody(reason) => {
+                tracing::debug!(reason, "clip reports not acknowledged");
+                self.not_acknowledged(None);
+                false
+            }
+        }
+    }
+
+    fn not_acknowledged(&mut self, at_least: Option<Duration>) {
+        let pause = self.next_pause(at_least);
+        self.retry_at = Instant::now() + pause;
+    }
+
+    /// The next pause: doubled each time, between half and one and a half of that, so that nodes spread out.
+    fn next_pause(&mut self, at_least: Option<Duration>) -> Duration {
+        let config = &self.setup.config;
+        let doubled = config
+            .retry_min_ms
+            .max(1)
+            .saturating_mul(1 << self.failures.min(20))
+            .min(config.retry_max_ms.max(1));
+        self.failures = self.failures.saturating_add(1);
+        let random = RandomState::new().hash_one(self.failures) % 1000;
+        let jittered = doubled.saturating_mul(500 + random) / 1000;
+        Duration::from_millis(jittered.max(1)).max(at_least.unwrap_or_default())
+    }
+
+    fn pull(&mut self, pulls: &Querier<'_>) {
+        let request = PullRequest {
+            v: VERSION,
+            instance: self.setup.outbox.instance(),
+            generation: self.setup.desired.generation(),
+        };
+        let Ok(json) = serde_json::to_vec(&request) else {
+            return;
+        };
+        let timeout = Duration::from_millis(self.setup.config.answer_timeout_ms);
+        match ask::<Desired>(pulls, json, timeout, (&self.stop, LAST_TRY)) {
+            Asked::Answered(desired) => {
+                self.pull_due = false;
+                self.last_answer = Instant::now();
+                self.take(&desired);
+            }
+            Asked::Refused(refusal) => tracing::debug!(refusal.detail, "nothing pulled"),
+            Asked::Nobody(reason) => tracing::debug!(reason, "nothing pulled"),
+        }
+    }
+
+    fn take(&mut self, desired: &Desired) {
+        if self
+            .setup
+            .desired
+            .take(desired, &self.setup.board, &self.setup.outbox)
+        {
+            self.teller.full_is_due();
+        }
+        if desired.send_full_status {
+            self.teller.full_is_due();
+        }
+        if let Some(seconds) = desired.watched_for_s {
+            let until = Instant::now() + Duration::from_secs(seconds.min(3600).into());
+            self.watched_until = Some(until);
+        }
+    }
+
+    fn tell_status(&mut self, status: &zenoh::pubsub::Publisher<'_>) -> zenoh::Result<()> {
+        let period = Duration::from_secs(self.setup.config.status_s.max(1));
+        let message = self.teller.due(
+            period,
+            &self.setup.board,
+            &self.setup.outbox,
+            &self.setup.desired,
+        );
+        match message.map(|message| serde_json::to_vec(&message)) {
+            Some(Ok(json)) => status.put(json).wait(),
+            _ => Ok(()),
+        }
+    }
+
+    /// Publishers of counters on the uplink; none where the local session carries them anyway.
+    fn counters(
+        &self,
+        session: &Session,
+    ) -> zenoh::Result<Vec<(String, zenoh::pubsub::Publisher<'static>)>> {
+        if matches!(self.setup.way, Way::Local(_)) {
+            return Ok(Vec::new());
+        }
+        let mut publishers = Vec::new();
+        for camera in self.setup.board.cameras() {
+            let Ok(keys) = self.setup.keys.camera(camera.name()) else {
+                continue;
+            };
+            let publisher = session
+                .declare_publisher(keys.counters())
+                .congestion_control(CongestionControl::Drop)
+                .priority(crate::publishing::COUNTERS)
+                .wait()?;
+            publishers.push((camera.name().to_owned(), publisher));
+        }
+        Ok(publishers)
+    }
+
+    /// Once a second while somebody watches.
+    fn tell_counters(
+        &mut self,
+        publishers: &[(String, zenoh::pubsub::Publisher<'static>)],
+    ) -> zenoh::Result<()> {
+        let now = Instant::now();
+        let due = self.watched_until.is_some_and(|until| now < until)
+            && self
+                .counted_at
+                .is_none_or(|at| now.duration_since(at) >= Duration::from_millis(950));
+        if !due {
+            return Ok(());
+        }
+        self.counted_at = Some(now);
+        for (camera, publisher) in publishers {
+            let Some(camera) = self.setup.board.camera(camera) else {
+                continue;
+            };
+            let message = (self.setup.board).counters(camera, unix_nanoseconds());
+            if let Ok(json) = serde_json::to_vec(&message) {
+                publisher.put(json).wait()?;
+            }
+        }
+        Ok(())
+    }
+}

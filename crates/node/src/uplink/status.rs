@@ -1,0 +1,116 @@
+//! When a status is due, and what it says.
+
+use super::DesiredKeeper;
+use crate::board::Board;
+use crate::outbox::Outbox;
+use albireo_service::clock::unix_nanoseconds;
+use albireo_wire::{CameraState, CameraStatus, NodeStatus, StatusMessage, VERSION};
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+/// A camera from which no frame came for this time is stale.
+const STALE: Duration = Duration::from_secs(10);
+
+/// Full statuses are not sent faster than this, whatever changes.
+const LEAST_PAUSE: Duration = Duration::from_secs(1);
+
+/// Decides when to tell what.
+pub(super) struct StatusTeller {
+    labels: BTreeMap<String, String>,
+    started_ns: u64,
+    seq: u64,
+    told: Option<NodeStatus>,
+    told_at: Option<Instant>,
+    full_due: bool,
+}
+
+impl StatusTeller {
+    pub(super) fn new(labels: BTreeMap<String, String>) -> Self {
+        Self {
+            labels,
+            started_ns: unix_nanoseconds(),
+            seq: 0,
+            told: None,
+            told_at: None,
+            full_due: true,
+        }
+    }
+
+    /// The next status is a full one, and soon.
+    pub(super) fn full_is_due(&mut self) {
+        self.full_due = true;
+    }
+
+    /// A message, if one is due: in full at a change, a short one every `period`.
+    pub(super) fn due(
+        &mut self,
+        period: Duration,
+        board: &Board,
+        outbox: &Outbox,
+        desired: &DesiredKeeper,
+    ) -> Option<StatusMessage> {
+        let since = self.told_at.map(|at| at.elapsed());
+        if since.is_some_and(|since| since < LEAST_PAUSE) {
+            return None;
+        }
+        let status = self.status(board, outbox, desired);
+        let changed = !self.told.as_ref().is_some_and(|told| same(told, &status));
+        if !changed && !self.full_due && since.is_some_and(|since| since < period) {
+            return None;
+        }
+        let message = StatusMessage {
+            v: VERSION,
+            instance: outbox.instance(),
+            machine: outbox.machine(),
+            started_ns: self.started_ns,
+            seq: self.seq,
+            t_ns: unix_nanoseconds(),
+            health: status.health.state,
+            waiting: status.outbox.waiting,
+            generation: desired.generation_in_force(),
+            full: (changed || self.full_due).then(|| Box::new(status.clone())),
+        };
+        self.seq += 1;
+        self.told = Some(status);
+        self.told_at = Some(Instant::now());
+        self.full_due = false;
+        Some(message)
+    }
+
+    fn status(&self, board: &Board, outbox: &Outbox, desired: &DesiredKeeper) -> NodeStatus {
+        let cameras = board.cameras().iter().map(|camera| {
+            let state = match camera.snapshot().last_frame_age {
+                None => CameraState::NeverSeen,
+                Some(age) if age > STALE => CameraState::Stale,
+                Some(_) => CameraState::Live,
+            };
+            CameraStatus {
+                name: camera.name().to_owned(),
+                state,
+                knob: camera.knob_value(),
+                knob_source: camera.knob_source(),
+            }
+        });
+        let power = board.power();
+        NodeStatus {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            labels: self.labels.clone(),
+            cameras: cameras.collect(),
+            policy: board.policy().to_owned(),
+            model: board.detector_facts().model.clone(),
+            provider: crate::http::provider(&board.detector_status()).map(str::to_owned),
+            power_source: power.source,
+            power_quality: power.quality,
+            health: board.readiness().health().status(),
+            outbox: outbox.counts().status(),
+            refused: desired.refused(),
+        }
+    }
+}
+
+/// Whether nothing changed that a full status is worth: what moves by itself is not.
+fn same(told: &NodeStatus, now: &NodeStatus) -> bool {
+    let mut now = now.clone();
+    now.outbox.waiting = told.outbox.waiting;
+    *told == now
+}

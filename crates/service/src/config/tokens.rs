@@ -1,0 +1,59 @@
+//! `[[token]]` sections: several named tokens, each with what it may do.
+
+use super::{Findings, Token};
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// What the holder of a token may do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Role {
+    /// Look.
+    #[default]
+    Read,
+    /// Look and change.
+    Tune,
+}
+
+/// A named token: one `[[token]]` section.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NamedToken {
+    /// Who holds it: stands in the history of changes.
+    pub name: String,
+    /// What it allows.
+    #[serde(default)]
+    pub role: Role,
+    /// The secret.
+    #[serde(default)]
+    pub token: Option<Token>,
+    /// File whose first line is the secret.
+    #[serde(default)]
+    pub token_file: Option<PathBuf>,
+}
+
+impl NamedToken {
+    /// Notes what is wrong with the sections.
+    pub fn check(tokens: &[Self], findings: &mut Findings) {
+        for (index, token) in tokens.iter().enumerate() {
+            let key = |name: &str| format!("token[{index}].{name}");
+            if token.name.is_empty() {
+                findings.add(key("name"), "is empty");
+            }
+            if tokens
+                .iter()
+                .take(index)
+                .any(|other| other.name == token.name)
+            {
+                findings.add(key("name"), format!("`{}` is there twice", token.name));
+            }
+            if let Some(fault) = token.token.as_ref().and_then(Token::fault) {
+                findings.add(key("token"), fault);
+            }
+            findings.path(&key("token_file"), token.token_file.as_deref());
+            if token.token.is_some() == token.token_file.is_some() {
+                findings.add(key("token"), "needs either token or token_file");
+            }
+        }
+    }
+}

@@ -1,0 +1,394 @@
+//! Whether a service works: what is wrong with which of its parts, and since when.
+//!
+//! Two effects, and the rule for choosing: a fault that keeps the service from what it is there for makes it
+//! *not ready* (`/readyz` answers 503); one it works beside makes it *degraded* (`/readyz` answers 200 with the
+//! reasons). A part tells its faults as they come ([`Part`]), or is asked at each look ([`Readiness::probe`]); what
+//! is still starting holds a [`Latch`].
+
+use albireo_wire::{HealthState, HealthStatus};
+use parking_lot::Mutex;
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+use tokio::sync::watch;
+use tokio::time::{Duration, Instant};
+
+/// What a fault means for the service as a whole.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Effect {
+    /// The service does what it is there for, but a part of it does not work.
+    Degraded,
+    /// The service does not do what it is there for.
+    NotReady,
+}
+
+impl Effect {
+    /// The word for it, as it stands in JSON.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Degraded => "degraded",
+            Self::NotReady => "not_ready",
+        }
+    }
+}
+
+/// What is wrong with a part.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fault {
+    /// What it means for the service.
+    pub effect: Effect,
+    /// What is wrong, for people. No number that moves by itself belongs here: each new text is a change.
+    pub reason: String,
+}
+
+impl Fault {
+    /// A fault the service works beside.
+    pub fn degraded(reason: impl Into<String>) -> Self {
+        Self {
+            effect: Effect::Degraded,
+            reason: reason.into(),
+        }
+    }
+
+    /// A fault that keeps the service from its work.
+    pub fn not_ready(reason: impl Into<String>) -> Self {
+        Self {
+            effect: Effect::NotReady,
+            reason: reason.into(),
+        }
+    }
+}
+
+/// One fault of a [`Health`].
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PartFault {
+    /// The part: `detector`, `zenoh`, …
+    pub part: Cow<'static, str>,
+    /// Which of several, where the part has several: a camera's name, a task's. Empty for the part itself.
+    pub subject: Cow<'static, str>,
+    /// What is wrong.
+    pub fault: Fault,
+    /// How long the part has been at fault, whatever the reasons were meanwhile.
+    pub lasted: Duration,
+}
+
+/// Everything that is wrong at one moment.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Health {
+    /// By part and subject.
+    pub faults: Vec<PartFault>,
+}
+
+impl Health {
+    /// The worst effect of all faults.
+    pub fn state(&self) -> HealthState {
+        match self.faults.iter().map(|fault| fault.fault.effect).max() {
+            None => HealthState::Ready,
+            Some(Effect::Degraded) => HealthState::Degraded,
+            Some(Effect::NotReady) => HealthState::NotReady,
+        }
+    }
+
+    /// Whether the service does what it is there for, if perhaps with a part missing.
+    pub fn is_ready(&self) -> bool {
+        self.state() != HealthState::NotReady
+    }
+
+    /// The same as it goes over the wire: one reason a part.
+    pub fn status(&self) -> HealthStatus {
+        let mut reasons = BTreeMap::<String, String>::new();
+        for PartFault {
+            part,
+            subject,
+            fault,
+            ..
+        } in &self.faults
+        {
+            let told = reasons.entry(part.to_string()).or_default();
+            if !told.is_empty() {
+                told.push_str("; ");
+            }
+            if !subject.is_empty() {
+                told.push_str(subject);
+                told.push_str(": ");
+            }
+            told.push_str(&fault.reason);
+        }
+        HealthStatus {
+            state: self.state(),
+            reasons,
+        }
+    }
+}
+
+type Key = (Cow<'static, str>, Cow<'static, str>);
+type Look = dyn Fn() -> Option<Fault> + Send + Sync;
+
+struct Known {
+    fault: Fault,
+    since: Instant,
+}
+
+struct Inner {
+    faults: Mutex<BTreeMap<Key, Known>>,
+    probes: Mutex<Vec<(Key, Arc<Look>)>>,
+    changes: watch::Sender<HealthStatus>,
+}
+
+/// The state of a service and all its parts. Clones tell of the same service.
+#[derive(Clone)]
+pub struct Readiness(Arc<Inner>);
+
+impl Default for Readiness {
+    fn default() -> Self {
+        let ready = Health::default().status();
+        Self(Arc::new(Inner {
+            faults: Mutex::default(),
+            probes: Mutex::default(),
+            changes: watch::Sender::new(ready),
+        }))
+    }
+}
+
+impl fmt::Debug for Readiness {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Readiness")
+            .field(&*self.0.changes.borrow())
+            .finish()
+    }
+}
+
+impl Readiness {
+    /// The end by which a part tells how it is.
+    pub fn part(&self, part: impl Into<Cow<'static, str>>) -> Part {
+        self.part_of(part, "")
+    }
+
+    /// As [`part`](Self::part), for one of several: the camera `front` of the part `cameras`.
+    pub fn part_of(
+        &self,
+        part: impl Into<Cow<'static, str>>,
+        subject: impl Into<Cow<'static, str>>,
+    ) -> Part {
+        Part {
+            readiness: self.clone(),
+            key: (part.into(), subject.into()),
+        }
+    }
+
+    /// Not ready for that reason until the latch is dropped.
+    pub fn latch(&self, part: impl Into<Cow<'static, str>>, reason: impl Into<String>) -> Latch {
+        let part = self.part(part);
+        part.not_ready(reason);
+        Latch(part)
+    }
+
+    /// Asks `look` at each look at the whole. It must neither wait nor take long.
+    pub fn probe(
+        &self,
+        part: impl Into<Cow<'static, str>>,
+        subject: impl Into<Cow<'static, str>>,
+        look: impl Fn() -> Option<Fault> + Send + Sync + 'static,
+    ) {
+        let key = (part.into(), subject.into());
+        self.0.probes.lock().push((key, Arc::new(look)));
+    }
+
+    /// What is wrong now.
+    pub fn health(&self) -> Health {
+        // The probes are asked without a lock: one may itself tell of a part.
+        let probes = self.0.probes.lock().clone();
+        let seen: Vec<_> = probes
+            .into_iter()
+            .map(|(key, look)| (key, look()))
+            .collect();
+        let mut faults = self.0.faults.lock();
+        for (key, fault) in seen {
+            put(&mut faults, key, fault);
+        }
+        let now = Instant::now();
+        let health = Health {
+            faults: faults
+                .iter()
+                .map(|((part, subject), known)| PartFault {
+                    part: part.clone(),
+                    subject: subject.clone(),
+                    fault: known.fault.clone(),
+                    lasted: now.saturating_duration_since(known.since),
+                })
+                .collect(),
+        };
+        // Under the lock, so that of two looks at once the later one is told last.
+        let status = health.status();
+        self.0.changes.send_if_modified(|told| {
+            let changed = *told != status;
+            *told = status;
+            changed
+        });
+        health
+    }
+
+    /// What is wrong, to wait for changes. Changes that only a probe sees are told at the next
+    /// [`health`](Self::health): somebody must look from time to time, as [`watch`](Self::watch) does.
+    pub fn subscribe(&self) -> watch::Receiver<HealthStatus> {
+        self.0.changes.subscribe()
+    }
+
+    /// Looks every `period`, and logs each change, for as long as it is polled.
+    pub async fn watch(self, period: Duration) {
+        let mut changes = self.subscribe();
+        let mut ticks = tokio::time::interval(period);
+        loop {
+            tokio::select! {
+                _ = ticks.tick() => drop(self.health()),
+                changed = changes.changed() => match changed {
+                    Ok(()) => log(&changes.borrow_and_update()),
+                    Err(_) => return,
+                },
+            }
+        }
+    }
+
+    fn tell(&self, key: &Key, fault: Option<Fault>) {
+        put(&mut self.0.faults.lock(), key.clone(), fault);
+        drop(self.health());
+    }
+}
+
+fn put(faults: &mut BTreeMap<Key, Known>, key: Key, fault: Option<Fault>) {
+    match (faults.get_mut(&key), fault) {
+        (_, None) => drop(faults.remove(&key)),
+        (Some(known), Some(fault)) => known.fault = fault,
+        (None, Some(fault)) => {
+            let since = Instant::now();
+            faults.insert(key, Known { fault, since });
+        }
+    }
+}
+
+fn log(status: &HealthStatus) {
+    let reasons = || {
+        let told: Vec<_> = (status.reasons.iter())
+            .map(|(part, reason)| format!("{part}: {reason}"))
+            .collect();
+        told.join("; ")
+    };
+    match status.state {
+        HealthState::Ready => tracing::info!("every part works"),
+        HealthState::Degraded => tracing::warn!("degraded: {}", reasons()),
+        HealthState::NotReady => tracing::warn!("not ready: {}", reasons()),
+    }
+}
+
+/// The end by which one part tells how it is. What was told last holds, also when this is dropped.
+#[derive(Clone, Debug)]
+pub struct Part {
+    readiness: Readiness,
+    key: Key,
+}
+
+impl Part {
+    /// It works.
+    pub fn works(&self) {
+        self.readiness.tell(&self.key, None);
+    }
+
+    /// It does not work, and the service works beside it.
+    pub fn degraded(&self, reason: impl Into<String>) {
+        self.fault(Fault::degraded(reason));
+    }
+
+    /// It does not work, and so neither does the service.
+    pub fn not_ready(&self, reason: impl Into<String>) {
+        self.fault(Fault::not_ready(reason));
+    }
+
+    /// It does not work.
+    pub fn fault(&self, fault: Fault) {
+        self.readiness.tell(&self.key, Some(fault));
+    }
+}
+
+/// Keeps a service from being ready until it is dropped.
+#[derive(Debug)]
+#[must_use = "dropped at once it holds nothing"]
+pub struct Latch(Part);
+
+impl Latch {
+    /// Gives another reason.
+    pub fn because(&self, reason: impl Into<String>) {
+        self.0.not_ready(reason);
+    }
+}
+
+impl Drop for Latch {
+    fn drop(&mut self) {
+        self.0.works();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::atomic::{AtomicBool, Ordering};
+
+    #[tokio::test(start_paused = true)]
+    async fn the_worst_fault_decides_and_each_part_tells_its_reasons_and_since_when() {
+        let readiness = Readiness::default();
+        assert_eq!(readiness.health().state(), HealthState::Ready);
+        readiness.part("power").degraded("the meter cannot be read");
+        tokio::time::advance(Duration::from_secs(3)).await;
+        let health = readiness.health();
+        assert_eq!(
+            (health.state(), health.is_ready()),
+            (HealthState::Degraded, true)
+        );
+        assert_eq!(health.faults[0].lasted, Duration::from_secs(3));
+        let front = readiness.part_of("cameras", "front");
+        front.not_ready("its loop failed");
+        readiness.part_of("cameras", "rear").degraded("silent");
+        let health = readiness.health();
+        assert!(!health.is_ready());
+        assert_eq!(
+            health.status().reasons["cameras"],
+            "front: its loop failed; rear: silent"
+        );
+        front.works();
+        assert_eq!(readiness.health().state(), HealthState::Degraded);
+    }
+
+    #[tokio::test]
+    async fn a_latch_that_is_dropped_makes_ready() {
+        let readiness = Readiness::default();
+        let latch = readiness.latch("zenoh", "the session is being opened");
+        latch.because("the router does not answer");
+        assert_eq!(
+            readiness.health().status().reasons["zenoh"],
+            "the router does not answer"
+        );
+        drop(latch);
+        assert_eq!(readiness.health(), Health::default());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn what_a_probe_sees_is_told_to_who_waits_and_once() {
+        let readiness = Readiness::default();
+        let closed = Arc::new(AtomicBool::new(false));
+        let seen = Arc::clone(&closed);
+        readiness.probe("zenoh", "", move || {
+            (seen.load(Ordering::Relaxed)).then(|| Fault::not_ready("the session is closed"))
+        });
+        let mut changes = readiness.subscribe();
+        let watching = tokio::spawn(readiness.clone().watch(Duration::from_secs(1)));
+        tokio::time::sleep(Duration::from_secs(5)).await;
+        assert!(!changes.has_changed().unwrap());
+        closed.store(true, Ordering::Relaxed);
+        changes.changed().await.unwrap();
+        assert_eq!(changes.borrow_and_update().state, HealthState::NotReady);
+        tokio::time::sleep(Duration::from_secs(5)).await;
+        assert!(!changes.has_changed().unwrap());
+        assert!(readiness.health().faults[0].lasted >= Duration::from_secs(5));
+        watching.abort();
+    }
+}

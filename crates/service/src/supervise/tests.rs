@@ -1,0 +1,159 @@
+#![allow(clippy::panic, clippy::expect_used)]
+
+use super::*;
+use albireo_wire::HealthState;
+use std::sync::atomic::{AtomicU32, Ordering};
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::task::JoinHandle;
+use tokio::time::Instant;
+
+const RESTARTS: Restarts = Restarts::new(Effect::NotReady);
+
+struct Bench {
+    readiness: Readiness,
+    tally: TaskTally,
+    shutdown: CancellationToken,
+    /// When the task was started, each time.
+    starts: UnboundedReceiver<Instant>,
+    watching: JoinHandle<Result<(), TaskFailed>>,
+}
+
+/// Runs a task that does `what` with the number of its start, from 0.
+fn bench<F: Future<Output: Into<TaskEnd>> + Send + 'static>(
+    what: impl Fn(u32, CancellationToken) -> F + Clone + Send + Sync + 'static,
+) -> Bench {
+    let (readiness, tally, shutdown) = (
+        Readiness::default(),
+        TaskTally::default(),
+        CancellationToken::new(),
+    );
+    let mut supervisor = Supervisor::new(readiness.clone(), tally.clone(), shutdown.clone());
+    let (started, starts) = unbounded_channel();
+    let (number, stop) = (AtomicU32::new(0), shutdown.clone());
+    supervisor.restarting("camera/front", Span::none(), RESTARTS, move || {
+        let _ = started.send(Instant::now());
+        what(number.fetch_add(1, Ordering::Relaxed), stop.clone())
+    });
+    let watching = tokio::spawn(async move {
+        let ended = supervisor.watch().await;
+        supervisor.finish().await;
+        ended
+    });
+    Bench {
+        readiness,
+        tally,
+        shutdown,
+        starts,
+        watching,
+    }
+}
+
+fn counts(failures: u64, restarts: u64) -> Vec<(String, TaskCounts)> {
+    let counts = TaskCounts { failures, restarts };
+    vec![("camera/front".to_owned(), counts)]
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_task_that_panics_is_counted_named_and_started_anew() {
+    let mut bench = bench(|number, stop| async move {
+        if number == 0 {
+            panic!("index out of bounds");
+        }
+        stop.cancelled().await;
+    });
+    let mut changes = bench.readiness.subscribe();
+    let first = bench.starts.recv().await.unwrap();
+    changes.changed().await.unwrap();
+    let status = changes.borrow_and_update().clone();
+    assert_eq!(status.state, HealthState::NotReady);
+    let told = &status.reasons[PART];
+    assert!(
+        told.contains("camera/front: panicked: index out of bounds"),
+        "{told}"
+    );
+    assert_eq!(bench.tally.counts(), counts(1, 0));
+
+    let again = bench.starts.recv().await.unwrap();
+    assert_eq!(again - first, RESTARTS.first_pause);
+    assert_eq!(bench.tally.counts(), counts(1, 1));
+    assert_eq!(bench.readiness.health().state(), HealthState::Degraded);
+    tokio::time::sleep(RESTARTS.calm).await;
+    tokio::task::yield_now().await;
+    assert_eq!(bench.readiness.health().state(), HealthState::Ready);
+    bench.shutdown.cancel();
+    assert_eq!(bench.watching.await.unwrap(), Ok(()));
+    assert_eq!(bench.tally.counts(), counts(1, 1));
+}
+
+#[tokio::test(start_paused = true)]
+async fn each_pause_is_twice_the_last_until_the_task_was_calm() {
+    let mut bench = bench(|number, _| async move {
+        if number == 3 {
+            tokio::time::sleep(2 * RESTARTS.calm).await;
+        }
+        Err::<(), _>("no such device")
+    });
+    let mut last = bench.starts.recv().await.unwrap();
+    for expected in [100, 200, 400, 120_000 + 100, 200] {
+        let start = bench.starts.recv().await.unwrap();
+        assert_eq!((start - last).as_millis(), expected);
+        last = start;
+    }
+    for _ in 0..20 {
+        last = bench.starts.recv().await.unwrap();
+    }
+    let start = bench.starts.recv().await.unwrap();
+    assert_eq!(start - last, RESTARTS.longest_pause);
+    let told = &bench.readiness.health().status().reasons[PART];
+    assert!(told.contains("camera/front: "), "{told}");
+    bench.shutdown.cancel();
+    assert_eq!(bench.watching.await.unwrap(), Ok(()));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_task_that_ends_without_being_told_has_failed() {
+    let mut bench = bench(|_, _| async {});
+    for _ in 0..3 {
+        bench.starts.recv().await.unwrap();
+    }
+    // The third run may have ended by now.
+    let told = bench.tally.counts();
+    assert!(
+        told[0].1.failures >= 2 && told[0].1.restarts == 2,
+        "{told:?}"
+    );
+    bench.shutdown.cancel();
+    assert_eq!(bench.watching.await.unwrap(), Ok(()));
+}
+
+#[tokio::test]
+async fn an_essential_task_that_fails_ends_the_service() {
+    let (readiness, shutdown) = (Readiness::default(), CancellationToken::new());
+    let mut supervisor = Supervisor::new(readiness.clone(), TaskTally::default(), shutdown.clone());
+    let stop = shutdown.clone();
+    supervisor.essential("http", Span::none(), async move { stop.cancelled().await });
+    supervisor.essential("ingest", Span::none(), async { the_disk_is_gone() });
+    let failed = supervisor.watch().await.unwrap_err();
+    assert_eq!(
+        (failed.task.as_str(), failed.reason.as_str()),
+        ("ingest", "panicked: the disk is gone")
+    );
+    assert!(!readiness.health().is_ready());
+    assert_eq!(supervisor.still_running(), ["http"]);
+    shutdown.cancel();
+    supervisor.finish().await;
+    assert!(supervisor.still_running().is_empty());
+}
+
+#[tokio::test]
+async fn a_supervisor_without_tasks_waits_for_the_shutdown() {
+    let shutdown = CancellationToken::new();
+    let mut supervisor =
+        Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());
+    shutdown.cancel();
+    assert_eq!(supervisor.watch().await, Ok(()));
+}
+
+fn the_disk_is_gone() {
+    panic!("the disk is gone");
+}

@@ -1,0 +1,423 @@
+//! One simulated node: what it reports, how it takes what is desired. No network and no clock of its own.
+
+use super::options::{Behaviour, Options};
+use albireo_wire::{
+    CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired, DomainEnergy,
+    DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, KnobSource, KnobValue,
+    NodeStatus, OutboxStatus, Percentiles, RefusedDesired, ReportAnswer, ReportBatch,
+    StatusMessage, VERSION,
+};
+use rand_core::{RngCore, SeedableRng};
+use rand_pcg::Pcg64Mcg;
+use std::collections::BTreeMap;
+
+/// The value that every node begins with.
+pub(crate) const FIRST_U: f64 = 3e-4;
+/// Number of an instance's first report.
+const FIRST_REPORT: u64 = 1;
+/// Its one camera.
+const CAMERA: &str = "front";
+/// Frames of a second.
+const FRAMES_PER_S: f64 = 30.0;
+/// A year, nanoseconds: a wrong clock is off by years.
+const YEAR_NS: u64 = 365 * 86_400 * 1_000_000_000;
+/// The range of `u`, as the policy has it.
+const RANGE: std::ops::RangeInclusive<f64> = 1e-9..=1.0;
+
+/// One simulated node. Its reports are computed from their numbers, so that a backlog of hours takes no memory.
+#[derive(Debug)]
+pub(crate) struct SimNode {
+    pub(crate) name: String,
+    instance: String,
+    seed: u64,
+    /// Region and model of its labels.
+    labels: BTreeMap<String, String>,
+    started_ns: u64,
+    /// Added to every time it tells.
+    clock_error_ns: u64,
+    behaviour: Behaviour,
+    clip_s: f64,
+    /// Reports made, and those that a hub has acknowledged.
+    pub(crate) made: u64,
+    pub(crate) acknowledged: u64,
+    generation: u64,
+    /// From which report on which value held, in order.
+    values: Vec<(u64, f64)>,
+    source: KnobSource,
+    refused: Option<RefusedDesired>,
+    refuses: bool,
+    seq: u64,
+    full_due: bool,
+}
+
+impl SimNode {
+    /// Node number `index` of a run that began at `started_ns`.
+    pub(crate) fn new(index: usize, options: &Options, started_ns: u64) -> Self {
+        let seed = mix(options.seed, index as u64);
+        let share = |salt: u64| unit(mix(seed, salt));
+        let region = ["north", "east", "south", "west"][index % 4];
+        let wrong_clock = share(1) < options.wrong_clock_share;
+        let backlog_ns = (options.backlog as f64 * options.clip_s * 1e9) as u64;
+        Self {
+            name: format!("{}{index:06}", options.name),
+            instance: format!("{:016x}{:016x}", mix(seed, 2), mix(seed, 3)),
+            labels: [
+                ("region".to_owned(), region.to_owned()),
+                ("simulated".to_owned(), "yes".to_owned()),
+            ]
+            .into(),
+            started_ns: started_ns.saturating_sub(backlog_ns),
+            clock_error_ns: if wrong_clock { 30 * YEAR_NS } else { 0 },
+            behaviour: options.behaviour,
+            clip_s: options.clip_s,
+            made: options.backlog,
+            acknowledged: 0,
+            generation: 0,
+            values: vec![(0, FIRST_U)],
+            source: KnobSource::Configuration,
+            refused: None,
+            refuses: share(4) < options.refusing_share,
+            seq: 0,
+            full_due: true,
+            seed,
+        }
+    }
+
+    /// Instance and generation, for a pull.
+    pub(crate) fn identity(&self) -> (&str, u64) {
+        (&self.instance, self.generation)
+    }
+
+    /// Reports that wait.
+    pub(crate) const fn waiting(&self) -> u64 {
+        self.made - self.acknowledged
+    }
+
+    /// The oldest reports that wait, at most `most`.
+    pub(crate) fn batch(&self, most: u64) -> Option<ReportBatch> {
+        let count = self.waiting().min(most);
+        (count > 0).then(|| ReportBatch {
+            v: VERSION,
+            node: self.name.clone(),
+            instance: self.instance.clone(),
+            machine: Some(self.instance[..8].to_owned()),
+            first: FIRST_REPORT + self.acknowledged,
+            last: FIRST_REPORT + self.acknowledged + count - 1,
+            lost: 0,
+            reports: (self.acknowledged..self.acknowledged + count)
+                .map(|n| self.report(n))
+                .collect(),
+        })
+    }
+
+    /// Takes an acknowledgement. Returns how many reports it was for.
+    pub(crate) fn answered(&mut self, answer: &ReportAnswer) -> u64 {
+        let upto = (answer.stored + 1)
+            .saturating_sub(FIRST_REPORT)
+            .min(self.made);
+        let news = upto.saturating_sub(self.acknowledged);
+        self.acknowledged += news;
+        news
+    }
+
+    /// Takes what is desired. Returns whether the status has to be told at once.
+    pub(crate) fn take(&mut self, desired: &Desired) -> bool {
+        self.full_due |= desired.send_full_status;
+        let seen = self
+            .refused
+            .as_ref()
+            .map_or(0, |refused| refused.generation);
+        let Some(knob) = desired
+            .knob
+            .filter(|_| desired.generation > self.generation.max(seen))
+        else {
+            return desired.send_full_status;
+        };
+        let refuse = |reason: &str| {
+            Some(RefusedDesired {
+                generation: desired.generation,
+                reason: reason.to_owned(),
+            })
+        };
+        if knob.name != "u" {
+            self.refused = refuse("the policy in use is turned by `u`");
+        } else if !RANGE.contains(&knob.value) {
+            self.refused = refuse("`u` must be a number from 1e-9 to 1");
+        } else if self.refuses {
+            self.refused = refuse("this simulated node takes no value");
+        } else {
+            self.refused = None;
+            self.generation = desired.generation;
+            self.source = KnobSource::Hub;
+            self.values.push((self.made, knob.value));
+        }
+        self.full_due = true;
+        true
+    }
+
+    /// The value in force.
+    pub(crate) fn u(&self) -> f64 {
+        self.values.last().map_or(FIRST_U, |(_, u)| *u)
+    }
+
+    /// The next status; in full at the first, after a change, and when it was asked for.
+    pub(crate) fn status(&mut self, now_ns: u64) -> StatusMessage {
+        let full = std::mem::take(&mut self.full_due).then(|| Box::new(self.full()));
+        let seq = self.seq;
+        self.seq += 1;
+        StatusMessage {
+            v: VERSION,
+            instance: self.instance.clone(),
+            machine: Some(self.instance[..8].to_owned()),
+            started_ns: self.started_ns + self.clock_error_ns,
+            seq,
+            t_ns: now_ns + self.clock_error_ns,
+            health: HealthState::Ready,
+            waiting: self.waiting(),
+            generation: self.generation,
+            full,
+        }
+    }
+
+    fn full(&self) -> NodeStatus {
+        NodeStatus {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            labels: self.labels.clone(),
+            cameras: vec![CameraStatus {
+                name: CAMERA.to_owned(),
+                state: CameraState::Live,
+                knob: Some(KnobValue {
+                    name: "u",
+                    value: self.u(),
+                }),
+                knob_source: self.source,
+            }],
+            policy: "albireo".to_owned(),
+            model: "simulated".to_owned(),
+            provider: Some("simulated".to_owned()),
+            power_source: "simulated".to_owned(),
+            power_quality: self.quality(),
+            health: HealthStatus {
+                state: HealthState::Ready,
+                reasons: BTreeMap::new(),
+            },
+            outbox: OutboxStatus {
+                waiting: self.waiting(),
+                lost: 0,
+                durable: false,
+            },
+            refused: self.refused.clone(),
+        }
+    }
+
+    /// Nothing here was read from a meter.
+    const fn quality(&self) -> EnergyQuality {
+        if self.behaviour.measured {
+            EnergyQuality::Measured
+        } else {
+            EnergyQuality::Estimated
+        }
+    }
+
+    /// The report that is number `number` from 0: a day of a street, drawn from the node's seed.
+    fn report(&self, number: u64) -> ClipReport {
+        let u = self
+            .values
+            .iter()
+            .rev()
+            .find(|(from, _)| *from <= number)
+            .map_or(FIRST_U, |(_, u)| *u);
+        let mut random = Pcg64Mcg::seed_from_u64(mix(self.seed, 1_000 + number));
+        let mut noise = || normal(&mut random);
+        let frames = (self.clip_s * FRAMES_PER_S).round().max(1.0);
+        // A decade of `u` is a fifth of the frames; nodes and clips differ.
+        let own = 0.08 * normal(&mut Pcg64Mcg::seed_from_u64(mix(self.seed, 5)));
+        let skip = (0.55 + 0.2 * (u / FIRST_U).log10() + own + 0.03 * noise()).clamp(0.0, 0.99);
+        let spoilt = self.behaviour.spoilt_above.is_some_and(|limit| u > limit);
+        let worse = if spoilt {
+            self.behaviour.spoilt_by
+        } else {
+            1.0
+        };
+        let watts = 6.0 + 9.0 * (1.0 - skip) + 0.2 * noise();
+        let joules = (watts * worse * self.clip_s).max(0.1);
+        let p99 = (28.0 * worse + noise()).max(1.0);
+        let skipped = (skip * frames).round() as u64;
+        let states = FrameStates {
+            e: skipped / 5,
+            p: skipped - skipped / 5,
+            ei: (frames as u64 - skipped) / 20,
+            i: frames as u64 - skipped - (frames as u64 - skipped) / 20,
+            ai: 0,
+        };
+        let latency = |middle: f64, count: u64| Percentiles {
+            count,
+            mean: middle * 1.05,
+            p50: middle,
+            p95: middle * 1.6,
+            p99,
+        };
+        let started =
+            self.started_ns + self.clock_error_ns + (number as f64 * self.clip_s * 1e9) as u64;
+        ClipReport {
+            v: VERSION,
+            node: self.name.clone(),
+            camera: CAMERA.to_owned(),
+            clip: format!("window-{number}"),
+            report: FIRST_REPORT + number,
+            ended_by: ClipEnd::Window,
+            started_ns: started,
+            duration_s: self.clip_s,
+            frames: frames as u64,
+            skip_rate: states.skip_rate(0),
+            states,
+            degraded_frames: 0,
+            dropped: DroppedFrames::default(),
+            policy: "albireo".to_owned(),
+            knob: Some(KnobValue {
+                name: "u",
+                value: u,
+            }),
+            knob_changes: vec![albireo_wire::KnobChange {
+                seq: number * frames as u64,
+                knob: KnobValue {
+                    name: "u",
+                    value: u,
+                },
+            }],
+            model: "simulated".to_owned(),
+            provider: "simulated".to_owned(),
+            total_latency_ms: latency(4.0, frames as u64),
+            detector_latency_ms: latency(18.0, frames as u64 - skipped),
+            energy: ClipEnergy {
+                joules: Some(joules),
+                node_joules: Some(joules),
+                edp: Some(joules * self.clip_s * 1e3 / frames),
+                quality: self.quality(),
+                source: "simulated".to_owned(),
+                total_from: "simulated".to_owned(),
+                samples: (self.clip_s * 10.0) as u64,
+                coverage: 1.0,
+                domains: vec![DomainEnergy {
+                    domain: "total".to_owned(),
+                    joules,
+                    mean_watts: joules / self.clip_s,
+                    peak_watts: Some(joules / self.clip_s * 1.3),
+                }],
+            },
+            board: None,
+        }
+    }
+}
+
+/// One number out of two (splitmix64's finish).
+pub(crate) const fn mix(a: u64, b: u64) -> u64 {
+    let mut z = a ^ b.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// A hash as a number from 0 to 1.
+pub(crate) fn unit(hash: u64) -> f64 {
+    (hash >> 11) as f64 / (1u64 << 53) as f64
+}
+
+/// About normal: twelve uniform numbers less six.
+fn normal(random: &mut Pcg64Mcg) -> f64 {
+    (0..12).map(|_| unit(random.next_u64())).sum::<f64>() - 6.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn node(options: Options) -> SimNode {
+        SimNode::new(3, &options, 1_000_000_000_000_000_000)
+    }
+
+    fn desired(generation: u64, value: f64) -> Desired {
+        Desired {
+            generation,
+            knob: Some(KnobValue { name: "u", value }),
+            ..Desired::nothing()
+        }
+    }
+
+    #[test]
+    fn a_lower_generation_never_replaces_a_higher_and_a_refusal_is_said_once() {
+        let mut node = node(Options::default());
+        assert!(node.take(&desired(5, 1e-3)));
+        assert!(!node.take(&desired(5, 1e-3)) && !node.take(&desired(4, 1e-4)));
+        assert_eq!((node.u(), node.generation), (1e-3, 5));
+        assert!(node.take(&desired(6, 7.0)));
+        assert_eq!((node.u(), node.generation), (1e-3, 5));
+        let full = node.status(0).full.unwrap();
+        assert_eq!(full.refused.unwrap().generation, 6);
+        assert!(!node.take(&desired(6, 7.0)));
+        assert_eq!(node.status(0).full, None, "nothing has changed since");
+        assert!(node.take(&desired(7, 2e-3)));
+        assert_eq!(node.status(0).full.unwrap().refused, None);
+    }
+
+    #[test]
+    fn a_report_tells_the_value_that_held_when_its_clip_was_made() {
+        let mut node = node(Options {
+            backlog: 3,
+            ..Options::default()
+        });
+        node.take(&desired(1, 1e-2));
+        node.made += 2;
+        let batch = node.batch(10).unwrap();
+        let values: Vec<_> = batch
+            .reports
+            .iter()
+            .map(|r| r.knob.unwrap().value)
+            .collect();
+        assert_eq!(values, [FIRST_U, FIRST_U, FIRST_U, 1e-2, 1e-2]);
+        assert!(batch.reports.iter().all(|r| r.states.frames() == r.frames));
+    }
+
+    #[test]
+    fn a_clip_costs_more_where_the_run_says_that_a_value_is_bad() {
+        let behaviour = Behaviour {
+            spoilt_above: Some(4e-4),
+            spoilt_by: 1.5,
+            ..Behaviour::default()
+        };
+        let mut node = node(Options {
+            behaviour,
+            backlog: 50,
+            ..Options::default()
+        });
+        node.take(&desired(1, 5e-4));
+        node.made += 50;
+        let joules = |node: &SimNode, range: std::ops::Range<u64>| {
+            let count = (range.end - range.start) as f64;
+            range
+                .map(|n| node.report(n).energy.joules.unwrap())
+                .sum::<f64>()
+                / count
+        };
+        assert!(joules(&node, 50..100) > 1.2 * joules(&node, 0..50));
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_is_acknowledged_no_report_is_skipped_or_sent_after_it(steps in prop::collection::vec((0u64..5, 1u64..8, 0u64..12), 1..50)) {
+            let mut node = node(Options::default());
+            for (more, most, stored) in steps {
+                node.made += more;
+                if let Some(batch) = node.batch(most) {
+                    prop_assert_eq!(batch.first, FIRST_REPORT + node.acknowledged);
+                    prop_assert!(batch.last < FIRST_REPORT + node.made);
+                    prop_assert_eq!(batch.reports.len() as u64, batch.last - batch.first + 1);
+                    let before = node.acknowledged;
+                    node.answered(&ReportAnswer::new(stored, None));
+                    prop_assert!(node.acknowledged >= before && node.acknowledged <= node.made);
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,420 @@
+//! One Zenoh session and the nodes that talk through it.
+
+use super::node::{SimNode, mix, unit};
+use super::options::Options;
+use super::totals::{Totals, count};
+use albireo_wire::{
+    Desired, FleetKeys, Poke, PullRequest, RefusalReason, ReportAnswer, ReportRefusal, VERSION,
+};
+use anyhow::{Context, anyhow};
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::sync::mpsc;
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+use zenoh::Session;
+use zenoh::bytes::Encoding;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::CongestionControl;
+
+/// How long an answer to a batch or a pull is awaited.
+const ANSWER_WITHIN: Duration = Duration::from_secs(10);
+/// First and longest pause after a batch that was not acknowledged.
+const FIRST_PAUSE: Duration = Duration::from_secs(1);
+const LONGEST_PAUSE: Duration = Duration::from_secs(30);
+/// Things heard that may wait to be handled by the session's task.
+const HEARD: usize = 4096;
+
+/// What is done for a node at a time of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Due {
+    Status,
+    Clip,
+    Send,
+}
+
+/// What came for a node.
+enum Heard {
+    Poke(usize, u64),
+    Desired(usize, Desired),
+    Acknowledged(usize, ReportAnswer, Duration),
+    /// Not acknowledged; when to try again, if the hub said so.
+    Refused(usize, Option<RefusalReason>, Option<Duration>),
+}
+
+struct Place {
+    node: SimNode,
+    keys: FleetKeys,
+    /// A batch is under way.
+    sending: bool,
+    pause: Duration,
+}
+
+/// A session with its nodes, ready to play.
+pub(crate) struct Player {
+    session: Session,
+    places: Vec<Place>,
+    options: Arc<Options>,
+    totals: Arc<Totals>,
+    due: BinaryHeap<Reverse<(Instant, usize, Due)>>,
+    heard: mpsc::Receiver<Heard>,
+    tell: mpsc::Sender<Heard>,
+    _pokes: Vec<Subscriber<()>>,
+    _tokens: Vec<LivelinessToken>,
+}
+
+/// Opens a client session to the endpoint, with the buffers of a node's uplink.
+pub(crate) async fn open(options: &Options, index: usize) -> anyhow::Result<Session> {
+    let mut config = match &options.zenoh_config {
+        Some(file) => zenoh::Config::from_file(file)
+            .map_err(|error| anyhow!("{}: {error}", file.display()))?,
+        None => zenoh::Config::default(),
+    };
+    // Thousands that lost their router come back spread out.
+    let first_retry = 500 + mix(options.seed, index as u64) % 2_000;
+    let retry = serde_json::json!({"period_init_ms": first_retry, "period_max_ms": 5_000, "period_increase_factor": 2});
+    for (key, value) in [
+        ("mode", serde_json::json!("client")),
+        ("connect/endpoints", serde_json::json!([options.connect])),
+        ("connect/timeout_ms", serde_json::json!(-1)),
+        ("connect/exit_on_failure", serde_json::json!(false)),
+        ("connect/retry", retry),
+        ("listen/endpoints", serde_json::json!([])),
+        ("scouting/multicast/enabled", serde_json::json!(false)),
+        ("scouting/gossip/enabled", serde_json::json!(false)),
+        ("transport/link/tx/lease", serde_json::json!(30_000)),
+        ("transport/link/tx/batch_size", serde_json::json!(8_192)),
+        ("transport/link/rx/buffer_size", serde_json::json!(8_192)),
+    ] {
+        config
+            .insert_json5(key, &value.to_string())
+            .map_err(|error| anyhow!("{key}: {error}"))?;
+    }
+    zenoh::open(config)
+        .await
+        .map_err(|error| anyhow!("session {index}: {error}"))
+}
+
+pub(crate) fn now_ns() -> u64 {
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
+    u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
+}
+
+impl Player {
+    /// Declares what the nodes of the session need.
+    pub(crate) async fn new(
+        session: Session,
+        nodes: Vec<SimNode>,
+        options: Arc<Options>,
+        totals: Arc<Totals>,
+    ) -> anyhow::Result<Self> {
+        let (tell, heard) = mpsc::channel(HEARD);
+        let (mut places, mut pokes, mut tokens) = (Vec::new(), Vec::new(), Vec::new());
+        for (index, node) in nodes.into_iter().enumerate() {
+            let keys =
+                FleetKeys::new(&options.prefix, &node.name).context("a simulated node's name")?;
+            if options.pokes {
+                let tell = tell.clone();
+                let poked = session
+                    .declare_subscriber(keys.poke())
+                    .callback(move |sample| {
+                        if let Ok(poke) = albireo_wire::read::<Poke>(&sample.payload().to_bytes()) {
+                            // Too many at once: the answer to the next report tells the same.
+                            let _ = tell.try_send(Heard::Poke(index, poke.generation));
+                        }
+                    });
+                pokes.push(
+                    poked
+                        .await
+                        .map_err(|error| anyhow!("poke of {}: {error}", node.name))?,
+                );
+            }
+            if options.tokens {
+                let token = session.liveliness().declare_token(keys.alive()).await;
+                tokens.push(token.map_err(|error| anyhow!("token of {}: {error}", node.name))?);
+            }
+            places.push(Place {
+                node,
+                keys,
+                sending: false,
+                pause: FIRST_PAUSE,
+            });
+        }
+        Ok(Self {
+            session,
+            places,
+            options,
+            totals,
+            due: BinaryHeap::new(),
+            heard,
+            tell,
+            _pokes: pokes,
+            _tokens: tokens,
+        })
+    }
+
+    /// Plays until `end`; then sends what is left until `stop`. Returns the reports made and acknowledged by its nodes.
+    pub(crate) async fn play(
+        mut self,
+        began: Instant,
+        end: CancellationToken,
+        stop: CancellationToken,
+    ) -> (u64, u64) {
+        let status = Duration::from_secs_f64(self.options.status_s);
+        let clip = Duration::from_secs_f64(self.options.clip_s);
+        for index in 0..self.places.len() {
+            // Everybody's times are spread over the period.
+            let name = mix(
+                self.options.seed,
+                index as u64 ^ mix(7, self.places[index].node.waiting()),
+            );
+            let spread = |period: Duration, salt| {
+                period.mul_f64(unit(mix(name, salt ^ began.elapsed().as_nanos() as u64)))
+            };
+            self.due.push(Reverse((
+                began + spread(status.min(Duration::from_secs(5)), 1),
+                index,
+                Due::Status,
+            )));
+            self.due
+                .push(Reverse((began + spread(clip, 2), index, Due::Clip)));
+            self.pull(index);
+        }
+        let outage = self.options.outage_after.map(|after| {
+            let from = began + after;
+            (from, from + self.options.outage_for)
+        });
+        let away = move |at: Instant| outage.is_some_and(|(from, until)| from <= at && at < until);
+        let mut ending = false;
+        loop {
+            if ending && self.places.iter().all(|place| place.node.waiting() == 0) {
+                break;
+            }
+            let next = self.due.peek().map(|Reverse((at, ..))| *at);
+            let next = next.unwrap_or_else(|| Instant::now() + status);
+            tokio::select! {
+                heard = self.heard.recv() => match heard {
+                    Some(heard) if !away(Instant::now()) => self.handle(heard),
+                    // What comes in an outage never arrived; a batch under way is as good as refused.
+                    Some(Heard::Acknowledged(index, ..) | Heard::Refused(index, ..)) => self.later(index, None),
+                    Some(_) => {}
+                    None => break,
+                },
+                () = tokio::time::sleep_until(next) => {
+                    let Some(Reverse((at, index, due))) = self.due.pop() else { continue };
+                    match due {
+                        Due::Status if !ending => {
+                            self.due.push(Reverse((at + status, index, Due::Status)));
+                            if !away(at) { self.status(index).await }
+                        }
+                        Due::Clip if !ending => {
+                            self.due.push(Reverse((at + clip, index, Due::Clip)));
+                            self.places[index].node.made += 1;
+                            count(&self.totals.made, 1);
+                            if self.places[index].node.waiting() >= self.options.gather { self.send(index, away(at)) }
+                        }
+                        Due::Send => self.send(index, away(at)),
+                        Due::Status | Due::Clip => {}
+                    }
+                }
+                () = end.cancelled(), if !ending => {
+                    ending = true;
+                    for index in 0..self.places.len() { self.send(index, false) }
+                }
+                () = stop.cancelled() => break,
+            }
+        }
+        let sums = self
+            .places
+            .iter()
+            .fold((0, 0), |(made, acknowledged), place| {
+                (
+                    made + place.node.made,
+                    acknowledged + place.node.acknowledged,
+                )
+            });
+        if let Err(error) = self.session.close().await {
+            tracing::debug!(%error, "session not closed");
+        }
+        sums
+    }
+
+    fn handle(&mut self, heard: Heard) {
+        match heard {
+            Heard::Poke(index, generation) => {
+                count(&self.totals.pokes, 1);
+                self.totals.heard_of(generation);
+                self.pull(index);
+            }
+            Heard::Desired(index, desired) => self.take(index, &desired),
+            Heard::Acknowledged(index, answer, took) => {
+                self.totals.answers.add(took);
+                let place = &mut self.places[index];
+                place.sending = false;
+                place.pause = FIRST_PAUSE;
+                let news = place.node.answered(&answer);
+                count(&self.totals.acknowledged, news);
+                if news == 0 {
+                    // An answer that acknowledges nothing: the same batch again, but not at once.
+                    self.later(index, None);
+                } else if place.node.waiting() >= self.options.gather {
+                    self.send(index, false);
+                }
+                if let Some(desired) = answer.desired {
+                    self.take(index, &desired);
+                }
+            }
+            Heard::Refused(index, reason, after) => {
+                let counter = match reason {
+                    Some(RefusalReason::Busy) => &self.totals.busy,
+                    Some(_) => &self.totals.refused,
+                    None => &self.totals.no_reply,
+                };
+                count(counter, 1);
+                self.later(index, after);
+            }
+        }
+    }
+
+    /// A batch was not acknowledged: again after a pause that grows.
+    fn later(&mut self, index: usize, after: Option<Duration>) {
+        let place = &mut self.places[index];
+        place.sending = false;
+        let pause = after.unwrap_or(place.pause).max(place.pause);
+        let spread = unit(mix(place.node.made, now_ns()));
+        place.pause = (place.pause * 2).min(LONGEST_PAUSE);
+        let at = Instant::now() + pause.mul_f64(0.5 + spread);
+        self.due.push(Reverse((at, index, Due::Send)));
+    }
+
+    fn take(&mut self, index: usize, desired: &Desired) {
+        let node = &mut self.places[index].node;
+        let before = node.identity().1;
+        if !node.take(desired) {
+            return;
+        }
+        let taken = node.identity().1 > before;
+        if taken || desired.generation > before {
+            self.totals.decided(desired.generation, taken);
+        }
+        // A change is told at once.
+        self.due.push(Reverse((Instant::now(), index, Due::Status)));
+    }
+
+    async fn status(&mut self, index: usize) {
+        let place = &mut self.places[index];
+        let message = place.node.status(now_ns());
+        let Ok(payload) = serde_json::to_vec(&message) else {
+            return;
+        };
+        let put = self
+            .session
+            .put(place.keys.status(), payload)
+            .encoding(Encoding::APPLICATION_JSON)
+            .congestion_control(CongestionControl::Drop);
+        match put.await {
+            Ok(()) => count(&self.totals.statuses, 1),
+            Err(error) => tracing::debug!(%error, "status not sent"),
+        }
+    }
+
+    fn send(&mut self, index: usize, away: bool) {
+        let place = &mut self.places[index];
+        if place.sending || place.node.waiting() == 0 {
+            return;
+        }
+        if away {
+            self.later(index, None);
+            return;
+        }
+        let Some(batch) = place.node.batch(self.options.batch) else {
+            return;
+        };
+        place.sending = true;
+        let (session, key, tell) = (self.session.clone(), place.keys.report(), self.tell.clone());
+        let totals = Arc::clone(&self.totals);
+        tokio::spawn(async move {
+            let began = Instant::now();
+            let heard = match report(&session, key, &batch, &totals).await {
+                Some(Ok(answer)) => Heard::Acknowledged(index, answer, began.elapsed()),
+                Some(Err(refusal)) => Heard::Refused(
+                    index,
+                    Some(refusal.reason),
+                    refusal.retry_after_ms.map(Duration::from_millis),
+                ),
+                None => Heard::Refused(index, None, None),
+            };
+            // Closed when the run is over.
+            let _ = tell.send(heard).await;
+        });
+    }
+
+    fn pull(&self, index: usize) {
+        let place = &self.places[index];
+        let (instance, generation) = place.node.identity();
+        let request = PullRequest {
+            v: VERSION,
+            instance: instance.to_owned(),
+            generation,
+        };
+        let Ok(payload) = serde_json::to_vec(&request) else {
+            return;
+        };
+        let (session, key, tell) = (self.session.clone(), place.keys.pull(), self.tell.clone());
+        count(&self.totals.pulls, 1);
+        tokio::spawn(async move {
+            if let Some(Ok(answer)) = ask(&session, key, payload, Encoding::APPLICATION_JSON).await
+                && let Ok(desired) = albireo_wire::read::<Desired>(&answer)
+            {
+                let _ = tell.send(Heard::Desired(index, desired)).await;
+            }
+        });
+    }
+}
+
+/// Sends a batch; `None` when nobody answered.
+async fn report(
+    session: &Session,
+    key: String,
+    batch: &albireo_wire::ReportBatch,
+    totals: &Totals,
+) -> Option<Result<ReportAnswer, ReportRefusal>> {
+    let payload = batch.to_payload().ok()?;
+    count(&totals.batches, 1);
+    count(&totals.bytes, payload.len() as u64);
+    let answer = ask(session, key, payload, Encoding::APPLICATION_JSON).await?;
+    let bytes = match &answer {
+        Ok(bytes) | Err(bytes) => bytes,
+    };
+    if let (Ok(_), Ok(answer)) = (&answer, albireo_wire::read::<ReportAnswer>(bytes)) {
+        return Some(Ok(answer));
+    }
+    Some(Err(albireo_wire::read::<ReportRefusal>(bytes).ok()?))
+}
+
+/// A query with a payload and its first answer: good or error.
+async fn ask(
+    session: &Session,
+    key: String,
+    payload: Vec<u8>,
+    encoding: Encoding,
+) -> Option<Result<Vec<u8>, Vec<u8>>> {
+    let replies = session
+        .get(key)
+        .payload(payload)
+        .encoding(encoding)
+        .congestion_control(CongestionControl::Drop)
+        .timeout(ANSWER_WITHIN)
+        .await
+        .ok()?;
+    let reply = replies.recv_async().await.ok()?;
+    Some(match reply.result() {
+        Ok(sample) => Ok(sample.payload().to_bytes().into_owned()),
+        Err(error) => Err(error.payload().to_bytes().into_owned()),
+    })
+}

@@ -1,0 +1,162 @@
+//! `albireo fleet`: a hub from the terminal. It is a client of the hub's HTTP interface and knows nothing else.
+
+mod client;
+mod nodes;
+mod rollouts;
+mod set;
+mod table;
+mod trials;
+mod units;
+
+use super::in_words;
+use clap::Subcommand;
+use client::{Client, Failure};
+use std::io::IsTerminal;
+use std::process::ExitCode;
+
+const EXAMPLES: &str = "\
+Nodes are selected by name (cam-7), glob ('cam-*'), label (region=north) or `all`; parts joined by & must
+all match ('cam-* & region=north'), a part after ! must not ('all & !cam-3'). Several --select add up.
+
+Exit codes: 0 done as asked; 1 the hub cannot be reached or refuses; 2 wrong arguments; 3 some nodes
+refused the value or did not answer in time, or a rollout went back; 4 nothing failed, but something is
+still open: nodes out of reach, a rollout that is held.
+
+Examples:
+  albireo fleet ls                                   all nodes, and how they are
+  albireo fleet show cam-7                           one node: values, health, last clips
+  albireo fleet set-u 5e-4 --select 'cam-*' --dry-run    who would change
+  albireo fleet set-u 5e-4 --select 'cam-*' --why 'less traffic at night'
+  albireo fleet rollout start 5e-4 --select all --stages 1,10%,50%,100% --soak 30m --gate 'joules<=+5%'
+  albireo fleet rollout show 3 --follow              until it is done, held or back
+  albireo fleet trial start 1e-4 3e-4 1e-3 --select region=north --for 2h
+  albireo fleet energy --since 7d --by node
+  albireo fleet changes --node cam-7                 who set what, when, why, and what came of it
+  ALBIREO_HUB=http://hub.example:8090 ALBIREO_HUB_TOKEN=… albireo fleet watch";
+
+/// Arguments of `albireo fleet`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// The hub
+    #[arg(
+        long,
+        global = true,
+        env = "ALBIREO_HUB",
+        default_value = "http://127.0.0.1:8090",
+        value_name = "URL"
+    )]
+    hub: String,
+    /// Its token; better in the environment than here, where others see it
+    #[arg(long, global = true, env = "ALBIREO_HUB_TOKEN", hide_env_values = true)]
+    token: Option<String>,
+    /// Print JSON, as the hub gives it
+    #[arg(long, global = true)]
+    json: bool,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// All nodes, and how they are.
+    Ls(nodes::ListArguments),
+    /// One node.
+    Show(nodes::ShowArguments),
+    /// Set the uncertainty threshold u (or another knob) of selected nodes.
+    SetU(set::Arguments),
+    /// The history of what was ordered.
+    Changes(set::ChangesArguments),
+    /// Nodes whose value was changed at the node since they took the desired one.
+    Drift,
+    /// Change a value in stages, each gated on what is measured.
+    #[command(subcommand)]
+    Rollout(rollouts::Command),
+    /// Compare values on random groups of nodes.
+    #[command(subcommand)]
+    Trial(trials::Command),
+    /// Energy over time.
+    Energy(nodes::EnergyArguments),
+    /// The fleet, renewed every two seconds.
+    Watch(nodes::WatchArguments),
+}
+
+/// How a command ended, beyond errors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Ended {
+    /// As asked.
+    Well,
+    /// Some nodes refused or did not answer; a rollout went back.
+    Failed,
+    /// Something is still open.
+    Open,
+}
+
+impl From<Ended> for ExitCode {
+    fn from(ended: Ended) -> Self {
+        match ended {
+            Ended::Well => Self::SUCCESS,
+            Ended::Failed => Self::from(3),
+            Ended::Open => Self::from(4),
+        }
+    }
+}
+
+/// What every command works with.
+struct Context {
+    client: Client,
+    json: bool,
+    terminal: bool,
+}
+
+impl Context {
+    /// Prints what the hub gave: as JSON, or as `text` makes of it.
+    fn print(
+        &self,
+        value: &serde_json::Value,
+        text: impl FnOnce(&serde_json::Value) -> String,
+    ) -> Result<(), Failure> {
+        if self.json {
+            println!(
+                "{}",
+                serde_json::to_string_pretty(value).map_err(anyhow::Error::from)?
+            );
+        } else {
+            print!("{}", text(value));
+        }
+        Ok(())
+    }
+}
+
+pub(super) fn run(arguments: Arguments) -> ExitCode {
+    let ended = tokio::runtime::Builder::new_current_thread()
+        .enable_all()
+        .build();
+    let ended = ended.map_err(|error| Failure::from(anyhow::Error::new(error)));
+    match ended.and_then(|runtime| runtime.block_on(follow(arguments))) {
+        Ok(ended) => ended.into(),
+        Err(failure) => {
+            eprintln!("albireo: {}", in_words(&failure.0));
+            ExitCode::FAILURE
+        }
+    }
+}
+
+async fn follow(arguments: Arguments) -> Result<Ended, Failure> {
+    let context = Context {
+        client: Client::new(&arguments.hub, arguments.token)?,
+        json: arguments.json,
+        terminal: std::io::stdout().is_terminal(),
+    };
+    match arguments.command {
+        Command::Ls(arguments) => nodes::list(&context, arguments).await,
+        Command::Show(arguments) => nodes::show(&context, arguments).await,
+        Command::SetU(arguments) => set::set(&context, arguments).await,
+        Command::Changes(arguments) => set::changes(&context, arguments).await,
+        Command::Drift => set::drift(&context).await,
+        Command::Rollout(command) => rollouts::run(&context, command).await,
+        Command::Trial(command) => trials::run(&context, command).await,
+        Command::Energy(arguments) => nodes::energy(&context, arguments).await,
+        Command::Watch(arguments) => nodes::watch(&context, arguments).await,
+    }
+}

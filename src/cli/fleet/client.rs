@@ -1,0 +1,127 @@
+//! Talks to a hub over HTTP.
+
+use anyhow::{Context, anyhow};
+use reqwest::header::{ACCEPT, AUTHORIZATION};
+use reqwest::{Method, RequestBuilder, Response, Url};
+use serde_json::Value;
+use std::time::Duration;
+
+/// How long a plain answer may take.
+const ANSWER_WITHIN: Duration = Duration::from_secs(30);
+/// Longest line of a stream.
+const LONGEST_LINE: usize = 1 << 20;
+
+/// Why a command failed, for people.
+#[derive(Debug)]
+pub(super) struct Failure(pub(super) anyhow::Error);
+
+impl<E: Into<anyhow::Error>> From<E> for Failure {
+    fn from(error: E) -> Self {
+        Self(error.into())
+    }
+}
+
+/// A hub.
+pub(super) struct Client {
+    base: Url,
+    token: Option<String>,
+    http: reqwest::Client,
+}
+
+impl Client {
+    pub(super) fn new(hub: &str, token: Option<String>) -> Result<Self, Failure> {
+        let base = Url::parse(hub)
+            .with_context(|| format!("`{hub}` is no address such as http://127.0.0.1:8090"))?;
+        let http = reqwest::Client::builder()
+            .connect_timeout(Duration::from_secs(5))
+            // The hub's answer is the hub's: no other address is followed.
+            .redirect(reqwest::redirect::Policy::none())
+            .build()?;
+        Ok(Self { base, token, http })
+    }
+
+    fn request(
+        &self,
+        method: Method,
+        path: &str,
+        query: &[(&str, String)],
+    ) -> Result<RequestBuilder, Failure> {
+        let mut url = self.base.join(path)?;
+        if !query.is_empty() {
+            url.query_pairs_mut().extend_pairs(query);
+        }
+        let request = self.http.request(method, url);
+        Ok(match &self.token {
+            Some(token) => request.header(AUTHORIZATION, format!("Bearer {token}")),
+            None => request,
+        })
+    }
+
+    async fn send(&self, request: RequestBuilder) -> Result<Response, Failure> {
+        let response = request
+            .send()
+            .await
+            .with_context(|| format!("the hub at {} cannot be reached", self.base))?;
+        let status = response.status();
+        if status.is_success() {
+            return Ok(response);
+        }
+        let body = response.text().await.unwrap_or_default();
+        let problem: Option<Value> = serde_json::from_str(&body).ok();
+        let detail = problem
+            .as_ref()
+            .and_then(|problem| problem["detail"].as_str());
+        Err(match detail {
+            Some(detail) => anyhow!("{detail}"),
+            None => anyhow!("{} answers {status}; is it a hub?", self.base),
+        }
+        .into())
+    }
+
+    async fn json(&self, request: RequestBuilder) -> Result<Value, Failure> {
+        let response = self.send(request.timeout(ANSWER_WITHIN)).await?;
+        let text = response.text().await?;
+        Ok(serde_json::from_str(&text)
+            .with_context(|| format!("{} does not answer as a hub does", self.base))?)
+    }
+
+    /// Asks for something.
+    pub(super) async fn get(&self, path: &str, query: &[(&str, String)]) -> Result<Value, Failure> {
+        self.json(self.request(Method::GET, path, query)?).await
+    }
+
+    /// Orders something.
+    pub(super) async fn post(&self, path: &str, body: &Value) -> Result<Value, Failure> {
+        self.json(self.request(Method::POST, path, &[])?.json(body))
+            .await
+    }
+
+    /// Sends `body` by PUT and gives each line of the answer to `line` as it comes.
+    pub(super) async fn put_lines(
+        &self,
+        path: &str,
+        body: &Value,
+        mut line: impl FnMut(Value) -> Result<(), Failure>,
+    ) -> Result<(), Failure> {
+        let request = self
+            .request(Method::PUT, path, &[])?
+            .header(ACCEPT, "application/x-ndjson")
+            .json(body);
+        let mut answer = self.send(request).await?;
+        let mut held = Vec::new();
+        while let Some(bytes) = answer.chunk().await.context("the hub broke off")? {
+            held.extend_from_slice(&bytes);
+            while let Some(end) = held.iter().position(|byte| *byte == b'\n') {
+                let rest = held.split_off(end + 1);
+                let text = std::mem::replace(&mut held, rest);
+                line(serde_json::from_slice(&text).context("a line of the answer is no JSON")?)?;
+            }
+            if held.len() > LONGEST_LINE {
+                return Err(
+                    anyhow!("a line of the answer is longer than {LONGEST_LINE} bytes").into(),
+                );
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,320 @@
+//! `ls`, `show`, `energy`, `watch`.
+
+use super::client::Failure;
+use super::table::{Table, WIDTH, cut};
+use super::units::{ago, figure, knob, now_ms, seconds};
+use super::{Context, Ended};
+use anyhow::anyhow;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::time::Duration;
+
+/// Nodes of one page.
+const PAGE: usize = 500;
+/// Most nodes that are listed.
+const MOST: usize = 200_000;
+/// Time between two looks of `watch`.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// Arguments of `albireo fleet ls`.
+#[derive(Debug, clap::Args)]
+pub(super) struct ListArguments {
+    /// Only nodes in this state: online, degraded, silent or offline.
+    #[arg(long)]
+    state: Option<String>,
+    /// How many at most.
+    #[arg(long, default_value_t = 1_000)]
+    limit: usize,
+}
+
+/// Arguments of `albireo fleet show`.
+#[derive(Debug, clap::Args)]
+pub(super) struct ShowArguments {
+    /// Its name.
+    node: String,
+}
+
+/// Arguments of `albireo fleet energy`.
+#[derive(Debug, clap::Args)]
+pub(super) struct EnergyArguments {
+    /// From when on: 7d, 12h.
+    #[arg(long, default_value = "7d", value_parser = seconds, value_name = "TIME")]
+    since: f64,
+    /// One line for each node, camera, day, policy or knob.
+    #[arg(long, value_name = "WHAT")]
+    by: Option<String>,
+    /// Only this node.
+    #[arg(long)]
+    node: Option<String>,
+}
+
+/// Arguments of `albireo fleet watch`.
+#[derive(Debug, clap::Args)]
+pub(super) struct WatchArguments {
+    /// Stop after so many looks.
+    #[arg(long, value_name = "N")]
+    looks: Option<u64>,
+}
+
+/// All nodes, page by page.
+async fn nodes(
+    context: &Context,
+    state: Option<&str>,
+    limit: usize,
+) -> Result<Vec<Value>, Failure> {
+    let mut found: Vec<Value> = Vec::new();
+    let mut after: Option<String> = None;
+    while found.len() < limit.min(MOST) {
+        let mut query = vec![("limit", PAGE.min(limit - found.len()).to_string())];
+        query.extend(after.take().map(|after| ("cursor", after)));
+        query.extend(state.map(|state| ("state", state.to_owned())));
+        let page = context.client.get("/api/v1/nodes", &query).await?;
+        let nodes = page["nodes"]
+            .as_array()
+            .ok_or_else(|| anyhow!("the hub gives no list of nodes"))?;
+        found.extend(nodes.iter().cloned());
+        match page["next"].as_str() {
+            Some(next) if !nodes.is_empty() => after = Some(next.to_owned()),
+            _ => break,
+        }
+    }
+    Ok(found)
+}
+
+pub(super) async fn list(context: &Context, arguments: ListArguments) -> Result<Ended, Failure> {
+    let found = nodes(context, arguments.state.as_deref(), arguments.limit).await?;
+    context.print(&json!({ "nodes": found }), |_| table(&found))?;
+    Ok(Ended::Well)
+}
+
+/// The value in force, as far as all cameras have the same.
+fn value(node: &Value) -> String {
+    let cameras = node["status"]["cameras"]
+        .as_array()
+        .map(Vec::as_slice)
+        .unwrap_or_default();
+    match cameras {
+        [] => "-".to_owned(),
+        [first, rest @ ..] if rest.iter().all(|camera| knob(camera) == knob(first)) => knob(first),
+        _ => "differ".to_owned(),
+    }
+}
+
+fn table(nodes: &[Value]) -> String {
+    let mut table = Table::new(&[
+        "node", "state", "since", ">value", "policy", ">waiting", ">change", "labels", "why",
+    ]);
+    for node in nodes {
+        let labels = node["status"]["labels"].as_object().into_iter().flatten();
+        let labels: Vec<String> = labels
+            .map(|(key, value)| format!("{key}={}", value.as_str().unwrap_or_default()))
+            .collect();
+        table.row([
+            node["node"].as_str().unwrap_or("?").to_owned(),
+            node["state"].as_str().unwrap_or("?").to_owned(),
+            ago(node["since_ms"].as_i64().unwrap_or(0)),
+            value(node),
+            node["status"]["policy"].as_str().unwrap_or("-").to_owned(),
+            node["waiting"].to_string(),
+            node["generation"].to_string(),
+            cut(&labels.join(" "), 24),
+            node["why"].as_str().unwrap_or_default().to_owned(),
+        ]);
+    }
+    table.to_string()
+}
+
+pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<Ended, Failure> {
+    let node = context
+        .client
+        .get(&format!("/api/v1/nodes/{}", arguments.node), &[])
+        .await?;
+    context.print(&node, |node| {
+        let status = &node["status"];
+        let mut text = String::new();
+        let mut line = |name: &str, value: String| {
+            if !value.is_empty() {
+                let _ = writeln!(text, "{}", cut(&format!("{name:<12} {value}"), WIDTH));
+            }
+        };
+        let said = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+        line("node", said(&node["node"]));
+        let why = said(&node["why"]);
+        let since = ago(node["since_ms"].as_i64().unwrap_or(0));
+        line(
+            "state",
+            format!("{} for {since} {why}", said(&node["state"])),
+        );
+        line(
+            "heard",
+            node["heard_ms"]
+                .as_i64()
+                .map(|at| format!("{} ago", ago(at)))
+                .unwrap_or_default(),
+        );
+        line("version", said(&status["version"]));
+        line("policy", said(&status["policy"]));
+        line(
+            "model",
+            format!(
+                "{} on {}",
+                said(&status["model"]),
+                said(&status["provider"])
+            ),
+        );
+        line(
+            "power",
+            format!(
+                "{}, {}",
+                said(&status["power_source"]),
+                said(&status["power_quality"])
+            ),
+        );
+        line("change", node["generation"].to_string());
+        line("waiting", format!("{} reports", node["waiting"]));
+        if let Some(refused) = status["refused"].as_object() {
+            line(
+                "refused",
+                format!(
+                    "change {}: {}",
+                    refused["generation"],
+                    said(&refused["reason"])
+                ),
+            );
+        }
+        for camera in status["cameras"].as_array().into_iter().flatten() {
+            let source = said(&camera["knob_source"]);
+            line(
+                "camera",
+                format!(
+                    "{}: {}, {} (from {source})",
+                    said(&camera["name"]),
+                    said(&camera["state"]),
+                    knob(camera)
+                ),
+            );
+        }
+        text
+    })?;
+    Ok(Ended::Well)
+}
+
+pub(super) async fn energy(
+    context: &Context,
+    arguments: EnergyArguments,
+) -> Result<Ended, Failure> {
+    let from = now_ms() - (arguments.since * 1e3) as i64;
+    let mut query = vec![("since_ms", from.to_string())];
+    query.extend(arguments.by.map(|by| ("by", by)));
+    query.extend(arguments.node.map(|node| ("node", node)));
+    let energy = context.client.get("/api/v1/energy", &query).await?;
+    context.print(&energy, sums)?;
+    Ok(Ended::Well)
+}
+
+/// One line for each group and quality; the quality is never summed over.
+fn sums(answer: &Value) -> String {
+    let groups = answer["groups"]
+        .as_array()
+        .map(Vec::as_slice)
+        .unwrap_or_default();
+    if groups.is_empty() {
+        return "no clips in that time\n".to_owned();
+    }
+    let mut table = Table::new(&[
+        "group",
+        "energy",
+        ">clips",
+        ">joules",
+        ">J/clip",
+        ">skip rate",
+        ">calls avoided",
+        ">vanilla J (estimate)",
+    ]);
+    for group in groups {
+        let number = |name: &str| group[name].as_f64().unwrap_or(0.0);
+        let measured = group["quality"] != "unavailable";
+        let joules = |value: f64| {
+            if measured {
+                figure(value)
+            } else {
+                "-".to_owned()
+            }
+        };
+        table.row([
+            group["group"]
+                .as_str()
+                .filter(|name| !name.is_empty())
+                .unwrap_or("all")
+                .to_owned(),
+            group["quality"].as_str().unwrap_or("?").to_owned(),
+            group["clips"].to_string(),
+            joules(number("joules")),
+            joules(number("joules") / number("clips").max(1.0)),
+            figure(number("skip_rate")),
+            group["avoided_calls"].to_string(),
+            joules(number("vanilla_joules_estimated")),
+        ]);
+    }
+    table.to_string()
+}
+
+pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> Result<Ended, Failure> {
+    let mut looks = 0;
+    loop {
+        let found = nodes(context, None, MOST).await?;
+        if context.json {
+            println!("{}", json!({ "nodes": found }));
+        } else {
+            if context.terminal {
+                // Clear and go to the upper left corner.
+                print!("\x1b[2J\x1b[H");
+            }
+            print!("{}", overview(&found));
+        }
+        looks += 1;
+        if arguments.looks.is_some_and(|most| looks >= most) {
+            return Ok(Ended::Well);
+        }
+        tokio::time::sleep(LOOK).await;
+    }
+}
+
+/// How many nodes are in which state and have which value, and those that are not well.
+fn overview(nodes: &[Value]) -> String {
+    let count = |of: &dyn Fn(&Value) -> String| {
+        let mut counts: BTreeMap<String, usize> = BTreeMap::new();
+        nodes
+            .iter()
+            .for_each(|node| *counts.entry(of(node)).or_insert(0) += 1);
+        let counts: Vec<String> = counts
+            .iter()
+            .map(|(name, n)| format!("{n} {name}"))
+            .collect();
+        counts.join(", ")
+    };
+    let states = count(&|node| node["state"].as_str().unwrap_or("?").to_owned());
+    let values = count(&|node| format!("at {}", value(node)));
+    let waiting: u64 = nodes
+        .iter()
+        .filter_map(|node| node["waiting"].as_u64())
+        .sum();
+    let mut text = cut(
+        &format!("{} nodes: {states}; {waiting} reports wait", nodes.len()),
+        WIDTH,
+    ) + "\n";
+    text += &(cut(&format!("values: {values}"), WIDTH) + "\n\n");
+    let unwell: Vec<Value> = nodes
+        .iter()
+        .filter(|node| node["state"] != "online")
+        .take(20)
+        .cloned()
+        .collect();
+    let shown: Vec<Value> = if unwell.is_empty() {
+        nodes.iter().take(20).cloned().collect()
+    } else {
+        unwell
+    };
+    text + &table(&shown)
+}

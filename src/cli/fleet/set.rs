@@ -1,0 +1,179 @@
+//! `set-u`, `changes`, `drift`.
+
+use super::client::Failure;
+use super::table::Table;
+use super::units::{ago, knob, seconds};
+use super::{Context, Ended};
+use serde_json::{Value, json};
+
+/// Arguments of `albireo fleet set-u`.
+#[derive(Debug, clap::Args)]
+pub(super) struct Arguments {
+    /// The value.
+    value: f64,
+    /// Which nodes; may be given several times.
+    #[arg(long, required = true, value_name = "SELECTOR")]
+    select: Vec<String>,
+    /// The knob's name, for nodes under another policy.
+    #[arg(long, default_value = "u")]
+    knob: String,
+    /// Only say who would change.
+    #[arg(long)]
+    dry_run: bool,
+    /// Why; stands in the history.
+    #[arg(long, default_value = "")]
+    why: String,
+    /// How long to wait for the nodes: 10s, 5m.
+    #[arg(long, default_value = "10s", value_parser = seconds)]
+    wait: f64,
+}
+
+pub(super) async fn set(context: &Context, arguments: Arguments) -> Result<Ended, Failure> {
+    let mut body = json!({
+        "select": arguments.select,
+        "dry_run": arguments.dry_run,
+        "why": arguments.why,
+        "wait_s": arguments.wait,
+    });
+    body[&arguments.knob] = json!(arguments.value);
+    let (mut counts, mut change, mut shown) = (Value::Null, Value::Null, 0);
+    let lines = context
+        .client
+        .put_lines("/api/v1/threshold", &body, |line| {
+            if context.json {
+                println!("{line}");
+            }
+            if let Some(last) = line.get("counts") {
+                (counts, change) = (last.clone(), line["change"].clone());
+            } else if !context.json {
+                println!("{}", outcome(&line));
+                shown += 1;
+            }
+            Ok(())
+        });
+    lines.await?;
+    if !context.json {
+        let counted: Vec<String> = counts
+            .as_object()
+            .into_iter()
+            .flatten()
+            .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
+            .collect();
+        let number = change
+            .as_u64()
+            .map(|n| format!("change {n}: "))
+            .unwrap_or_default();
+        println!("{number}{}", counted.join(", "));
+    }
+    Ok(judge(&counts))
+}
+
+/// One node's line.
+fn outcome(line: &Value) -> String {
+    let detail = line["detail"].as_str().unwrap_or_default();
+    let text = format!(
+        "{:<24} {:<12} {:>9} -> {:<9} {detail}",
+        line["node"].as_str().unwrap_or("?"),
+        line["outcome"].as_str().unwrap_or("?").replace('_', " "),
+        knob(&line["from"]),
+        knob(&line["to"]),
+    );
+    super::table::cut(text.trim_end(), super::table::WIDTH)
+}
+
+fn judge(counts: &Value) -> Ended {
+    let has = |name: &str| counts[name].as_u64().unwrap_or(0) > 0;
+    if has("refused") || has("timed_out") {
+        Ended::Failed
+    } else if has("waiting") || has("pending") || has("superseded") {
+        Ended::Open
+    } else {
+        Ended::Well
+    }
+}
+
+/// Arguments of `albireo fleet changes`.
+#[derive(Debug, clap::Args)]
+pub(super) struct ChangesArguments {
+    /// One change, with every node.
+    number: Option<u64>,
+    /// Only those of this node.
+    #[arg(long)]
+    node: Option<String>,
+    /// How many at most.
+    #[arg(long, default_value_t = 20)]
+    limit: u32,
+}
+
+pub(super) async fn changes(
+    context: &Context,
+    arguments: ChangesArguments,
+) -> Result<Ended, Failure> {
+    if let Some(number) = arguments.number {
+        let change = context
+            .client
+            .get(&format!("/api/v1/changes/{number}"), &[])
+            .await?;
+        context.print(&change, |change| {
+            let mut table = Table::new(&["node", "outcome", ">from", "when", "detail"]);
+            for node in change["nodes"].as_array().into_iter().flatten() {
+                table.row([
+                    node["node"].as_str().unwrap_or("?").to_owned(),
+                    node["outcome"].as_str().unwrap_or("?").replace('_', " "),
+                    knob(&node["from"]),
+                    format!("{} ago", ago(node["at_ms"].as_i64().unwrap_or(0))),
+                    node["detail"].as_str().unwrap_or_default().to_owned(),
+                ]);
+            }
+            format!("{}\n{table}", list(&json!({ "changes": [change] })))
+        })?;
+        return Ok(Ended::Well);
+    }
+    let mut query = vec![("limit", arguments.limit.to_string())];
+    query.extend(arguments.node.map(|node| ("node", node)));
+    let changes = context.client.get("/api/v1/changes", &query).await?;
+    context.print(&changes, list)?;
+    Ok(Ended::Well)
+}
+
+fn list(changes: &Value) -> String {
+    let mut table = Table::new(&[">change", "when", "who", "by", ">to", "outcome", "why"]);
+    for change in changes["changes"].as_array().into_iter().flatten() {
+        let counts = change["counts"].as_object().into_iter().flatten();
+        let counts: Vec<String> = counts
+            .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
+            .collect();
+        table.row([
+            change["change"].to_string(),
+            format!("{} ago", ago(change["at_ms"].as_i64().unwrap_or(0))),
+            change["who"].as_str().unwrap_or("?").to_owned(),
+            change["origin"].as_str().unwrap_or("?").to_owned(),
+            knob(&change["to"]),
+            counts.join(", "),
+            change["why"].as_str().unwrap_or_default().to_owned(),
+        ]);
+    }
+    table.to_string()
+}
+
+pub(super) async fn drift(context: &Context) -> Result<Ended, Failure> {
+    let drift = context.client.get("/api/v1/drift", &[]).await?;
+    context.print(&drift, |drift| {
+        let nodes = drift.as_array().map(Vec::as_slice).unwrap_or_default();
+        if nodes.is_empty() {
+            return "every node that took a desired value still has it\n".to_owned();
+        }
+        let mut table = Table::new(&["node", "since", ">desired", ">in force", ">set back"]);
+        for node in nodes {
+            table.row([
+                node["node"].as_str().unwrap_or("?").to_owned(),
+                format!("{} ago", ago(node["since_ms"].as_i64().unwrap_or(0))),
+                knob(&node["desired"]),
+                knob(&node["in_force"]),
+                node["set_back"].to_string(),
+            ]);
+        }
+        table.to_string()
+    })?;
+    Ok(Ended::Well)
+}

@@ -1,0 +1,181 @@
+//! `trial`: values compared on random groups of nodes.
+
+use super::client::Failure;
+use super::table::Table;
+use super::units::{ago, figure, knob, seconds};
+use super::{Context, Ended};
+use serde_json::{Value, json};
+
+#[derive(Debug, clap::Subcommand)]
+pub(super) enum Command {
+    /// Begin one.
+    Start(StartArguments),
+    /// All, the newest first.
+    Ls,
+    /// One with its result.
+    Show {
+        /// Its number.
+        id: u64,
+    },
+    /// End it now, with what was measured; the old values return.
+    End {
+        /// Its number.
+        id: u64,
+    },
+}
+
+/// Arguments of `albireo fleet trial start`.
+#[derive(Debug, clap::Args)]
+pub(super) struct StartArguments {
+    /// The values, two or more; differences are told against the first.
+    #[arg(required = true, num_args = 2..)]
+    values: Vec<f64>,
+    /// Which nodes; may be given several times.
+    #[arg(long, required = true, value_name = "SELECTOR")]
+    select: Vec<String>,
+    /// The knob's name, for nodes under another policy.
+    #[arg(long, default_value = "u")]
+    knob: String,
+    /// How long the values hold.
+    #[arg(long = "for", value_parser = seconds, default_value = "1h", value_name = "TIME")]
+    duration: f64,
+    /// Draws the groups.
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Fewest clips of a node in the result.
+    #[arg(long, value_name = "N")]
+    fewest_clips: Option<u64>,
+    /// Why; stands in the history.
+    #[arg(long, default_value = "")]
+    why: String,
+}
+
+pub(super) async fn run(context: &Context, command: Command) -> Result<Ended, Failure> {
+    let client = &context.client;
+    let trial = match command {
+        Command::Start(arguments) => {
+            let value = |value: &f64| {
+                let mut object = json!({});
+                object[&arguments.knob] = json!(value);
+                object
+            };
+            let mut body = json!({
+                "values": arguments.values.iter().map(value).collect::<Vec<_>>(),
+                "select": arguments.select,
+                "duration_s": arguments.duration,
+                "why": arguments.why,
+            });
+            if let Some(seed) = arguments.seed {
+                body["seed"] = json!(seed);
+            }
+            if let Some(fewest) = arguments.fewest_clips {
+                body["fewest_clips"] = json!(fewest);
+            }
+            client.post("/api/v1/trials", &body).await?
+        }
+        Command::Ls => {
+            let trials = client.get("/api/v1/trials", &[]).await?;
+            context.print(&trials, list)?;
+            return Ok(Ended::Well);
+        }
+        Command::Show { id } => client.get(&format!("/api/v1/trials/{id}"), &[]).await?,
+        Command::End { id } => {
+            client
+                .post(&format!("/api/v1/trials/{id}/end"), &json!({}))
+                .await?
+        }
+    };
+    context.print(&trial, whole)?;
+    Ok(Ended::Well)
+}
+
+fn values(trial: &Value) -> String {
+    let values = trial["plan"]["values"].as_array().into_iter().flatten();
+    values.map(knob).collect::<Vec<_>>().join(", ")
+}
+
+fn list(trials: &Value) -> String {
+    let mut table = Table::new(&[">id", "values", "state", "begun", "who", "why"]);
+    for trial in trials["trials"].as_array().into_iter().flatten() {
+        table.row([
+            trial["id"].to_string(),
+            values(trial),
+            trial["phase"].as_str().unwrap_or("?").to_owned(),
+            format!("{} ago", ago(trial["begun_ms"].as_i64().unwrap_or(0))),
+            trial["who"].as_str().unwrap_or("?").to_owned(),
+            trial["plan"]["why"].as_str().unwrap_or_default().to_owned(),
+        ]);
+    }
+    table.to_string()
+}
+
+fn whole(trial: &Value) -> String {
+    let counts = trial["counts"].as_object().into_iter().flatten();
+    let counts: Vec<String> = counts
+        .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
+        .collect();
+    let mut text = format!(
+        "trial {} of {}: {}; {}; seed {}\n",
+        trial["id"],
+        values(trial),
+        trial["phase"].as_str().unwrap_or("?"),
+        counts.join(", "),
+        trial["seed"],
+    );
+    let result = &trial["result"];
+    if result.is_null() {
+        return text;
+    }
+    let level = result["confidence"].as_f64().unwrap_or(0.0) * 100.0;
+    text += &format!("intervals of {level} %; differences from the first value\n");
+    let mut table = Table::new(&[
+        "figure",
+        ">value",
+        ">nodes",
+        ">clips",
+        ">mean",
+        "interval",
+        "difference",
+    ]);
+    let interval = |value: &Value| match (value["lower"].as_f64(), value["upper"].as_f64()) {
+        (Some(lower), Some(upper)) => format!("[{}, {}]", figure(lower), figure(upper)),
+        _ => "-".to_owned(),
+    };
+    let arms = result["values"]
+        .as_array()
+        .map(Vec::as_slice)
+        .unwrap_or_default();
+    let figures = [
+        "joules_measured",
+        "joules_estimated",
+        "edp_measured",
+        "edp_estimated",
+        "skip_rate",
+        "latency_p99",
+        "degraded",
+    ];
+    for name in figures {
+        for arm in arms {
+            let of = arm["figures"]
+                .as_array()
+                .into_iter()
+                .flatten()
+                .find(|f| f["figure"] == name);
+            let Some(found) = of else { continue };
+            let difference = match found["difference"]["mean"].as_f64() {
+                Some(mean) => format!("{} {}", figure(mean), interval(&found["difference"])),
+                None => "-".to_owned(),
+            };
+            table.row([
+                name.to_owned(),
+                knob(&arm["value"]),
+                found["nodes"].to_string(),
+                found["clips"].to_string(),
+                figure(found["mean"].as_f64().unwrap_or(0.0)),
+                interval(&found["interval"]),
+                difference,
+            ]);
+        }
+    }
+    text + &table.to_string()
+}

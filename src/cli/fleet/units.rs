@@ -1,0 +1,120 @@
+//! Times and numbers as people write and read them.
+
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// Reads `90`, `90s`, `30m`, `2h`, `7d` as seconds.
+pub(super) fn seconds(text: &str) -> Result<f64, String> {
+    let (number, unit) = match text.char_indices().last() {
+        Some((at, 's')) => (&text[..at], 1.0),
+        Some((at, 'm')) => (&text[..at], 60.0),
+        Some((at, 'h')) => (&text[..at], 3_600.0),
+        Some((at, 'd')) => (&text[..at], 86_400.0),
+        _ => (text, 1.0),
+    };
+    match number.trim().parse::<f64>() {
+        Ok(number) if number >= 0.0 && number.is_finite() => Ok(number * unit),
+        _ => Err(format!("`{text}` is no time such as 90s, 30m, 2h or 7d")),
+    }
+}
+
+/// Milliseconds since the Unix epoch.
+pub(super) fn now_ms() -> i64 {
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or_default();
+    i64::try_from(since.as_millis()).unwrap_or(i64::MAX)
+}
+
+/// How long ago: `12 s`, `5 min`, `3 h`, `8 d`.
+pub(super) fn ago(at_ms: i64) -> String {
+    span((now_ms() - at_ms).max(0) / 1000)
+}
+
+/// A number of seconds in its largest unit.
+pub(super) fn span(seconds: i64) -> String {
+    match seconds {
+        0..120 => format!("{seconds} s"),
+        120..7_200 => format!("{} min", seconds / 60),
+        7_200..172_800 => format!("{} h", seconds / 3_600),
+        _ => format!("{} d", seconds / 86_400),
+    }
+}
+
+/// A figure with four digits that matter: `0.5512`, `123.4`, `4.1e-5`.
+pub(super) fn figure(value: f64) -> String {
+    let size = value.abs();
+    if value == 0.0 {
+        "0".to_owned()
+    } else if !(1e-3..1e7).contains(&size) {
+        format!("{value:.2e}")
+    } else {
+        let digits = (3 - size.log10().floor() as i32).clamp(0, 6) as usize;
+        format!("{value:.digits$}")
+    }
+}
+
+/// A knob's value: the one field of the object that is a number. `5e-4`, with its name unless it is `u`.
+pub(super) fn knob(value: &serde_json::Value) -> String {
+    const NAMES: [&str; 6] = [
+        "u",
+        "lambda",
+        "n",
+        "threshold",
+        "component_size",
+        "skip_rate",
+    ];
+    let found = NAMES
+        .iter()
+        .find_map(|name| Some((*name, value.get(name)?.as_f64()?)));
+    match found {
+        Some((name, number)) => {
+            let number = if (0.001..1e6).contains(&number.abs()) || number == 0.0 {
+                number.to_string()
+            } else {
+                format!("{number:e}")
+            };
+            if name == "u" {
+                number
+            } else {
+                format!("{name} {number}")
+            }
+        }
+        None => "-".to_owned(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_read_as_people_write_them() {
+        for (text, expected) in [
+            ("90", 90.0),
+            ("90s", 90.0),
+            ("30m", 1_800.0),
+            ("1.5h", 5_400.0),
+            ("7d", 604_800.0),
+        ] {
+            assert_eq!(seconds(text), Ok(expected), "{text}");
+        }
+        for wrong in ["", "m", "-1s", "5 weeks", "nan"] {
+            assert!(seconds(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn figures_keep_four_digits() {
+        for (value, expected) in [
+            (0.0, "0"),
+            (0.55123, "0.5512"),
+            (123.456, "123.5"),
+            (98765.4, "98765"),
+            (4.12e-5, "4.12e-5"),
+        ] {
+            assert_eq!(figure(value), expected);
+        }
+        assert_eq!(knob(&serde_json::json!({"node": "n", "u": 5e-4})), "5e-4");
+        assert_eq!(knob(&serde_json::json!({"lambda": 0.3})), "lambda 0.3");
+    }
+}

@@ -1,0 +1,366 @@
+//! Clip reports on their way to a hub, with a small stand-in for it: a real queryable on a session of its own that
+//! commits to a file before it answers.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+mod hub;
+
+use crate::support::{Node, PATIENCE, free_port};
+use albireo_core::geometry::PictureSize;
+use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_wire::{FrameAttachment, VERSION};
+use hub::{Hub, Manner};
+use std::time::{Duration, Instant};
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::time::timeout;
+use zenoh::Session;
+use zenoh::pubsub::Publisher;
+
+/// Settings of a node that answers quickly and tries a hub again quickly.
+fn settings() -> String {
+    format!(
+        "detector.model = \"{}/models/detector.onnx\"\ndetector.timeout_ms = 60000\n\
+         policy.name = \"vanilla\"\npower.source = \"none\"\n\
+         outbox.retry_min_ms = 50\noutbox.retry_max_ms = 200\noutbox.answer_timeout_ms = 1500\n",
+        env!("CARGO_MANIFEST_DIR")
+    )
+}
+
+/// A folder with a node's state in it.
+fn folder() -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let settings = format!("node.state_dir = \"{}\"\n{}", state.display(), settings());
+    (folder, settings)
+}
+
+/// A camera that names a clip a frame, so that each frame ends a clip.
+struct Camera {
+    session: Session,
+    frames: Publisher<'static>,
+    answers: UnboundedReceiver<()>,
+    picture: Vec<u8>,
+    seq: u64,
+}
+
+impl Camera {
+    async fn at(endpoint: &str) -> Self {
+        let session = albireo::cli::replay::open_session(&[endpoint.to_owned()], &[], PATIENCE)
+            .await
+            .unwrap();
+        let (sender, answers) = unbounded_channel();
+        session
+            .declare_subscriber("albireo/node/front/detections")
+            .callback(move |_| {
+                let _ = sender.send(());
+            })
+            .background()
+            .await
+            .unwrap();
+        let frames = session
+            .declare_publisher("albireo/node/front/frame")
+            .congestion_control(zenoh::qos::CongestionControl::Block)
+            .await
+            .unwrap();
+        albireo::cli::replay::wait_for_subscriber(&frames, PATIENCE)
+            .await
+            .unwrap();
+        // An answered query says that the node knows this side's subscription.
+        let replies = session.get("albireo/node/front/threshold").await.unwrap();
+        while replies.recv_async().await.is_ok() {}
+        let mut dashcam = Dashcam::new(DashcamSettings {
+            seed: 5,
+            size: PictureSize::new(320, 180),
+            ..DashcamSettings::default()
+        })
+        .unwrap();
+        Self {
+            session,
+            frames,
+            answers,
+            picture: dashcam.frame(0).encode_jpeg(80).unwrap(),
+            seq: 0,
+        }
+    }
+
+    /// Sends `count` frames of a clip each, and waits for each answer: then all clips but the last are closed.
+    async fn clips(&mut self, count: u64) {
+        for _ in 0..count {
+            let attachment = FrameAttachment {
+                v: VERSION,
+                seq: Some(self.seq),
+                t_ns: Some(self.seq),
+                clip: Some(format!("clip-{}", self.seq)),
+                ..FrameAttachment::default()
+            };
+            self.seq += 1;
+            self.frames
+                .put(self.picture.clone())
+                .encoding("image/jpeg")
+                .attachment(serde_json::to_vec(&attachment).unwrap())
+                .await
+                .unwrap();
+            timeout(PATIENCE, self.answers.recv())
+                .await
+                .unwrap()
+                .unwrap();
+        }
+    }
+
+    async fn close(self) {
+        self.session.close().await.unwrap();
+    }
+}
+
+async fn metric(node: &Node, name: &str) -> f64 {
+    let text = reqwest::get(format!("{}/metrics", node.http))
+        .await
+        .unwrap()
+        .text()
+        .await
+        .unwrap();
+    let line = text.lines().find_map(|line| {
+        line.strip_prefix(name)?
+            .strip_prefix(' ')?
+            .split(' ')
+            .next()
+    });
+    line.unwrap_or_else(|| panic!("no {name} in {text}"))
+        .parse()
+        .unwrap()
+}
+
+/// Waits until a metric of the node has a value.
+async fn wait_for(node: &Node, name: &str, wanted: f64) {
+    let start = Instant::now();
+    loop {
+        let value = metric(node, name).await;
+        if value == wanted {
+            return;
+        }
+        assert!(
+            start.elapsed() < PATIENCE,
+            "{name} is {value}, not {wanted}"
+        );
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn reports_reach_the_hub_once_and_are_removed_then() {
+    let (folder, settings) = folder();
+    let node = Node::start_in(folder, &settings).await;
+    let hub = Hub::start(&node.zenoh, Manner::Honest).await;
+    let mut camera = Camera::at(&node.zenoh).await;
+    camera.clips(6).await;
+    hub.wait_for(5).await;
+    wait_for(&node, "albireo_outbox_waiting", 0.0).await;
+    assert_eq!(
+        metric(&node, "albireo_outbox_acknowledged_total").await,
+        5.0
+    );
+    // The open clip's report reaches the hub while the node stops.
+    camera.close().await;
+    let (status, ..) = node.stop().await;
+    assert!(status.success());
+    hub.wait_for(6).await;
+    hub.assert_gapless(6);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_subscriber_that_only_listens_never_counts_as_delivery() {
+    let (folder, settings) = folder();
+    let node = Node::start_in(folder, &settings).await;
+    let mut camera = Camera::at(&node.zenoh).await;
+    let (sender, mut heard) = unbounded_channel();
+    camera
+        .session
+        .declare_subscriber("albireo/**")
+        .callback(move |sample| {
+            if sample.key_expr().as_str().ends_with("/clip") {
+                let _ = sender.send(());
+            }
+        })
+        .background()
+        .await
+        .unwrap();
+    camera.clips(1).await;
+    camera.clips(4).await;
+    for _ in 0..4 {
+        timeout(PATIENCE, heard.recv()).await.unwrap().unwrap();
+    }
+    assert_eq!(metric(&node, "albireo_outbox_waiting").await, 4.0);
+    camera.close().await;
+    let (_, _, _, folder) = node.stop().await;
+    let node = Node::start_in(folder, &settings).await;
+    let hub = Hub::start(&node.zenoh, Manner::Honest).await;
+    hub.wait_for(5).await;
+    hub.assert_gapless(5);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn twenty_waiting_reports_survive_a_hub_that_dies_at_once() {
+    let (folder, settings) = folder();
+    let node = Node::start_in(folder, &settings).await;
+    let mut camera = Camera::at(&node.zenoh).await;
+    camera.clips(21).await;
+    wait_for(&node, "albireo_outbox_waiting", 20.0).await;
+    for _ in 0..3 {
+        let dying = Hub::start(&node.zenoh, Manner::TakesAndSaysNothing).await;
+        dying.wait_for_asked(1).await;
+        dying.die().await;
+    }
+    assert_eq!(metric(&node, "albireo_outbox_waiting").await, 20.0);
+    let hub = Hub::start(&node.zenoh, Manner::Honest).await;
+    hub.wait_for(20).await;
+    hub.assert_gapless(20);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice() {
+    let (folder, settings) = folder();
+    let node = Node::start_in(folder, &settings).await;
+    let mut camera = Camera::at(&node.zenoh).await;
+    let hub = Hub::start(&node.zenoh, Manner::CommitsAndSaysNothing).await;
+    camera.clips(4).await;
+    hub.wait_for(3).await;
+    hub.wait_for_asked(2).await;
+    assert_eq!(
+        metric(&node, "albireo_outbox_acknowledged_total").await,
+        0.0
+    );
+    hub.become_honest();
+    wait_for(&node, "albireo_outbox_waiting", 0.0).await;
+    hub.assert_gapless(3);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_hub_that_refuses_is_asked_again_after_the_time_it_names() {
+    let (folder, settings) = folder();
+    let node = Node::start_in(folder, &settings).await;
+    let mut camera = Camera::at(&node.zenoh).await;
+    let hub = Hub::start(
+        &node.zenoh,
+        Manner::Busy {
+            retry_after_ms: 700,
+        },
+    )
+    .await;
+    camera.clips(3).await;
+    hub.wait_for_asked(3).await;
+    let gaps = hub.pauses();
+    assert!(
+        gaps.iter().all(|gap| *gap >= Duration::from_millis(650)),
+        "{gaps:?}"
+    );
+    hub.become_honest();
+    hub.wait_for(2).await;
+    hub.assert_gapless(2);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_clip_that_just_closed_survives_a_kill() {
+    let (mut folder, settings) = folder();
+    let mut closed = 0;
+    for _ in 0..5 {
+        let node = Node::start_in(folder, &settings).await;
+        let mut camera = Camera::at(&node.zenoh).await;
+        camera.clips(4).await;
+        closed += 3;
+        folder = node.kill().await;
+    }
+    let node = Node::start_in(folder, &settings).await;
+    let hub = Hub::start(&node.zenoh, Manner::Honest).await;
+    hub.wait_for(closed).await;
+    hub.assert_gapless(closed);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn thousands_of_waiting_reports_drain_in_seconds() {
+    let (folder, settings) = folder();
+    let node = Node::start_in(folder, &settings).await;
+    let mut camera = Camera::at(&node.zenoh).await;
+    camera.clips(2).await;
+    wait_for(&node, "albireo_outbox_waiting", 1.0).await;
+    camera.close().await;
+    let (_, _, _, folder) = node.stop().await;
+    // The two reports there are, written 1,500 times more under the numbers that follow.
+    hub::multiply(&folder.path().join("state/node.db"), 3000);
+    let node = Node::start_in(folder, &settings).await;
+    let start = Instant::now();
+    let hub = Hub::start(&node.zenoh, Manner::Honest).await;
+    hub.wait_for(3002).await;
+    wait_for(&node, "albireo_outbox_waiting", 0.0).await;
+    println!("3,002 reports drained in {:?}", start.elapsed());
+    hub.assert_gapless(3002);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_second_node_with_the_same_state_directory_is_refused_in_words() {
+    let (folder, settings) = folder();
+    let node = Node::start_in(folder, &settings).await;
+    let other = tempfile::tempdir().unwrap();
+    let file = other.path().join("node.toml");
+    let addresses = format!(
+        "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{}\"]\n",
+        free_port()
+    );
+    std::fs::write(&file, addresses + &settings).unwrap();
+    let ended = crate::support::albireo()
+        .args(["node", "--config"])
+        .arg(&file)
+        .output();
+    let ended = timeout(PATIENCE, ended).await.unwrap().unwrap();
+    assert!(!ended.status.success());
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert!(said.contains("in use by another node"), "{said}");
+    drop(node);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_node_starts_without_its_router_answers_health_and_survives_its_replacement() {
+    let port = free_port();
+    let endpoint = format!("tcp/127.0.0.1:{port}");
+    let settings = format!(
+        "zenoh.mode = \"client\"\nzenoh.connect = [\"{endpoint}\"]\n{}",
+        settings()
+    );
+    let node = Node::start_unready(&settings).await;
+    let health = reqwest::get(format!("{}/healthz", node.http))
+        .await
+        .unwrap();
+    assert!(health.status().is_success());
+    let start = Instant::now();
+    let reasons = loop {
+        let ready = reqwest::get(format!("{}/readyz", node.http)).await.unwrap();
+        assert_eq!(ready.status(), 503);
+        let reasons = ready.text().await.unwrap();
+        if reasons.contains("router cannot be reached") {
+            break reasons;
+        }
+        assert!(start.elapsed() < PATIENCE, "{reasons}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    };
+    assert!(!reasons.contains(".rs:"), "{reasons}");
+
+    let router = hub::router(&endpoint).await;
+    node.wait_until_ready().await;
+    let mut camera = Camera::at(&endpoint).await;
+    camera.clips(2).await;
+    camera.close().await;
+    router.close().await.unwrap();
+    drop(router);
+    let _router = hub::router(&endpoint).await;
+    let mut camera = Camera::at(&endpoint).await;
+    camera.seq = 2;
+    camera.clips(2).await;
+}

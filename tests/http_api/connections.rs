@@ -1,0 +1,118 @@
+//! Connections that say nothing, or do not read: they are closed, and never shut out who asks.
+
+use super::served::{KNOB, Served, frame};
+use crate::support::Node;
+use albireo_core::policy::FrameState;
+use albireo_service::config::HttpConfig;
+use reqwest::StatusCode;
+use std::time::Duration;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::{TcpSocket, TcpStream};
+use tokio::time::timeout;
+
+/// Far longer than anything here takes.
+const LONG: Duration = Duration::from_secs(60);
+
+async fn served(idle_timeout_ms: u64, max_connections: usize) -> Served {
+    let config = HttpConfig {
+        idle_timeout_ms,
+        max_connections,
+        ..HttpConfig::default()
+    };
+    Served::with(config, Some(KNOB)).await
+}
+
+#[tokio::test]
+async fn a_connection_that_sends_no_whole_request_is_closed() {
+    let node = served(100, 256).await;
+    for sent in ["", "GET /healthz HTTP/1.1\r\nHost: localhost\r\nX-Slow: "] {
+        let mut connection = TcpStream::connect(node.address).await.unwrap();
+        connection.write_all(sent.as_bytes()).await.unwrap();
+        let mut said = Vec::new();
+        let ended = timeout(LONG, connection.read_to_end(&mut said)).await;
+        ended.expect("it is closed").unwrap();
+        assert!(!said.starts_with(b"HTTP/1.1 200"));
+    }
+    // Kept open after an answer, it is closed as well.
+    let mut connection = TcpStream::connect(node.address).await.unwrap();
+    let request = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n";
+    connection.write_all(request).await.unwrap();
+    let mut said = Vec::new();
+    let ended = timeout(LONG, connection.read_to_end(&mut said)).await;
+    ended.expect("it is closed").unwrap();
+    assert!(said.starts_with(b"HTTP/1.1 200"));
+}
+
+#[tokio::test]
+async fn idle_connections_never_shut_out_who_asks() {
+    let node = served(600_000, 8).await;
+    let mut idle = Vec::new();
+    for _ in 0..100 {
+        idle.push(TcpStream::connect(node.address).await.unwrap());
+    }
+    for _ in 0..20 {
+        let answer = timeout(LONG, node.get("/healthz")).await.unwrap();
+        assert_eq!(answer.status(), StatusCode::OK);
+    }
+}
+
+#[tokio::test]
+async fn when_every_connection_is_in_use_a_new_one_is_told_so() {
+    let node = served(600_000, 2).await;
+    let _streams = [
+        node.get("/api/v1/events?types=detector").await,
+        node.get("/api/v1/events?types=detector").await,
+    ];
+    let answer = timeout(LONG, node.get("/healthz")).await.unwrap();
+    let told = super::served::problem(answer, 503).await;
+    let detail = told["detail"].as_str().unwrap();
+    assert!(detail.contains("http.max_connections"), "{detail}");
+}
+
+#[tokio::test]
+async fn an_event_stream_that_is_not_read_loses_its_place() {
+    let node = served(300, 1).await;
+    let socket = TcpSocket::new_v4().unwrap();
+    socket.set_recv_buffer_size(4096).unwrap();
+    let mut deaf = socket.connect(node.address).await.unwrap();
+    let request = b"GET /api/v1/events?types=frame HTTP/1.1\r\nHost: localhost\r\n\r\n";
+    deaf.write_all(request).await.unwrap();
+    let mut begun = [0; 15];
+    deaf.read_exact(&mut begun).await.unwrap();
+    assert_eq!(&begun, b"HTTP/1.1 200 OK");
+    let camera = node.board.camera("front").unwrap();
+    let free = async {
+        let mut seq = 0;
+        while node.get("/healthz").await.status() != StatusCode::OK {
+            // Megabytes of events: more than the buffers between here and there hold.
+            for _ in 0..500 {
+                camera.record_frame(frame(seq, FrameState::P));
+                seq += 1;
+            }
+        }
+    };
+    timeout(LONG, free).await.expect("the place is free again");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_thousand_idle_connections_cost_neither_health_nor_descriptors() {
+    let node =
+        Node::start("[detector]\nmodel = \"tests/fixtures/models/demonstration.onnx\"\n").await;
+    let limited = std::process::Command::new("prlimit")
+        .args(["--nofile=1024:1024", "--pid", &node.id().to_string()])
+        .status()
+        .expect("prlimit runs (Debian package `util-linux`)");
+    assert!(limited.success());
+    let address = node.http.trim_start_matches("http://").to_owned();
+    let mut idle = Vec::new();
+    for _ in 0..1100 {
+        idle.push(TcpStream::connect(&address).await.unwrap());
+    }
+    let answer = timeout(LONG, reqwest::get(format!("{}/healthz", node.http))).await;
+    assert_eq!(answer.unwrap().unwrap().status(), StatusCode::OK);
+    let descriptors = std::fs::read_dir(format!("/proc/{}/fd", node.id()))
+        .unwrap()
+        .count();
+    assert!(descriptors < 500, "{descriptors} descriptors");
+}

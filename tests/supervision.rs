@@ -1,0 +1,244 @@
+//! A node whose parts fail or hang: what dies is seen and started anew, and stopping takes no longer than configured.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
+use crate::support::detectors::model;
+use albireo_core::policy::{
+    Evidence, FrameHead, Knob, KnobError, Need, Outcome, Policy, PolicyConfig,
+};
+use albireo_node::PreparedNode;
+use albireo_node::board::Board;
+use albireo_wire::{ClipEnd, HealthState};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::time::timeout;
+
+/// Another policy that has a bug: it panics on the frame after so many.
+struct Buggy {
+    inner: Box<dyn Policy>,
+    good: u32,
+}
+
+impl Policy for Buggy {
+    fn name(&self) -> &'static str {
+        self.inner.name()
+    }
+
+    fn knob(&self) -> Option<Knob> {
+        self.inner.knob()
+    }
+
+    fn knob_value(&self) -> Option<f64> {
+        self.inner.knob_value()
+    }
+
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        self.inner.set_knob(value)
+    }
+
+    fn begin(&mut self, frame: FrameHead) -> Need {
+        self.good = self.good.checked_sub(1).expect("a bug in a policy");
+        self.inner.begin(frame)
+    }
+
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        self.inner.answer(evidence)
+    }
+
+    fn finish(&mut self, outcome: &mut Outcome) {
+        self.inner.finish(outcome);
+    }
+
+    fn reset(&mut self) {
+        self.inner.reset();
+    }
+}
+
+/// Waits until `holds` of the board.
+async fn until(board: &Board, what: &str, holds: impl Fn(&Board) -> bool) {
+    let waiting = async {
+        while !holds(board) {
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+    };
+    timeout(LONG, waiting).await.expect(what);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_camera_loop_that_panics_is_counted_said_and_started_anew_and_no_frame_vanishes() {
+    let config = configuration();
+    let policy: PolicyConfig = config.policy.clone();
+    let prepared = PreparedNode::new(&config)
+        .unwrap()
+        .with_policies(Arc::new(move |_| {
+            let inner = policy.build()?;
+            Ok(Box::new(Buggy { inner, good: 2 }) as Box<dyn Policy>)
+        }));
+    let mut bench = Bench::start_prepared(&config, prepared).await;
+    let mut reports = bench.reports().await;
+    let mut changes = bench.board.readiness().subscribe();
+    let picture = pictures(1).remove(0);
+    for seq in 0..2 {
+        bench
+            .send_of_clip(picture.clone(), "image/jpeg", seq, Some("a"))
+            .await;
+        assert_eq!(bench.answer().await.seq, seq);
+    }
+    // The third frame meets the bug.
+    bench
+        .send_of_clip(picture.clone(), "image/jpeg", 2, Some("a"))
+        .await;
+    let told = timeout(
+        LONG,
+        changes.wait_for(|status| status.state == HealthState::NotReady),
+    );
+    let status = told.await.unwrap().unwrap().clone();
+    let reason = &status.reasons["tasks"];
+    assert!(
+        reason.contains("camera front") && reason.contains("a bug in a policy"),
+        "{reason}"
+    );
+    // The open clip is not lost with the loop.
+    let report = timeout(LONG, reports.recv()).await.unwrap().unwrap();
+    assert_eq!((report.clip.as_str(), report.frames), ("a", 2));
+
+    until(&bench.board, "a restart", |board| {
+        board.tasks().counts().iter().any(|(name, counts)| {
+            name == "camera front" && (counts.failures, counts.restarts) == (1, 1)
+        })
+    })
+    .await;
+    bench
+        .send_of_clip(picture.clone(), "image/jpeg", 3, Some("a"))
+        .await;
+    assert_eq!(bench.answer().await.seq, 3);
+    assert_eq!(
+        bench.board.readiness().health().state(),
+        HealthState::Degraded
+    );
+    bench.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn frames_that_arrive_while_a_camera_loop_does_not_run_are_counted() {
+    let config = configuration();
+    let policy: PolicyConfig = config.policy.clone();
+    let prepared = PreparedNode::new(&config)
+        .unwrap()
+        .with_policies(Arc::new(move |_| {
+            let inner = policy.build()?;
+            Ok(Box::new(Buggy { inner, good: 0 }) as Box<dyn Policy>)
+        }));
+    let bench = Bench::start_prepared(&config, prepared).await;
+    let picture = pictures(1).remove(0);
+    // Each frame that a loop takes ends it, and the pauses between two loops grow: most frames find none.
+    for seq in 0..40 {
+        bench.send(picture.clone(), "image/jpeg", seq).await;
+    }
+    let camera = Arc::clone(bench.board.camera(CAMERA).unwrap());
+    let failures = |board: &Board| -> u64 {
+        (board.tasks().counts().iter())
+            .map(|(_, counts)| counts.failures)
+            .sum()
+    };
+    // What a loop failed on is counted with the task; everything else under a kind of its own.
+    until(&bench.board, "all frames are accounted for", |board| {
+        camera.snapshot().dropped.stopped + failures(board) >= 40
+    })
+    .await;
+    assert!(
+        camera.snapshot().dropped.stopped >= 30,
+        "{:?}",
+        camera.snapshot().dropped
+    );
+    assert_eq!(
+        camera.snapshot().dropped.total(),
+        camera.snapshot().dropped.stopped
+    );
+    bench.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_keeps_the_clip() {
+    let mut config = configuration();
+    config.detector.model = model("hanging.onnx");
+    config.node.stop_timeout_s = 4.0;
+    config.cameras[0].ring = 4;
+    let mut bench = Bench::start(&config).await;
+    let mut reports = bench.reports().await;
+    // Dark pictures are answered at once, a bright one never.
+    let picture = |value: u8| -> Vec<u8> {
+        let mut file = Vec::new();
+        let encoder = jpeg_encoder::Encoder::new(&mut file, 90);
+        encoder
+            .encode(
+                &vec![value; 64 * 32 * 3],
+                64,
+                32,
+                jpeg_encoder::ColorType::Rgb,
+            )
+            .unwrap();
+        file
+    };
+    bench
+        .send_of_clip(picture(0), "image/jpeg", 0, Some("last"))
+        .await;
+    assert_eq!(bench.answer().await.seq, 0);
+    bench
+        .send_of_clip(picture(255), "image/jpeg", 1, Some("last"))
+        .await;
+    for seq in 2..4 {
+        bench
+            .send_of_clip(picture(0), "image/jpeg", seq, Some("last"))
+            .await;
+    }
+    // The link keeps its order: once the query is answered the frames are in the ring.
+    let replies = bench
+        .session
+        .get("albireo/node/front/threshold")
+        .await
+        .unwrap();
+    while timeout(LONG, replies.recv_async()).await.unwrap().is_ok() {}
+    let board = Arc::clone(&bench.board);
+    let start = Instant::now();
+    bench.shutdown.cancel();
+    let ended = timeout(LONG, &mut bench.stopped).await.unwrap().unwrap();
+    let took = start.elapsed();
+    ended.unwrap();
+    assert!(took < Duration::from_secs(4), "it took {took:?}");
+    let report = timeout(LONG, reports.recv()).await.unwrap().unwrap();
+    assert_eq!((report.clip.as_str(), report.frames), ("last", 2));
+    assert_eq!(report.degraded_frames, 1);
+    assert_eq!(report.ended_by, ClipEnd::Shutdown);
+    // What lay in the ring is counted, on the board and in the clip's report.
+    assert_eq!(report.dropped.stopped, 2);
+    assert_eq!(board.camera(CAMERA).unwrap().snapshot().dropped.stopped, 2);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() {
+    let first = Bench::start(&configuration()).await;
+    let mut config = configuration();
+    config.zenoh.connect = first.endpoints.clone();
+    let second = Bench::start(&config).await;
+    let mut changes = second.board.readiness().subscribe();
+    let told = timeout(
+        LONG,
+        changes.wait_for(|status| {
+            (status.reasons.get("zenoh")).is_some_and(|reason| reason.contains("of this name"))
+        }),
+    );
+    assert_eq!(told.await.unwrap().unwrap().state, HealthState::Degraded);
+    first.stop().await;
+    let free = timeout(
+        LONG,
+        changes.wait_for(|status| !status.reasons.contains_key("zenoh")),
+    );
+    free.await.expect("the name is free").unwrap();
+    second.stop().await;
+}
