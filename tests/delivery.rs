@@ -62,9 +62,13 @@ impl Camera {
             .congestion_control(zenoh::qos::CongestionControl::Block)
             .await
             .unwrap();
-        albireo::cli::replay::wait_for_subscriber(&frames, PATIENCE)
-            .await
-            .unwrap();
+        let listener = frames.matching_listener().await.unwrap();
+        let matched = async {
+            while !frames.matching_status().await.unwrap().matching() {
+                let _ = listener.recv_async().await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, matched).await.unwrap();
         // An answered query says that the node knows this side's subscription.
         let replies = session.get("albireo/node/front/threshold").await.unwrap();
         while replies.recv_async().await.is_ok() {}
@@ -273,6 +277,8 @@ async fn a_clip_that_just_closed_survives_a_kill() {
         let mut camera = Camera::at(&node.zenoh).await;
         camera.clips(4).await;
         closed += 3;
+        // Milliseconds after their end: the file is synced, their energy need not be known yet.
+        wait_for(&node, "albireo_outbox_kept_total", 3.0).await;
         folder = node.kill().await;
     }
     let node = Node::start_in(folder, &settings).await;

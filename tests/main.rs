@@ -17,6 +17,7 @@ mod eval_coco;
 mod eval_command;
 mod eval_paper;
 mod eval_pictures;
+mod every_frame;
 mod expected_loss;
 mod frame_decoding;
 mod frame_formats;

@@ -132,13 +132,16 @@ impl Bench {
             clip: clip.map(str::to_owned),
             ..FrameAttachment::default()
         };
-        self.session
-            .put(frame_key(), payload)
+        let replies = self
+            .session
+            .get(frame_key())
+            .payload(payload)
             .encoding(Encoding::from(encoding))
             .attachment(serde_json::to_vec(&attachment).unwrap())
-            .congestion_control(zenoh::qos::CongestionControl::Block)
+            .timeout(LONG)
             .await
             .unwrap();
+        replies.recv_async().await.expect("the node answers");
     }
 
     /// The clip reports of the camera from now on.

@@ -7,11 +7,11 @@ use albireo::cli::replay::{
 };
 use albireo_core::geometry::PictureSize;
 use albireo_node::frame::{
-    Delivery, Frame, FrameLimits, PayloadFormat, RingReceiver, frame_ring, read_sample,
+    Frame, FrameLimits, PayloadFormat, RawSample, RingReceiver, frame_ring, read_frame,
 };
+use albireo_wire::{FrameAnswer, VERSION};
 use clap::Parser;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
@@ -40,28 +40,44 @@ async fn listening_peer() -> (zenoh::Session, String) {
     (session, locator.to_string())
 }
 
-/// Subscribes as a node does, with a small ring that holds the sender back.
-async fn subscribe(session: &zenoh::Session) -> RingReceiver<Frame> {
-    let (sender, receiver) = frame_ring(Delivery::Every, 2);
-    let arrivals = AtomicU64::new(0);
-    session
-        .declare_subscriber("albireo/node/front/frame")
-        .callback(move |sample| {
-            let arrival = arrivals.fetch_add(1, Ordering::Relaxed);
-            let limits = FrameLimits::default();
-            let frame = read_sample(&sample, arrival, PayloadFormat::Encoding, &limits);
-            sender.push_blocking(frame.unwrap());
-        })
-        .background()
+/// Takes frames as a node does that is to miss none, with a small ring that holds the sender back.
+async fn take_each(session: &zenoh::Session) -> RingReceiver<Frame> {
+    let (sender, receiver) = frame_ring(2);
+    let queries = session
+        .declare_queryable("albireo/node/front/frame")
+        .complete(true)
         .await
         .unwrap();
+    tokio::spawn(async move {
+        let mut arrival = 0;
+        while let Ok(query) = queries.recv_async().await {
+            let encoding = query.encoding().unwrap().to_string();
+            let raw = RawSample {
+                payload: query.payload().unwrap().to_bytes().into_owned().into(),
+                encoding: &encoding,
+                attachment: Some(&query.attachment().unwrap().to_bytes()),
+                timestamp_ns: None,
+                arrival,
+                received: tokio::time::Instant::now(),
+            };
+            let frame = read_frame(raw, PayloadFormat::Encoding, &FrameLimits::default());
+            sender.push(frame.unwrap()).await;
+            let answer = FrameAnswer {
+                v: VERSION,
+                refused: None,
+            };
+            let answer = serde_json::to_vec(&answer).unwrap();
+            query.reply(query.key_expr(), answer).await.unwrap();
+            arrival += 1;
+        }
+    });
     receiver
 }
 
 /// Replays to a subscriber that lets each frame wait for `work`; all frames that arrived.
 async fn replayed(source: &Path, more: &[&str], mut work: impl AsyncFnMut()) -> (Vec<Frame>, Sent) {
     let (session, endpoint) = listening_peer().await;
-    let mut receiver = subscribe(&session).await;
+    let mut receiver = take_each(&session).await;
     let connect = ["--connect", &endpoint, "--wait-for-subscriber", "--every"];
     let arguments = arguments(source, &[&connect, more].concat());
     let mut sending = tokio::spawn(replay::run(arguments, CancellationToken::new()));

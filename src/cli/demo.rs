@@ -3,8 +3,7 @@
 mod show;
 
 use super::replay::{
-    PublishOptions, Rate, SourceName, VideoEncoding, declare_frame_publisher, open_session,
-    publish, wait_for_subscriber,
+    FrameSender, Haste, PublishOptions, Rate, SourceName, VideoEncoding, open_session, publish,
 };
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::{PreparedNode, run_prepared};
@@ -168,8 +167,8 @@ async fn camera(
     let key = config.keys()?.camera(CAMERA)?.frame();
     let playing = async {
         let session = open_session(&[endpoint], &[], PATIENCE).await?;
-        let publisher = declare_frame_publisher(&session, &key, false).await?;
-        wait_for_subscriber(&publisher, PATIENCE).await?;
+        let sender = FrameSender::declare(&session, &key, Haste::Drop).await?;
+        sender.wait_for_receiver(PATIENCE).await?;
         if let Some(seconds) = arguments.seconds {
             let shutdown = shutdown.clone();
             tokio::spawn(async move {
@@ -177,7 +176,7 @@ async fn camera(
                 shutdown.cancel();
             });
         }
-        publish(source, publisher, &options, |_| {}, &shutdown).await?;
+        publish(source, &sender, &options, |_| {}, &shutdown).await?;
         session
             .close()
             .await

@@ -1,13 +1,15 @@
 //! `albireo replay`: any machine plays a camera.
 
 mod publish;
+mod sender;
 mod session;
 
 pub use albireo_eval::footage::{
     Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Synthetic, Video, VideoEncoding,
 };
-pub use publish::{OutgoingFrame, PublishOptions, Rate, Sent, declare_frame_publisher, publish};
-pub use session::{DEFAULT_ENDPOINT, flush, open_session, wait_for_subscriber};
+pub use publish::{OutgoingFrame, PublishOptions, Rate, Sent, publish};
+pub use sender::{FrameSender, Haste};
+pub use session::{DEFAULT_ENDPOINT, flush, open_session};
 
 use albireo_wire::NodeKeys;
 use anyhow::{Context, anyhow};
@@ -15,9 +17,6 @@ use clap::Args;
 use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
-
-/// How long the receiver may take for the frames still on their way at the end.
-const FLUSH_PATIENCE: Duration = Duration::from_secs(300);
 
 /// Arguments of `albireo replay`.
 #[derive(Args, Clone, Debug)]
@@ -61,8 +60,8 @@ pub struct ReplayArguments {
     /// Wait for a subscriber before the first frame, at most SECONDS (60 when not said)
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "60")]
     pub wait_for_subscriber: Option<u64>,
-    /// Lose nothing: wait when the network or the node is slow, instead of dropping frames as a camera
-    /// does. The node's camera needs delivery = "every" for it.
+    /// Lose nothing: send each frame when the node has taken the one before, instead of dropping frames
+    /// as a camera does. The node's camera needs delivery = "every" for it.
     #[arg(long)]
     pub every: bool,
 
@@ -154,10 +153,15 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         session = open_session(&arguments.connect, &arguments.listen, patience) => session?,
         () = shutdown.cancelled() => return Ok(Sent::default()),
     };
-    let publisher = declare_frame_publisher(&session, &key, arguments.every).await?;
+    let haste = if arguments.every {
+        Haste::WaitForNode
+    } else {
+        Haste::Drop
+    };
+    let sender = FrameSender::declare(&session, &key, haste).await?;
     if arguments.wait_for_subscriber.is_some() {
         tokio::select! {
-            waited = wait_for_subscriber(&publisher, patience) => waited?,
+            waited = sender.wait_for_receiver(patience) => waited?,
             () = shutdown.cancelled() => return Ok(Sent::default()),
         }
     }
@@ -169,7 +173,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     let bar = progress_bar(total)?;
     let sent = publish(
         source,
-        publisher,
+        &sender,
         &options,
         |sent| {
             bar.set_position(sent.frames);
@@ -179,12 +183,6 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     )
     .await;
     bar.finish_and_clear();
-    if arguments.every {
-        tokio::select! {
-            flushed = flush(&session, &key, FLUSH_PATIENCE) => flushed?,
-            () = shutdown.cancelled() => {}
-        }
-    }
     session
         .close()
         .await
@@ -226,6 +224,13 @@ fn summary(sent: &Sent, key: &str) -> String {
     }
     if sent.behind > 0 {
         line += &format!("; frames that went out late: {}", sent.behind);
+    }
+    if sent.refused > 0 {
+        let first = sent.first_refusal.as_deref().unwrap_or_default();
+        line += &format!(
+            "; frames that the node refused: {} (first: {first})",
+            sent.refused
+        );
     }
     line
 }
@@ -276,11 +281,14 @@ mod tests {
             bytes: 3 << 20,
             clips: 2,
             behind: 1,
+            refused: 1,
+            first_refusal: Some("cut off".to_owned()),
             elapsed: Duration::from_secs(10),
         };
         assert_eq!(
             summary(&sent, "a/b"),
-            "sent 251 frames (3.00 MiB) on a/b in 10.0 s, 25.0 frames/s, clips: 2; frames that went out late: 1"
+            "sent 251 frames (3.00 MiB) on a/b in 10.0 s, 25.0 frames/s, clips: 2; frames that went out late: 1; \
+             frames that the node refused: 1 (first: cut off)"
         );
     }
 }

@@ -26,6 +26,7 @@ pub use letterbox::{ColorOrder, Fit, InputFormat, Letterbox, TensorLayout, Value
 pub use letterbox::{InputMapping, LetterboxError};
 pub use picture::{EncodedPicture, Picture, PictureFormat, PixelLayout};
 pub use picture_files::{PictureFileError, is_picture_file, picture_files, read_picture_file};
+pub(crate) use read::read_query;
 pub use read::{Frame, RawSample, RejectedFrame, read_frame, read_sample};
 pub use ring::RingSender;
 pub use ring::{Pushed, RingReceiver, frame_ring};

@@ -1,15 +1,21 @@
 //! From a Zenoh sample to the camera's ring: reads it as a frame, follows the sequence numbers, and
-//! counts what cannot be used under its own name. Runs on Zenoh's receiving thread, so it never decodes.
+//! counts what cannot be used under its own name. Runs on Zenoh's receiving thread, so it never decodes and never
+//! waits; frames of which none is to be missed wait for their turn in [`held`].
+
+mod held;
+
+pub(crate) use held::HeldFrames;
 
 use super::board::{CameraBoard, LatestFrame};
 use super::rate_limit::RateLimit;
 use crate::frame::{
-    Arrival, Delivery, Frame, FrameLimits, PayloadFormat, Pushed, RejectedFrame, RingSender,
-    SequenceTracker, read_sample,
+    Arrival, Frame, FrameLimits, PayloadFormat, Pushed, RejectedFrame, RingSender, SequenceTracker,
+    read_sample,
 };
 use albireo_wire::DroppedFrames;
+use parking_lot::{Mutex, MutexGuard};
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 use zenoh::sample::Sample;
@@ -80,7 +86,7 @@ impl DropCounts {
     }
 
     fn lock(&self) -> MutexGuard<'_, LedgerState> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.state.lock()
     }
 }
 
@@ -184,17 +190,47 @@ impl Intake {
 
     /// Takes one sample as it arrives.
     pub(crate) fn take(&self, sample: &Sample) {
-        // One lock over reading, numbering and pushing keeps the order of arrival where Zenoh calls from
-        // more than one thread.
-        let mut stream = self.stream.lock().unwrap_or_else(PoisonError::into_inner);
-        let arrival = stream.arrivals;
-        stream.arrivals += 1;
-        let read = read_sample(sample, arrival, self.format, &self.limits);
-        self.place(stream, read);
+        self.place(|arrival, format, limits| read_sample(sample, arrival, format, limits));
     }
 
-    /// Counts what is missing, and puts a usable frame into the ring if its number is new.
-    fn place(&self, mut stream: MutexGuard<'_, Stream>, read: Result<Frame, RejectedFrame>) {
+    /// Numbers what `read` reads and puts it into the ring, in the place of the oldest frame if there is no room.
+    fn place(
+        &self,
+        read: impl FnOnce(u64, PayloadFormat, &FrameLimits) -> Result<Frame, RejectedFrame>,
+    ) {
+        // One lock over reading, numbering and pushing keeps the order of arrival where Zenoh calls from
+        // more than one thread.
+        let mut stream = self.stream.lock();
+        if let Ok(incoming) = self.admit(&mut stream, read) {
+            // What became of it is counted.
+            let _ = self.pushed(self.ring.push_newest(incoming));
+        }
+    }
+
+    /// Numbers what `read` reads and puts it into the ring when there is room.
+    ///
+    /// # Errors
+    /// Why it will not be processed; it was counted.
+    async fn place_in_turn(
+        &self,
+        read: impl FnOnce(u64, PayloadFormat, &FrameLimits) -> Result<Frame, RejectedFrame>,
+    ) -> Result<(), String> {
+        let incoming = self.admit(&mut self.stream.lock(), read)?;
+        self.pushed(self.ring.push(incoming).await)
+    }
+
+    /// Counts what is missing, and what cannot be used.
+    ///
+    /// # Errors
+    /// Why it cannot be used.
+    fn admit(
+        &self,
+        stream: &mut Stream,
+        read: impl FnOnce(u64, PayloadFormat, &FrameLimits) -> Result<Frame, RejectedFrame>,
+    ) -> Result<Incoming, String> {
+        let arrival = stream.arrivals;
+        stream.arrivals += 1;
+        let read = read(arrival, self.format, &self.limits);
         let (sequence, clip) = match &read {
             Ok(frame) => (Some(frame.sequence), frame.clip.clone()),
             Err(rejected) => (rejected.sequence, rejected.clip.clone()),
@@ -222,66 +258,58 @@ impl Intake {
         let frame = match read {
             Ok(frame) => frame,
             Err(rejected) => {
-                drop(stream);
-                return self
-                    .ledger
-                    .count(DropKind::from(&rejected.fault), 1, &rejected.fault);
+                return Err(
+                    self.refuse(DropKind::from(&rejected.fault), rejected.fault.to_string())
+                );
             }
         };
         let sequence = frame.sequence;
+        let number = format_args!("sequence number {sequence}");
         let index = match place {
             Some(Arrival::New { index, .. }) => index,
             Some(Arrival::Duplicate) => {
-                return self.ledger.count(
-                    DropKind::Duplicate,
-                    1,
-                    &format_args!("sequence number {sequence} came before"),
-                );
+                return Err(self.refuse(DropKind::Duplicate, format!("{number} came before")));
             }
             Some(Arrival::Late { .. }) | None => {
-                return self.ledger.count(
-                    DropKind::Late,
-                    1,
-                    &format_args!("sequence number {sequence} came after a later one"),
-                );
+                return Err(self.refuse(DropKind::Late, format!("{number} came after a later one")));
             }
             Some(Arrival::Stray) => {
-                return self.ledger.count(
-                    DropKind::Late,
-                    1,
-                    &format_args!("sequence number {sequence} is far from all others"),
-                );
+                return Err(self.refuse(DropKind::Late, format!("{number} is far from all others")));
             }
         };
         self.board.set_latest_frame(LatestFrame {
             seq: sequence,
             picture: frame.picture.clone(),
         });
-        let incoming = Incoming {
+        Ok(Incoming {
             frame,
             index,
             epoch: stream.epoch,
-        };
-        let pushed = if self.ring.delivery() == Delivery::Newest {
-            // Never waits, so the lock can be held.
-            self.ring.push_blocking(incoming)
-        } else {
-            // May wait for room: the loop drops a frame that another thread has overtaken meanwhile.
-            drop(stream);
-            self.ring.push_blocking(incoming)
-        };
+        })
+    }
+
+    /// Counts a frame that will not be processed, and gives back why.
+    fn refuse(&self, kind: DropKind, reason: String) -> String {
+        self.ledger.count(kind, 1, &reason);
+        reason
+    }
+
+    /// Counts what was pushed out by a frame, or the frame itself if it came too late.
+    fn pushed(&self, pushed: Pushed<Incoming>) -> Result<(), String> {
         match pushed {
-            Pushed::Queued => {}
-            Pushed::Closed(_) => self.ledger.count(
+            Pushed::Queued => Ok(()),
+            Pushed::Closed(_) => Err(self.refuse(
                 DropKind::Stopped,
-                1,
-                &"the camera's loop does not run: it has failed, or the node stops",
-            ),
-            Pushed::Replaced(_) => self.ledger.count(
-                DropKind::Overrun,
-                1,
-                &"a newer frame came before its turn (camera.ring, camera.delivery)",
-            ),
+                "the camera's loop does not run: it has failed, or the node stops".to_owned(),
+            )),
+            Pushed::Replaced(_) => {
+                self.ledger.count(
+                    DropKind::Overrun,
+                    1,
+                    &"a newer frame came before its turn (camera.ring, camera.delivery)",
+                );
+                Ok(())
+            }
         }
     }
 }

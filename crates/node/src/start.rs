@@ -6,7 +6,7 @@ use super::config::{CameraConfig, NodeConfig};
 use super::counters::Counters;
 use super::error::NodeError;
 use super::evidence::LiveEvidence;
-use super::intake::{DropCounts, Incoming, Intake};
+use super::intake::{DropCounts, HeldFrames, Incoming, Intake};
 use super::name::NodeName;
 use super::report::{ClipAccounts, Reporter};
 use super::threshold::ThresholdService;
@@ -64,7 +64,7 @@ pub struct Node {
     alive: NodeName,
     publishing: PublishingThread,
     uplink: Uplink,
-    intakes: Vec<zenoh::pubsub::Subscriber<()>>,
+    intakes: Intakes,
     shutdown: CancellationToken,
 }
 
@@ -256,7 +256,7 @@ impl PreparedNode {
             tasks,
             policies: &policies,
             hurry: CancellationToken::new(),
-            intakes: Vec::new(),
+            intakes: Intakes::default(),
             shutdown: shutdown.clone(),
         };
         for (slot, camera) in config.cameras.iter().enumerate() {
@@ -378,9 +378,7 @@ impl Node {
         let intakes = std::mem::take(&mut self.intakes);
         // Zenoh's calls may block, so each has a thread of its own.
         let undeclared = tokio::task::spawn_blocking(move || {
-            for intake in intakes {
-                let _ = intake.undeclare().wait();
-            }
+            intakes.undeclare();
         });
         let ending = tokio::select! {
             ended = tokio::time::timeout_at(tasks_until, async {
@@ -430,6 +428,25 @@ fn refused(what: impl fmt::Display) -> impl FnOnce(zenoh::Error) -> NodeError {
     move |error| NodeError::Zenoh(format!("{what}: {error}"))
 }
 
+/// Where frames come in.
+#[derive(Default)]
+struct Intakes {
+    subscribers: Vec<zenoh::pubsub::Subscriber<()>>,
+    /// Of the cameras that are to miss no frame.
+    queryables: Vec<zenoh::query::Queryable<()>>,
+}
+
+impl Intakes {
+    fn undeclare(self) {
+        for subscriber in self.subscribers {
+            let _ = subscriber.undeclare().wait();
+        }
+        for queryable in self.queryables {
+            let _ = queryable.undeclare().wait();
+        }
+    }
+}
+
 /// What the cameras are made from, and what has been made so far.
 struct Parts<'a> {
     config: &'a NodeConfig,
@@ -442,7 +459,7 @@ struct Parts<'a> {
     tasks: Supervisor,
     policies: &'a PolicyMaker,
     hurry: CancellationToken,
-    intakes: Vec<zenoh::pubsub::Subscriber<()>>,
+    intakes: Intakes,
     shutdown: CancellationToken,
 }
 
@@ -459,7 +476,7 @@ impl Parts<'_> {
             .ok_or_else(|| NodeError::State("it is not on the board".to_owned()))?;
         let name = &config.name;
         let drops = Arc::new(DropCounts::new(Arc::clone(board)));
-        let (sender, ring) = frame_ring(config.delivery, config.ring);
+        let (sender, ring) = frame_ring(config.ring);
         let (closed, clips) = mpsc::unbounded_channel();
 
         // A live camera's answers age with its frames; a replay wants each of them.
@@ -572,16 +589,45 @@ impl Parts<'_> {
             config.format,
             self.config.frame,
         );
-        let subscriber = self
-            .session
-            .declare_subscriber(board.key().to_owned())
-            .callback(move |sample| intake.take(&sample))
-            .await
-            .map_err(refused(format!(
-                "frames on `{}` cannot be had",
-                board.key()
-            )))?;
-        self.intakes.push(subscriber);
+        let refused = || refused(format!("frames on `{}` cannot be had", board.key()));
+        let key = board.key().to_owned();
+        let subscriber = match config.delivery {
+            Delivery::Newest => {
+                let subscriber = self.session.declare_subscriber(key);
+                subscriber
+                    .callback(move |sample| intake.take(&sample))
+                    .await
+                    .map_err(refused())?
+            }
+            Delivery::Every => {
+                let (sender, held) = HeldFrames::new(intake);
+                let (held, stop) = (Arc::new(held), self.shutdown.clone());
+                self.tasks.restarting(
+                    format!("held frames {name}"),
+                    tracing::info_span!("held frames", camera = name),
+                    Restarts::new(Effect::NotReady),
+                    move || {
+                        let (held, stop) = (Arc::clone(&held), stop.clone());
+                        async move { held.run(stop).await }
+                    },
+                );
+                let asked = sender.clone();
+                let queryable = self
+                    .session
+                    .declare_queryable(key.clone())
+                    .complete(true)
+                    .callback(move |query| asked.ask(query))
+                    .await
+                    .map_err(refused())?;
+                self.intakes.queryables.push(queryable);
+                self.session
+                    .declare_subscriber(key)
+                    .callback(move |sample| sender.put(sample))
+                    .await
+                    .map_err(refused())?
+            }
+        };
+        self.intakes.subscribers.push(subscriber);
         Ok(())
     }
 }

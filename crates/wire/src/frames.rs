@@ -28,6 +28,17 @@ pub struct FrameAttachment {
     pub height: Option<u32>,
 }
 
+/// What a node answers to a frame that came as a query, once the frame's turn has come: the sender of a camera with
+/// `delivery = "every"` sends its next frame then. A query that ends without an answer was not taken.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FrameAnswer {
+    /// Version.
+    pub v: u32,
+    /// Why the frame will not be processed; absent when it will be.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub refused: Option<String>,
+}
+
 /// One box of a [`DetectionsMessage`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct BoxMessage {

@@ -25,7 +25,7 @@ pub use clip::{
 };
 pub use counters::{CountersMessage, DomainWatts};
 pub use desired::{Desired, Poke, PullRequest};
-pub use frames::{BoxMessage, DetectionsMessage, FrameAttachment, Latency};
+pub use frames::{BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, Latency};
 pub use keys::{CameraKeys, FleetKeys, KeyError, NodeKeys, check_segment};
 pub use knob::{KnobChange, KnobValue, ThresholdMessage, WrongKnob};
 pub use report::{

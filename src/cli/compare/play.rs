@@ -2,10 +2,7 @@
 
 use super::PATIENCE;
 use super::clip::LoadedClip;
-use crate::cli::replay::{
-    PublishOptions, Rate, declare_frame_publisher, flush, open_session, publish,
-    wait_for_subscriber,
-};
+use crate::cli::replay::{FrameSender, Haste, PublishOptions, Rate, flush, open_session, publish};
 use albireo_core::policy::PolicyConfig;
 use albireo_eval::compare::{Boxes, ClassNumbers};
 use albireo_node::PreparedNode;
@@ -20,7 +17,6 @@ use std::time::Duration;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
-use zenoh::pubsub::Publisher;
 
 /// The node, its camera, and the clip that counts.
 const NODE: &str = "compare";
@@ -167,9 +163,13 @@ impl Player {
             .context("the camera is not on the board")?;
         let session = open_session(endpoints, &[], PATIENCE).await?;
         let answers = subscribe(&session, keys.detections()).await?;
-        let publisher = declare_frame_publisher(&session, &keys.frame(), true).await?;
-        wait_for_subscriber(&publisher, PATIENCE).await?;
-        let publisher = Arc::new(publisher);
+        let haste = if self.rate.is_none() {
+            Haste::WaitForNode
+        } else {
+            Haste::WaitForNetwork
+        };
+        let sender = FrameSender::declare(&session, &keys.frame(), haste).await?;
+        sender.wait_for_receiver(PATIENCE).await?;
 
         let warm_up = self.warm_up_frames();
         if warm_up > 0 {
@@ -180,7 +180,7 @@ impl Player {
                 ..self.options()
             };
             let told = |sent| tell(sent, "warm-up");
-            self.send(&publisher, &options, told, shutdown).await?;
+            self.send(&sender, &options, told, shutdown).await?;
             self.answered(camera, warm_up).await?;
         }
         let options = PublishOptions {
@@ -190,7 +190,7 @@ impl Player {
         };
         let before = process_cpu();
         let told = |sent| tell(warm_up + sent, "playing");
-        self.send(&publisher, &options, told, shutdown).await?;
+        self.send(&sender, &options, told, shutdown).await?;
         if let Some(rate) = self.rate {
             // The last frame's time is part of the clip.
             tokio::time::sleep(Duration::from_secs_f64(1.0 / rate)).await;
@@ -220,14 +220,13 @@ impl Player {
 
     async fn send(
         &self,
-        publisher: &Arc<Publisher<'static>>,
+        sender: &FrameSender,
         options: &PublishOptions,
         told: impl Fn(u64),
         shutdown: &CancellationToken,
     ) -> anyhow::Result<()> {
-        let publisher = Arc::clone(publisher);
         let tell = |sent: &crate::cli::replay::Sent| told(sent.frames);
-        publish(self.clip.source(), publisher, options, tell, shutdown)
+        publish(self.clip.source(), sender, options, tell, shutdown)
             .await
             .map(drop)
     }

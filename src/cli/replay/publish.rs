@@ -1,18 +1,14 @@
 //! Plays a source on a frame key: when each frame is due, its number, its time and its clip.
 
+use super::sender::{FrameSender, SentFrame};
 use albireo_eval::footage::{FrameSource, Stopper};
 use albireo_node::frame::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
-use anyhow::{Context, anyhow, bail};
-use std::sync::Arc;
+use anyhow::{anyhow, bail};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
-use zenoh::Wait;
-use zenoh::pubsub::Publisher;
-use zenoh::qos::CongestionControl;
-use zenoh::session::Session;
 
 /// How fast frames are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -54,6 +50,10 @@ pub struct Sent {
     pub clips: u64,
     /// Frames sent more than one period after they were due: the source or the network was too slow.
     pub behind: u64,
+    /// Frames that the node did not process, as far as it says so (a sender that waits for the node).
+    pub refused: u64,
+    /// Why the first of them was not.
+    pub first_refusal: Option<String>,
     /// From the first frame until now.
     pub elapsed: Duration,
 }
@@ -67,36 +67,6 @@ pub struct OutgoingFrame {
     pub attachment: FrameAttachment,
 }
 
-/// Declares a publisher for frames. With `every` the sender waits when the network or the receiver is
-/// slow; without, frames are dropped then, as a camera's should be.
-///
-/// # Errors
-/// When the key is not a key expression, or the session is closed.
-pub async fn declare_frame_publisher(
-    session: &Session,
-    key: &str,
-    every: bool,
-) -> anyhow::Result<Publisher<'static>> {
-    session
-        .declare_publisher(key.to_owned())
-        .congestion_control(if every {
-            CongestionControl::Block
-        } else {
-            CongestionControl::Drop
-        })
-        .await
-        .map_err(|error| anyhow!("cannot publish on `{key}`: {error}"))
-}
-
-/// The Zenoh encoding of a picture.
-fn encoding(format: PictureFormat) -> String {
-    match format {
-        PictureFormat::Jpeg => "image/jpeg".to_owned(),
-        PictureFormat::Png => "image/png".to_owned(),
-        raw => format!("image/raw;{}", raw.as_str()),
-    }
-}
-
 /// Publishes `source` until it ends, the frames asked for are sent, or `shutdown`. `progress` is called
 /// after each frame.
 ///
@@ -104,37 +74,19 @@ fn encoding(format: PictureFormat) -> String {
 /// When the source fails or Zenoh refuses a frame.
 pub async fn publish(
     source: Box<dyn FrameSource>,
-    publisher: impl Into<Arc<Publisher<'static>>>,
+    sender: &FrameSender,
     options: &PublishOptions,
     progress: impl FnMut(&Sent),
     shutdown: &CancellationToken,
 ) -> anyhow::Result<Sent> {
-    let publisher = publisher.into();
     play(
         source,
         options,
-        |frame: OutgoingFrame| {
-            let publisher = Arc::clone(&publisher);
-            async move {
-                // A put that has to wait for room blocks its thread.
-                tokio::task::spawn_blocking(move || put(&publisher, &frame))
-                    .await
-                    .context("publishing a frame")?
-            }
-        },
+        |frame| sender.send(frame),
         progress,
         shutdown,
     )
     .await
-}
-
-fn put(publisher: &Publisher<'_>, frame: &OutgoingFrame) -> anyhow::Result<()> {
-    publisher
-        .put(frame.picture.bytes.as_ref())
-        .encoding(encoding(frame.picture.format))
-        .attachment(serde_json::to_vec(&frame.attachment)?)
-        .wait()
-        .map_err(|error| anyhow!("a frame cannot be published: {error}"))
 }
 
 /// Ends the source when the player goes, however it goes.
@@ -236,7 +188,7 @@ impl Clips {
 }
 
 /// Plays `source` into `send`, as [`publish`] does.
-async fn play<F: Future<Output = anyhow::Result<()>>>(
+async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
     source: Box<dyn FrameSource>,
     options: &PublishOptions,
     mut send: impl FnMut(OutgoingFrame) -> F,
@@ -294,10 +246,14 @@ async fn play<F: Future<Output = anyhow::Result<()>>>(
             },
             picture,
         };
-        tokio::select! {
+        let became = tokio::select! {
             biased;
-            result = send(frame) => result?,
+            became = send(frame) => became?,
             () = shutdown.cancelled() => break,
+        };
+        if let SentFrame::Refused(reason) = became {
+            sent.refused += 1;
+            sent.first_refusal.get_or_insert(reason);
         }
         sent.frames += 1;
         sent.bytes += bytes;

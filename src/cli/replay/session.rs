@@ -3,7 +3,6 @@
 use anyhow::{Context, anyhow, bail};
 use std::time::Duration;
 use zenoh::Config;
-use zenoh::pubsub::Publisher;
 use zenoh::session::Session;
 
 /// Where a node listens unless it is told otherwise.
@@ -63,39 +62,6 @@ pub async fn open_session(
                 .join(", ")
         )
     })
-}
-
-/// Waits until somebody subscribes to what `publisher` publishes.
-///
-/// # Errors
-/// When nobody does within `patience`.
-pub async fn wait_for_subscriber(
-    publisher: &Publisher<'_>,
-    patience: Duration,
-) -> anyhow::Result<()> {
-    let zenoh = |error: zenoh::Error| anyhow!("waiting for a subscriber: {error}");
-    // Listening comes before looking, so that none is missed in between.
-    let listener = publisher.matching_listener().await.map_err(zenoh)?;
-    if publisher.matching_status().await.map_err(zenoh)?.matching() {
-        return Ok(());
-    }
-    let matched = tokio::time::timeout(patience, async {
-        loop {
-            match listener.recv_async().await {
-                Ok(status) if status.matching() => return Ok(()),
-                Ok(_) => {}
-                Err(error) => bail!("waiting for a subscriber: {error}"),
-            }
-        }
-    });
-    matched.await.with_context(|| {
-        format!(
-            "nobody subscribed to `{}` within {} s: is the node running, and is it configured for this \
-             camera?",
-            publisher.key_expr(),
-            patience.as_secs()
-        )
-    })?
 }
 
 /// Waits until everything put before has left this session and, where it is a client, has been taken by

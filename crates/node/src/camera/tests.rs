@@ -5,7 +5,7 @@ use crate::board::{Board, BoardSetup};
 use crate::clip::{ClipConfig, ClipTracker, ClosedClip};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
-use crate::frame::{Delivery, Frame, FrameLimits, PictureFormat, Pushed, RingSender, frame_ring};
+use crate::frame::{Frame, FrameLimits, PictureFormat, Pushed, RingSender, frame_ring};
 use crate::power::sampler::without_a_meter;
 use crate::screen::{CameraScreen, ScreenConfig};
 use albireo_core::geometry::PictureSize;
@@ -45,7 +45,7 @@ impl Bench {
         .await
         .unwrap();
         let slot = CameraSlot(0);
-        let (frames, ring) = frame_ring(Delivery::Every, 64);
+        let (frames, ring) = frame_ring(64);
         let books = ClipTracker::new(clip, without_a_meter().user("front"));
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
         let accounts = ClipAccounts::new(books, Arc::clone(&ledger), closed);
@@ -94,7 +94,7 @@ impl Bench {
             received,
             payload_bytes: 0,
         };
-        let pushed = self.frames.push_blocking(Incoming {
+        let pushed = self.frames.push_newest(Incoming {
             frame,
             index,
             epoch,

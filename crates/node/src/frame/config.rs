@@ -48,6 +48,7 @@ pub enum Delivery {
     /// The newest; older ones are dropped and counted as overrun.
     #[default]
     Newest,
-    /// Every one; the sender is held back, and the answers wait for slow subscribers. For replays.
+    /// Every one: each frame comes as a query, answered when its turn has come, which holds the sender back; and the
+    /// detections wait for slow subscribers. For replays.
     Every,
 }

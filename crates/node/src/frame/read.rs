@@ -7,10 +7,12 @@ use super::{EncodedPicture, FrameFault, FrameLimits, PayloadFormat, PictureForma
 use albireo_core::geometry::PictureSize;
 use albireo_service::clock::unix_nanoseconds;
 use bytes::Bytes;
+use std::borrow::Cow;
 use std::ops::Range;
 use std::sync::Arc;
 use tokio::time::Instant;
-use zenoh::bytes::ZBytes;
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::query::Query;
 use zenoh::sample::Sample;
 
 /// A sample of a frame key, as Zenoh delivers it.
@@ -72,25 +74,68 @@ pub fn read_sample(
     format: PayloadFormat,
     limits: &FrameLimits,
 ) -> Result<Frame, RejectedFrame> {
-    let too_large = sample.payload().len() > limits.max_payload_bytes;
-    let payload = if too_large {
-        Bytes::new()
-    } else {
-        shared_bytes(sample.payload())
-    };
-    let encoding = std::borrow::Cow::from(sample.encoding());
-    let attachment = sample.attachment().map(|attachment| attachment.to_bytes());
-    let raw = RawSample {
-        payload,
-        encoding: &encoding,
-        attachment: attachment.as_deref(),
+    let received = Received {
+        payload: Some(sample.payload()),
+        encoding: Some(sample.encoding()),
+        attachment: sample.attachment(),
         timestamp_ns: sample
             .timestamp()
             .and_then(|stamp| u64::try_from(stamp.get_time().to_duration().as_nanos()).ok()),
-        arrival,
-        received: Instant::now(),
     };
-    read_checked(raw, sample.payload().len(), format, limits)
+    received.read(arrival, format, limits)
+}
+
+/// As [`read_sample`], of a frame that came as a query.
+///
+/// # Errors
+/// As [`read_frame`].
+pub(crate) fn read_query(
+    query: &Query,
+    arrival: u64,
+    format: PayloadFormat,
+    limits: &FrameLimits,
+) -> Result<Frame, RejectedFrame> {
+    let received = Received {
+        payload: query.payload(),
+        encoding: query.encoding(),
+        attachment: query.attachment(),
+        timestamp_ns: None,
+    };
+    received.read(arrival, format, limits)
+}
+
+/// A frame as Zenoh holds it.
+struct Received<'a> {
+    payload: Option<&'a ZBytes>,
+    encoding: Option<&'a Encoding>,
+    attachment: Option<&'a ZBytes>,
+    timestamp_ns: Option<u64>,
+}
+
+impl Received<'_> {
+    fn read(
+        self,
+        arrival: u64,
+        format: PayloadFormat,
+        limits: &FrameLimits,
+    ) -> Result<Frame, RejectedFrame> {
+        let length = self.payload.map_or(0, ZBytes::len);
+        let payload = match self.payload {
+            Some(payload) if length <= limits.max_payload_bytes => shared_bytes(payload),
+            _ => Bytes::new(),
+        };
+        let encoding = self.encoding.map(Cow::from).unwrap_or_default();
+        let attachment = self.attachment.map(ZBytes::to_bytes);
+        let raw = RawSample {
+            payload,
+            encoding: &encoding,
+            attachment: attachment.as_deref(),
+            timestamp_ns: self.timestamp_ns,
+            arrival,
+            received: Instant::now(),
+        };
+        read_checked(raw, length, format, limits)
+    }
 }
 
 /// The payload as shared bytes: no copy where Zenoh holds it in one piece.

@@ -1,12 +1,11 @@
 //! The ring between the subscriber and a camera's loop.
 //!
-//! The subscriber's end is called on Zenoh's own threads and from tasks, so the ring can be pushed both
-//! ways: a lock that is never held across a wait, a `Notify` for tasks and a `Condvar` for threads.
+//! What must not wait, as Zenoh's receiving threads, puts a new item in the place of the oldest; a task can wait for room.
 
-use super::Delivery;
+use parking_lot::{Mutex, MutexGuard};
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use tokio::sync::Notify;
 
 /// What became of a pushed item.
@@ -30,7 +29,6 @@ pub struct RingReceiver<T>(Arc<Ring<T>>);
 
 #[derive(Debug)]
 struct Ring<T> {
-    delivery: Delivery,
     capacity: usize,
     state: Mutex<State<T>>,
     senders: AtomicUsize,
@@ -38,8 +36,6 @@ struct Ring<T> {
     filled: Notify,
     /// Wakes tasks that wait for room.
     drained: Notify,
-    /// Wakes threads that wait for room.
-    drained_for_threads: Condvar,
 }
 
 #[derive(Debug)]
@@ -52,9 +48,8 @@ struct State<T> {
 }
 
 /// A ring of `capacity` items (at least 1).
-pub fn frame_ring<T>(delivery: Delivery, capacity: usize) -> (RingSender<T>, RingReceiver<T>) {
+pub fn frame_ring<T>(capacity: usize) -> (RingSender<T>, RingReceiver<T>) {
     let ring = Arc::new(Ring {
-        delivery,
         capacity: capacity.max(1),
         state: Mutex::new(State {
             items: VecDeque::new(),
@@ -65,79 +60,58 @@ pub fn frame_ring<T>(delivery: Delivery, capacity: usize) -> (RingSender<T>, Rin
         senders: AtomicUsize::new(1),
         filled: Notify::new(),
         drained: Notify::new(),
-        drained_for_threads: Condvar::new(),
     });
     (RingSender(Arc::clone(&ring)), RingReceiver(ring))
 }
 
 impl<T> Ring<T> {
     fn state(&self) -> MutexGuard<'_, State<T>> {
-        // No code that can panic runs under the lock, and a queue is whole at any point anyway.
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Pushes if no waiting is needed; gives the item back if it is.
-    fn try_push(&self, state: &mut State<T>, item: T) -> Result<Pushed<T>, T> {
-        if state.closed {
-            return Ok(Pushed::Closed(item));
-        }
-        let replaced = if state.items.len() < self.capacity {
-            None
-        } else if self.delivery == Delivery::Newest {
-            state.items.pop_front()
-        } else {
-            return Err(item);
-        };
-        state.items.push_back(item);
-        state.overrun |= replaced.is_some();
-        self.filled.notify_one();
-        Ok(replaced.map_or(Pushed::Queued, Pushed::Replaced))
+        self.state.lock()
     }
 
     fn close(&self) {
         self.state().closed = true;
         self.filled.notify_one();
         self.drained.notify_waiters();
-        self.drained_for_threads.notify_all();
     }
 }
 
 impl<T> RingSender<T> {
-    /// What happens when the ring is full.
-    pub(crate) fn delivery(&self) -> Delivery {
-        self.0.delivery
-    }
-
-    /// Pushes from ordinary code, such as Zenoh's callback thread. [`Delivery::Newest`] never waits;
-    /// [`Delivery::Every`] blocks the thread until there is room or the ring closes. Blocking Zenoh's
-    /// thread is what holds the publisher back; within a task use [`push`](Self::push).
-    pub fn push_blocking(&self, item: T) -> Pushed<T> {
-        let mut item = item;
+    /// Pushes at once: into a full ring in the place of the oldest item.
+    pub fn push_newest(&self, item: T) -> Pushed<T> {
         let mut state = self.0.state();
-        loop {
-            match self.0.try_push(&mut state, item) {
-                Ok(pushed) => return pushed,
-                Err(back) => item = back,
-            }
-            state = self
-                .0
-                .drained_for_threads
-                .wait(state)
-                .unwrap_or_else(PoisonError::into_inner);
+        if state.closed {
+            return Pushed::Closed(item);
         }
+        let replaced = if state.items.len() < self.0.capacity {
+            None
+        } else {
+            state.items.pop_front()
+        };
+        state.items.push_back(item);
+        state.overrun |= replaced.is_some();
+        drop(state);
+        self.0.filled.notify_one();
+        replaced.map_or(Pushed::Queued, Pushed::Replaced)
     }
 
-    /// Pushes from a task. [`Delivery::Newest`] never waits; [`Delivery::Every`] waits until there is
-    /// room or the ring closes.
+    /// Pushes when there is room, or gives the item back when the ring closes before. Cancelling the future pushes
+    /// nothing.
     pub async fn push(&self, item: T) -> Pushed<T> {
-        let mut item = item;
         loop {
             // Made before the look at the state, so that no wake-up between the two is missed.
             let drained = self.0.drained.notified();
-            let tried = self.0.try_push(&mut self.0.state(), item);
-            match tried {
-                Ok(pushed) => return pushed,
-                Err(back) => item = back,
+            {
+                let mut state = self.0.state();
+                if state.closed {
+                    return Pushed::Closed(item);
+                }
+                if state.items.len() < self.0.capacity {
+                    state.items.push_back(item);
+                    drop(state);
+                    self.0.filled.notify_one();
+                    return Pushed::Queued;
+                }
             }
             drained.await;
         }
@@ -186,7 +160,6 @@ impl<T> RingReceiver<T> {
                     state.overrun_before = std::mem::take(&mut state.overrun);
                     drop(state);
                     self.0.drained.notify_waiters();
-                    self.0.drained_for_threads.notify_all();
                     return Some(item);
                 }
                 if state.closed {
@@ -225,7 +198,7 @@ impl<T> RingReceiver<T> {
         self.0.state().items.len()
     }
 
-    /// Closes the ring and wakes blocked senders; what waits can still be taken.
+    /// Closes the ring and wakes waiting senders; what waits can still be taken.
     pub fn close(&self) {
         self.0.close();
     }
@@ -251,11 +224,11 @@ mod tests {
 
     #[tokio::test]
     async fn the_newest_win_and_every_overrun_is_told() {
-        let (sender, mut receiver) = frame_ring(Delivery::Newest, 2);
-        assert_eq!(sender.push_blocking(1), Pushed::Queued);
-        assert_eq!(sender.push(2).await, Pushed::Queued);
-        assert_eq!(sender.push(3).await, Pushed::Replaced(1));
-        assert_eq!(sender.push_blocking(4), Pushed::Replaced(2));
+        let (sender, mut receiver) = frame_ring(2);
+        assert_eq!(sender.push_newest(1), Pushed::Queued);
+        assert_eq!(sender.push_newest(2), Pushed::Queued);
+        assert_eq!(sender.push_newest(3), Pushed::Replaced(1));
+        assert_eq!(sender.push_newest(4), Pushed::Replaced(2));
         assert_eq!(receiver.waiting(), 2);
         assert_eq!(receiver.next().await, Some(3));
         assert_eq!(receiver.next().await, Some(4));
@@ -263,7 +236,7 @@ mod tests {
 
     #[tokio::test]
     async fn the_next_item_can_be_looked_at_and_is_still_taken() {
-        let (sender, mut receiver) = frame_ring(Delivery::Newest, 2);
+        let (sender, mut receiver) = frame_ring(2);
         let (seen, _) = tokio::join!(receiver.peek(|&item| item), sender.push(1));
         assert_eq!(seen, Some(1));
         assert_eq!(receiver.next().await, Some(1));
@@ -273,9 +246,9 @@ mod tests {
 
     #[tokio::test]
     async fn nothing_is_looked_at_while_items_are_pushed_out() {
-        let (sender, mut receiver) = frame_ring(Delivery::Newest, 1);
+        let (sender, mut receiver) = frame_ring(1);
         assert_eq!(sender.push(1).await, Pushed::Queued);
-        assert_eq!(sender.push(2).await, Pushed::Replaced(1));
+        assert_eq!(sender.push_newest(2), Pushed::Replaced(1));
         assert_eq!(receiver.peek(|&item| item).await, None);
         assert_eq!(receiver.next().await, Some(2));
         assert_eq!(sender.push(3).await, Pushed::Queued);
@@ -288,15 +261,15 @@ mod tests {
 
     #[tokio::test]
     async fn a_ring_without_room_has_room_for_one() {
-        let (sender, mut receiver) = frame_ring(Delivery::Newest, 0);
+        let (sender, mut receiver) = frame_ring(0);
         assert_eq!(sender.push('a').await, Pushed::Queued);
-        assert_eq!(sender.push('b').await, Pushed::Replaced('a'));
+        assert_eq!(sender.push_newest('b'), Pushed::Replaced('a'));
         assert_eq!(receiver.next().await, Some('b'));
     }
 
     #[tokio::test(start_paused = true)]
-    async fn in_every_mode_the_sender_waits_and_nothing_is_lost() {
-        let (sender, mut receiver) = frame_ring(Delivery::Every, 2);
+    async fn a_sender_that_waits_for_room_loses_nothing() {
+        let (sender, mut receiver) = frame_ring(2);
         let sending = tokio::spawn(async move {
             for number in 0..100 {
                 assert_eq!(sender.push(number).await, Pushed::Queued);
@@ -321,29 +294,9 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_blocked_thread_goes_on_when_there_is_room() {
-        let (sender, mut receiver) = frame_ring(Delivery::Every, 1);
-        let thread = std::thread::spawn(move || {
-            (0..1000)
-                .map(|number| sender.push_blocking(number))
-                .filter(|pushed| *pushed == Pushed::Queued)
-                .count()
-        });
-        for number in 0..1000 {
-            assert_eq!(receiver.next().await, Some(number));
-        }
-        assert_eq!(receiver.next().await, None);
-        assert_eq!(thread.join().unwrap(), 1000);
-    }
-
-    #[tokio::test]
-    async fn closing_frees_a_blocked_thread_and_a_waiting_task() {
-        let (sender, mut receiver) = frame_ring(Delivery::Every, 1);
+    async fn closing_frees_a_waiting_task() {
+        let (sender, mut receiver) = frame_ring(1);
         assert_eq!(sender.push(0).await, Pushed::Queued);
-        let thread = std::thread::spawn({
-            let sender = sender.clone();
-            move || sender.push_blocking(1)
-        });
         let task = tokio::spawn({
             let sender = sender.clone();
             async move { sender.push(2).await }
@@ -351,35 +304,34 @@ mod tests {
         tokio::task::yield_now().await;
         receiver.close();
         assert_eq!(task.await.unwrap(), Pushed::Closed(2));
-        assert_eq!(thread.join().unwrap(), Pushed::Closed(1));
-        assert_eq!(sender.push_blocking(3), Pushed::Closed(3));
+        assert_eq!(sender.push_newest(3), Pushed::Closed(3));
         assert_eq!(receiver.next().await, Some(0), "what waited is not lost");
         assert_eq!(receiver.next().await, None);
     }
 
     #[tokio::test]
     async fn a_receiver_that_is_gone_closes_the_ring() {
-        let (sender, receiver) = frame_ring(Delivery::Every, 1);
+        let (sender, receiver) = frame_ring(1);
         drop(receiver);
         assert_eq!(sender.push(1).await, Pushed::Closed(1));
     }
 
     #[tokio::test]
     async fn a_ring_whose_receiver_failed_is_closed_until_it_is_opened_anew() {
-        let (sender, receiver) = frame_ring(Delivery::Newest, 4);
+        let (sender, receiver) = frame_ring(4);
         sender.push(1).await;
         sender.push(2).await;
         assert_eq!(receiver.close_and_clear(), 2);
         drop(receiver);
-        assert_eq!(sender.push_blocking(3), Pushed::Closed(3));
+        assert_eq!(sender.push_newest(3), Pushed::Closed(3));
         let mut again = sender.reopen();
-        assert_eq!(sender.push_blocking(4), Pushed::Queued);
+        assert_eq!(sender.push_newest(4), Pushed::Queued);
         assert_eq!(again.next().await, Some(4));
     }
 
     #[tokio::test(start_paused = true)]
     async fn giving_up_a_wait_loses_nothing() {
-        let (sender, mut receiver) = frame_ring(Delivery::Newest, 2);
+        let (sender, mut receiver) = frame_ring(2);
         assert!(
             timeout(Duration::from_secs(1), receiver.next())
                 .await

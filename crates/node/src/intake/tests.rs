@@ -10,7 +10,7 @@ use std::thread;
 use tokio::sync::watch;
 
 /// An intake whose ring holds `capacity` frames, and the ring's other end.
-fn intake(delivery: Delivery, capacity: usize) -> (Arc<Intake>, RingReceiver<Incoming>) {
+fn intake(capacity: usize) -> (Arc<Intake>, RingReceiver<Incoming>) {
     let config = NodeConfig {
         cameras: vec![CameraConfig::named("front")],
         ..NodeConfig::default()
@@ -19,7 +19,7 @@ fn intake(delivery: Delivery, capacity: usize) -> (Arc<Intake>, RingReceiver<Inc
     let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
     let camera = Arc::clone(board.camera("front").unwrap());
     let ledger = Arc::new(DropCounts::new(Arc::clone(&camera)));
-    let (sender, ring) = frame_ring(delivery, capacity);
+    let (sender, ring) = frame_ring(capacity);
     let limits = FrameLimits::default();
     let intake = Intake::new(camera, ledger, sender, PayloadFormat::Encoding, limits);
     (Arc::new(intake), ring)
@@ -52,8 +52,7 @@ fn rejected(sequence: Option<u64>) -> RejectedFrame {
 
 impl Intake {
     fn give(&self, read: Result<Frame, RejectedFrame>) {
-        let stream = self.stream.lock().unwrap_or_else(PoisonError::into_inner);
-        self.place(stream, read);
+        self.place(|_, _, _| read);
     }
 }
 
@@ -69,14 +68,14 @@ async fn waiting(ring: &mut RingReceiver<Incoming>) -> Vec<(u64, u64)> {
 
 #[tokio::test]
 async fn a_restart_is_not_forgotten_when_its_first_frame_is_broken_or_pushed_out() {
-    let (intake, mut ring) = intake(Delivery::Newest, 8);
+    let (intake, mut ring) = intake(8);
     intake.give(Ok(frame(1000)));
     intake.give(Ok(frame(0)));
     intake.give(Err(rejected(Some(1))));
     intake.give(Ok(frame(2)));
     assert_eq!(waiting(&mut ring).await, [(0, 0), (2, 1)]);
 
-    let (intake, mut ring) = self::intake(Delivery::Newest, 1);
+    let (intake, mut ring) = self::intake(1);
     for sequence in [1000, 0, 1, 2] {
         intake.give(Ok(frame(sequence)));
     }
@@ -87,7 +86,7 @@ async fn a_restart_is_not_forgotten_when_its_first_frame_is_broken_or_pushed_out
 
 #[tokio::test]
 async fn a_stray_old_frame_is_counted_late_and_nothing_is_counted_lost() {
-    let (intake, mut ring) = intake(Delivery::Newest, 8);
+    let (intake, mut ring) = intake(8);
     for sequence in [1000, 1001, 900, 1002] {
         intake.give(Ok(frame(sequence)));
     }
@@ -98,7 +97,7 @@ async fn a_stray_old_frame_is_counted_late_and_nothing_is_counted_lost() {
 
 #[tokio::test]
 async fn a_frame_whose_number_cannot_be_read_is_counted_once() {
-    let (intake, mut ring) = intake(Delivery::Newest, 8);
+    let (intake, mut ring) = intake(8);
     intake.give(Ok(frame(5)));
     intake.give(Err(rejected(None)));
     intake.give(Ok(frame(7)));
@@ -110,7 +109,7 @@ async fn a_frame_whose_number_cannot_be_read_is_counted_once() {
 #[tokio::test]
 async fn two_receiving_threads_cannot_swap_frames() {
     const FRAMES: u64 = 40_000;
-    let (intake, mut ring) = intake(Delivery::Newest, FRAMES as usize);
+    let (intake, mut ring) = intake(FRAMES as usize);
     let numbers = Arc::new(std::sync::atomic::AtomicU64::new(0));
     let threads: Vec<_> = (0..4)
         .map(|_| {

@@ -58,7 +58,7 @@ async fn played(
             async move {
                 tokio::time::sleep(wait).await;
                 frames.lock().unwrap().push((start.elapsed(), frame));
-                Ok(())
+                Ok(SentFrame::Gone)
             }
         },
         |_| {},
@@ -172,7 +172,7 @@ async fn shutdown_ends_a_play_that_would_never_end() {
     let sent = play(
         numbers(3),
         &options,
-        |_| async { Ok(()) },
+        |_| async { Ok(SentFrame::Gone) },
         |sent| {
             if sent.frames == 20 {
                 shutdown.cancel();
@@ -195,7 +195,7 @@ async fn an_empty_source_is_no_endless_loop() {
     let error = play(
         numbers(0),
         &options,
-        |_| async { Ok(()) },
+        |_| async { Ok(SentFrame::Gone) },
         |_| {},
         &shutdown,
     )

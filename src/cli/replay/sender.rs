@@ -1,0 +1,197 @@
+//! Sends frames to a node: as a camera does, or so that none is missed.
+
+use super::OutgoingFrame;
+use albireo_node::frame::PictureFormat;
+use albireo_wire::{FrameAnswer, read};
+use anyhow::{Context, anyhow, bail};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+use zenoh::Wait;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
+use zenoh::query::Querier;
+use zenoh::session::Session;
+
+/// How long a frame may wait for its turn. A node whose detector hangs goes on long before.
+const TURN: Duration = Duration::from_secs(120);
+
+/// Between two attempts to give a frame to a node that did not take it.
+const AGAIN: Duration = Duration::from_millis(50);
+
+/// What happens when frames come faster than they are taken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Haste {
+    /// They are dropped, as a camera's should be.
+    Drop,
+    /// The sender waits for the network, and the node takes the newest.
+    WaitForNetwork,
+    /// The sender waits until the node has taken each: its camera has `delivery = "every"`.
+    WaitForNode,
+}
+
+/// What became of a frame that was sent.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum SentFrame {
+    /// It went out, or was taken.
+    Gone,
+    /// The node does not process it, and says why.
+    Refused(String),
+}
+
+#[derive(Clone, Debug)]
+enum Way {
+    Put(Arc<Publisher<'static>>),
+    Ask(Arc<Querier<'static>>),
+}
+
+/// Sends frames on one key.
+#[derive(Clone, Debug)]
+pub struct FrameSender(Way);
+
+impl FrameSender {
+    /// A sender for frames on `key`.
+    ///
+    /// # Errors
+    /// When the key is not a key expression, or the session is closed.
+    pub async fn declare(session: &Session, key: &str, haste: Haste) -> anyhow::Result<Self> {
+        let refused = |error| anyhow!("cannot publish on `{key}`: {error}");
+        let congestion = match haste {
+            Haste::Drop => CongestionControl::Drop,
+            Haste::WaitForNetwork => CongestionControl::Block,
+            Haste::WaitForNode => {
+                let querier = session
+                    .declare_querier(key.to_owned())
+                    .congestion_control(CongestionControl::Block)
+                    .timeout(TURN)
+                    .await
+                    .map_err(refused)?;
+                return Ok(Self(Way::Ask(Arc::new(querier))));
+            }
+        };
+        let publisher = session
+            .declare_publisher(key.to_owned())
+            .congestion_control(congestion)
+            .await
+            .map_err(refused)?;
+        Ok(Self(Way::Put(Arc::new(publisher))))
+    }
+
+    /// Waits until somebody takes what is sent.
+    ///
+    /// # Errors
+    /// When nobody does within `patience`.
+    pub async fn wait_for_receiver(&self, patience: Duration) -> anyhow::Result<()> {
+        let zenoh = |error: zenoh::Error| anyhow!("waiting for a receiver: {error}");
+        // Listening comes before looking, so that none is missed in between.
+        let (key, listener, matching) = match &self.0 {
+            Way::Put(publisher) => (
+                publisher.key_expr(),
+                publisher.matching_listener().await.map_err(zenoh)?,
+                publisher.matching_status().await.map_err(zenoh)?,
+            ),
+            Way::Ask(querier) => (
+                querier.key_expr(),
+                querier.matching_listener().await.map_err(zenoh)?,
+                querier.matching_status().await.map_err(zenoh)?,
+            ),
+        };
+        if matching.matching() {
+            return Ok(());
+        }
+        let matched = tokio::time::timeout(patience, async {
+            loop {
+                match listener.recv_async().await {
+                    Ok(status) if status.matching() => return Ok(()),
+                    Ok(_) => {}
+                    Err(error) => bail!("waiting for a receiver: {error}"),
+                }
+            }
+        });
+        let want = match &self.0 {
+            Way::Put(_) => "is it configured for this camera",
+            Way::Ask(_) => "has its camera delivery = \"every\"",
+        };
+        matched.await.with_context(|| {
+            format!(
+                "nobody took frames on `{key}` within {} s: is the node running, and {want}?",
+                patience.as_secs()
+            )
+        })?
+    }
+
+    /// Sends one frame.
+    ///
+    /// # Errors
+    /// When Zenoh refuses it, or no node takes it.
+    pub(super) async fn send(&self, frame: OutgoingFrame) -> anyhow::Result<SentFrame> {
+        match &self.0 {
+            Way::Put(publisher) => {
+                let publisher = Arc::clone(publisher);
+                // A put that has to wait for room blocks its thread.
+                tokio::task::spawn_blocking(move || put(&publisher, &frame))
+                    .await
+                    .context("publishing a frame")??;
+                Ok(SentFrame::Gone)
+            }
+            Way::Ask(querier) => ask(querier, frame).await,
+        }
+    }
+}
+
+/// The Zenoh encoding of a picture.
+fn encoding(format: PictureFormat) -> String {
+    match format {
+        PictureFormat::Jpeg => "image/jpeg".to_owned(),
+        PictureFormat::Png => "image/png".to_owned(),
+        raw => format!("image/raw;{}", raw.as_str()),
+    }
+}
+
+fn put(publisher: &Publisher<'_>, frame: &OutgoingFrame) -> anyhow::Result<()> {
+    publisher
+        .put(frame.picture.bytes.as_ref())
+        .encoding(encoding(frame.picture.format))
+        .attachment(serde_json::to_vec(&frame.attachment)?)
+        .wait()
+        .map_err(|error| anyhow!("a frame cannot be published: {error}"))
+}
+
+/// Gives a frame to the node and waits until it is taken; again where it was not.
+async fn ask(querier: &Arc<Querier<'static>>, frame: OutgoingFrame) -> anyhow::Result<SentFrame> {
+    let until = Instant::now() + TURN;
+    let attachment = serde_json::to_vec(&frame.attachment)?;
+    loop {
+        let (asking, attachment) = (Arc::clone(querier), attachment.clone());
+        let (bytes, format) = (frame.picture.bytes.clone(), frame.picture.format);
+        // What has to wait for room in the network blocks its thread.
+        let asked = tokio::task::spawn_blocking(move || {
+            asking
+                .get()
+                .payload(bytes.as_ref())
+                .encoding(encoding(format))
+                .attachment(attachment)
+                .wait()
+        });
+        let replies = asked
+            .await
+            .context("sending a frame")?
+            .map_err(|error| anyhow!("a frame cannot be sent: {error}"))?;
+        while let Ok(reply) = replies.recv_async().await {
+            if let Ok(sample) = reply.result() {
+                let answer: FrameAnswer = read(&sample.payload().to_bytes())
+                    .context("what the node answered to a frame")?;
+                return Ok(answer.refused.map_or(SentFrame::Gone, SentFrame::Refused));
+            }
+        }
+        if Instant::now() >= until {
+            bail!(
+                "nobody took a frame on `{}` within {} s: is the node running, and has its camera delivery = \
+                 \"every\"?",
+                querier.key_expr(),
+                TURN.as_secs()
+            );
+        }
+        tokio::time::sleep(AGAIN).await;
+    }
+}

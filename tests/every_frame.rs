@@ -1,0 +1,207 @@
+//! Cameras of which no frame is to be missed (`delivery = "every"`): their senders are held back, and nobody else is.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
+use albireo_core::policy::{
+    Evidence, FrameHead, Knob, KnobError, Need, Outcome, Policy, PolicyConfig,
+};
+use albireo_node::PreparedNode;
+use albireo_node::config::CameraConfig;
+use albireo_node::frame::Delivery;
+use albireo_wire::{FrameAnswer, FrameAttachment, VERSION};
+use std::sync::{Arc, Condvar, Mutex};
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+
+/// Number of the live camera's first frame.
+const LIVE: u64 = 100;
+
+const TAPES: [&str; 2] = ["tape-a", "tape-b"];
+
+/// Shut until it is opened.
+#[derive(Default)]
+struct Gate {
+    open: Mutex<bool>,
+    opened: Condvar,
+}
+
+impl Gate {
+    fn pass(&self) {
+        let mut open = self.open.lock().unwrap();
+        while !*open {
+            open = self.opened.wait(open).unwrap();
+        }
+    }
+
+    fn open(&self) {
+        *self.open.lock().unwrap() = true;
+        self.opened.notify_all();
+    }
+}
+
+/// A policy that does not begin a frame before its gate is open.
+struct Gated {
+    inner: Box<dyn Policy>,
+    gate: Arc<Gate>,
+}
+
+impl Policy for Gated {
+    fn name(&self) -> &'static str {
+        self.inner.name()
+    }
+
+    fn knob(&self) -> Option<Knob> {
+        self.inner.knob()
+    }
+
+    fn knob_value(&self) -> Option<f64> {
+        self.inner.knob_value()
+    }
+
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        self.inner.set_knob(value)
+    }
+
+    fn begin(&mut self, frame: FrameHead) -> Need {
+        self.gate.pass();
+        self.inner.begin(frame)
+    }
+
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        self.inner.answer(evidence)
+    }
+
+    fn finish(&mut self, outcome: &mut Outcome) {
+        self.inner.finish(outcome);
+    }
+
+    fn reset(&mut self) {
+        self.inner.reset();
+    }
+}
+
+fn attachment(seq: u64) -> Vec<u8> {
+    let attachment = FrameAttachment {
+        v: VERSION,
+        seq: Some(seq),
+        ..FrameAttachment::default()
+    };
+    serde_json::to_vec(&attachment).unwrap()
+}
+
+async fn put(session: &zenoh::Session, camera: &str, seq: u64, picture: &[u8]) {
+    session
+        .put(format!("albireo/node/{camera}/frame"), picture)
+        .encoding("image/jpeg")
+        .attachment(attachment(seq))
+        .congestion_control(zenoh::qos::CongestionControl::Block)
+        .await
+        .unwrap();
+}
+
+/// Sends frames as `albireo replay --every` does: the next one when the last was taken.
+fn send_each(session: &zenoh::Session, camera: &str, picture: &[u8]) -> JoinHandle<()> {
+    let (session, picture) = (session.clone(), picture.to_vec());
+    let key = format!("albireo/node/{camera}/frame");
+    tokio::spawn(async move {
+        for seq in 4..12 {
+            let replies = session
+                .get(&key)
+                .payload(picture.clone())
+                .encoding("image/jpeg")
+                .attachment(attachment(seq))
+                .timeout(LONG)
+                .await
+                .unwrap();
+            let reply = replies.recv_async().await.expect("it is answered");
+            let sample = reply.into_result().unwrap();
+            let answer: FrameAnswer = albireo_wire::read(&sample.payload().to_bytes()).unwrap();
+            assert_eq!(answer.refused, None);
+        }
+    })
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+#[ignore = "needs ONNX Runtime"]
+async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
+    let mut config = configuration();
+    let policy: PolicyConfig = config.policy.clone();
+    config.cameras = vec![CameraConfig::named(CAMERA)];
+    config.cameras.extend(TAPES.map(|tape| CameraConfig {
+        delivery: Delivery::Every,
+        ring: 1,
+        ..CameraConfig::named(tape)
+    }));
+    let gate = Arc::new(Gate::default());
+    let shut = Arc::clone(&gate);
+    let prepared = PreparedNode::new(&config)
+        .unwrap()
+        .with_policies(Arc::new(move |camera| {
+            let inner = policy.build()?;
+            if !TAPES.contains(&camera) {
+                return Ok(inner);
+            }
+            let gate = Arc::clone(&shut);
+            Ok(Box::new(Gated { inner, gate }) as Box<dyn Policy>)
+        }));
+    let mut bench = Bench::start_prepared(&config, prepared).await;
+    let picture = pictures(1).remove(0);
+    // More than the loop and the ring hold: those that were put wait, and those that are asked for are not answered.
+    let mut senders = Vec::new();
+    for tape in TAPES {
+        for seq in 0..4 {
+            put(&bench.session, tape, seq, &picture).await;
+        }
+        senders.push(send_each(&bench.session, tape, &picture));
+    }
+    // The tapes have numbers below this one, so that answers can be told apart.
+    for seq in LIVE..LIVE + 3 {
+        put(&bench.session, CAMERA, seq, &picture).await;
+        assert_eq!(bench.answer().await.seq, seq);
+        let replies = bench.session.get("albireo/node/tape-a/threshold").await;
+        let answered = replies.unwrap().recv_async().await;
+        answered
+            .expect("the threshold is told")
+            .into_result()
+            .unwrap();
+    }
+    assert!(senders.iter().all(|sender| !sender.is_finished()));
+    gate.open();
+    for sender in senders {
+        timeout(LONG, sender).await.unwrap().unwrap();
+    }
+    let mut seen = Vec::new();
+    for _ in 0..24 {
+        seen.push(bench.answer().await.seq);
+    }
+    seen.sort_unstable();
+    assert_eq!(seen, (0..24).map(|n| n / 2).collect::<Vec<_>>());
+    for tape in TAPES {
+        let seen = bench.board.camera(tape).unwrap().snapshot();
+        assert_eq!((seen.states.frames(), seen.dropped.total()), (12, 0));
+    }
+    bench.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_frame_that_cannot_be_used_is_refused_in_words_and_counted() {
+    let mut bench = Bench::start(&configuration()).await;
+    let replies = bench
+        .session
+        .get(format!("albireo/node/{CAMERA}/frame"))
+        .payload("not a picture")
+        .encoding("image/jpeg")
+        .attachment(attachment(0))
+        .await
+        .unwrap();
+    let reply = replies.recv_async().await.unwrap().into_result().unwrap();
+    let answer: FrameAnswer = albireo_wire::read(&reply.payload().to_bytes()).unwrap();
+    assert!(answer.refused.is_some());
+    let dropped = bench.board.camera(CAMERA).unwrap().snapshot().dropped;
+    assert_eq!((dropped.undecodable, dropped.total()), (1, 1));
+    bench.send(pictures(1).remove(0), "image/jpeg", 1).await;
+    assert_eq!(bench.answer().await.seq, 1);
+    bench.stop().await;
+}

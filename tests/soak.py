@@ -1,0 +1,317 @@
+"""A long run of a node under faults: `make soak` (30 minutes), or soak.py --minutes 2 to try it.
+
+A node with two cameras behind a router, a hub, and a subscriber. Mixed in: corrupt frames, cameras that restart, a router
+that is killed and comes back, a detector that hangs (the model of the fixtures computes for ever on a bright picture), a
+subscriber that stops reading, a hub killed with -9. At the end every report the node has made must be in the hub once, and
+every frame the node received must be answered or counted. Prints what it counted, and how memory went.
+"""
+
+import argparse
+import json
+import os
+import pathlib
+import random
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+import urllib.request
+
+import numpy
+import zenoh
+
+ROOT = pathlib.Path(__file__).parent.parent
+WIDTH, HEIGHT = 64, 32
+CAMERAS = ["front", "rear"]
+
+NODE = """
+[node]
+name = "soak"
+state_dir = "{folder}/state"
+[zenoh]
+mode = "client"
+connect = ["{router}"]
+[uplink]
+connect = ["{uplink}"]
+[http]
+listen = "127.0.0.1:{http}"
+[detector]
+model = "{model}"
+timeout_ms = 300
+[policy]
+u = 1e-3
+[clip]
+window_s = 10.0
+silence_s = 5.0
+[outbox]
+retry_min_ms = 200
+retry_max_ms = 5000
+[[camera]]
+name = "front"
+[[camera]]
+name = "rear"
+"""
+
+HUB = """
+[zenoh]
+listen = ["{uplink}"]
+[http]
+listen = "127.0.0.1:{http}"
+[database]
+url = "sqlite:{folder}/hub.db"
+"""
+
+
+def free_port():
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        return listener.getsockname()[1]
+
+
+def configuration(mode, **settings):
+    config = zenoh.Config()
+    config.insert_json5("mode", json.dumps(mode))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    for key, value in settings.items():
+        config.insert_json5(key.replace("__", "/"), json.dumps(value))
+    return config
+
+
+def client(endpoint):
+    return configuration(
+        "client",
+        connect__endpoints=[endpoint],
+        connect__timeout_ms=-1,
+        connect__exit_on_failure=False,
+        connect__retry={"period_init_ms": 100, "period_max_ms": 1000},
+    )
+
+
+def as_router(endpoint):
+    with zenoh.open(configuration("router", listen__endpoints=[endpoint])):
+        sys.stdin.read()
+
+
+def as_subscriber(endpoint):
+    with zenoh.open(client(endpoint)) as session:
+        with session.declare_subscriber("albireo/**", zenoh.handlers.Callback(lambda sample: None)):
+            sys.stdin.read()
+
+
+def get(url):
+    with urllib.request.urlopen(url, timeout=10) as answer:
+        return answer.read()
+
+
+class Child:
+    """A process that can be killed and started again."""
+
+    def __init__(self, command, log):
+        self.command, self.log, self.process = command, open(log, "ab"), None
+        self.start()
+
+    def start(self):
+        self.process = subprocess.Popen(self.command, stdin=subprocess.PIPE, stdout=self.log, stderr=self.log)
+
+    def bounce(self, pause):
+        self.process.kill()
+        self.process.wait()
+        time.sleep(pause)
+        self.start()
+
+    def end(self, limit=30):
+        self.process.send_signal(signal.SIGTERM)
+        try:
+            return self.process.wait(limit)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            return "killed"
+
+
+class Camera(threading.Thread):
+    """Sends ten frames a second; some are broken, some are bright."""
+
+    def __init__(self, name, endpoint, done):
+        super().__init__(daemon=True)
+        self.name_, self.endpoint, self.done = name, endpoint, done
+        self.restart, self.bright = threading.Event(), threading.Event()
+        self.sent = self.corrupt = self.hangs = self.restarts = 0
+
+    def run(self):
+        random_ = numpy.random.default_rng(len(self.name_))
+        while not self.done.is_set():
+            with zenoh.open(client(self.endpoint)) as session:
+                publisher = session.declare_publisher(f"albireo/soak/{self.name_}/frame")
+                seq = 0
+                self.restart.clear()
+                due = time.monotonic()
+                while not (self.done.is_set() or self.restart.is_set()):
+                    attachment = {"v": 1, "seq": seq, "width": WIDTH, "height": HEIGHT}
+                    encoding = "image/raw;gray8"
+                    payload = random_.integers(0, 100, WIDTH * HEIGHT, numpy.uint8).tobytes()
+                    if self.bright.is_set():
+                        self.bright.clear()
+                        payload, self.hangs = b"\xff" * len(payload), self.hangs + 1
+                    elif seq % 50 == 25:
+                        payload, encoding = b"\xff\xd8\xff\xe0 and no more", "image/jpeg"
+                        self.corrupt += 1
+                    publisher.put(payload, encoding=encoding, attachment=json.dumps(attachment))
+                    seq, self.sent, due = seq + 1, self.sent + 1, due + 0.1
+                    time.sleep(max(0.0, due - time.monotonic()))
+            self.restarts += 1
+
+
+def memory(pid):
+    with open(f"/proc/{pid}/status") as status:
+        fields = dict(line.split(":", 1) for line in status)
+    return int(fields["VmRSS"].split()[0]) / 1024, int(fields["Threads"]), len(os.listdir(f"/proc/{pid}/fd"))
+
+
+def stored(hub):
+    """Numbers of reports by instance, as the hub lists them."""
+    found, cursor = {}, ""
+    while True:
+        page = json.loads(get(f"{hub}/api/v1/clips?node=soak&limit=1000{cursor}"))
+        for clip in page["clips"]:
+            found.setdefault(clip.get("instance"), []).append(clip["report"])
+        if page.get("next") is None:
+            return found
+        cursor = f"&cursor={page['next']}"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--minutes", type=float, default=30.0)
+    parser.add_argument("--program", default=str(ROOT / "target/debug/albireo"))
+    arguments = parser.parse_args()
+
+    folder = pathlib.Path(tempfile.mkdtemp(prefix="soak-"))
+    router_at, uplink_at = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    node_http, hub_http = free_port(), free_port()
+    places = {"folder": folder, "router": router_at, "uplink": uplink_at}
+    model = ROOT / "tests/fixtures/models/hanging.onnx"
+    (folder / "node.toml").write_text(NODE.format(http=node_http, model=model, **places))
+    (folder / "hub.toml").write_text(HUB.format(http=hub_http, **places))
+    here = [sys.executable, __file__]
+    hub = Child([arguments.program, "hub", "--config", folder / "hub.toml"], folder / "hub.log")
+    router = Child([*here, "--router", router_at], folder / "router.log")
+    node = Child([arguments.program, "node", "--config", folder / "node.toml"], folder / "node.log")
+    subscriber = Child([*here, "--subscriber", router_at], folder / "subscriber.log")
+
+    answers, done = {name: 0 for name in CAMERAS}, threading.Event()
+
+    def answered(sample):
+        answers[str(sample.key_expr).split("/")[2]] += 1
+
+    listener = zenoh.open(client(router_at))
+    listening = listener.declare_subscriber("albireo/soak/*/detections", zenoh.handlers.Callback(answered))
+    cameras = [Camera(name, router_at, done) for name in CAMERAS]
+    for camera in cameras:
+        camera.start()
+
+    chance, begun, counts = random.Random(5), time.monotonic(), {"router": 0, "hub": 0, "deaf": 0, "slow health": 0}
+    samples, deaf_until = [], None
+    # Seconds from one fault of a kind to the next.
+    every = {"sample": 5, "restart": 47, "bright": 31, "router": 97, "hub": 131, "deaf": 83}
+    due = {kind: seconds * 0.7 for kind, seconds in every.items()}
+    print(f"soak of {arguments.minutes:g} minutes; logs in {folder}", flush=True)
+    while (now := time.monotonic() - begun) < arguments.minutes * 60:
+        for kind in [kind for kind in due if due[kind] <= now]:
+            due[kind] = now + every[kind]
+            if kind == "sample":
+                asked = time.monotonic()
+                get(f"http://127.0.0.1:{node_http}/healthz")
+                counts["slow health"] += time.monotonic() - asked > 1.0
+                samples.append((now, *memory(node.process.pid)))
+            elif kind == "restart":
+                chance.choice(cameras).restart.set()
+            elif kind == "bright":
+                chance.choice(cameras).bright.set()
+            elif kind == "router":
+                counts["router"] += 1
+                router.bounce(chance.choice([0.5, 3.0]))
+            elif kind == "hub":
+                counts["hub"] += 1
+                hub.bounce(chance.choice([1.0, 8.0]))
+            elif kind == "deaf":
+                counts["deaf"] += 1
+                subscriber.process.send_signal(signal.SIGSTOP)
+                deaf_until = now + 25
+        if deaf_until and now > deaf_until:
+            subscriber.process.send_signal(signal.SIGCONT)
+            deaf_until = None
+        time.sleep(0.2)
+        if node.process.poll() is not None:
+            sys.exit(f"the node ended by itself with {node.process.returncode}: see {folder}/node.log")
+
+    subscriber.process.send_signal(signal.SIGCONT)
+    done.set()
+    for camera in cameras:
+        camera.join(30)
+    time.sleep(1)
+    states = json.loads(get(f"http://127.0.0.1:{node_http}/api/v1/frame-states"))
+    listed = json.loads(get(f"http://127.0.0.1:{node_http}/api/v1/cameras"))
+    asked = time.monotonic()
+    code = node.end()
+    stopping = time.monotonic() - asked
+    # What was open at the end waits in the outbox: the node starts once more to deliver it.
+    node.start()
+    deadline, previous = time.monotonic() + 60, None
+    while time.monotonic() < deadline:
+        time.sleep(2)
+        found = stored(f"http://127.0.0.1:{hub_http}")
+        waiting = [
+            line for line in get(f"http://127.0.0.1:{node_http}/metrics").decode().splitlines()
+            if line.startswith("albireo_outbox_reports ") or line.startswith("albireo_outbox_waiting")
+        ]
+        total = sum(map(len, found.values()))
+        if total == previous and all(float(line.split()[-1]) == 0 for line in waiting):
+            break
+        previous = total
+    node.end()
+    listening.undeclare()
+    listener.close()
+    for child in (subscriber, router, hub):
+        child.end()
+
+    failures = []
+    print(json.dumps({"states": states, "cameras": listed}, indent=1))
+    for camera in cameras:
+        print(
+            f"{camera.name_}: {camera.sent} frames sent, {answers[camera.name_]} answers seen, {camera.corrupt} corrupt, "
+            f"{camera.hangs} that hang the detector, {camera.restarts} restarts"
+        )
+    for instance, numbers in found.items():
+        numbers.sort()
+        print(f"hub: {len(numbers)} reports of instance {instance}, numbers {numbers[0]} to {numbers[-1]}")
+        if len(set(numbers)) != len(numbers):
+            failures.append("a report is there twice")
+        if numbers != list(range(numbers[0], numbers[0] + len(numbers))) or numbers[0] != 1:
+            failures.append("a report is missing")
+    if not found:
+        failures.append("no report reached the hub")
+    print(f"faults: {counts['router']} router bounces, {counts['hub']} hubs killed, {counts['deaf']} times a deaf subscriber")
+    if counts["slow health"]:
+        failures.append(f"health took more than a second {counts['slow health']} times")
+    rest = numpy.array([sample for sample in samples if sample[0] > samples[-1][0] / 3])
+    slope = numpy.polyfit(rest[:, 0] / 3600, rest[:, 1], 1)[0]
+    print(
+        f"node: {samples[0][1]:.1f} MiB after {samples[0][0]:.0f} s, {rest[0][1]:.1f} after a third, {samples[-1][1]:.1f} at the "
+        f"end ({slope:+.1f} MiB/h over the last two thirds); threads {samples[0][2]} to {samples[-1][2]}, descriptors "
+        f"{samples[0][3]} to {samples[-1][3]}; exit {code} in {stopping:.2f} s"
+    )
+    if code != 0:
+        failures.append(f"the node's exit code was {code}")
+    print("\n".join(failures) or "every report was stored once")
+    sys.exit(1 if failures else 0)
+
+
+if sys.argv[1:2] == ["--router"]:
+    as_router(sys.argv[2])
+elif sys.argv[1:2] == ["--subscriber"]:
+    as_subscriber(sys.argv[2])
+else:
+    main()
