@@ -9,7 +9,7 @@ PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
 PARITY_ENVIRONMENT := $(CACHE)/parity/.ready
 DEMO_SECONDS ?=
 
-.PHONY: help demo test lint onnxruntime python debian release bench bench-peers parity clean
+.PHONY: help demo test lint soak onnxruntime python debian release bench bench-peers parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,6 +26,10 @@ lint: ## formatting and clippy of every combination of features that is shipped,
 	cargo clippy --locked --workspace --all-targets -- -D warnings
 	cargo clippy --locked --no-default-features -- -D warnings
 	cargo clippy --locked --workspace --all-targets $$(bash tests/features.sh) -- -D warnings
+
+soak: onnxruntime python ## half an hour of a node under faults beside a hub, by hand (MINUTES=N for another length)
+	cargo build --locked
+	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" $(CACHE)/python/bin/python tests/soak.py --minutes $(or $(MINUTES),30)
 
 bench: onnxruntime ## the benches, optimised (takes a while the first time)
 	cargo bench --locked

@@ -40,6 +40,15 @@ impl Gate {
     }
 }
 
+/// Opens the gate however the test ends: a runtime waits for threads that are in the middle of something.
+struct OpenAtLast(Arc<Gate>);
+
+impl Drop for OpenAtLast {
+    fn drop(&mut self) {
+        self.0.open();
+    }
+}
+
 /// A policy that does not begin a frame before its gate is open.
 struct Gated {
     inner: Box<dyn Policy>,
@@ -64,7 +73,8 @@ impl Policy for Gated {
     }
 
     fn begin(&mut self, frame: FrameHead) -> Need {
-        self.gate.pass();
+        // The other tasks of this worker thread go on.
+        tokio::task::block_in_place(|| self.gate.pass());
         self.inner.begin(frame)
     }
 
@@ -135,6 +145,7 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
     }));
     let gate = Arc::new(Gate::default());
     let shut = Arc::clone(&gate);
+    let _open = OpenAtLast(Arc::clone(&gate));
     let prepared = PreparedNode::new(&config)
         .unwrap()
         .with_policies(Arc::new(move |camera| {
@@ -161,10 +172,8 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
         assert_eq!(bench.answer().await.seq, seq);
         let replies = bench.session.get("albireo/node/tape-a/threshold").await;
         let answered = replies.unwrap().recv_async().await;
-        answered
-            .expect("the threshold is told")
-            .into_result()
-            .unwrap();
+        // That this policy has none is an answer too.
+        answered.expect("who asks for a threshold is answered");
     }
     assert!(senders.iter().all(|sender| !sender.is_finished()));
     gate.open();

@@ -187,7 +187,7 @@ async fn nobody_there_is_an_error_that_says_so() {
         .unwrap_err();
     let text = format!("{error:#}");
     assert!(
-        text.contains("nobody subscribed to `albireo/node/front/frame`"),
+        text.contains("nobody took frames on `albireo/node/front/frame`"),
         "{text}"
     );
 }
