@@ -5,7 +5,7 @@
 
 mod hub;
 
-use crate::support::{Node, PATIENCE, free_port};
+use crate::support::{Client, Node, PATIENCE, free_port};
 use albireo_core::geometry::PictureSize;
 use albireo_synth::{Dashcam, DashcamSettings};
 use albireo_wire::{FrameAttachment, VERSION};
@@ -285,6 +285,49 @@ async fn a_clip_that_just_closed_survives_a_kill() {
     let hub = Hub::start(&node.zenoh, Manner::Honest).await;
     hub.wait_for(closed).await;
     hub.assert_gapless(closed);
+}
+
+/// How long frames and requests for health take, each one after the other: the 99th of 100 of both.
+async fn slowest(node: &Node, camera: &mut Camera, frames: u64) -> [Duration; 2] {
+    let mut took = [Vec::new(), Vec::new()];
+    for _ in 0..frames {
+        let start = Instant::now();
+        camera.clips(1).await;
+        took[0].push(start.elapsed());
+        let start = Instant::now();
+        let health = reqwest::get(format!("{}/healthz", node.http)).await;
+        assert!(health.unwrap().status().is_success());
+        took[1].push(start.elapsed());
+    }
+    took.map(|mut took| {
+        took.sort_unstable();
+        took[took.len() * 99 / 100]
+    })
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime and Python"]
+async fn a_subscriber_that_stops_reading_costs_detections_and_http_nothing() {
+    let (folder, settings) = folder();
+    let node = Node::start_in(folder, &settings).await;
+    let mut camera = Camera::at(&node.zenoh).await;
+    let before = slowest(&node, &mut camera, 200).await;
+    let endpoint = format!("{}#so_rcvbuf=4096", node.zenoh);
+    let deaf = Client::listen(&endpoint, "albireo/node/**", false).await;
+    deaf.freeze();
+    // Two messages a frame, a clip's report among them: far more than the buffers between here and there hold.
+    camera.clips(1500).await;
+    let after = slowest(&node, &mut camera, 200).await;
+    println!(
+        "99th of 100, frame and health: {before:?} without, {after:?} with a subscriber that does not read"
+    );
+    for (before, after) in before.into_iter().zip(after) {
+        // A put that waits for the subscriber waits for seconds.
+        assert!(
+            after < before * 10 + Duration::from_millis(50),
+            "{before:?} {after:?}"
+        );
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -234,6 +234,15 @@ impl Client {
         client
     }
 
+    /// Stops its process, so that it reads nothing more and keeps its connections.
+    pub(crate) fn freeze(&self) {
+        let id = self.child.id().expect("it runs").to_string();
+        let stopped = std::process::Command::new("kill")
+            .args(["-STOP", &id])
+            .status();
+        assert!(stopped.expect("kill runs").success());
+    }
+
     async fn line(&mut self) -> Option<String> {
         timeout(PATIENCE, self.lines.next_line())
             .await
