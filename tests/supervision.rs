@@ -3,6 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
+use crate::support::Node;
 use crate::support::detectors::model;
 use albireo_core::policy::{
     Evidence, FrameHead, Knob, KnobError, Need, Outcome, Policy, PolicyConfig,
@@ -241,4 +242,57 @@ async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() 
     );
     free.await.expect("the name is free").unwrap();
     second.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
+    let settings = format!(
+        "node.stop_timeout_s = 60.0\ndetector.model = \"{}\"\ndetector.timeout_ms = 600000\n\
+         policy.name = \"vanilla\"\npower.source = \"none\"\n",
+        model("hanging.onnx").display()
+    );
+    let node = Node::start(&settings).await;
+    let endpoint = [node.zenoh.clone()];
+    let session = albireo::cli::replay::open_session(&endpoint, &[], LONG).await;
+    let session = session.unwrap();
+    // The detector computes for ever on the first; the ring holds two more, and one more pushes one out: by then the
+    // camera's loop waits for the detector.
+    let overrun = r#"albireo_frames_dropped_total{camera="front",kind="overrun"} "#;
+    let stuck = async {
+        for seq in 0.. {
+            session
+                .put("albireo/node/front/frame", vec![255_u8; 64 * 32])
+                .encoding("image/raw;gray8")
+                .attachment(format!(r#"{{"v":1,"seq":{seq},"width":64,"height":32}}"#))
+                .await
+                .unwrap();
+            let text = reqwest::get(format!("{}/metrics", node.http))
+                .await
+                .unwrap();
+            let text = text.text().await.unwrap();
+            let count = text.lines().find_map(|line| line.strip_prefix(overrun));
+            if count.is_some_and(|count| !count.starts_with('0')) {
+                return;
+            }
+        }
+    };
+    timeout(LONG, stuck).await.expect("the detector hangs");
+    // Signals of one kind that come before they are heard are one: so it is sent until the node has ended.
+    let id = node.id().to_string();
+    let again = tokio::spawn(async move {
+        let mut period = tokio::time::interval(Duration::from_millis(50));
+        loop {
+            period.tick().await;
+            let mut kill = std::process::Command::new("kill");
+            let _ = kill
+                .args(["-TERM", &id])
+                .stderr(std::process::Stdio::null())
+                .status();
+        }
+    });
+    let (status, took, _, _) = timeout(LONG, node.stop()).await.unwrap();
+    again.abort();
+    assert_eq!(status.code(), Some(130));
+    assert!(took < Duration::from_secs(5), "{took:?}");
 }
