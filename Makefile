@@ -9,7 +9,7 @@ PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
 PARITY_ENVIRONMENT := $(CACHE)/parity/.ready
 DEMO_SECONDS ?=
 
-.PHONY: help demo test lint soak onnxruntime python debian release bench bench-peers parity clean
+.PHONY: help demo test lint soak board onnxruntime python debian release bench bench-peers parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -47,6 +47,9 @@ $(PARITY_ENVIRONMENT): tests/parity/requirements.txt
 	python3 -m venv $(CACHE)/parity
 	$(CACHE)/parity/bin/python -m pip install --quiet --disable-pip-version-check -r tests/parity/requirements.txt
 	@touch $@
+
+board: ## the node for a small board: without hub, simulator, evaluation and renderer
+	cargo build --locked --no-default-features
 
 release: ## the optimised program in target/release/albireo
 	cargo build --locked --release

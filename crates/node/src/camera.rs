@@ -246,7 +246,7 @@ fn next_need(
     head: FrameHead,
 ) -> impl Future<Output = (EncodedPicture, Need)> + Send {
     let need = policy.foresee(FrameHead {
-        index: head.index + 1,
+        index: head.index.saturating_add(1),
         step: 1,
         ..head
     });
