@@ -3,6 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::support::{PATIENCE, albireo};
+use albireo_core::geometry::PictureSize;
+use albireo_synth::{Dashcam, DashcamSettings};
 use serde_json::Value;
 use std::process::Stdio;
 use std::time::{Duration, Instant};
@@ -20,9 +22,22 @@ async fn ask(url: &str) -> Value {
 #[ignore = "needs ONNX Runtime"]
 async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen() {
     let temporary = tempfile::tempdir().unwrap();
-    // Ten times as fast as it is meant to be looked at, so that a clip does not take long.
+    // A few pictures over and over, so that a clip does not take long: each time through them is one.
+    let pictures = tempfile::tempdir().unwrap();
+    let mut dashcam = Dashcam::new(DashcamSettings {
+        seed: 5,
+        size: PictureSize::new(320, 180),
+        ..DashcamSettings::default()
+    })
+    .unwrap();
+    for number in 0..8 {
+        let picture = dashcam.frame(number).encode_jpeg(80).unwrap();
+        std::fs::write(pictures.path().join(format!("{number}.jpg")), picture).unwrap();
+    }
     let mut demo = albireo()
-        .args(["demo", "--port", "0", "--hub-port", "0", "--rate", "100"])
+        .args(["demo", "--port", "0", "--hub-port", "0", "--rate", "20"])
+        .arg("--source")
+        .arg(pictures.path())
         .env("TMPDIR", temporary.path())
         .stdout(Stdio::piped())
         .stderr(Stdio::null())

@@ -23,6 +23,11 @@ const SESSION: session::Settings<'static> = &[
     ("transport/link/tx/lease", "60000"),
     ("transport/unicast/max_sessions", "12000"),
     ("transport/unicast/accept_pending", "2000"),
+    // A hub is one of few: it may come back at once after its router.
+    (
+        "connect/retry",
+        r#"{"period_init_ms":250,"period_max_ms":2000,"period_increase_factor":2}"#,
+    ),
 ];
 
 /// How long stopping may take.
@@ -103,6 +108,7 @@ async fn parts(
         return Ok(());
     };
 
+    view.attach_session(session.clone());
     let (replies, replier) = Replies::start(Arc::clone(&view.ingest))?;
     let (intake, queue) = Intake::new(&config.ingest, replies.clone(), Arc::clone(&view.ingest));
     let changed = EventsChanged::default();

@@ -126,7 +126,7 @@ impl Show {
 #[cfg(feature = "hub")]
 pub(super) fn hub_lines(address: SocketAddr) {
     println!("  hub      curl http://{address}/api/v1/clips");
-    println!("  fleet    target/debug/albireo fleet --hub http://{address} ls");
+    println!("  fleet    albireo fleet --hub http://{address} ls");
 }
 
 /// What the letters mean, and what the columns of the clips are.
