@@ -18,6 +18,7 @@ pub(crate) struct HubProcess {
     child: Child,
     /// Where its HTTP interface is.
     pub(crate) http: String,
+    log: tempfile::NamedTempFile,
 }
 
 /// A hub's settings, as environment variables of its process.
@@ -66,14 +67,16 @@ impl HubProcess {
             .iter()
             .find(|(name, _)| *name == "ALBIREO_HTTP__LISTEN");
         let http = listen.map(|(_, address)| format!("http://{address}"));
+        let log = tempfile::NamedTempFile::new().expect("a log");
         command
             .envs(settings.iter().map(|(name, value)| (*name, value)))
             .kill_on_drop(true)
             .stdin(Stdio::null())
-            .stderr(Stdio::null());
+            .stderr(log.reopen().expect("the log is there"));
         Self {
             child: command.spawn().expect("the hub starts"),
             http: http.expect("an address of its own"),
+            log,
         }
     }
 
@@ -118,7 +121,8 @@ impl HubProcess {
             }
             assert!(
                 Instant::now() < until,
-                "{path} never came to what is wanted: {answer}"
+                "{path} never came to what is wanted: {answer}\n{}",
+                std::fs::read_to_string(self.log.path()).unwrap_or_default()
             );
             tokio::time::sleep(Duration::from_millis(20)).await;
         }

@@ -6,7 +6,7 @@ use crate::http::{self, HubView};
 use crate::ingest::{IngestWriter, Intake, Replies, WriterSetup};
 use crate::presence::{ListenSetup, listen};
 use crate::readiness::Readiness;
-use crate::store::Store;
+use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::session;
 use anyhow::{Context, anyhow};
@@ -91,10 +91,15 @@ async fn parts(
     shutdown: &CancellationToken,
 ) -> anyhow::Result<()> {
     let readiness = &view.readiness;
-    let Some(store) = open_store(config, readiness, shutdown).await? else {
+    // A database may go away again at any moment, also between two questions of the start.
+    let opened = patiently(config, readiness, shutdown, async || {
+        let store = Store::open(&config.database).await?;
+        let nodes = store.remembered().await?;
+        Ok((store, nodes))
+    });
+    let Some((store, nodes)) = opened.await? else {
         return Ok(());
     };
-    let nodes = store.remembered().await?;
     tracing::info!(
         database = store.kind(),
         nodes = nodes.len(),
@@ -102,7 +107,6 @@ async fn parts(
     );
     view.fleet.remember(nodes, Instant::now());
     view.attach(store.clone());
-    readiness.release("database");
     let Some(session) = open_session(config, readiness, shutdown).await? else {
         store.close().await;
         return Ok(());
@@ -146,17 +150,23 @@ async fn parts(
         .callback(move |query| intake.take(query))
         .await
         .map_err(|error| anyhow!("reports cannot be taken: {error}"))?;
-    let tuner = Tuner::open(
-        store.clone(),
-        view.fleet.clone(),
-        Arc::clone(&view.desires),
-        listening.pokes.clone(),
-        config.tuning.clone(),
-        session.zid().to_string(),
-    );
-    let tuner = Arc::new(tuner.await?);
-    view.attach_tuner(Arc::clone(&tuner));
-    let tuning = tokio::spawn(tuning::follow(tuner, shutdown.clone()));
+    let opened = patiently(config, readiness, shutdown, async || {
+        Tuner::open(
+            store.clone(),
+            view.fleet.clone(),
+            Arc::clone(&view.desires),
+            listening.pokes.clone(),
+            config.tuning.clone(),
+            session.zid().to_string(),
+        )
+        .await
+    });
+    // Without one the hub is being stopped: what was taken in the meantime is committed below.
+    let tuner = opened.await?.map(Arc::new);
+    let tuning = tuner.map(|tuner| {
+        view.attach_tuner(Arc::clone(&tuner));
+        tokio::spawn(tuning::follow(tuner, shutdown.clone()))
+    });
     // Who was known tells where it stands now, and not at its next period.
     for node in view.fleet.names() {
         listening
@@ -180,7 +190,9 @@ async fn parts(
     let stop = async {
         let _ = writing.await;
         let _ = following.await;
-        let _ = tuning.await;
+        if let Some(tuning) = tuning {
+            let _ = tuning.await;
+        }
         drop(listening);
         // The last answers go before the session does.
         let _ = tokio::task::spawn_blocking(move || replier.join()).await;
@@ -195,15 +207,19 @@ async fn parts(
     Ok(())
 }
 
-/// Opens the database, and tries again while it cannot be reached.
-async fn open_store(
+/// Does what needs the database, and tries again while that cannot be reached. `None` when the hub is being stopped.
+async fn patiently<T>(
     config: &HubConfig,
     readiness: &Readiness,
     shutdown: &CancellationToken,
-) -> anyhow::Result<Option<Store>> {
+    work: impl AsyncFn() -> Result<T, StoreError>,
+) -> anyhow::Result<Option<T>> {
     loop {
-        match Store::open(&config.database).await {
-            Ok(store) => return Ok(Some(store)),
+        match work().await {
+            Ok(done) => {
+                readiness.release("database");
+                return Ok(Some(done));
+            }
             Err(error) if error.passes() => {
                 tracing::warn!(%error, database = config.database.shown(), "trying again");
                 readiness.hold("database", &error.to_string());
