@@ -4,7 +4,7 @@ use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
 use crate::events::EventsChanged;
 use crate::http::{self, HubView};
 use crate::ingest::{IngestWriter, Intake, Replies, WriterSetup};
-use crate::presence::{ListenSetup, listen};
+use crate::presence::{ListenSetup, Remembered, listen};
 use crate::readiness::Readiness;
 use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
@@ -92,13 +92,15 @@ async fn parts(
 ) -> anyhow::Result<()> {
     let readiness = &view.readiness;
     // A database may go away again at any moment, also between two questions of the start.
-    let opened = patiently(config, readiness, shutdown, async || {
-        let store = Store::open(&config.database).await?;
-        let nodes = store.remembered().await?;
-        Ok((store, nodes))
-    });
-    let Some((store, nodes)) = opened.await? else {
-        return Ok(());
+    let (store, nodes) = loop {
+        match remembered(config).await {
+            Ok(opened) => break opened,
+            Err(error) => {
+                if !later(config, readiness, shutdown, error).await? {
+                    return Ok(());
+                }
+            }
+        }
     };
     tracing::info!(
         database = store.kind(),
@@ -107,6 +109,7 @@ async fn parts(
     );
     view.fleet.remember(nodes, Instant::now());
     view.attach(store.clone());
+    readiness.release("database");
     let Some(session) = open_session(config, readiness, shutdown).await? else {
         store.close().await;
         return Ok(());
@@ -150,19 +153,26 @@ async fn parts(
         .callback(move |query| intake.take(query))
         .await
         .map_err(|error| anyhow!("reports cannot be taken: {error}"))?;
-    let opened = patiently(config, readiness, shutdown, async || {
-        Tuner::open(
+    // Without one the hub is being stopped: what was taken in the meantime is committed below.
+    let tuner = loop {
+        let opened = Tuner::open(
             store.clone(),
             view.fleet.clone(),
             Arc::clone(&view.desires),
             listening.pokes.clone(),
             config.tuning.clone(),
             session.zid().to_string(),
-        )
-        .await
-    });
-    // Without one the hub is being stopped: what was taken in the meantime is committed below.
-    let tuner = opened.await?.map(Arc::new);
+        );
+        match opened.await {
+            Ok(tuner) => break Some(Arc::new(tuner)),
+            Err(error) => {
+                if !later(config, readiness, shutdown, error).await? {
+                    break None;
+                }
+            }
+        }
+    };
+    readiness.release("database");
     let tuning = tuner.map(|tuner| {
         view.attach_tuner(Arc::clone(&tuner));
         tokio::spawn(tuning::follow(tuner, shutdown.clone()))
@@ -207,32 +217,29 @@ async fn parts(
     Ok(())
 }
 
-/// Does what needs the database, and tries again while that cannot be reached. `None` when the hub is being stopped.
-async fn patiently<T>(
+/// The database and what it knows of the nodes.
+async fn remembered(config: &HubConfig) -> Result<(Store, Vec<Remembered>), StoreError> {
+    let store = Store::open(&config.database).await?;
+    let nodes = store.remembered().await?;
+    Ok((store, nodes))
+}
+
+/// Waits before the database is tried again, where that may help; false when the hub is being stopped.
+async fn later(
     config: &HubConfig,
     readiness: &Readiness,
     shutdown: &CancellationToken,
-    work: impl AsyncFn() -> Result<T, StoreError>,
-) -> anyhow::Result<Option<T>> {
-    loop {
-        match work().await {
-            Ok(done) => {
-                readiness.release("database");
-                return Ok(Some(done));
-            }
-            Err(error) if error.passes() => {
-                tracing::warn!(%error, database = config.database.shown(), "trying again");
-                readiness.hold("database", &error.to_string());
-            }
-            Err(error) => {
-                return Err(anyhow!("[database] {}: {error}", config.database.shown()));
-            }
-        }
-        tokio::select! {
-            () = tokio::time::sleep(DATABASE_RETRY) => {}
-            () = shutdown.cancelled() => return Ok(None),
-        }
+    error: StoreError,
+) -> anyhow::Result<bool> {
+    if !error.passes() {
+        return Err(anyhow!("[database] {}: {error}", config.database.shown()));
     }
+    tracing::warn!(%error, database = config.database.shown(), "trying again");
+    readiness.hold("database", &error.to_string());
+    Ok(tokio::select! {
+        () = tokio::time::sleep(DATABASE_RETRY) => true,
+        () = shutdown.cancelled() => false,
+    })
 }
 
 async fn open_session(

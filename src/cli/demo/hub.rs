@@ -6,6 +6,7 @@ use anyhow::{Context, bail};
 use std::net::SocketAddr;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
@@ -89,7 +90,14 @@ fn in_words(path: &Path) -> String {
 
 impl Drop for Folder {
     fn drop(&mut self) {
-        // Nothing else can be done about it at the end.
-        let _ = std::fs::remove_dir_all(&self.0);
+        // The database's last connection may still be taking its files away.
+        for _ in 0..20 {
+            match std::fs::remove_dir_all(&self.0) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    std::thread::sleep(Duration::from_millis(50));
+                }
+                _ => return,
+            }
+        }
     }
 }
