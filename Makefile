@@ -14,7 +14,7 @@ DEMO_SECONDS ?=
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-demo: onnxruntime ## camera, node and live output in one process, with nothing to configure (DEMO_SECONDS=N stops it)
+demo: onnxruntime ## camera, node, hub and live output in one process, with nothing to configure (DEMO_SECONDS=N stops it)
 	cargo build --locked
 	@exec target/debug/albireo demo $(if $(DEMO_SECONDS),--seconds $(DEMO_SECONDS))
 
@@ -66,7 +66,8 @@ $(PYTHON_ENVIRONMENT): tests/requirements.txt
 	@touch $@
 
 debian: ## Debian packages the tests use, installed when missing and when allowed
-	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql
+	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql \
+		strace:strace
 
 clean: ## remove what was built and fetched
 	cargo clean

@@ -96,7 +96,7 @@ enum Command {
     /// Play a fleet of nodes to a hub: load, outages, reactions to what is desired.
     Simulate(Box<simulate::Arguments>),
     #[cfg(feature = "eval")]
-    /// Run a camera and a node in one process, with nothing to configure.
+    /// Run a camera, a node and a hub in one process, with nothing to configure.
     Demo(demo::Arguments),
 }
 

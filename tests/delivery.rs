@@ -5,16 +5,12 @@
 
 mod hub;
 
+use crate::support::camera::Camera;
 use crate::support::{Client, Node, PATIENCE, free_port};
-use albireo_core::geometry::PictureSize;
-use albireo_synth::{Dashcam, DashcamSettings};
-use albireo_wire::{FrameAttachment, VERSION};
 use hub::{Hub, Manner};
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::sync::mpsc::unbounded_channel;
 use tokio::time::timeout;
-use zenoh::Session;
-use zenoh::pubsub::Publisher;
 
 /// Settings of a node that answers quickly and tries a hub again quickly.
 fn settings() -> String {
@@ -32,88 +28,6 @@ fn folder() -> (tempfile::TempDir, String) {
     let state = folder.path().join("state");
     let settings = format!("node.state_dir = \"{}\"\n{}", state.display(), settings());
     (folder, settings)
-}
-
-/// A camera that names a clip a frame, so that each frame ends a clip.
-struct Camera {
-    session: Session,
-    frames: Publisher<'static>,
-    answers: UnboundedReceiver<()>,
-    picture: Vec<u8>,
-    seq: u64,
-}
-
-impl Camera {
-    async fn at(endpoint: &str) -> Self {
-        let session = albireo::cli::replay::open_session(&[endpoint.to_owned()], &[], PATIENCE)
-            .await
-            .unwrap();
-        let (sender, answers) = unbounded_channel();
-        session
-            .declare_subscriber("albireo/node/front/detections")
-            .callback(move |_| {
-                let _ = sender.send(());
-            })
-            .background()
-            .await
-            .unwrap();
-        let frames = session
-            .declare_publisher("albireo/node/front/frame")
-            .congestion_control(zenoh::qos::CongestionControl::Block)
-            .await
-            .unwrap();
-        let listener = frames.matching_listener().await.unwrap();
-        let matched = async {
-            while !frames.matching_status().await.unwrap().matching() {
-                let _ = listener.recv_async().await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, matched).await.unwrap();
-        // An answered query says that the node knows this side's subscription.
-        let replies = session.get("albireo/node/front/threshold").await.unwrap();
-        while replies.recv_async().await.is_ok() {}
-        let mut dashcam = Dashcam::new(DashcamSettings {
-            seed: 5,
-            size: PictureSize::new(320, 180),
-            ..DashcamSettings::default()
-        })
-        .unwrap();
-        Self {
-            session,
-            frames,
-            answers,
-            picture: dashcam.frame(0).encode_jpeg(80).unwrap(),
-            seq: 0,
-        }
-    }
-
-    /// Sends `count` frames of a clip each, and waits for each answer: then all clips but the last are closed.
-    async fn clips(&mut self, count: u64) {
-        for _ in 0..count {
-            let attachment = FrameAttachment {
-                v: VERSION,
-                seq: Some(self.seq),
-                t_ns: Some(self.seq),
-                clip: Some(format!("clip-{}", self.seq)),
-                ..FrameAttachment::default()
-            };
-            self.seq += 1;
-            self.frames
-                .put(self.picture.clone())
-                .encoding("image/jpeg")
-                .attachment(serde_json::to_vec(&attachment).unwrap())
-                .await
-                .unwrap();
-            timeout(PATIENCE, self.answers.recv())
-                .await
-                .unwrap()
-                .unwrap();
-        }
-    }
-
-    async fn close(self) {
-        self.session.close().await.unwrap();
-    }
 }
 
 async fn metric(node: &Node, name: &str) -> f64 {
@@ -156,7 +70,7 @@ async fn reports_reach_the_hub_once_and_are_removed_then() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
     let hub = Hub::start(&node.zenoh, Manner::Honest).await;
-    let mut camera = Camera::at(&node.zenoh).await;
+    let mut camera = Camera::at(&node.zenoh, "node").await;
     camera.clips(6).await;
     hub.wait_for(5).await;
     wait_for(&node, "albireo_outbox_waiting", 0.0).await;
@@ -177,7 +91,7 @@ async fn reports_reach_the_hub_once_and_are_removed_then() {
 async fn a_subscriber_that_only_listens_never_counts_as_delivery() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
-    let mut camera = Camera::at(&node.zenoh).await;
+    let mut camera = Camera::at(&node.zenoh, "node").await;
     let (sender, mut heard) = unbounded_channel();
     camera
         .session
@@ -209,7 +123,7 @@ async fn a_subscriber_that_only_listens_never_counts_as_delivery() {
 async fn twenty_waiting_reports_survive_a_hub_that_dies_at_once() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
-    let mut camera = Camera::at(&node.zenoh).await;
+    let mut camera = Camera::at(&node.zenoh, "node").await;
     camera.clips(21).await;
     wait_for(&node, "albireo_outbox_waiting", 20.0).await;
     for _ in 0..3 {
@@ -228,7 +142,7 @@ async fn twenty_waiting_reports_survive_a_hub_that_dies_at_once() {
 async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
-    let mut camera = Camera::at(&node.zenoh).await;
+    let mut camera = Camera::at(&node.zenoh, "node").await;
     let hub = Hub::start(&node.zenoh, Manner::CommitsAndSaysNothing).await;
     camera.clips(4).await;
     hub.wait_for(3).await;
@@ -247,7 +161,7 @@ async fn a_hub_that_commits_and_freezes_before_its_answer_gets_no_report_twice()
 async fn a_hub_that_refuses_is_asked_again_after_the_time_it_names() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
-    let mut camera = Camera::at(&node.zenoh).await;
+    let mut camera = Camera::at(&node.zenoh, "node").await;
     let hub = Hub::start(
         &node.zenoh,
         Manner::Busy {
@@ -274,7 +188,7 @@ async fn a_clip_that_just_closed_survives_a_kill() {
     let mut closed = 0;
     for _ in 0..5 {
         let node = Node::start_in(folder, &settings).await;
-        let mut camera = Camera::at(&node.zenoh).await;
+        let mut camera = Camera::at(&node.zenoh, "node").await;
         camera.clips(4).await;
         closed += 3;
         // Milliseconds after their end: the file is synced, their energy need not be known yet.
@@ -335,7 +249,7 @@ async fn a_subscriber_that_stops_reading_costs_detections_and_http_nothing() {
 async fn thousands_of_waiting_reports_drain_in_seconds() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
-    let mut camera = Camera::at(&node.zenoh).await;
+    let mut camera = Camera::at(&node.zenoh, "node").await;
     camera.clips(2).await;
     wait_for(&node, "albireo_outbox_waiting", 1.0).await;
     camera.close().await;
@@ -403,13 +317,13 @@ async fn a_node_starts_without_its_router_answers_health_and_survives_its_replac
 
     let router = hub::router(&endpoint).await;
     node.wait_until_ready().await;
-    let mut camera = Camera::at(&endpoint).await;
+    let mut camera = Camera::at(&endpoint, "node").await;
     camera.clips(2).await;
     camera.close().await;
     router.close().await.unwrap();
     drop(router);
     let _router = hub::router(&endpoint).await;
-    let mut camera = Camera::at(&endpoint).await;
+    let mut camera = Camera::at(&endpoint, "node").await;
     camera.seq = 2;
     camera.clips(2).await;
 }

@@ -5,6 +5,8 @@ mod support;
 mod command_line;
 mod compare;
 mod delivery;
+#[cfg(feature = "hub")]
+mod demo;
 mod detector_batches;
 mod detector_exports;
 mod detector_models;
@@ -19,11 +21,15 @@ mod eval_paper;
 mod eval_pictures;
 mod every_frame;
 mod expected_loss;
+#[cfg(feature = "hub")]
+mod fleet;
 mod frame_decoding;
 mod frame_formats;
 mod golden_traces;
 mod head_fixtures;
 mod http_api;
+#[cfg(feature = "hub")]
+mod hub_faults;
 #[cfg(feature = "hub")]
 mod hub_kills;
 mod node_frames;

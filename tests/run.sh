@@ -18,6 +18,7 @@ need "Python" "$ALBIREO_PYTHON" -c ""
 need "ffmpeg" command -v ffmpeg
 need "promtool" command -v promtool
 need "curl" command -v curl
+need "strace" strace -o /dev/null true
 need "PostgreSQL" bash -c "command -v initdb || ls /usr/lib/postgresql/*/bin/initdb"
 
 # With the feature turbojpeg where it can be built; its tests are named scaled_…

@@ -1,5 +1,7 @@
-//! `albireo demo`: a camera and a node in one process, talking over a real Zenoh session, with live output.
+//! `albireo demo`: a camera, a node and a hub in one process, talking over real Zenoh sessions, with live output.
 
+#[cfg(feature = "hub")]
+mod hub;
 mod show;
 
 use super::replay::{
@@ -25,6 +27,7 @@ Examples:
                                     our own policy, a detector call priced at 0.5
 While it runs, in another terminal:
   curl localhost:8080/api/v1/frame-states
+  albireo fleet ls                  the hub's view; also: show demo, energy, set-u 5e-4 --select all
   curl -X PUT localhost:8080/api/v1/threshold -H 'content-type: application/json' -d '{\"u\":7e-4}'";
 
 /// The camera of the demonstration.
@@ -61,6 +64,10 @@ pub(super) struct Arguments {
     /// Port of the HTTP interface; another free one when it is taken
     #[arg(long, default_value_t = 8080)]
     port: u16,
+    /// Port of the hub's HTTP interface; another free one when it is taken
+    #[cfg(feature = "hub")]
+    #[arg(long, default_value_t = 8090)]
+    hub_port: u16,
 }
 
 /// Runs the demonstration.
@@ -78,8 +85,17 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     let endpoint = format!("tcp/127.0.0.1:{}", listen(7447).await?.local_addr()?.port());
     let config = configuration(&arguments, &endpoint)?;
     let prepared = PreparedNode::new(&config)?;
+    #[cfg(feature = "hub")]
+    let hub = hub::DemoHub::start(
+        listen(arguments.hub_port).await?,
+        &endpoint,
+        shutdown.clone(),
+    )?;
     let show = Show::new(prepared.board(), &config, address);
     show.banner();
+    #[cfg(feature = "hub")]
+    show::hub_lines(hub.address());
+    show::heading();
 
     // A task each: opening a Zenoh session blocks its thread, and no part may wait for another's.
     // Whichever ends first ends the others.
@@ -97,8 +113,13 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
         camera.await.context("camera")?,
         show.await.context("output")?,
     );
+    // Last of all, so that the last clip has arrived.
+    #[cfg(feature = "hub")]
+    let hub = hub.stop().await;
     camera?;
     node?;
+    #[cfg(feature = "hub")]
+    hub?;
     summary.print();
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! `albireo fleet`: a hub from the terminal. It is a client of the hub's HTTP interface and knows nothing else.
 
 mod client;
+mod diag;
 mod nodes;
 mod rollouts;
 mod set;
@@ -31,6 +32,7 @@ Examples:
   albireo fleet rollout show 3 --follow              until it is done, held or back
   albireo fleet trial start 1e-4 3e-4 1e-3 --select region=north --for 2h
   albireo fleet energy --since 7d --by node
+  albireo fleet diag                                 an archive for whoever looks for a fault
   albireo fleet changes --node cam-7                 who set what, when, why, and what came of it
   ALBIREO_HUB=http://hub.example:8090 ALBIREO_HUB_TOKEN=… albireo fleet watch";
 
@@ -79,6 +81,8 @@ enum Command {
     Energy(nodes::EnergyArguments),
     /// The fleet, renewed every two seconds.
     Watch(nodes::WatchArguments),
+    /// Fetch what the hub tells of itself, as one archive, for whoever looks for a fault.
+    Diag(diag::Arguments),
 }
 
 /// How a command ended, beyond errors.
@@ -158,5 +162,6 @@ async fn follow(arguments: Arguments) -> Result<Ended, Failure> {
         Command::Trial(command) => trials::run(&context, command).await,
         Command::Energy(arguments) => nodes::energy(&context, arguments).await,
         Command::Watch(arguments) => nodes::watch(&context, arguments).await,
+        Command::Diag(arguments) => diag::fetch(&context, arguments).await,
     }
 }

@@ -3,7 +3,14 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+pub(crate) mod camera;
 pub(crate) mod detectors;
+#[cfg(feature = "hub")]
+pub(crate) mod fleet;
+#[cfg(feature = "hub")]
+#[path = "../../crates/hub/tests/support/postgres.rs"]
+#[allow(unreachable_pub)]
+pub(crate) mod postgres;
 
 use serde_json::Value;
 use std::path::{Path, PathBuf};

@@ -3,6 +3,7 @@
 mod body;
 mod campaigns;
 mod clips;
+mod diag;
 mod energy;
 mod events;
 mod health;
@@ -25,11 +26,13 @@ use axum::extract::rejection::QueryRejection;
 use axum::http::StatusCode;
 use axum::routing::get;
 use std::sync::{Arc, OnceLock};
+use std::time::Instant;
 use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 use utoipa::{Modify, OpenApi as _};
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
+use zenoh::Session;
 
 /// What the routes look at.
 #[derive(Clone, Debug)]
@@ -50,6 +53,10 @@ pub struct HubView {
     pub shutdown: CancellationToken,
     store: Arc<OnceLock<Store>>,
     tuner: Arc<OnceLock<Arc<Tuner>>>,
+    session: Arc<OnceLock<Session>>,
+    /// The configuration without its secrets.
+    config: Arc<serde_json::Value>,
+    started: Instant,
 }
 
 impl HubView {
@@ -65,6 +72,9 @@ impl HubView {
             shutdown,
             store: Arc::default(),
             tuner: Arc::default(),
+            session: Arc::default(),
+            config: Arc::new(diag::without_secrets(config)),
+            started: Instant::now(),
         }
     }
 
@@ -78,6 +88,18 @@ impl HubView {
     pub(crate) fn attach_tuner(&self, tuner: Arc<Tuner>) {
         // It is started once.
         let _ = self.tuner.set(tuner);
+    }
+
+    /// Gives the routes the Zenoh session, once it is open.
+    pub(crate) fn attach_session(&self, session: Session) {
+        // It is opened once.
+        let _ = self.session.set(session);
+    }
+
+    /// How many Zenoh sessions there are to others; `None` before the hub's own is open.
+    pub(crate) async fn sessions(&self) -> Option<usize> {
+        let session = self.session.get()?;
+        Some(session.info().transports().await.count())
     }
 
     /// What tunes the fleet.
@@ -164,6 +186,7 @@ fn described() -> OpenApiRouter<HubView> {
         .routes(routes!(clips::set_aside))
         .routes(routes!(energy::sums))
         .routes(routes!(events::stream))
+        .routes(routes!(diag::archive))
         .routes(routes!(threshold::put))
         .routes(routes!(threshold::changes))
         .routes(routes!(threshold::change))

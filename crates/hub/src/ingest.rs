@@ -8,6 +8,8 @@ mod clip;
 mod commit;
 mod counters;
 mod decode;
+#[cfg(test)]
+mod fuzz;
 mod plan;
 mod replies;
 #[cfg(test)]
@@ -15,6 +17,7 @@ mod tests;
 mod writer;
 
 pub(crate) use commit::Numbers;
+pub(crate) use counters::Queued;
 pub use counters::{IngestCounters, IngestSnapshot};
 pub(crate) use replies::{Replies, refusal};
 pub(crate) use writer::{IngestWriter, WriterSetup};
@@ -40,6 +43,8 @@ pub(crate) struct Waiting {
     pub(crate) since: Instant,
     /// Its place among the bytes that may wait.
     _room: OwnedSemaphorePermit,
+    /// Its place among those that are counted.
+    _queued: Queued,
 }
 
 /// What Zenoh calls for each batch.
@@ -90,12 +95,14 @@ impl Intake {
         let Ok(room) = Arc::clone(&self.room).try_acquire_many_owned(needed) else {
             return self.busy(query);
         };
+        let queued = self.counters.queue(payload.len());
         let waiting = Waiting {
             node,
             payload,
             query,
             since: Instant::now(),
             _room: room,
+            _queued: queued,
         };
         if let Err(error) = self.queue.try_send(waiting) {
             self.busy(error.into_inner().query);

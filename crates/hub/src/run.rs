@@ -4,9 +4,9 @@ use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
 use crate::events::EventsChanged;
 use crate::http::{self, HubView};
 use crate::ingest::{IngestWriter, Intake, Replies, WriterSetup};
-use crate::presence::{ListenSetup, listen};
+use crate::presence::{ListenSetup, Remembered, listen};
 use crate::readiness::Readiness;
-use crate::store::Store;
+use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::session;
 use anyhow::{Context, anyhow};
@@ -23,6 +23,11 @@ const SESSION: session::Settings<'static> = &[
     ("transport/link/tx/lease", "60000"),
     ("transport/unicast/max_sessions", "12000"),
     ("transport/unicast/accept_pending", "2000"),
+    // A hub is one of few: it may come back at once after its router.
+    (
+        "connect/retry",
+        r#"{"period_init_ms":250,"period_max_ms":2000,"period_increase_factor":2}"#,
+    ),
 ];
 
 /// How long stopping may take.
@@ -86,10 +91,17 @@ async fn parts(
     shutdown: &CancellationToken,
 ) -> anyhow::Result<()> {
     let readiness = &view.readiness;
-    let Some(store) = open_store(config, readiness, shutdown).await? else {
-        return Ok(());
+    // A database may go away again at any moment, also between two questions of the start.
+    let (store, nodes) = loop {
+        match remembered(config).await {
+            Ok(opened) => break opened,
+            Err(error) => {
+                if !later(config, readiness, shutdown, error).await? {
+                    return Ok(());
+                }
+            }
+        }
     };
-    let nodes = store.remembered().await?;
     tracing::info!(
         database = store.kind(),
         nodes = nodes.len(),
@@ -103,6 +115,7 @@ async fn parts(
         return Ok(());
     };
 
+    view.attach_session(session.clone());
     let (replies, replier) = Replies::start(Arc::clone(&view.ingest))?;
     let (intake, queue) = Intake::new(&config.ingest, replies.clone(), Arc::clone(&view.ingest));
     let changed = EventsChanged::default();
@@ -140,17 +153,30 @@ async fn parts(
         .callback(move |query| intake.take(query))
         .await
         .map_err(|error| anyhow!("reports cannot be taken: {error}"))?;
-    let tuner = Tuner::open(
-        store.clone(),
-        view.fleet.clone(),
-        Arc::clone(&view.desires),
-        listening.pokes.clone(),
-        config.tuning.clone(),
-        session.zid().to_string(),
-    );
-    let tuner = Arc::new(tuner.await?);
-    view.attach_tuner(Arc::clone(&tuner));
-    let tuning = tokio::spawn(tuning::follow(tuner, shutdown.clone()));
+    // Without one the hub is being stopped: what was taken in the meantime is committed below.
+    let tuner = loop {
+        let opened = Tuner::open(
+            store.clone(),
+            view.fleet.clone(),
+            Arc::clone(&view.desires),
+            listening.pokes.clone(),
+            config.tuning.clone(),
+            session.zid().to_string(),
+        );
+        match opened.await {
+            Ok(tuner) => break Some(Arc::new(tuner)),
+            Err(error) => {
+                if !later(config, readiness, shutdown, error).await? {
+                    break None;
+                }
+            }
+        }
+    };
+    readiness.release("database");
+    let tuning = tuner.map(|tuner| {
+        view.attach_tuner(Arc::clone(&tuner));
+        tokio::spawn(tuning::follow(tuner, shutdown.clone()))
+    });
     // Who was known tells where it stands now, and not at its next period.
     for node in view.fleet.names() {
         listening
@@ -174,7 +200,9 @@ async fn parts(
     let stop = async {
         let _ = writing.await;
         let _ = following.await;
-        let _ = tuning.await;
+        if let Some(tuning) = tuning {
+            let _ = tuning.await;
+        }
         drop(listening);
         // The last answers go before the session does.
         let _ = tokio::task::spawn_blocking(move || replier.join()).await;
@@ -189,28 +217,29 @@ async fn parts(
     Ok(())
 }
 
-/// Opens the database, and tries again while it cannot be reached.
-async fn open_store(
+/// The database and what it knows of the nodes.
+async fn remembered(config: &HubConfig) -> Result<(Store, Vec<Remembered>), StoreError> {
+    let store = Store::open(&config.database).await?;
+    let nodes = store.remembered().await?;
+    Ok((store, nodes))
+}
+
+/// Waits before the database is tried again, where that may help; false when the hub is being stopped.
+async fn later(
     config: &HubConfig,
     readiness: &Readiness,
     shutdown: &CancellationToken,
-) -> anyhow::Result<Option<Store>> {
-    loop {
-        match Store::open(&config.database).await {
-            Ok(store) => return Ok(Some(store)),
-            Err(error) if error.passes() => {
-                tracing::warn!(%error, database = config.database.shown(), "trying again");
-                readiness.hold("database", &error.to_string());
-            }
-            Err(error) => {
-                return Err(anyhow!("[database] {}: {error}", config.database.shown()));
-            }
-        }
-        tokio::select! {
-            () = tokio::time::sleep(DATABASE_RETRY) => {}
-            () = shutdown.cancelled() => return Ok(None),
-        }
+    error: StoreError,
+) -> anyhow::Result<bool> {
+    if !error.passes() {
+        return Err(anyhow!("[database] {}: {error}", config.database.shown()));
     }
+    tracing::warn!(%error, database = config.database.shown(), "trying again");
+    readiness.hold("database", &error.to_string());
+    Ok(tokio::select! {
+        () = tokio::time::sleep(DATABASE_RETRY) => true,
+        () = shutdown.cancelled() => false,
+    })
 }
 
 async fn open_session(

@@ -205,3 +205,36 @@ async fn tables_of_a_newer_program_or_of_another_one_are_refused() {
         assert!(error.to_string().contains(wanted), "{error}");
     }
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_archive_holds_what_a_hub_tells_of_itself() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let session = uplink(&hub.zenoh).await;
+    let start = now_ns() - 3_600_000_000_000;
+    assert_eq!(
+        deliver(&session, &batch("car-1", &instance('a'), 1..=1, start)).await,
+        Said::Stored(1)
+    );
+    let answer = reqwest::get(format!("{}/api/v1/diag", hub.http)).await;
+    let archive = answer.unwrap().bytes().await.unwrap();
+    let text = String::from_utf8_lossy(&archive);
+    for part in [
+        "about.json",
+        "configuration.json",
+        "nodes-not-online.json",
+        "events.json",
+        "changes.json",
+        "metrics.txt",
+        "log.txt",
+        "\"commit_ms\": 20",
+        "albireo_hub_clips_total 1",
+        "albireo_hub_sessions 1",
+        "albireo_hub_queue_batches 0",
+        "no status has come yet",
+    ] {
+        assert!(text.contains(part), "no {part} in {text}");
+    }
+    session.close().await.unwrap();
+    hub.stop().await;
+}

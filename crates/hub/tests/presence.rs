@@ -153,3 +153,57 @@ async fn a_restarted_hub_knows_what_it_knew_and_pokes() {
     }
     hub.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nodes_in_any_order_come_each_once_page_by_page() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let session = uplink(&hub.zenoh).await;
+    for number in 0..7 {
+        let one = instance(char::from_digit(number, 16).unwrap());
+        let reasons: &[(&str, &str)] = if number == 3 {
+            &[("screen", "no model")]
+        } else {
+            &[]
+        };
+        let mut message = full_status(&one, 0, reasons);
+        message.waiting = u64::from(number % 3);
+        say(&session, &format!("car-{number}"), &message).await;
+    }
+    hub.until("/api/v1/nodes", |page| page["counts"]["online"] == 6)
+        .await;
+    let mut orders = Vec::new();
+    for sort in ["name", "state", "heard", "-heard", "waiting"] {
+        let (mut names, mut cursor) = (Vec::new(), String::new());
+        loop {
+            let path = format!("/api/v1/nodes?sort={sort}&limit=3{cursor}");
+            let page = hub.get(&path).await;
+            let nodes = page["nodes"].as_array().unwrap();
+            names.extend(
+                nodes
+                    .iter()
+                    .map(|node| node["node"].as_str().unwrap().to_owned()),
+            );
+            match page["next"].as_str() {
+                Some(next) => cursor = format!("&cursor={next}"),
+                None => break,
+            }
+        }
+        let mut sorted = names.clone();
+        sorted.sort();
+        let all: Vec<String> = (0..7).map(|number| format!("car-{number}")).collect();
+        assert_eq!(sorted, all, "{sort}");
+        orders.push(names);
+    }
+    assert_eq!(orders[1][0], "car-3", "the one that is degraded");
+    assert_eq!(orders[4][..2], ["car-2", "car-5"], "those with two waiting");
+    let wrong = hub.get("/api/v1/nodes?sort=weight").await;
+    assert!(
+        wrong["detail"].as_str().unwrap().contains("-heard"),
+        "{wrong}"
+    );
+    let wrong = hub.get("/api/v1/nodes?sort=state&cursor=car-3").await;
+    assert_eq!(wrong["status"], 400, "{wrong}");
+    session.close().await.unwrap();
+    hub.stop().await;
+}

@@ -74,8 +74,6 @@ impl Show {
                 self.address
             );
         }
-        println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue\n");
-        println!("{HEADING}");
     }
 
     /// Prints until `shutdown` and the last clip's report.
@@ -122,6 +120,19 @@ impl Show {
     fn say(&self, line: &str) {
         self.bar.suspend(|| println!("{line}"));
     }
+}
+
+/// Where the hub is, and how to ask it.
+#[cfg(feature = "hub")]
+pub(super) fn hub_lines(address: SocketAddr) {
+    println!("  hub      curl http://{address}/api/v1/clips");
+    println!("  fleet    albireo fleet --hub http://{address} ls");
+}
+
+/// What the letters mean, and what the columns of the clips are.
+pub(super) fn heading() {
+    println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue\n");
+    println!("{HEADING}");
 }
 
 const HEADING: &str =

@@ -90,6 +90,13 @@ impl Client {
         self.json(self.request(Method::GET, path, query)?).await
     }
 
+    /// Fetches a file.
+    pub(super) async fn bytes(&self, path: &str) -> Result<Vec<u8>, Failure> {
+        let request = self.request(Method::GET, path, &[])?;
+        let response = self.send(request.timeout(ANSWER_WITHIN)).await?;
+        Ok(response.bytes().await?.to_vec())
+    }
+
     /// Orders something.
     pub(super) async fn post(&self, path: &str, body: &Value) -> Result<Value, Failure> {
         self.json(self.request(Method::POST, path, &[])?.json(body))

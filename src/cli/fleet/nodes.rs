@@ -14,6 +14,12 @@ use std::time::Duration;
 const PAGE: usize = 500;
 /// Most nodes that are listed.
 const MOST: usize = 200_000;
+/// From so many seconds on, a time of `energy` begins with a day (UTC).
+const WHOLE_DAYS_FROM: f64 = 2.0 * 86_400.0;
+const DAY_MS: i64 = 86_400_000;
+/// Nodes that `watch` shows, and the largest fleet whose values it counts.
+const SHOWN: usize = 20;
+const MOST_VALUES: u64 = 5_000;
 /// Time between two looks of `watch`.
 const LOOK: Duration = Duration::from_secs(2);
 
@@ -23,6 +29,9 @@ pub(super) struct ListArguments {
     /// Only nodes in this state: online, degraded, silent or offline.
     #[arg(long)]
     state: Option<String>,
+    /// By name, state (offline first), heard (the last heard first), waiting (the most waiting reports first).
+    #[arg(long, default_value = "name", value_parser = ["name", "state", "heard", "waiting"])]
+    sort: String,
     /// How many at most.
     #[arg(long, default_value_t = 1_000)]
     limit: usize,
@@ -38,7 +47,7 @@ pub(super) struct ShowArguments {
 /// Arguments of `albireo fleet energy`.
 #[derive(Debug, clap::Args)]
 pub(super) struct EnergyArguments {
-    /// From when on: 7d, 12h.
+    /// From when on: 7d, 12h; from two days on it begins with a day (UTC).
     #[arg(long, default_value = "7d", value_parser = seconds, value_name = "TIME")]
     since: f64,
     /// One line for each node, camera, day, policy or knob.
@@ -47,6 +56,9 @@ pub(super) struct EnergyArguments {
     /// Only this node.
     #[arg(long)]
     node: Option<String>,
+    /// By group, or joules: the most energy first.
+    #[arg(long, default_value = "group", value_parser = ["group", "joules"])]
+    sort: String,
 }
 
 /// Arguments of `albireo fleet watch`.
@@ -61,12 +73,14 @@ pub(super) struct WatchArguments {
 async fn nodes(
     context: &Context,
     state: Option<&str>,
+    sort: &str,
     limit: usize,
 ) -> Result<Vec<Value>, Failure> {
     let mut found: Vec<Value> = Vec::new();
     let mut after: Option<String> = None;
     while found.len() < limit.min(MOST) {
         let mut query = vec![("limit", PAGE.min(limit - found.len()).to_string())];
+        query.push(("sort", sort.to_owned()));
         query.extend(after.take().map(|after| ("cursor", after)));
         query.extend(state.map(|state| ("state", state.to_owned())));
         let page = context.client.get("/api/v1/nodes", &query).await?;
@@ -83,7 +97,13 @@ async fn nodes(
 }
 
 pub(super) async fn list(context: &Context, arguments: ListArguments) -> Result<Ended, Failure> {
-    let found = nodes(context, arguments.state.as_deref(), arguments.limit).await?;
+    let found = nodes(
+        context,
+        arguments.state.as_deref(),
+        &arguments.sort,
+        arguments.limit,
+    )
+    .await?;
     context.print(&json!({ "nodes": found }), |_| table(&found))?;
     Ok(Ended::Well)
 }
@@ -205,7 +225,12 @@ pub(super) async fn energy(
     arguments: EnergyArguments,
 ) -> Result<Ended, Failure> {
     let from = now_ms() - (arguments.since * 1e3) as i64;
-    let mut query = vec![("since_ms", from.to_string())];
+    // Sums over whole days are at hand; nobody asks for a week by the minute.
+    let from = match arguments.since >= WHOLE_DAYS_FROM {
+        true => from.div_euclid(DAY_MS) * DAY_MS,
+        false => from,
+    };
+    let mut query = vec![("since_ms", from.to_string()), ("sort", arguments.sort)];
     query.extend(arguments.by.map(|by| ("by", by)));
     query.extend(arguments.node.map(|node| ("node", node)));
     let energy = context.client.get("/api/v1/energy", &query).await?;
@@ -263,15 +288,28 @@ fn sums(answer: &Value) -> String {
 pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> Result<Ended, Failure> {
     let mut looks = 0;
     loop {
-        let found = nodes(context, None, MOST).await?;
+        // The hub counts, and puts those that are not well first: a page is enough however large the fleet is.
+        let query = [("sort", "state".to_owned()), ("limit", SHOWN.to_string())];
+        let page = context.client.get("/api/v1/nodes", &query).await?;
+        let known: u64 = page["counts"]
+            .as_object()
+            .into_iter()
+            .flatten()
+            .filter_map(|(_, n)| n.as_u64())
+            .sum();
+        let found = if known <= MOST_VALUES {
+            Some(nodes(context, None, "name", MOST).await?)
+        } else {
+            None
+        };
         if context.json {
-            println!("{}", json!({ "nodes": found }));
+            println!("{page}");
         } else {
             if context.terminal {
                 // Clear and go to the upper left corner.
                 print!("\x1b[2J\x1b[H");
             }
-            print!("{}", overview(&found));
+            print!("{}", overview(&page, known, found.as_deref()));
         }
         looks += 1;
         if arguments.looks.is_some_and(|most| looks >= most) {
@@ -281,40 +319,34 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> Resul
     }
 }
 
-/// How many nodes are in which state and have which value, and those that are not well.
-fn overview(nodes: &[Value]) -> String {
-    let count = |of: &dyn Fn(&Value) -> String| {
-        let mut counts: BTreeMap<String, usize> = BTreeMap::new();
-        nodes
+/// How many nodes are in which state and, where all were asked for, which values they have; then those that are not
+/// well, or the first ones.
+fn overview(page: &Value, known: u64, nodes: Option<&[Value]>) -> String {
+    let counts = page["counts"].as_object().into_iter().flatten();
+    let states: Vec<String> = counts.map(|(state, n)| format!("{n} {state}")).collect();
+    let mut text = format!("{known} nodes: {}", states.join(", "));
+    if let Some(nodes) = nodes {
+        let waiting: u64 = nodes.iter().filter_map(|n| n["waiting"].as_u64()).sum();
+        text += &format!("; {waiting} reports wait");
+    }
+    let mut text = cut(&text, WIDTH) + "\n";
+    if let Some(nodes) = nodes {
+        let mut values: BTreeMap<String, usize> = BTreeMap::new();
+        for node in nodes {
+            *values.entry(value(node)).or_insert(0) += 1;
+        }
+        let values: Vec<String> = values
             .iter()
-            .for_each(|node| *counts.entry(of(node)).or_insert(0) += 1);
-        let counts: Vec<String> = counts
-            .iter()
-            .map(|(name, n)| format!("{n} {name}"))
+            .map(|(at, n)| format!("{n} at {at}"))
             .collect();
-        counts.join(", ")
-    };
-    let states = count(&|node| node["state"].as_str().unwrap_or("?").to_owned());
-    let values = count(&|node| format!("at {}", value(node)));
-    let waiting: u64 = nodes
-        .iter()
-        .filter_map(|node| node["waiting"].as_u64())
-        .sum();
-    let mut text = cut(
-        &format!("{} nodes: {states}; {waiting} reports wait", nodes.len()),
-        WIDTH,
-    ) + "\n";
-    text += &(cut(&format!("values: {values}"), WIDTH) + "\n\n");
-    let unwell: Vec<Value> = nodes
-        .iter()
-        .filter(|node| node["state"] != "online")
-        .take(20)
-        .cloned()
-        .collect();
-    let shown: Vec<Value> = if unwell.is_empty() {
-        nodes.iter().take(20).cloned().collect()
-    } else {
-        unwell
-    };
-    text + &table(&shown)
+        text += &(cut(&format!("values: {}", values.join(", ")), WIDTH) + "\n");
+    }
+    text.push('\n');
+    let shown = page["nodes"]
+        .as_array()
+        .map(Vec::as_slice)
+        .unwrap_or_default();
+    let unwell = shown.iter().take_while(|node| node["state"] != "online");
+    let unwell = unwell.count();
+    text + &table(if unwell > 0 { &shown[..unwell] } else { shown })
 }

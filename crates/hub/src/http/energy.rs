@@ -27,8 +27,22 @@ pub(super) struct Selection {
     until_ms: Option<i64>,
     /// Of this node only.
     node: Option<String>,
+    /// `group`, or `joules`: the groups with the most energy first. A group has a line for each quality.
+    #[serde(default)]
+    sort: Sort,
     /// At most so many groups, 1000 by default, 10000 at most.
     limit: Option<i64>,
+}
+
+/// Which group comes first.
+#[derive(Clone, Copy, Default, PartialEq, Eq, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Sort {
+    /// In the order of their names.
+    #[default]
+    Group,
+    /// The most energy first.
+    Joules,
 }
 
 /// Sums by group and quality.
@@ -84,6 +98,7 @@ pub(super) async fn sums(
         since_s,
         until_s,
         node: selection.node,
+        largest_first: selection.sort == Sort::Joules,
         limit: selection.limit.unwrap_or(1000).clamp(1, 10_000),
     };
     let groups = view

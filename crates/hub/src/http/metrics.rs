@@ -18,10 +18,12 @@ const PLAIN: &str = "text/plain; version=0.0.4; charset=utf-8";
     responses((status = 200, content_type = "text/plain", body = String))
 )]
 pub(super) async fn text(State(view): State<HubView>) -> Response {
-    ([(CONTENT_TYPE, PLAIN)], written(&view)).into_response()
+    let sessions = view.sessions().await;
+    ([(CONTENT_TYPE, PLAIN)], written(&view, sessions)).into_response()
 }
 
-fn written(view: &HubView) -> String {
+/// The text; `sessions` where the session is open.
+pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
     let mut text = String::new();
     let mut family = |name: &str, kind: &str, help: &str, samples: &[(&str, f64)]| {
         // Writing to a String cannot fail.
@@ -137,6 +139,30 @@ fn written(view: &HubView) -> String {
         "gauge",
         "99th percentile of the time from a batch's arrival to its acknowledgement, of the last ones",
         &[("", one.acknowledged_after_p99_s)],
+    );
+    family(
+        "albireo_hub_commit_p99_seconds",
+        "gauge",
+        "99th percentile of the time a transaction took, of the last ones",
+        &[("", one.committed_in_p99_s)],
+    );
+    family(
+        "albireo_hub_queue_batches",
+        "gauge",
+        "Batches that came and are not answered yet",
+        &[("", one.queued as f64)],
+    );
+    family(
+        "albireo_hub_queue_bytes",
+        "gauge",
+        "Compressed bytes of the batches that are not answered yet",
+        &[("", one.queued_bytes as f64)],
+    );
+    family(
+        "albireo_hub_sessions",
+        "gauge",
+        "Zenoh sessions of this hub: nodes where it is their router, else its router; absent while its own is not open",
+        &sessions.map_or_else(Vec::new, |sessions| vec![("", sessions as f64)]),
     );
     text
 }

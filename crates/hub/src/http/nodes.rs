@@ -1,7 +1,7 @@
 //! The nodes of the fleet.
 
 use super::{HubView, query, unavailable};
-use crate::presence::{NodeView, PresenceState};
+use crate::presence::{NodeView, Order, PresenceState};
 use crate::store::InstanceView;
 use albireo_service::http::Problem;
 use axum::Json;
@@ -23,13 +23,16 @@ pub(super) struct Selection {
     state: Option<String>,
     /// With this text in the name.
     search: Option<String>,
-    /// After the node of this name: `next` of the page before.
+    /// `name`, or: `state` (offline first), `heard` (the last heard first), `-heard` (the longest not heard first),
+    /// `waiting` (the most waiting reports first).
+    sort: Option<String>,
+    /// `next` of the page before.
     cursor: Option<String>,
     /// At most so many, 100 by default, 1000 at most.
     limit: Option<usize>,
 }
 
-/// A page of nodes, in the order of their names.
+/// A page of nodes.
 #[derive(Serialize, ToSchema)]
 pub(super) struct NodePage {
     /// Nodes of the fleet by state, whatever is selected.
@@ -90,16 +93,28 @@ pub(super) async fn list(
     };
     let limit = selection.limit.unwrap_or(100).clamp(1, MOST);
     let search = selection.search.unwrap_or_default();
-    let mut nodes = view
-        .fleet
-        .list(selection.cursor.as_deref(), limit + 1, |name, is| {
-            state.is_none_or(|state| state == is) && name.contains(&search)
-        });
-    let more = nodes.len() > limit;
-    nodes.truncate(limit);
-    let next = more
-        .then(|| nodes.last().map(|node| node.node.clone()))
-        .flatten();
+    let wanted = |name: &str, is| state.is_none_or(|state| state == is) && name.contains(&search);
+    let cursor = selection.cursor.as_deref();
+    let (nodes, next) = match order(selection.sort.as_deref())? {
+        None => {
+            let mut nodes = view.fleet.list(cursor, limit + 1, wanted);
+            let more = nodes.len() > limit;
+            nodes.truncate(limit);
+            let last = nodes.last().map(|node| node.node.clone());
+            (nodes, last.filter(|_| more))
+        }
+        Some(order) => {
+            let after = cursor.map(place).transpose()?;
+            let mut nodes = view.fleet.sorted(order, after, limit + 1, wanted);
+            let more = nodes.len() > limit;
+            nodes.truncate(limit);
+            let last = nodes
+                .last()
+                .map(|(key, node)| format!("{key}:{}", node.node));
+            let nodes = nodes.into_iter().map(|(_, node)| node).collect();
+            (nodes, last.filter(|_| more))
+        }
+    };
     let [online, degraded, silent, offline] = view.fleet.by_state();
     let counts = Counts {
         online,
@@ -112,6 +127,36 @@ pub(super) async fn list(
         nodes,
         next,
     }))
+}
+
+/// The order asked for; `None` is that of the names.
+fn order(sort: Option<&str>) -> Result<Option<Order>, Problem> {
+    const KNOWN: [&str; 5] = ["name", "state", "heard", "-heard", "waiting"];
+    Ok(match sort {
+        None | Some("name") => None,
+        Some("state") => Some(Order::WorstFirst),
+        Some("heard") => Some(Order::LastHeard),
+        Some("-heard") => Some(Order::LongestUnheard),
+        Some("waiting") => Some(Order::MostWaiting),
+        Some(other) => {
+            let detail = format!(
+                "nodes cannot be sorted by `{other}`, but by: {}",
+                KNOWN.join(", ")
+            );
+            return Err(Problem::new(StatusCode::BAD_REQUEST, detail).allowing(KNOWN));
+        }
+    })
+}
+
+/// Key and name of the last node of a page.
+fn place(cursor: &str) -> Result<(i64, &str), Problem> {
+    let place = cursor
+        .split_once(':')
+        .and_then(|(key, name)| Some((key.parse().ok()?, name)));
+    place.ok_or_else(|| {
+        let detail = "`cursor` is not the `next` of a page in this order";
+        Problem::new(StatusCode::BAD_REQUEST, detail)
+    })
 }
 
 /// One node with its instances

@@ -3,6 +3,7 @@
 use albireo_wire::RefusalReason;
 use parking_lot::Mutex;
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
@@ -15,7 +16,10 @@ macro_rules! counters {
         #[derive(Debug, Default)]
         pub struct IngestCounters {
             $($name: AtomicU64,)+
-            acknowledged_after: Mutex<VecDeque<Duration>>,
+            acknowledged_after: Ages,
+            committed_in: Ages,
+            queued: AtomicU64,
+            queued_bytes: AtomicU64,
         }
 
         /// Where the counters stand.
@@ -25,6 +29,12 @@ macro_rules! counters {
             /// 99th percentile of the time from a batch's arrival to its acknowledgement, seconds, of the last ones;
             /// 0 before the first.
             pub acknowledged_after_p99_s: f64,
+            /// 99th percentile of the time a transaction took, seconds, of the last ones.
+            pub committed_in_p99_s: f64,
+            /// Batches that came and are not answered yet.
+            pub queued: u64,
+            /// Their compressed bytes.
+            pub queued_bytes: u64,
         }
 
         impl IngestCounters {
@@ -36,7 +46,10 @@ macro_rules! counters {
             pub fn snapshot(&self) -> IngestSnapshot {
                 IngestSnapshot {
                     $($name: self.$name.load(Ordering::Relaxed),)+
-                    acknowledged_after_p99_s: self.p99().as_secs_f64(),
+                    acknowledged_after_p99_s: self.acknowledged_after.p99().as_secs_f64(),
+                    committed_in_p99_s: self.committed_in.p99().as_secs_f64(),
+                    queued: self.queued.load(Ordering::Relaxed),
+                    queued_bytes: self.queued_bytes.load(Ordering::Relaxed),
                 }
             }
         }
@@ -85,7 +98,48 @@ impl IngestCounters {
     }
 
     pub(crate) fn acknowledged_after(&self, age: Duration) {
-        let mut ages = self.acknowledged_after.lock();
+        self.acknowledged_after.add(age);
+    }
+
+    pub(crate) fn committed_in(&self, took: Duration) {
+        self.committed_in.add(took);
+    }
+
+    /// Counts a batch among those that wait, until what is returned is dropped.
+    pub(crate) fn queue(self: &Arc<Self>, bytes: usize) -> Queued {
+        let bytes = bytes as u64;
+        self.queued.fetch_add(1, Ordering::Relaxed);
+        self.queued_bytes.fetch_add(bytes, Ordering::Relaxed);
+        Queued {
+            counters: Arc::clone(self),
+            bytes,
+        }
+    }
+}
+
+/// A batch's place among those that wait.
+#[derive(Debug)]
+pub(crate) struct Queued {
+    counters: Arc<IngestCounters>,
+    bytes: u64,
+}
+
+impl Drop for Queued {
+    fn drop(&mut self) {
+        self.counters.queued.fetch_sub(1, Ordering::Relaxed);
+        self.counters
+            .queued_bytes
+            .fetch_sub(self.bytes, Ordering::Relaxed);
+    }
+}
+
+/// The last times of something.
+#[derive(Debug, Default)]
+struct Ages(Mutex<VecDeque<Duration>>);
+
+impl Ages {
+    fn add(&self, age: Duration) {
+        let mut ages = self.0.lock();
         if ages.len() == KEPT {
             ages.pop_front();
         }
@@ -93,7 +147,7 @@ impl IngestCounters {
     }
 
     fn p99(&self) -> Duration {
-        let mut ages: Vec<Duration> = self.acknowledged_after.lock().iter().copied().collect();
+        let mut ages: Vec<Duration> = self.0.lock().iter().copied().collect();
         if ages.is_empty() {
             return Duration::ZERO;
         }

@@ -175,7 +175,11 @@ impl IngestWriter {
         batches: &[Batch],
         retention: bool,
     ) -> Result<Committed, StoreError> {
+        let begun = Instant::now();
         let done = self.try_transaction(batches, retention).await;
+        if done.is_ok() {
+            self.setup.counters.committed_in(begun.elapsed());
+        }
         if let Err(error) = &done {
             self.setup.counters.database_errors(1);
             tracing::error!(%error, batches = batches.len(), "nothing was committed");

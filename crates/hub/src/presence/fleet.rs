@@ -63,6 +63,33 @@ pub(crate) struct Remembered {
     pub(crate) status: Option<String>,
 }
 
+/// An order of nodes beside that of their names, which decides among equals.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Offline before silent before degraded before online.
+    WorstFirst,
+    /// The longest not heard first; never heard before all.
+    LongestUnheard,
+    /// The last heard first.
+    LastHeard,
+    /// The most waiting reports first.
+    MostWaiting,
+}
+
+impl Order {
+    fn key(self, entry: &Entry) -> i64 {
+        match self {
+            Self::WorstFirst => {
+                let place = PresenceState::ALL.iter().position(|s| *s == entry.state);
+                -(place.unwrap_or(0) as i64)
+            }
+            Self::LongestUnheard => entry.heard_ms.unwrap_or(i64::MIN),
+            Self::LastHeard => entry.heard_ms.map_or(i64::MAX, |at| -at),
+            Self::MostWaiting => -i64::try_from(entry.waiting).unwrap_or(i64::MAX),
+        }
+    }
+}
+
 /// All nodes.
 #[derive(Debug)]
 pub struct Fleet {
@@ -337,6 +364,33 @@ impl Fleet {
             .filter(|(name, entry)| wanted(name, entry.state))
             .take(most)
             .map(|(name, entry)| entry.view(name))
+            .collect()
+    }
+
+    /// Nodes in another order than that of their names: behind `after`, at most `most`, of those that `wanted` chooses.
+    /// Each with its key, which with its name is where the next page begins. Looks at every node, and sorts a page.
+    pub fn sorted(
+        &self,
+        order: Order,
+        after: Option<(i64, &str)>,
+        most: usize,
+        wanted: impl Fn(&str, PresenceState) -> bool,
+    ) -> Vec<(i64, NodeView)> {
+        let nodes = self.nodes.read();
+        let mut found: Vec<(i64, &Arc<str>)> = nodes
+            .iter()
+            .filter(|(name, entry)| wanted(name, entry.state))
+            .map(|(name, entry)| (order.key(entry), name))
+            .filter(|(key, name)| after.is_none_or(|after| (*key, &***name) > after))
+            .collect();
+        if found.len() > most {
+            found.select_nth_unstable(most);
+            found.truncate(most);
+        }
+        found.sort_unstable();
+        found
+            .into_iter()
+            .filter_map(|(key, name)| Some((key, nodes.get(name)?.view(name))))
             .collect()
     }
 

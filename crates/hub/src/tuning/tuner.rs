@@ -7,6 +7,7 @@ use crate::clock::now_ms;
 use crate::config::TuningConfig;
 use crate::desired::Desires;
 use crate::presence::Pokes;
+use crate::store::tables::EventRow;
 use crate::store::{OrderNodeRow, OrderRow, Store, StoreError, Writer};
 use albireo_wire::KnobValue;
 use parking_lot::Mutex;
@@ -380,6 +381,7 @@ impl Tuner {
     /// configuration says so.
     pub(crate) async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
         let mut back: HashMap<String, SetBack> = HashMap::new();
+        let mut events = Vec::new();
         for (node, desired) in self.desires.values.all() {
             let Some(facts) = self.fleet.node(&node) else {
                 continue;
@@ -392,12 +394,15 @@ impl Tuner {
                 continue;
             }
             let mut drift = self.drift.lock();
-            let entry = drift.entry(node.clone()).or_insert_with(|| Drift {
-                node: node.clone(),
-                since_ms: now,
-                desired: desired.knob,
-                in_force: facts.knob(),
-                set_back: 0,
+            let entry = drift.entry(node.clone()).or_insert_with(|| {
+                events.push(drift_event(&node, desired, &facts, now));
+                Drift {
+                    node: node.clone(),
+                    since_ms: now,
+                    desired: desired.knob,
+                    in_force: facts.knob(),
+                    set_back: 0,
+                }
             });
             entry.in_force = facts.knob();
             if self.config.local_change.is_set_back() && entry.set_back < self.config.set_back_times
@@ -409,6 +414,10 @@ impl Tuner {
                     .1
                     .push((node, facts.knob()));
             }
+        }
+        if !events.is_empty() {
+            self.write(async |writing| writing.events(&events).await)
+                .await?;
         }
         for (knob, nodes) in back.into_values() {
             let counts: Vec<_> = (nodes.iter())
@@ -433,6 +442,21 @@ impl Tuner {
     /// The nodes that have drifted.
     pub fn drift(&self) -> Vec<Drift> {
         self.drift.lock().values().cloned().collect()
+    }
+}
+
+/// A change at the node, for the history.
+fn drift_event(node: &str, desired: DesiredValue, facts: &NodeFacts, now: Millis) -> EventRow {
+    let detail = serde_json::json!({
+        "change": desired.generation,
+        "desired": desired.knob,
+        "in_force": facts.knob(),
+    });
+    EventRow {
+        at_ms: now,
+        kind: "drift".to_owned(),
+        node: Some(node.to_owned()),
+        detail: detail.to_string(),
     }
 }
 

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
 
 /// A running server; stopped when dropped.
 pub struct Postgres {
@@ -48,7 +49,7 @@ impl Postgres {
             );
         }
         let data = server.data();
-        server.run(
+        let mut made = server.command(
             "initdb",
             &[
                 "-D",
@@ -63,6 +64,7 @@ impl Postgres {
                 "-N",
             ],
         );
+        assert!(made.status().unwrap().success(), "initdb");
         server.up();
         server
     }
@@ -71,45 +73,35 @@ impl Postgres {
         self.folder.path().join("data").display().to_string()
     }
 
-    /// Starts the server.
+    /// Starts the server. After a kill its last processes may need a moment to go: it is tried again.
     pub fn up(&self) {
         let options = format!(
             "-c listen_addresses=127.0.0.1 -c port={} -c unix_socket_directories= -c max_connections=50",
             self.port
         );
         let log = self.folder.path().join("log").display().to_string();
-        self.run(
-            "pg_ctl",
-            &[
-                "-D",
-                &self.data(),
-                "-l",
-                &log,
-                "-w",
-                "-t",
-                "60",
-                "-o",
-                &options,
-                "start",
-            ],
-        );
+        let data = self.data();
+        let start = [
+            "-D", &data, "-l", &log, "-w", "-t", "60", "-o", &options, "start",
+        ];
+        let until = Instant::now() + Duration::from_secs(60);
+        while !self.command("pg_ctl", &start).status().unwrap().success() {
+            assert!(
+                Instant::now() < until,
+                "{}",
+                std::fs::read_to_string(&log).unwrap_or_default()
+            );
+            std::thread::sleep(Duration::from_millis(50));
+        }
     }
 
-    /// Stops it at once, as a crash would: what was not written to its log is gone.
+    /// Kills it with SIGKILL: what was not written to its log is gone.
     pub fn kill(&self) {
-        self.run(
-            "pg_ctl",
-            &[
-                "-D",
-                &self.data(),
-                "-w",
-                "-t",
-                "60",
-                "-m",
-                "immediate",
-                "stop",
-            ],
-        );
+        let file = format!("{}/postmaster.pid", self.data());
+        let first = std::fs::read_to_string(file).unwrap();
+        let id = first.lines().next().unwrap().to_owned();
+        let killed = Command::new("kill").args(["-9", &id]).status().unwrap();
+        assert!(killed.success(), "the server's process {id} is killed");
     }
 
     /// Where it is.
@@ -117,7 +109,8 @@ impl Postgres {
         format!("postgres://hub@127.0.0.1:{}/postgres", self.port)
     }
 
-    fn run(&self, program: &str, arguments: &[&str]) {
+    /// One of the server's programs, as the user it runs as.
+    fn command(&self, program: &str, arguments: &[&str]) -> Command {
         let program = self.tools.join(program);
         let mut command = if is_root() {
             let mut command = Command::new("runuser");
@@ -126,39 +119,21 @@ impl Postgres {
         } else {
             Command::new(&program)
         };
-        let status = command
+        command
             .args(arguments)
             .current_dir(self.folder.path())
             .stdin(Stdio::null())
             .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .status()
-            .unwrap();
-        assert!(
-            status.success(),
-            "{} {arguments:?}: {status}",
-            program.display()
-        );
+            .stderr(Stdio::null());
+        command
     }
 }
 
 impl Drop for Postgres {
     fn drop(&mut self) {
-        let program = self.tools.join("pg_ctl");
         let data = self.data();
-        let arguments = ["-D", data.as_str(), "-m", "immediate", "stop"];
-        let mut command = if is_root() {
-            let mut command = Command::new("runuser");
-            command.args(["-u", "postgres", "--"]).arg(program);
-            command
-        } else {
-            Command::new(program)
-        };
-        let _ = command
-            .args(arguments)
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .status();
+        let stop = ["-D", data.as_str(), "-m", "immediate", "stop"];
+        let _ = self.command("pg_ctl", &stop).status();
     }
 }
 

@@ -48,6 +48,8 @@ pub struct EnergyQuery {
     pub until_s: i64,
     /// Of this node only.
     pub node: Option<String>,
+    /// The groups with the most energy first, each quality for itself; else in the order of the groups.
+    pub largest_first: bool,
     /// At most so many groups.
     pub limit: i64,
 }
@@ -137,9 +139,14 @@ impl Store {
         .into_iter()
         .map(sum)
         .collect();
+        let order = if wanted.largest_first {
+            "SUM(t.energy_uj) DESC, 1, 2"
+        } else {
+            "1, 2"
+        };
         let text = format!(
             "SELECT {group} AS grouped, CAST(t.quality AS BIGINT) AS quality, {} FROM {table} t {joins} \
-             WHERE t.bucket_s >= $1 AND t.bucket_s < $2{filter} GROUP BY 1, 2 ORDER BY 1, 2 LIMIT $3",
+             WHERE t.bucket_s >= $1 AND t.bucket_s < $2{filter} GROUP BY 1, 2 ORDER BY {order} LIMIT $3",
             sums.join(", ")
         );
         let mut query = self

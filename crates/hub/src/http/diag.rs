@@ -1,0 +1,164 @@
+//! What a hub tells of itself in one archive, for whoever looks for a fault from afar.
+
+use super::HubView;
+use crate::clock::now_ms;
+use crate::config::HubConfig;
+use crate::presence::{Order, PresenceState};
+use crate::store::{Store, StoreError};
+use albireo_service::{archive, logging};
+use axum::extract::State;
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+use serde_json::{Value, json};
+
+/// What stands in place of a secret.
+const MASK: &str = "(secret)";
+/// Most nodes that are not well, most events and most changes in the archive.
+const MOST_NODES: usize = 1000;
+const MOST_EVENTS: i64 = 500;
+const MOST_CHANGES: i64 = 100;
+
+/// The configuration with every secret masked.
+pub(super) fn without_secrets(config: &HubConfig) -> Value {
+    let mut shown = serde_json::to_value(config).unwrap_or(Value::Null);
+    mask(&mut shown);
+    let url = config.database.shown();
+    // Parameters of a server's address may hold a password; those of a file do not.
+    let url = match url.split_once('?') {
+        Some((place, _)) if !url.starts_with("sqlite:") => format!("{place}?{MASK}"),
+        _ => url,
+    };
+    shown["database"]["url"] = url.into();
+    shown
+}
+
+fn mask(value: &mut Value) {
+    match value {
+        Value::Object(members) => {
+            for (name, value) in members {
+                let secret = ["token", "password", "secret"].contains(&name.as_str());
+                if secret && value.is_string() {
+                    *value = MASK.into();
+                } else {
+                    mask(value);
+                }
+            }
+        }
+        Value::Array(values) => values.iter_mut().for_each(mask),
+        _ => {}
+    }
+}
+
+/// One archive (tar) of what helps to find a fault
+///
+/// Versions, the configuration with its secrets masked, readiness, nodes that are not well, metrics, the last events and
+/// changes, the last lines of the log. What cannot be had (a database that is away) is named in its place.
+/// `curl -O -J http://127.0.0.1:8090/api/v1/diag`
+#[utoipa::path(
+    get, path = "/api/v1/diag", tag = "diagnosis",
+    responses((status = 200, content_type = "application/x-tar", body = Vec<u8>))
+)]
+pub(super) async fn archive(State(view): State<HubView>) -> Response {
+    let now_s = u64::try_from(now_ms().div_euclid(1000)).unwrap_or(0);
+    let (events, changes) = match view.store() {
+        Ok(store) => (said(events(store).await), said(changes(store).await)),
+        Err(_) => (away(), away()),
+    };
+    let unwell = view
+        .fleet
+        .sorted(Order::WorstFirst, None, MOST_NODES, |_, state| {
+            state != PresenceState::Online
+        });
+    let unwell: Vec<_> = unwell.into_iter().map(|(_, node)| node).collect();
+    let states = PresenceState::ALL.map(PresenceState::as_str);
+    let states: serde_json::Map<String, Value> = states
+        .into_iter()
+        .zip(view.fleet.by_state())
+        .map(|(state, nodes)| (state.to_owned(), nodes.into()))
+        .collect();
+    let about = json!({
+        "program": "albireo hub",
+        "version": env!("CARGO_PKG_VERSION"),
+        "system": format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+        "at_s": now_s,
+        "running_s": view.started.elapsed().as_secs_f64(),
+        "database": view.store().ok().map(Store::kind),
+        "not_working": view.readiness.reasons(),
+        "nodes": states,
+    });
+    let metrics = super::metrics::written(&view, view.sessions().await);
+    let log = logging::last_lines().join("\n") + "\n";
+    let files = [
+        ("about.json", text(&about)),
+        ("configuration.json", text(&view.config)),
+        ("nodes-not-online.json", text(&json!(unwell))),
+        ("events.json", text(&events)),
+        ("changes.json", text(&changes)),
+        ("metrics.txt", metrics.into_bytes()),
+        ("log.txt", log.into_bytes()),
+    ];
+    let headers = [
+        (CONTENT_TYPE, "application/x-tar".to_owned()),
+        (
+            CONTENT_DISPOSITION,
+            format!("attachment; filename=\"albireo-hub-{now_s}.tar\""),
+        ),
+    ];
+    (headers, archive::tar(&files, now_s)).into_response()
+}
+
+fn text(value: &Value) -> Vec<u8> {
+    serde_json::to_vec_pretty(value).unwrap_or_default()
+}
+
+fn away() -> Value {
+    json!({ "error": "the database is not open yet" })
+}
+
+fn said(found: Result<Value, StoreError>) -> Value {
+    found.unwrap_or_else(|error| json!({ "error": error.to_string() }))
+}
+
+async fn events(store: &Store) -> Result<Value, StoreError> {
+    let last = store.last_event().await?;
+    let events = store.events_after(last - MOST_EVENTS, MOST_EVENTS).await?;
+    Ok(json!(events))
+}
+
+async fn changes(store: &Store) -> Result<Value, StoreError> {
+    let orders = store.orders(i64::MAX, None, MOST_CHANGES).await?;
+    let orders = orders.into_iter().map(|order| {
+        json!({
+            "change": order.generation, "at_ms": order.at_ms, "who": order.who, "why": order.why,
+            "by": order.origin, "select": order.selector, "knob": order.knob, "value": order.value,
+        })
+    });
+    Ok(orders.collect())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_service::config::{NamedToken, Role, Token};
+
+    #[test]
+    fn no_secret_of_the_configuration_is_shown() {
+        let mut config = HubConfig::default();
+        config.http.token = Some(Token::new("the-token-of-everything"));
+        config.tokens = vec![NamedToken {
+            name: "dashboard".into(),
+            role: Role::Read,
+            token: Some(Token::new("the-token-of-the-dashboard")),
+            token_file: None,
+        }];
+        config.database.url =
+            "postgres://hub:the-password@db.example/fleet?password=the-other".into();
+        let shown = without_secrets(&config).to_string();
+        for secret in ["the-token", "the-password", "the-other"] {
+            assert!(!shown.contains(secret), "{shown}");
+        }
+        for kept in ["dashboard", "db.example/fleet", "commit_ms"] {
+            assert!(shown.contains(kept), "{shown}");
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! `albireo demo` with its hub, as a user runs it.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::support::{PATIENCE, albireo};
+use albireo_core::geometry::PictureSize;
+use albireo_synth::{Dashcam, DashcamSettings};
+use serde_json::Value;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+use tokio::io::{AsyncBufReadExt, BufReader};
+use tokio::time::timeout;
+
+async fn ask(url: &str) -> Value {
+    match reqwest::get(url).await {
+        Ok(response) => response.json().await.unwrap_or(Value::Null),
+        Err(_) => Value::Null,
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn the_demonstration_has_a_hub_where_its_clips_arrive_and_its_node_is_seen() {
+    let temporary = tempfile::tempdir().unwrap();
+    // A few pictures over and over, so that a clip does not take long: each time through them is one.
+    let pictures = tempfile::tempdir().unwrap();
+    let mut dashcam = Dashcam::new(DashcamSettings {
+        seed: 5,
+        size: PictureSize::new(320, 180),
+        ..DashcamSettings::default()
+    })
+    .unwrap();
+    for number in 0..8 {
+        let picture = dashcam.frame(number).encode_jpeg(80).unwrap();
+        std::fs::write(pictures.path().join(format!("{number}.jpg")), picture).unwrap();
+    }
+    let mut demo = albireo()
+        .args(["demo", "--port", "0", "--hub-port", "0", "--rate", "20"])
+        .arg("--source")
+        .arg(pictures.path())
+        .env("TMPDIR", temporary.path())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(demo.stdout.take().unwrap()).lines();
+    let hub = loop {
+        let line = timeout(PATIENCE, lines.next_line()).await.unwrap().unwrap();
+        let line = line.expect("the demonstration tells where its hub is");
+        if let Some(rest) = line.split("hub      curl ").nth(1) {
+            break rest.trim_end_matches("/api/v1/clips").to_owned();
+        }
+    };
+    let deadline = Instant::now() + PATIENCE;
+    let clips = loop {
+        let page = ask(&format!("{hub}/api/v1/clips")).await;
+        let clips = page["clips"].as_array().cloned().unwrap_or_default();
+        if clips.len() >= 2 {
+            break clips;
+        }
+        assert!(Instant::now() < deadline, "no clips arrive: {page}");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    };
+    assert!(clips.iter().all(|clip| clip["node"] == "demo"), "{clips:?}");
+    let node = ask(&format!("{hub}/api/v1/nodes/demo")).await;
+    assert_ne!(node["state"], "offline", "{node}");
+    assert_eq!(node["status"]["cameras"][0]["name"], "dashcam", "{node}");
+
+    let id = demo.id().unwrap().to_string();
+    let signalled = std::process::Command::new("kill")
+        .args(["-TERM", &id])
+        .status();
+    assert!(signalled.unwrap().success());
+    let mut rest = String::new();
+    while let Some(line) = timeout(PATIENCE, lines.next_line()).await.unwrap().unwrap() {
+        rest.push_str(&line);
+        rest.push('\n');
+    }
+    let ended = timeout(PATIENCE, demo.wait()).await.unwrap().unwrap();
+    assert!(ended.success(), "{rest}");
+    assert!(rest.contains("detector skipped on"), "{rest}");
+    let left = std::fs::read_dir(temporary.path()).unwrap().count();
+    assert_eq!(left, 0, "the hub's folder goes with the demonstration");
+}

@@ -1,0 +1,277 @@
+//! The hub as a process when its disk misbehaves: nothing is acknowledged that is not on the disk, and nothing is lost.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::support::PATIENCE;
+use crate::support::fleet::{HubProcess, now_ns, send, settings, sqlite, uplink};
+use albireo_wire::RefusalReason;
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::{Duration, Instant};
+use tokio::process::Command;
+
+const NODE: &str = "car-1";
+const INSTANCE: &str = "0123456789abcdef0123456789abcdef";
+
+/// Sends the reports until they are acknowledged; what else was answered, by reason.
+async fn deliver(
+    session: &zenoh::Session,
+    numbers: std::ops::RangeInclusive<u64>,
+    begun: u64,
+) -> BTreeMap<String, u64> {
+    let until = Instant::now() + PATIENCE;
+    let mut refused = BTreeMap::new();
+    loop {
+        match send(session, NODE, INSTANCE, numbers.clone(), begun).await {
+            Some(Ok(answer)) => {
+                assert_eq!(answer.stored, *numbers.end());
+                return refused;
+            }
+            Some(Err(refusal)) => {
+                *refused.entry(format!("{:?}", refusal.reason)).or_default() += 1;
+            }
+            None => *refused.entry("nobody".to_owned()).or_default() += 1,
+        }
+        assert!(Instant::now() < until, "never acknowledged: {refused:?}");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+fn metric(metrics: &str, name: &str) -> f64 {
+    let line = metrics
+        .lines()
+        .find_map(|line| line.strip_prefix(name)?.strip_prefix(' '));
+    line.unwrap_or_else(|| panic!("no {name} in {metrics}"))
+        .parse()
+        .unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_disk_without_room_holds_acknowledgements_back_and_loses_nothing_when_there_is_room_again()
+ {
+    let folder = tempfile::tempdir().unwrap();
+    let (zenoh, settings) = settings(&sqlite(folder.path()));
+    // A file that may not grow is a disk without room that needs no disk of its own. The limit is a soft one, so that it
+    // can be lifted while the hub runs.
+    let mut command = Command::new("sh");
+    command
+        .args(["-c", "trap '' XFSZ; ulimit -S -f 2048; exec \"$0\" hub"])
+        .arg(env!("CARGO_BIN_EXE_albireo"));
+    let hub = HubProcess::start_as(command, &settings);
+    hub.until_ready().await;
+    let session = uplink(&zenoh).await;
+    let begun = now_ns();
+    let mut last = 0;
+    let refusal = loop {
+        match send(&session, NODE, INSTANCE, last + 1..=last + 100, begun).await {
+            Some(Ok(answer)) => {
+                assert_eq!(answer.stored, last + 100);
+                last += 100;
+            }
+            Some(Err(refusal)) => break refusal,
+            None => {}
+        }
+        assert!(last < 100_000, "the limit is never met");
+    };
+    assert_eq!(refusal.reason, RefusalReason::Unavailable, "{refusal:?}");
+    assert!(refusal.retry_after_ms.is_some(), "{refusal:?}");
+    let ready = hub
+        .until("/readyz", |answer| answer["ready"] == false)
+        .await;
+    let reason = ready["reasons"]["database"].as_str().unwrap();
+    assert!(reason.contains("cannot be used now"), "{reason}");
+    assert!(metric(&hub.metrics().await, "albireo_hub_database_errors_total") > 0.0);
+
+    // Room again.
+    let lifted = std::process::Command::new("prlimit")
+        .args(["--pid", &hub.id().to_string(), "--fsize=unlimited"])
+        .status();
+    assert!(lifted.unwrap().success());
+    deliver(&session, last + 1..=last + 100, begun).await;
+    hub.until_ready().await;
+    let clips = hub.clips(NODE).await;
+    assert_eq!(clips.len() as u64, last + 100);
+    session.close().await.unwrap();
+    hub.kill().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_database_that_can_only_be_read_is_said_and_reports_wait_for_one_that_can_be_written() {
+    let folder = tempfile::tempdir().unwrap();
+    let (zenoh, mut settings) = settings(&sqlite(folder.path()));
+    let begun = now_ns();
+    let hub = HubProcess::start(&settings);
+    let session = uplink(&zenoh).await;
+    deliver(&session, 1..=3, begun).await;
+    hub.kill().await;
+
+    let url = settings
+        .iter_mut()
+        .find(|(name, _)| *name == "ALBIREO_DATABASE__URL");
+    let url = &mut url.unwrap().1;
+    let writable = std::mem::replace(url, format!("{url}?mode=ro"));
+    let hub = HubProcess::start(&settings);
+    let ready = hub
+        .until("/readyz", |answer| {
+            answer["reasons"]["database"]
+                .as_str()
+                .is_some_and(|reason| reason.contains("readonly"))
+        })
+        .await;
+    assert_eq!(ready["ready"], false);
+    let said = send(&session, NODE, INSTANCE, 4..=6, begun).await;
+    assert!(!matches!(said, Some(Ok(_))), "{said:?}");
+    hub.kill().await;
+
+    let url = settings
+        .iter_mut()
+        .find(|(name, _)| *name == "ALBIREO_DATABASE__URL");
+    url.unwrap().1 = writable;
+    let hub = HubProcess::start(&settings);
+    deliver(&session, 4..=6, begun).await;
+    assert_eq!(hub.clips(NODE).await.len(), 6);
+    session.close().await.unwrap();
+    hub.kill().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_hub_of_another_prefix_acknowledges_nothing_and_loses_nothing() {
+    let folder = tempfile::tempdir().unwrap();
+    let (zenoh, mut settings) = settings(&sqlite(folder.path()));
+    settings.push(("ALBIREO_HUB__PREFIX", "fleet/north".to_owned()));
+    let hub = HubProcess::start(&settings);
+    hub.until_ready().await;
+    let session = uplink(&zenoh).await;
+    let begun = now_ns();
+    for _ in 0..3 {
+        let said = send(&session, NODE, INSTANCE, 1..=3, begun).await;
+        assert!(said.is_none(), "{said:?}");
+    }
+    hub.kill().await;
+    settings.pop();
+    let hub = HubProcess::start(&settings);
+    let refused = deliver(&session, 1..=3, begun).await;
+    assert_eq!(hub.clips(NODE).await.len(), 3, "{refused:?}");
+    session.close().await.unwrap();
+    hub.kill().await;
+}
+
+/// What the system calls of a hub say of its disk and its answers.
+#[derive(Debug, Default)]
+struct Traced {
+    /// Writes to the database's log that no sync has ended after.
+    unsynced: u64,
+    /// Syncs under way, by thread: how many writes each began after.
+    syncing: BTreeMap<u32, u64>,
+    /// Acknowledgements sent, and those of them with a write that was not synced.
+    acknowledged: u64,
+    too_early: u64,
+    syncs: u64,
+}
+
+impl Traced {
+    /// Takes a line of `strace -f -y`: `4711 pwrite64(11</tmp/x/hub.db-wal>, "…", 4096, 0) = 4096`.
+    fn take(&mut self, line: &str) {
+        let Some((thread, call)) = line.split_once(' ') else {
+            return;
+        };
+        let (thread, call): (u32, &str) = (thread.parse().unwrap_or(0), call.trim_start());
+        let log = call.contains("hub.db-wal>");
+        if call.starts_with("pwrite64(") && log {
+            self.unsynced += 1;
+        } else if (call.starts_with("fdatasync(") || call.starts_with("fsync(")) && log {
+            if call.contains("unfinished") {
+                self.syncing.insert(thread, self.unsynced);
+            } else {
+                self.synced(self.unsynced);
+            }
+        } else if call.starts_with("<... fdatasync resumed")
+            || call.starts_with("<... fsync resumed")
+        {
+            if let Some(begun) = self.syncing.remove(&thread) {
+                self.synced(begun);
+            }
+        } else if call.contains("\\\"stored\\\":") {
+            self.acknowledged += 1;
+            self.too_early += u64::from(self.unsynced > 0);
+        }
+    }
+
+    /// A sync has ended: what was written before it began is on the disk.
+    fn synced(&mut self, begun: u64) {
+        self.syncs += 1;
+        self.unsynced -= begun.min(self.unsynced);
+    }
+}
+
+#[test]
+fn a_trace_with_an_answer_before_its_sync_is_told_from_a_good_one() {
+    let write = r#"7 pwrite64(11</t/hub.db-wal>, "x"..., 4096, 0) = 4096"#;
+    let sync = "7 fdatasync(11</t/hub.db-wal>) = 0";
+    let answer = r#"9 sendto(5<socket:[1]>, "...{\"v\":1,\"stored\":3}", 40, 0, NULL, 0) = 40"#;
+    let begun = "7 fdatasync(11</t/hub.db-wal> <unfinished ...>";
+    let ended = "7 <... fdatasync resumed>) = 0";
+    for (lines, too_early) in [
+        (vec![write, sync, answer], 0),
+        (vec![write, answer, sync], 1),
+        (vec![write, begun, ended, answer], 0),
+        (vec![write, begun, answer, ended], 1),
+        (vec![write, begun, write, ended, answer], 1),
+    ] {
+        let mut traced = Traced::default();
+        lines.iter().for_each(|line| traced.take(line));
+        assert_eq!(
+            (traced.acknowledged, traced.too_early),
+            (1, too_early),
+            "{lines:?}"
+        );
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs strace"]
+async fn what_is_acknowledged_was_synced_to_the_disk_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let trace = folder.path().join("trace");
+    let (zenoh, settings) = settings(&sqlite(folder.path()));
+    let mut command = Command::new("strace");
+    command
+        .args(["-f", "-y", "-s", "4096", "-e"])
+        .arg("trace=pwrite64,fsync,fdatasync,write,writev,sendto,sendmsg")
+        .arg("-o")
+        .arg(&trace)
+        .args([env!("CARGO_BIN_EXE_albireo"), "hub"]);
+    let hub = HubProcess::start_as(command, &settings);
+    hub.until_ready().await;
+    let session = uplink(&zenoh).await;
+    let begun = now_ns();
+    for batch in 0..40 {
+        deliver(&session, batch * 5 + 1..=batch * 5 + 5, begun).await;
+    }
+    session.close().await.unwrap();
+    let traced = read_trace(&trace);
+    assert!(traced.acknowledged >= 40, "{traced:?}");
+    assert!(traced.syncs >= 40, "{traced:?}");
+    assert_eq!(traced.too_early, 0, "{traced:?}");
+    println!(
+        "{} acknowledgements, each after the end of a sync of the database's log; {} syncs",
+        traced.acknowledged, traced.syncs
+    );
+    // strace ends with the program it traces.
+    let children = format!("/proc/{0}/task/{0}/children", hub.id());
+    let child = std::fs::read_to_string(children).unwrap();
+    let killed = std::process::Command::new("kill")
+        .args(["-9", child.trim()])
+        .status();
+    assert!(killed.unwrap().success());
+    hub.kill().await;
+}
+
+fn read_trace(file: &Path) -> Traced {
+    let text = std::fs::read(file).unwrap();
+    let mut traced = Traced::default();
+    String::from_utf8_lossy(&text)
+        .lines()
+        .for_each(|line| traced.take(line));
+    traced
+}

@@ -1,0 +1,101 @@
+//! A camera that names a clip a frame, so that each frame ends a clip.
+
+use super::PATIENCE;
+use albireo_core::geometry::PictureSize;
+use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_wire::{FrameAttachment, VERSION};
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::time::timeout;
+use zenoh::Session;
+use zenoh::pubsub::Publisher;
+
+/// The camera `front` of a node.
+pub(crate) struct Camera {
+    pub(crate) session: Session,
+    frames: Publisher<'static>,
+    answers: UnboundedReceiver<()>,
+    picture: Vec<u8>,
+    /// Number of the next frame, and of its clip.
+    pub(crate) seq: u64,
+    /// Frames answered: the clip of each but the last is closed.
+    pub(crate) answered: u64,
+}
+
+impl Camera {
+    /// The camera of `node`, connected at `endpoint`, once the node hears it.
+    pub(crate) async fn at(endpoint: &str, node: &str) -> Self {
+        let session = albireo::cli::replay::open_session(&[endpoint.to_owned()], &[], PATIENCE)
+            .await
+            .unwrap();
+        let (sender, answers) = unbounded_channel();
+        session
+            .declare_subscriber(format!("albireo/{node}/front/detections"))
+            .callback(move |_| {
+                let _ = sender.send(());
+            })
+            .background()
+            .await
+            .unwrap();
+        let frames = session
+            .declare_publisher(format!("albireo/{node}/front/frame"))
+            .congestion_control(zenoh::qos::CongestionControl::Block)
+            .await
+            .unwrap();
+        let listener = frames.matching_listener().await.unwrap();
+        let matched = async {
+            while !frames.matching_status().await.unwrap().matching() {
+                let _ = listener.recv_async().await;
+            }
+        };
+        tokio::time::timeout(PATIENCE, matched).await.unwrap();
+        // An answered query says that the node knows this side's subscription.
+        let replies = session
+            .get(format!("albireo/{node}/front/threshold"))
+            .await
+            .unwrap();
+        while replies.recv_async().await.is_ok() {}
+        let mut dashcam = Dashcam::new(DashcamSettings {
+            seed: 5,
+            size: PictureSize::new(320, 180),
+            ..DashcamSettings::default()
+        })
+        .unwrap();
+        Self {
+            session,
+            frames,
+            answers,
+            picture: dashcam.frame(0).encode_jpeg(80).unwrap(),
+            seq: 0,
+            answered: 0,
+        }
+    }
+
+    /// Sends `count` frames of a clip each, and waits for each answer: then all clips but the last are closed.
+    pub(crate) async fn clips(&mut self, count: u64) {
+        for _ in 0..count {
+            let attachment = FrameAttachment {
+                v: VERSION,
+                seq: Some(self.seq),
+                t_ns: Some(self.seq),
+                clip: Some(format!("clip-{}", self.seq)),
+                ..FrameAttachment::default()
+            };
+            self.seq += 1;
+            self.frames
+                .put(self.picture.clone())
+                .encoding("image/jpeg")
+                .attachment(serde_json::to_vec(&attachment).unwrap())
+                .await
+                .unwrap();
+            timeout(PATIENCE, self.answers.recv())
+                .await
+                .unwrap()
+                .unwrap();
+            self.answered += 1;
+        }
+    }
+
+    pub(crate) async fn close(self) {
+        self.session.close().await.unwrap();
+    }
+}

@@ -1,0 +1,308 @@
+//! A hub and a router as processes, and nodes that only report.
+
+use super::{PATIENCE, albireo, free_port, python};
+use albireo_wire::{
+    ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates, Percentiles,
+    ReportAnswer, ReportBatch, ReportRefusal, VERSION, read,
+};
+use serde_json::Value;
+use std::path::Path;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+use tokio::io::{AsyncBufReadExt, BufReader};
+use tokio::process::{Child, Command};
+use tokio::time::timeout;
+
+/// `albireo hub`, running.
+pub(crate) struct HubProcess {
+    child: Child,
+    /// Where its HTTP interface is.
+    pub(crate) http: String,
+    log: tempfile::NamedTempFile,
+}
+
+/// A hub's settings, as environment variables of its process.
+pub(crate) type Settings = Vec<(&'static str, String)>;
+
+/// Settings of a hub with addresses of its own: where it takes reports, and the settings.
+pub(crate) fn settings(database: &str) -> (String, Settings) {
+    let zenoh = format!("tcp/127.0.0.1:{}", free_port());
+    let settings = vec![
+        ("ALBIREO_HTTP__LISTEN", format!("127.0.0.1:{}", free_port())),
+        ("ALBIREO_ZENOH__LISTEN", format!("[\"{zenoh}\"]")),
+        ("ALBIREO_DATABASE__URL", database.to_owned()),
+        ("ALBIREO_INGEST__COMMIT_MS", "20".to_owned()),
+    ];
+    (zenoh, settings)
+}
+
+/// Settings of a hub that reaches its nodes through a router.
+pub(crate) fn behind(router: &str, database: &str) -> Settings {
+    let (_, mut settings) = settings(database);
+    settings.retain(|(name, _)| *name != "ALBIREO_ZENOH__LISTEN");
+    settings.extend([
+        ("ALBIREO_ZENOH__MODE", "client".to_owned()),
+        ("ALBIREO_ZENOH__CONNECT", format!("[\"{router}\"]")),
+        ("ALBIREO_ZENOH__LISTEN", "[]".to_owned()),
+    ]);
+    settings
+}
+
+/// The database in the file `hub.db` of a folder.
+pub(crate) fn sqlite(folder: &Path) -> String {
+    format!("sqlite:{}", folder.join("hub.db").display())
+}
+
+impl HubProcess {
+    /// Starts a hub; it may not be ready yet.
+    pub(crate) fn start(settings: &[(&'static str, String)]) -> Self {
+        let mut command = albireo();
+        command.arg("hub");
+        Self::start_as(command, settings)
+    }
+
+    /// Starts a hub by a command of its own: under another program.
+    pub(crate) fn start_as(mut command: Command, settings: &[(&'static str, String)]) -> Self {
+        let listen = settings
+            .iter()
+            .find(|(name, _)| *name == "ALBIREO_HTTP__LISTEN");
+        let http = listen.map(|(_, address)| format!("http://{address}"));
+        let log = tempfile::NamedTempFile::new().expect("a log");
+        command
+            .envs(settings.iter().map(|(name, value)| (*name, value)))
+            .kill_on_drop(true)
+            .stdin(Stdio::null())
+            .stderr(log.reopen().expect("the log is there"));
+        Self {
+            child: command.spawn().expect("the hub starts"),
+            http: http.expect("an address of its own"),
+            log,
+        }
+    }
+
+    /// The process's id.
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id().expect("the hub runs")
+    }
+
+    /// Kills it with SIGKILL.
+    pub(crate) async fn kill(mut self) {
+        self.child
+            .kill()
+            .await
+            .expect("the hub is killed with SIGKILL");
+    }
+
+    /// What a path answers; null while nobody answers.
+    pub(crate) async fn get(&self, path: &str) -> Value {
+        match reqwest::get(format!("{}{path}", self.http)).await {
+            Ok(response) => response.json().await.unwrap_or(Value::Null),
+            Err(_) => Value::Null,
+        }
+    }
+
+    /// The metrics, as text.
+    pub(crate) async fn metrics(&self) -> String {
+        let response = reqwest::get(format!("{}/metrics", self.http)).await;
+        response
+            .expect("the hub answers")
+            .text()
+            .await
+            .expect("text")
+    }
+
+    /// Asks until the answer is as wanted.
+    pub(crate) async fn until(&self, path: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            let answer = self.get(path).await;
+            if wanted(&answer) {
+                return answer;
+            }
+            assert!(
+                Instant::now() < until,
+                "{path} never came to what is wanted: {answer}\n{}",
+                std::fs::read_to_string(self.log.path()).unwrap_or_default()
+            );
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    /// Waits until it takes reports.
+    pub(crate) async fn until_ready(&self) {
+        self.until("/readyz", |answer| answer["ready"] == true)
+            .await;
+    }
+
+    /// All clips of a node, page by page.
+    pub(crate) async fn clips(&self, node: &str) -> Vec<Value> {
+        let (mut clips, mut cursor) = (Vec::new(), String::new());
+        loop {
+            let path = format!("/api/v1/clips?node={node}&limit=1000{cursor}");
+            let page = self.until(&path, |page| page["clips"].is_array()).await;
+            clips.extend(page["clips"].as_array().expect("clips").iter().cloned());
+            match page["next"].as_i64() {
+                Some(next) => cursor = format!("&cursor={next}"),
+                None => return clips,
+            }
+        }
+    }
+}
+
+/// A Zenoh router as a process: the Python binding, which shares no code with this project.
+pub(crate) struct Router(Child);
+
+impl Router {
+    /// Starts it; it may not listen yet.
+    pub(crate) fn start(endpoint: &str) -> Self {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
+        let child = Command::new(python())
+            .arg(folder.join("tests/clients/router.py"))
+            .arg(endpoint)
+            .arg(folder.join("config/zenoh-router.json5"))
+            .kill_on_drop(true)
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("Python starts: `make python`");
+        Self(child)
+    }
+
+    /// Waits until it listens.
+    pub(crate) async fn until_ready(&mut self) {
+        let out = self.0.stdout.take().expect("piped");
+        let line = timeout(PATIENCE, BufReader::new(out).lines().next_line()).await;
+        assert_eq!(
+            line.expect("it says so in time").expect("text").as_deref(),
+            Some("ready")
+        );
+    }
+
+    /// Kills it with SIGKILL.
+    pub(crate) async fn kill(mut self) {
+        self.0
+            .kill()
+            .await
+            .expect("the router is killed with SIGKILL");
+    }
+}
+
+/// The session of a node's uplink, which waits for its router.
+pub(crate) async fn uplink(endpoint: &str) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{endpoint}\"]")),
+        ("connect/timeout_ms", "-1".to_owned()),
+        ("connect/exit_on_failure", "false".to_owned()),
+        (
+            "connect/retry",
+            r#"{"period_init_ms":50,"period_max_ms":200}"#.to_owned(),
+        ),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config
+            .insert_json5(key, &value)
+            .expect("a setting Zenoh knows");
+    }
+    zenoh::open(config).await.expect("a session")
+}
+
+/// Now, nanoseconds since the Unix epoch.
+pub(crate) fn now_ns() -> u64 {
+    let now = std::time::SystemTime::now()
+        .duration_since(std::time::UNIX_EPOCH)
+        .expect("a clock after 1970");
+    u64::try_from(now.as_nanos()).expect("a clock before 2554")
+}
+
+/// Sends the reports of those numbers; nothing when nobody answers.
+pub(crate) async fn send(
+    session: &zenoh::Session,
+    node: &str,
+    instance: &str,
+    numbers: std::ops::RangeInclusive<u64>,
+    begun_ns: u64,
+) -> Option<Result<ReportAnswer, ReportRefusal>> {
+    let batch = ReportBatch {
+        v: VERSION,
+        node: node.to_owned(),
+        instance: instance.to_owned(),
+        machine: None,
+        first: *numbers.start(),
+        last: *numbers.end(),
+        lost: 0,
+        reports: numbers
+            .map(|number| report(node, number, begun_ns))
+            .collect(),
+    };
+    let replies = session
+        .get(format!("albireo/@report/{node}"))
+        .payload(batch.to_payload().expect("a batch that can be written"))
+        .timeout(Duration::from_secs(2))
+        .await
+        .expect("a query");
+    while let Ok(reply) = replies.recv_async().await {
+        match reply.result() {
+            Ok(sample) => {
+                return Some(Ok(read(&sample.payload().to_bytes()).expect("an answer")));
+            }
+            Err(error) => {
+                // Zenoh's own error, for a time-out, is no refusal.
+                if let Ok(refusal) = read::<ReportRefusal>(&error.payload().to_bytes()) {
+                    return Some(Err(refusal));
+                }
+            }
+        }
+    }
+    None
+}
+
+/// A report of that number.
+pub(crate) fn report(node: &str, number: u64, begun_ns: u64) -> ClipReport {
+    let percentiles = Percentiles {
+        count: 10,
+        mean: 5.0,
+        p50: 5.0,
+        p95: 6.0,
+        p99: 7.0,
+    };
+    ClipReport {
+        v: VERSION,
+        node: node.to_owned(),
+        camera: "front".to_owned(),
+        clip: format!("window-{number}"),
+        report: number,
+        ended_by: ClipEnd::Window,
+        started_ns: begun_ns + number * 1_000_000,
+        duration_s: 40.0,
+        frames: 10,
+        states: FrameStates {
+            i: 10,
+            ..FrameStates::default()
+        },
+        skip_rate: 0.0,
+        degraded_frames: 0,
+        dropped: DroppedFrames::default(),
+        policy: "vanilla".to_owned(),
+        knob: None,
+        knob_changes: Vec::new(),
+        model: "detector.onnx".to_owned(),
+        provider: "cpu".to_owned(),
+        total_latency_ms: percentiles,
+        detector_latency_ms: percentiles,
+        energy: ClipEnergy {
+            joules: Some(10.0),
+            node_joules: Some(10.0),
+            edp: None,
+            quality: EnergyQuality::Measured,
+            source: "rapl".to_owned(),
+            total_from: "input_rail".to_owned(),
+            samples: 1,
+            coverage: 1.0,
+            domains: Vec::new(),
+        },
+        board: None,
+    }
+}
