@@ -26,6 +26,7 @@ mod http_api;
 #[cfg(feature = "hub")]
 mod hub_kills;
 mod node_frames;
+mod pages;
 mod power_live;
 mod power_published;
 mod power_sysfs;

@@ -19,6 +19,8 @@ need "ffmpeg" command -v ffmpeg
 need "promtool" command -v promtool
 need "curl" command -v curl
 need "PostgreSQL" bash -c "command -v initdb || ls /usr/lib/postgresql/*/bin/initdb"
+need "Node.js" test -x web/node_modules/.bin/vitest -a -e web/dist/node.html
+need "Chromium" command -v chromium
 
 # With the feature turbojpeg where it can be built; its tests are named scaled_…
 read -ra options <<< "--locked --workspace $(bash tests/features.sh)"
