@@ -3,13 +3,15 @@
 use std::path::Path;
 
 fn main() {
-    // The folder is always there: its .gitignore is part of the clone.
-    println!("cargo:rerun-if-changed=../../web/dist");
     println!("cargo:rerun-if-env-changed=ALBIREO_WITHOUT_PAGES");
     let built = ["node.html", "hub.html"]
         .iter()
         .all(|page| Path::new("../../web/dist").join(page).exists());
     let optimised = std::env::var("PROFILE").is_ok_and(|profile| profile == "release");
+    // Other builds read the folder when they run: a change of a page costs them nothing. It is always there, for its
+    // .gitignore is part of the clone.
+    let watched = if optimised { "../../web/dist" } else { "build.rs" };
+    println!("cargo:rerun-if-changed={watched}");
     let deliberate = std::env::var_os("ALBIREO_WITHOUT_PAGES").is_some();
     if optimised && !built && !deliberate {
         eprintln!(

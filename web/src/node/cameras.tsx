@@ -20,7 +20,7 @@ export function cameraState(age: number | undefined, usualGap: number, degradedL
 const MOODS: Record<CameraWord, Mood> = { live: "good", stale: "bad", "never seen": "wait", degraded: "bad" };
 
 function snippet(camera: CameraEntry): string {
-  return `albireo replay --key ${camera.key} --rate 10 VIDEO.mp4`;
+  return `albireo replay VIDEO.mp4 --loop --key ${camera.key}`;
 }
 
 export function Tiles() {

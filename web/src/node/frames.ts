@@ -51,7 +51,7 @@ export function why(frame: Detections, knob: string): string {
   if (tau === undefined || tau === null) return "no object was followed yet";
   return tau >= limit
     ? `uncertain: τ ${small(tau)} ≥ u ${small(limit)}`
-    : `τ ${small(tau)} was below u ${small(limit)}: a new object, a cap or an audit asked`;
+    : `τ ${small(tau)} was below u ${small(limit)}: a cap or an audit asked`;
 }
 
 /** One line about a frame. */

@@ -173,7 +173,7 @@ export function watchNode(signal: AbortSignal): void {
     },
     signal,
   });
-  void every(2000, signal, async () => {
+  void every(1000, signal, async () => {
     if (lost.value !== undefined || caller.value?.token_needed) return;
     const [known] = await Promise.all([json<{ cameras: CameraEntry[] }>("/api/v1/cameras"), lookAtNode()]);
     takeCameras(known.cameras);

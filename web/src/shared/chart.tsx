@@ -58,7 +58,7 @@ function options(props: ChartProps, width: number, cursor: (index: number | null
         : { range: { min: bound(props.range?.[0], 0.05), max: bound(props.range?.[1], 0.1) } },
     },
     axes: [
-      { ...axis, space: 80, values: (_, splits, __, ___, step) => splits.map((split) => moment(split, step)) },
+      { ...axis, size: 28, space: 80, values: (_, splits, __, ___, step) => splits.map((split) => moment(split, step)) },
       { ...axis, size: 62, space: 28, values: (_, values) => values.map((value) => (value === null ? "" : props.value(value))) },
     ],
     series: [

@@ -1,4 +1,5 @@
-//! The pages that people look at: built from `web/`, embedded in the program, and served with all they need.
+//! The pages that people look at: built from `web/`, embedded in a release, and served with all they need. A debug build
+//! reads them from `web/dist` of its checkout each time, so that work on a page needs no compiler.
 
 use super::Problem;
 use axum::Router;
