@@ -9,16 +9,16 @@ PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
 PARITY_ENVIRONMENT := $(CACHE)/parity/.ready
 DEMO_SECONDS ?=
 
-.PHONY: help demo test lint soak board onnxruntime python debian release bench bench-peers parity clean
+.PHONY: help demo test web lint soak board onnxruntime python debian release bench bench-peers parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-demo: onnxruntime ## camera, node, hub and live output in one process, with nothing to configure (DEMO_SECONDS=N stops it)
+demo: onnxruntime web ## camera, node, hub and live output in one process, with nothing to configure (DEMO_SECONDS=N stops it)
 	cargo build --locked
 	@exec target/debug/albireo demo $(if $(DEMO_SECONDS),--seconds $(DEMO_SECONDS))
 
-test: onnxruntime python debian ## fetch what the tests need and run them all
+test: onnxruntime python debian web ## fetch what the tests need and run them all
 	@bash tests/run.sh
 
 lint: ## formatting and clippy of every combination of features that is shipped, as the continuous integration does
@@ -31,7 +31,7 @@ soak: onnxruntime python ## half an hour of a node under faults beside a hub, by
 	cargo build --locked
 	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" $(CACHE)/python/bin/python tests/soak.py --minutes $(or $(MINUTES),30)
 
-bench: onnxruntime ## the benches, optimised (takes a while the first time)
+bench: onnxruntime web ## the benches, optimised (takes a while the first time)
 	cargo bench --locked
 
 bench-peers: ## the decision core beside other trackers
@@ -51,7 +51,10 @@ $(PARITY_ENVIRONMENT): tests/parity/requirements.txt
 board: ## the node for a small board: without hub, simulator, evaluation and renderer
 	cargo build --locked --no-default-features
 
-release: ## the optimised program in target/release/albireo
+web: ## the pages that people look at, with Node.js and npm; without them everything works but the pages
+	@bash web/build.sh
+
+release: web ## the optimised program in target/release/albireo
 	cargo build --locked --release
 
 onnxruntime: $(ONNXRUNTIME) ## the ONNX Runtime library, from its Python wheel
@@ -67,8 +70,9 @@ $(PYTHON_ENVIRONMENT): tests/requirements.txt
 
 debian: ## Debian packages the tests use, installed when missing and when allowed
 	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql \
-		strace:strace
+		strace:strace chromium:chromium
 
 clean: ## remove what was built and fetched
 	cargo clean
-	rm -rf $(CACHE)
+	rm -rf $(CACHE) web/node_modules
+	find web/dist -mindepth 1 ! -name .gitignore -delete

@@ -33,6 +33,7 @@ mod hub_faults;
 #[cfg(feature = "hub")]
 mod hub_kills;
 mod node_frames;
+mod pages;
 mod power_live;
 mod power_published;
 mod power_sysfs;

@@ -9,10 +9,12 @@ use std::collections::BTreeSet;
 use tokio::process::Command;
 
 /// Every route a client may call, as the design lists them.
-const ROUTES: [&str; 14] = [
+const ROUTES: [&str; 16] = [
     "get /healthz",
     "get /readyz",
     "get /metrics",
+    "get /api/v1/caller",
+    "get /api/v1/node",
     "get /api/v1/threshold",
     "put /api/v1/threshold",
     "get /api/v1/cameras/{camera}/threshold",

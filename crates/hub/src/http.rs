@@ -9,6 +9,7 @@ mod events;
 mod health;
 mod metrics;
 mod nodes;
+mod page_rows;
 mod threshold;
 
 use crate::config::HubConfig;
@@ -17,9 +18,10 @@ use crate::events::Events;
 use crate::ingest::IngestCounters;
 use crate::presence::{Fleet, ListenCounters};
 use crate::readiness::Readiness;
-use crate::store::{Store, StoreError};
+use crate::store::{EnergyBy, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
-use albireo_service::http::Problem;
+use crate::tuning::rollout::Command;
+use albireo_service::http::{self, Page, Problem};
 use axum::Router;
 use axum::extract::Query;
 use axum::extract::rejection::QueryRejection;
@@ -152,10 +154,17 @@ fn unavailable(error: &StoreError) -> Problem {
     info(
         title = "albireo hub",
         description = "See, count and tune a fleet of nodes. Errors are problem documents (RFC 9457). Where tokens are \
-                       set, everything but `/`, `/healthz` and `/readyz` needs one; what changes something needs one \
+                       set, everything but `/` and what it loads, `/api/v1/caller`, `/healthz` and `/readyz` needs one; what changes something needs one \
                        with the role `tune`.",
     ),
-    components(schemas(Problem)),
+    // Events carry it: a stream's contents cannot be described, the messages in it can.
+    components(schemas(
+        Problem,
+        StoredEvent,
+        // Of parameters, which do not bring theirs.
+        EnergyBy,
+        Command
+    )),
     modifiers(&Security),
     security((), ("token" = []))
 )]
@@ -178,9 +187,11 @@ fn described() -> OpenApiRouter<HubView> {
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
+        .routes(routes!(http::caller))
         .routes(routes!(metrics::text))
         .routes(routes!(nodes::list))
         .routes(routes!(nodes::one))
+        .routes(routes!(page_rows::rows))
         .routes(routes!(clips::list))
         .routes(routes!(clips::csv))
         .routes(routes!(clips::set_aside))
@@ -208,7 +219,8 @@ pub fn openapi() -> OpenApi {
 pub fn router(view: HubView) -> Router {
     let (router, openapi) = described().split_for_parts();
     let openapi = Arc::new(openapi);
-    router
+    Page::Hub
+        .serve_on(router)
         .route(
             "/openapi.json",
             get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),

@@ -5,7 +5,7 @@ mod clips;
 mod events;
 mod health;
 mod metrics;
-mod page;
+mod node;
 mod picture;
 mod pictures;
 mod states;
@@ -13,9 +13,10 @@ mod threshold;
 
 pub(crate) use health::provider;
 
-use crate::board::{Board, CameraBoard};
+use crate::board::{Board, CameraBoard, FrameEvent, ThresholdEvent};
 use crate::frame::FrameLimits;
-use albireo_service::http::Problem;
+use albireo_service::http::{self, Page, Problem};
+use albireo_wire::{CountersMessage, DetectionsMessage};
 use axum::Router;
 use axum::http::StatusCode;
 use axum::routing::get;
@@ -74,9 +75,17 @@ impl RouteState {
     info(
         title = "albireo node",
         description = "Watch a node and turn its uncertainty threshold. Errors are problem documents (RFC 9457). \
-                       Where a token is set, everything but `/`, `/healthz`, `/readyz`, `/openapi.json` and `/docs` needs it.",
+                       Where a token is set, everything but `/` and what it loads, `/api/v1/caller`, `/healthz`, `/readyz`, `/openapi.json` and `/docs` needs it.",
     ),
-    components(schemas(Problem)),
+    components(schemas(
+        Problem,
+        // What the events carry: a stream's contents cannot be described, the messages in it can.
+        CountersMessage,
+        DetectionsMessage,
+        FrameEvent,
+        ThresholdEvent,
+        events::DetectorEvent
+    )),
     modifiers(&Security),
     security((), ("token" = []))
 )]
@@ -99,6 +108,8 @@ fn described() -> OpenApiRouter<RouteState> {
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
+        .routes(routes!(http::caller))
+        .routes(routes!(node::overview))
         .routes(routes!(threshold::get_all, threshold::put_all))
         .routes(routes!(threshold::get_one, threshold::put_one))
         .routes(routes!(states::all))
@@ -127,8 +138,8 @@ pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
             .config(utoipa_swagger_ui::Config::new(["/openapi.json"])),
     );
     let openapi = Arc::new(openapi);
-    router
-        .route("/", get(page::index))
+    Page::Node
+        .serve_on(router)
         .route(
             "/openapi.json",
             get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),

@@ -2,13 +2,17 @@
 //! and serves it.
 
 mod auth;
+mod caller;
 mod connections;
 mod error;
+mod page;
 mod problem;
 mod serve;
 mod stalled;
 
 pub use auth::{Caller, TokenError};
+pub use caller::*;
 pub use error::HttpError;
+pub use page::Page;
 pub use problem::{Problem, response};
 pub use serve::{BODY_LIMIT, run, run_with_tokens};

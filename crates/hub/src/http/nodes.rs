@@ -46,10 +46,10 @@ pub(super) struct NodePage {
 /// Nodes by state.
 #[derive(Serialize, ToSchema)]
 pub(super) struct Counts {
-    online: u64,
-    degraded: u64,
-    silent: u64,
-    offline: u64,
+    pub(super) online: u64,
+    pub(super) degraded: u64,
+    pub(super) silent: u64,
+    pub(super) offline: u64,
 }
 
 /// A node with its instances.

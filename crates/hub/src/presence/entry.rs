@@ -170,6 +170,11 @@ impl Entry {
         }
     }
 
+    /// The last full status as JSON.
+    pub(super) fn status(&self) -> Option<&Arc<str>> {
+        self.status.as_ref()
+    }
+
     pub(super) fn view(&self, name: &str) -> NodeView {
         NodeView {
             node: name.to_owned(),

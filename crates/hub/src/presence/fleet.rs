@@ -48,6 +48,18 @@ pub struct NodeView {
     pub status: Option<serde_json::Value>,
 }
 
+/// What a list is sorted and filtered by; nothing of it is copied.
+#[derive(Debug)]
+pub(crate) struct Glance<'a> {
+    pub(crate) name: &'a Arc<str>,
+    pub(crate) state: PresenceState,
+    pub(crate) since_ms: i64,
+    pub(crate) heard_ms: Option<i64>,
+    pub(crate) waiting: u64,
+    /// The last full status as JSON.
+    pub(crate) status: Option<&'a Arc<str>>,
+}
+
 /// A node as the database has it.
 #[derive(Clone, Debug)]
 pub(crate) struct Remembered {
@@ -392,6 +404,20 @@ impl Fleet {
             .into_iter()
             .filter_map(|(key, name)| Some((key, nodes.get(name)?.view(name))))
             .collect()
+    }
+
+    /// Shows every node to `each`, in the order of their names.
+    pub(crate) fn glance(&self, mut each: impl FnMut(Glance<'_>)) {
+        for (name, entry) in self.nodes.read().iter() {
+            each(Glance {
+                name,
+                state: entry.state,
+                since_ms: entry.since_ms,
+                heard_ms: entry.heard_ms,
+                waiting: entry.waiting,
+                status: entry.status(),
+            });
+        }
     }
 
     /// All names, in order.

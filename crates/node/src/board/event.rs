@@ -84,12 +84,14 @@ impl Deref for SharedEvent {
 }
 
 /// A frame was processed: its detections message and whose it is.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct FrameEvent {
     /// Camera.
+    #[schema(value_type = String)]
     pub camera: Arc<str>,
     /// What was published for the frame.
     #[serde(flatten)]
+    #[schema(value_type = DetectionsMessage)]
     pub detections: Arc<DetectionsMessage>,
 }
 

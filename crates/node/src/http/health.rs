@@ -1,6 +1,7 @@
 //! Whether the node lives, and whether it works.
 
 use super::RouteState;
+use crate::board::Board;
 use crate::detector::DetectorStatus;
 use albireo_service::http::{self, Problem};
 use albireo_service::readiness::PartFault;
@@ -94,6 +95,22 @@ pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
     }
 }
 
+/// How the node is now.
+pub(super) fn readiness(board: &Board) -> Readiness {
+    let facts = board.detector_facts();
+    let health = board.readiness().health();
+    Readiness {
+        ready: health.is_ready(),
+        state: health.state(),
+        node: board.node().to_owned(),
+        policy: board.policy(),
+        model: facts.model.clone(),
+        provider: provider(&board.detector_status()),
+        requested_providers: facts.requested.iter().map(|name| name.as_str()).collect(),
+        reasons: health.faults.iter().cloned().map(Reason::from).collect(),
+    }
+}
+
 /// Whether the process answers
 ///
 /// Touches neither the detector nor the GPU. `curl http://127.0.0.1:8080/healthz`
@@ -120,23 +137,11 @@ pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
     )
 )]
 pub(super) async fn readyz(State(shared): State<RouteState>) -> Response {
-    let board = shared.board();
-    let facts = board.detector_facts();
-    let health = board.readiness().health();
-    let readiness = Readiness {
-        ready: health.is_ready(),
-        state: health.state(),
-        node: board.node().to_owned(),
-        policy: board.policy(),
-        model: facts.model.clone(),
-        provider: provider(&board.detector_status()),
-        requested_providers: facts.requested.iter().map(|name| name.as_str()).collect(),
-        reasons: health.faults.iter().cloned().map(Reason::from).collect(),
-    };
+    let readiness = readiness(shared.board());
     if readiness.ready {
         return Json(readiness).into_response();
     }
-    let reasons = health.status().reasons;
+    let reasons = shared.board().readiness().health().status().reasons;
     let words: Vec<_> = (reasons.iter())
         .map(|(part, reason)| format!("{part}: {reason}"))
         .collect();

@@ -17,11 +17,19 @@ use tokio::net::TcpListener;
 /// Open to all: whether the service lives and works, the page, which asks for the token itself, and the description
 /// of the interface with the page that reads it, which are the same wherever this version runs and tell nothing of this
 /// service.
-const OPEN: [&str; 5] = ["/", "/healthz", "/readyz", "/openapi.json", "/docs"];
+const OPEN: [&str; 6] = [
+    "/",
+    "/healthz",
+    "/readyz",
+    "/openapi.json",
+    "/docs",
+    // Says no more than whether the token that came with it is good.
+    "/api/v1/caller",
+];
 
 /// Whether a path is open to all.
 fn is_open(path: &str) -> bool {
-    OPEN.contains(&path) || path.starts_with("/docs/")
+    OPEN.contains(&path) || path.starts_with("/docs/") || path.starts_with(super::page::ASSETS)
 }
 
 /// Why a token file cannot be used.
@@ -56,6 +64,11 @@ pub struct Caller {
     pub name: Arc<str>,
     /// What the caller may do.
     pub role: Role,
+}
+
+impl Caller {
+    /// Name of a caller without a token.
+    pub(super) const ANONYMOUS: &str = "anonymous";
 }
 
 enum Rule {
@@ -102,7 +115,7 @@ impl Guard {
         headers: &HeaderMap,
     ) -> Result<Caller, Box<Response>> {
         let anonymous = |role| Caller {
-            name: "anonymous".into(),
+            name: Caller::ANONYMOUS.into(),
             role,
         };
         match &*self.0 {

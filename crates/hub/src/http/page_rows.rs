@@ -1,0 +1,187 @@
+//! The fleet as the rows of a table that the hub sorts, filters and cuts: a page then holds only what it shows.
+
+use super::body::unusable;
+use super::nodes::Counts;
+use super::{HubView, query};
+use crate::presence::{NodeView, PresenceState};
+use crate::tuning::selector::Selector;
+use albireo_service::http::Problem;
+use axum::Json;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Query, State};
+use serde::{Deserialize, Serialize};
+use std::cmp::Reverse;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use utoipa::{IntoParams, ToSchema};
+
+/// Most rows of one answer.
+const MOST: usize = 500;
+
+/// What rows are sorted by; those that are equal, by name.
+#[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+enum Order {
+    /// Name.
+    #[default]
+    Name,
+    /// State: online, degraded, silent, offline.
+    State,
+    /// How long it has that state, the longest first.
+    Since,
+    /// When it was last heard, the longest ago first.
+    Heard,
+    /// Reports that wait in its outbox, the fewest first.
+    Waiting,
+}
+
+/// Which rows.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Selection {
+    /// Of these states only, separated by commas: `degraded,silent`.
+    state: Option<String>,
+    /// With this text in the name.
+    search: Option<String>,
+    /// Chosen by names, globs and labels, separated by commas: `cam-*,region=north`.
+    select: Option<String>,
+    /// What they are sorted by.
+    #[serde(default)]
+    #[param(inline)]
+    sort: Order,
+    /// The other way round.
+    #[serde(default)]
+    down: bool,
+    /// Rows left out before the first one.
+    #[serde(default)]
+    offset: usize,
+    /// At most so many, 100 by default, 500 at most.
+    limit: Option<usize>,
+}
+
+/// Rows of the fleet.
+#[derive(Serialize, ToSchema)]
+pub(super) struct FleetRows {
+    /// Nodes of the whole fleet by state.
+    counts: Counts,
+    /// Reports that wait in the outboxes of the whole fleet.
+    waiting: u64,
+    /// Rows there are of this selection.
+    total: usize,
+    /// Place of the first row of this answer among them.
+    offset: usize,
+    nodes: Vec<NodeView>,
+}
+
+/// A part of a status: reading the rest would cost more than all else here.
+#[derive(Deserialize)]
+struct Labels {
+    #[serde(default)]
+    labels: BTreeMap<String, String>,
+}
+
+struct Row {
+    name: Arc<str>,
+    /// What it is sorted by.
+    key: i64,
+    /// The status, where labels are asked for.
+    status: Option<Arc<str>>,
+}
+
+fn states(text: Option<&str>) -> Result<Vec<PresenceState>, Problem> {
+    let names = text.into_iter().flat_map(|text| text.split(','));
+    names
+        .filter(|name| !name.is_empty())
+        .map(|name| {
+            PresenceState::named(name).ok_or_else(|| {
+                let known = PresenceState::ALL.map(PresenceState::as_str);
+                let detail = format!("there is no state `{name}`; there are: {}", known.join(", "));
+                unusable(detail).allowing(known)
+            })
+        })
+        .collect()
+}
+
+fn selector(text: Option<&str>) -> Result<Option<Selector>, Problem> {
+    let Some(text) = text.filter(|text| !text.trim().is_empty()) else {
+        return Ok(None);
+    };
+    let terms: Vec<&str> = text.split(',').map(str::trim).collect();
+    let selector = Selector::new(&terms).map_err(|error| unusable(error.to_string()))?;
+    Ok(Some(selector))
+}
+
+/// The fleet as rows of a table
+///
+/// `curl 'http://127.0.0.1:8090/api/v1/fleet?state=degraded,silent&select=region=north&sort=waiting&down=true'`
+#[utoipa::path(
+    get, path = "/api/v1/fleet", tag = "nodes", params(Selection),
+    responses(
+        (status = 200, body = FleetRows),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn rows(
+    State(view): State<HubView>,
+    selection: Result<Query<Selection>, QueryRejection>,
+) -> Result<Json<FleetRows>, Problem> {
+    let selection = query(selection)?;
+    let wanted = states(selection.state.as_deref())?;
+    let selector = selector(selection.select.as_deref())?;
+    let search = selection.search.unwrap_or_default();
+    let order = selection.sort;
+
+    let mut waiting = 0;
+    let mut found = Vec::new();
+    view.fleet.glance(|node| {
+        waiting += node.waiting;
+        let state_fits = wanted.is_empty() || wanted.contains(&node.state);
+        if !state_fits || !node.name.contains(&search) {
+            return;
+        }
+        let place = PresenceState::ALL.iter().position(|state| *state == node.state);
+        found.push(Row {
+            name: Arc::clone(node.name),
+            key: match order {
+                Order::Name => 0,
+                Order::State => place.map_or(i64::MAX, |place| place as i64),
+                Order::Since => node.since_ms,
+                Order::Heard => node.heard_ms.unwrap_or(i64::MIN),
+                Order::Waiting => i64::try_from(node.waiting).unwrap_or(i64::MAX),
+            },
+            status: selector.as_ref().and(node.status).cloned(),
+        });
+    });
+    // After the fleet is let go: labels are read from text.
+    if let Some(selector) = selector {
+        found.retain(|row| {
+            let labels = row
+                .status
+                .as_deref()
+                .and_then(|text| serde_json::from_str::<Labels>(text).ok());
+            selector.selects(&row.name, &labels.map(|it| it.labels).unwrap_or_default())
+        });
+    }
+    // They come by name, and the sort keeps that among equals.
+    match (order, selection.down) {
+        (Order::Name, true) => found.reverse(),
+        (_, true) => found.sort_by_key(|row| Reverse(row.key)),
+        (_, false) => found.sort_by_key(|row| row.key),
+    }
+    let [online, degraded, silent, offline] = view.fleet.by_state();
+    let limit = selection.limit.unwrap_or(100).min(MOST);
+    let nodes = found.iter().skip(selection.offset).take(limit);
+    Ok(Json(FleetRows {
+        counts: Counts {
+            online,
+            degraded,
+            silent,
+            offline,
+        },
+        waiting,
+        total: found.len(),
+        offset: selection.offset,
+        nodes: nodes.filter_map(|row| view.fleet.view(&row.name)).collect(),
+    }))
+}

@@ -1,0 +1,60 @@
+//! The node itself, in one answer: what the head of the page shows.
+
+use super::RouteState;
+use super::health::{Readiness, readiness};
+use albireo_wire::{EnergyQuality, OutboxStatus};
+use axum::Json;
+use axum::extract::State;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use utoipa::ToSchema;
+
+/// A node: how it is, since when it runs, and what it has used since.
+#[derive(Serialize, ToSchema)]
+pub(super) struct NodeOverview {
+    /// The program's version.
+    version: &'static str,
+    /// Seconds since it started.
+    uptime_s: f64,
+    #[serde(flatten)]
+    readiness: Readiness,
+    /// Reports that wait for a hub.
+    outbox: OutboxStatus,
+    /// Energy since the start.
+    energy: EnergySinceStart,
+}
+
+/// What the whole node has used since it started.
+#[derive(Serialize, ToSchema)]
+pub(super) struct EnergySinceStart {
+    /// Where the figures come from: `rapl`, `estimate`, …; `none` without a source.
+    source: String,
+    /// How far to trust them.
+    quality: EnergyQuality,
+    /// Joules by domain, over the time that samples cover.
+    joules: BTreeMap<String, f64>,
+    /// That time, seconds.
+    covered_s: BTreeMap<String, f64>,
+}
+
+/// The node in one answer
+///
+/// As `/readyz`, with status 200 whatever the state: this is to be looked at, not to be probed.
+/// `curl http://127.0.0.1:8080/api/v1/node`
+#[utoipa::path(get, path = "/api/v1/node", tag = "health", responses((status = 200, body = NodeOverview)))]
+pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverview> {
+    let board = shared.board();
+    let power = board.power();
+    Json(NodeOverview {
+        version: env!("CARGO_PKG_VERSION"),
+        uptime_s: board.uptime().as_secs_f64(),
+        readiness: readiness(board),
+        outbox: board.outbox().counts().status(),
+        energy: EnergySinceStart {
+            source: power.source,
+            quality: power.quality,
+            joules: power.joules,
+            covered_s: power.covered_s,
+        },
+    })
+}

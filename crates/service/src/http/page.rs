@@ -1,0 +1,179 @@
+//! The pages that people look at: built from `web/`, embedded in a release, and served with all they need. A debug build
+//! reads them from `web/dist` of its checkout each time, so that work on a page needs no compiler.
+
+use super::Problem;
+use axum::Router;
+use axum::extract::Path;
+use axum::http::header::{
+    ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, ETAG,
+    IF_NONE_MATCH, REFERRER_POLICY, VARY, X_CONTENT_TYPE_OPTIONS,
+};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use rust_embed::{Embed, EmbeddedFile};
+use std::fmt::Write as _;
+
+/// Where the parts of a page lie; open to all, as the page itself: they are the same wherever this version runs.
+pub(super) const ASSETS: &str = "/assets/";
+
+/// Only what the page brings, and calls to the service it came from. Nothing in a page writes markup or script by text,
+/// which Trusted Types see to where the browser has them.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; \
+                      connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; \
+                      require-trusted-types-for 'script'; trusted-types 'none'";
+
+/// What is said in place of a page that was not built.
+const MISSING: &str = "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n\
+    <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>albireo: no page</title>\n\
+    <h1>This program was built without its pages</h1>\n\
+    <p>They are built from the folder <code>web</code>, which needs Node.js 20.19 or later with npm \
+    (Debian: <code>apt-get install nodejs npm</code>; others: nodejs.org). Then:</p>\n\
+    <pre>make web\ncargo build</pre>\n\
+    <p>Everything else works: <a href=\"/openapi.json\">/openapi.json</a> describes the interface, \
+    <a href=\"/readyz\">/readyz</a> says how the service is.</p>\n</html>\n";
+
+#[derive(Embed)]
+#[folder = "../../web/dist"]
+struct Built;
+
+/// Which page a service shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Page {
+    /// One node.
+    Node,
+    /// A fleet.
+    Hub,
+}
+
+impl Page {
+    const fn file(self) -> &'static str {
+        match self {
+            Self::Node => "node.html",
+            Self::Hub => "hub.html",
+        }
+    }
+
+    /// Adds the page at `/`, and what it loads.
+    pub fn serve_on<S>(self, router: Router<S>) -> Router<S>
+    where
+        S: Clone + Send + Sync + 'static,
+    {
+        router
+            .route(
+                "/",
+                get(move |headers: HeaderMap| async move { self.answer(&headers) }),
+            )
+            .route("/assets/{file}", get(asset))
+    }
+
+    fn answer(self, headers: &HeaderMap) -> Response {
+        let mut response = file(self.file(), headers, "no-cache").unwrap_or_else(|| {
+            let html = HeaderValue::from_static("text/html; charset=utf-8");
+            ([(CONTENT_TYPE, html)], MISSING).into_response()
+        });
+        let more: [(HeaderName, &str); 2] = [
+            (CONTENT_SECURITY_POLICY, POLICY),
+            (REFERRER_POLICY, "no-referrer"),
+        ];
+        for (name, value) in more {
+            response
+                .headers_mut()
+                .insert(name, HeaderValue::from_static(value));
+        }
+        response
+    }
+}
+
+/// A part of a page. Its name changes with its contents, so that whoever has it never needs to ask again.
+async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
+    file(
+        &format!("assets/{name}"),
+        &headers,
+        "public, max-age=31536000, immutable",
+    )
+    .ok_or_else(|| {
+        let detail = "this version has no such part of a page; load the page anew";
+        Problem::new(StatusCode::NOT_FOUND, detail)
+    })
+}
+
+/// An embedded file, compressed as it was built where the client takes that; `None` when there is none of that name.
+fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Response> {
+    let media_type = media_type(name)?;
+    let compressed = takes_gzip(headers)
+        .then(|| Built::get(&format!("{name}.gz")))
+        .flatten();
+    let encoding = compressed.is_some().then_some("gzip");
+    let found = compressed.or_else(|| Built::get(name))?;
+    let etag = etag(&found);
+    let known = headers
+        .get_all(IF_NONE_MATCH)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(','))
+        .any(|value| {
+            value.trim().trim_start_matches("W/") == etag.to_str().unwrap_or_default()
+        });
+    let mut response = if known {
+        StatusCode::NOT_MODIFIED.into_response()
+    } else {
+        ([(CONTENT_TYPE, media_type)], found.data).into_response()
+    };
+    let headers = response.headers_mut();
+    headers.insert(ETAG, etag);
+    for (name, value) in [
+        (CACHE_CONTROL, caching),
+        (VARY, "accept-encoding"),
+        (X_CONTENT_TYPE_OPTIONS, "nosniff"),
+    ] {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    if let Some(encoding) = encoding.filter(|_| !known) {
+        headers.insert(CONTENT_ENCODING, HeaderValue::from_static(encoding));
+    }
+    Some(response)
+}
+
+/// The kinds of files that pages are made of; no other is served.
+fn media_type(name: &str) -> Option<&'static str> {
+    match name.rsplit_once('.')?.1 {
+        "html" => Some("text/html; charset=utf-8"),
+        "js" => Some("text/javascript; charset=utf-8"),
+        "css" => Some("text/css; charset=utf-8"),
+        "svg" => Some("image/svg+xml"),
+        _ => None,
+    }
+}
+
+fn etag(found: &EmbeddedFile) -> HeaderValue {
+    let mut tag = String::from("\"");
+    for byte in found.metadata.sha256_hash().iter().take(16) {
+        // Writing to a text does not fail.
+        let _ = write!(tag, "{byte:02x}");
+    }
+    tag.push('"');
+    HeaderValue::from_str(&tag).unwrap_or(HeaderValue::from_static("\"\""))
+}
+
+/// Whether `Accept-Encoding` has gzip, and not only to refuse it.
+fn takes_gzip(headers: &HeaderMap) -> bool {
+    headers
+        .get_all(ACCEPT_ENCODING)
+        .iter()
+        .filter_map(|value| value.to_str().ok())
+        .flat_map(|value| value.split(','))
+        .any(|coding| {
+            let mut parts = coding.split(';').map(str::trim);
+            let is_gzip = parts
+                .next()
+                .is_some_and(|name| name.eq_ignore_ascii_case("gzip"));
+            let refused = parts
+                .filter_map(|part| part.strip_prefix("q="))
+                .any(|weight| weight.parse() == Ok(0.0_f32));
+            is_gzip && !refused
+        })
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,84 @@
+//! The pages that people look at: what they are built on is current, they are small, and they work in a browser against
+//! the program itself.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn web() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("web")
+}
+
+/// Compares a description with the one that the pages' types are made from. `ALBIREO_UPDATE=1` writes it anew; then
+/// `npm run types` in `web` makes the types.
+#[cfg(feature = "hub")]
+fn current(service: &str, document: &impl serde::Serialize) {
+    let path = web().join("api").join(format!("{service}.json"));
+    let mut now = serde_json::to_string_pretty(document).unwrap();
+    now.push('\n');
+    if std::env::var_os("ALBIREO_UPDATE").is_some() {
+        std::fs::write(&path, &now).unwrap();
+    }
+    let kept = std::fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        kept == now,
+        "{} is not what the program says: run this test with ALBIREO_UPDATE=1, then `npm run types` in web",
+        path.display()
+    );
+}
+
+#[cfg(feature = "hub")]
+#[test]
+fn the_descriptions_that_the_pages_are_built_on_are_the_programs() {
+    current("node", &albireo_node::http::openapi());
+    current("hub", &albireo_hub::http::openapi());
+}
+
+/// Runs a command in `web` and shows what it said when it fails.
+fn run(program: &str, arguments: &[&str]) {
+    let output = Command::new(program)
+        .args(arguments)
+        .current_dir(web())
+        .env("ALBIREO_BIN", env!("CARGO_BIN_EXE_albireo"))
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    let failed = String::from_utf8_lossy(&output.stderr);
+    println!("{said}");
+    assert!(
+        output.status.success(),
+        "{program} {arguments:?}: {}\n{said}\n{failed}",
+        output.status
+    );
+}
+
+#[test]
+#[ignore = "needs Node.js"]
+fn the_pages_types_are_current_and_their_sums_right() {
+    run("node", &["scripts/types.mjs", "--check"]);
+    run("npx", &["--no-install", "tsc", "--noEmit"]);
+    run("npx", &["--no-install", "vitest", "run"]);
+}
+
+#[test]
+#[ignore = "needs Node.js"]
+fn both_pages_together_are_at_most_150_kilobytes_on_the_wire() {
+    let folders = [web().join("dist"), web().join("dist/assets")];
+    let sizes: Vec<u64> = folders
+        .iter()
+        .flat_map(|folder| std::fs::read_dir(folder).expect("`make web` builds the pages"))
+        .map(|entry| entry.unwrap())
+        .filter(|entry| entry.path().extension().is_some_and(|end| end == "gz"))
+        .map(|entry| entry.metadata().unwrap().len())
+        .collect();
+    let total: u64 = sizes.iter().sum();
+    assert!(sizes.len() >= 5, "the pages are not built: {sizes:?}");
+    assert!(total <= 150_000, "{total} bytes");
+}
+
+#[test]
+#[ignore = "needs Node.js and Chromium and ONNX Runtime"]
+fn the_pages_work_in_a_browser() {
+    run("node", &["tests/browser/main.mjs"]);
+}

@@ -1,0 +1,2378 @@
+// Made by `npm run types` from api/hub.json. Do not edit.
+
+export interface paths {
+    "/api/v1/caller": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Who asks, and what that one may do
+         * @description Open to all: it answers what a token is good for, and that one is needed where it is missing or not known.
+         *     `curl -H "Authorization: Bearer $TOKEN" http://127.0.0.1:8080/api/v1/caller`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["WhoAsks"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/changes": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The history of changes
+         * @description Who ordered which value for whom, why, and what became of it.
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Only those of this node. */
+                    node?: string | null;
+                    /** @description Only those before this number. */
+                    before?: number | null;
+                    /** @description How many at most; 50 by default. */
+                    limit?: number | null;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Changes"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/changes/{change}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** One change with every node */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description Its number. */
+                    change: number;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["ChangeDetail"];
+                    };
+                };
+                404: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/clips": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Clips by node, camera and time, page by page
+         * @description `curl 'http://127.0.0.1:8090/api/v1/clips?node=car-7&limit=20'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Of this node. */
+                    node?: string;
+                    /** @description Of this camera of it. */
+                    camera?: string;
+                    /** @description Begun at this time or later, milliseconds since the Unix epoch. */
+                    since_ms?: number;
+                    /** @description Begun before this time, milliseconds since the Unix epoch. */
+                    until_ms?: number;
+                    /** @description `next` of the page before. */
+                    cursor?: number;
+                    /** @description At most so many, 100 by default, 1000 at most. */
+                    limit?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["ClipPage"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/clips.csv": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The same clips as CSV, all of them, or `limit`
+         * @description They are read and sent in pages: the file may be larger than the memory.
+         *     `curl -O 'http://127.0.0.1:8090/api/v1/clips.csv?since_ms=1790000000000'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Of this node. */
+                    node?: string;
+                    /** @description Of this camera of it. */
+                    camera?: string;
+                    /** @description Begun at this time or later, milliseconds since the Unix epoch. */
+                    since_ms?: number;
+                    /** @description Begun before this time, milliseconds since the Unix epoch. */
+                    until_ms?: number;
+                    /** @description `next` of the page before. */
+                    cursor?: number;
+                    /** @description At most so many, 100 by default, 1000 at most. */
+                    limit?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "text/csv": string;
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/drift": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Nodes whose value is not the desired one
+         * @description They had taken it, and it was changed at the node since.
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Drift"][];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/energy": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Energy over time and fleet: measured, partial and estimated apart, and against vanilla
+         * @description `curl 'http://127.0.0.1:8090/api/v1/energy?by=policy'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description `all`, `node`, `camera`, `day`, `policy` or `knob`. */
+                    by?: components["schemas"]["EnergyBy"];
+                    /** @description Clips begun from this time on, milliseconds since the Unix epoch; seven days ago by default. */
+                    since_ms?: number;
+                    /** @description Clips begun before this time; now by default. */
+                    until_ms?: number;
+                    /** @description Of this node only. */
+                    node?: string;
+                    /** @description At most so many groups, 1000 by default, 10000 at most. */
+                    limit?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Energy"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/events": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * What happens in the fleet, as server-sent events
+         * @description Kinds: `node` (its state changed), `gap`, `conflict`, `set_aside`, `clock_off`, `refused`, and `resync`: more was
+         *     missed than is told again, so look anew at how things stand.
+         *     `curl -N http://127.0.0.1:8090/api/v1/events`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Number of the last event the reader has; the header `Last-Event-ID` says the same. */
+                    last_event_id?: number;
+                    /** @description Names of the kinds wanted, separated by commas; all without it. */
+                    types?: string;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "text/event-stream": string;
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/nodes": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The nodes of the fleet, page by page
+         * @description `curl 'http://127.0.0.1:8090/api/v1/nodes?state=degraded&limit=20'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Of this state only: `online`, `degraded`, `silent`, `offline`. */
+                    state?: string;
+                    /** @description With this text in the name. */
+                    search?: string;
+                    /** @description After the node of this name: `next` of the page before. */
+                    cursor?: string;
+                    /** @description At most so many, 100 by default, 1000 at most. */
+                    limit?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["NodePage"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/nodes/{node}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * One node with its instances
+         * @description `curl http://127.0.0.1:8090/api/v1/nodes/car-7`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description Its name */
+                    node: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["NodeDetail"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/rollouts": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Rollouts, the newest first */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Only those with numbers below this. */
+                    before?: number | null;
+                    /** @description How many at most; 20 by default. */
+                    limit?: number | null;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Rollouts"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        /**
+         * Begins a rollout
+         * @description The body is its plan with the new value under its knob's name beside it:
+         *     `{"u": 5e-4, "select": ["cam-*"], "stages": ["1", "10%", "50%", "100%"], "soak_s": 1800, "gates": ["joules<=+5%"]}`.
+         */
+        post: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["RolloutPlan"];
+                };
+            };
+            responses: {
+                201: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["RolloutView"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/rollouts/{id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** A rollout with its record and its nodes */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description Its number. */
+                    id: number;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["RolloutView"];
+                    };
+                };
+                404: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/rollouts/{id}/{command}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Pauses, resumes, advances, returns or stops a rollout */
+        post: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description Its number. */
+                    id: number;
+                    /** @description `pause`, `resume`, `next`, `return` or `stop`. */
+                    command: components["schemas"]["Command"];
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["RolloutView"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/set-aside": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Reports that could not be read, with their cause
+         * @description They are acknowledged, so that they do not hold up those behind them, and kept here.
+         *     `curl http://127.0.0.1:8090/api/v1/set-aside`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Of this node. */
+                    node?: string;
+                    /** @description `next` of the page before. */
+                    cursor?: number;
+                    /** @description At most so many, 20 by default, 100 at most. */
+                    limit?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["AsidePage"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/threshold": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Sets a value on selected nodes
+         * @description It holds at a node when the node **reports** it. `Accept: application/x-ndjson` streams each node's outcome as it comes; otherwise
+         *     the answer waits a few seconds for the nodes. Nodes out of reach find the value on their return.
+         *     `curl -X PUT -d '{"u": 5e-4, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/threshold`
+         */
+        put: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["ThresholdRequest"];
+                };
+            };
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["ThresholdAnswer"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/trials": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Trials, the newest first */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Only those with numbers below this. */
+                    before?: number | null;
+                    /** @description How many at most; 20 by default. */
+                    limit?: number | null;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Trials"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        /**
+         * Begins a trial
+         * @description `{"values": [{"u": 1e-4}, {"u": 3e-4}], "select": ["cam-*"], "duration_s": 3600}`
+         */
+        post: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["TrialPlan"];
+                };
+            };
+            responses: {
+                201: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["TrialView"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/trials/{id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** A trial with its result and its nodes */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description Its number. */
+                    id: number;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["TrialView"];
+                    };
+                };
+                404: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/trials/{id}/end": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Ends a trial before its time
+         * @description What was measured until now is its result; the old values return.
+         */
+        post: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description Its number. */
+                    id: number;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["TrialView"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/healthz": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Whether the process answers
+         * @description `curl http://127.0.0.1:8090/healthz`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Health"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/metrics": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Figures of the hub
+         * @description `curl http://127.0.0.1:8090/metrics`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "text/plain": string;
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/readyz": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Whether reports are taken: the database can be written, the Zenoh session is open
+         * @description `curl http://127.0.0.1:8090/readyz`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["HubReadiness"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["HubNotReady"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+}
+export type webhooks = Record<string, never>;
+export interface components {
+    schemas: {
+        /** @description A figure of one group. */
+        ArmFigure: {
+            /**
+             * Format: int64
+             * @description Their clips.
+             */
+            clips: number;
+            difference?: components["schemas"]["Interval"] | null;
+            /** @description What. */
+            figure: components["schemas"]["Figure"];
+            interval?: components["schemas"]["Interval"] | null;
+            /**
+             * Format: double
+             * @description Mean over the nodes.
+             */
+            mean: number;
+            /**
+             * Format: int64
+             * @description Nodes that have it, with enough clips.
+             */
+            nodes: number;
+        };
+        /** @description What one value came to. */
+        ArmResult: {
+            /** @description Of them, those that reported the value. */
+            applied: number;
+            /** @description Its figures. */
+            figures: components["schemas"]["ArmFigure"][];
+            /** @description Nodes of the group. */
+            nodes: number;
+            /** @description The value. */
+            value: {
+                [key: string]: number;
+            };
+        };
+        /** @description A page of reports that could not be read, the latest first. */
+        AsidePage: {
+            /**
+             * Format: int64
+             * @description What to give as `cursor` for the next page; absent on the last.
+             */
+            next?: number | null;
+            reports: components["schemas"]["StoredSetAside"][];
+        };
+        /**
+         * @description What the interval is taken over.
+         * @enum {string}
+         */
+        Basis: "nodes" | "clips";
+        /**
+         * @description Whether frames come from a camera.
+         * @enum {string}
+         */
+        CameraState: "live" | "stale" | "never_seen";
+        /** @description One camera of a [`NodeStatus`]. */
+        CameraStatus: {
+            /** @description Who set it. */
+            knob_source: components["schemas"]["KnobSource"];
+            /** @description Its name. */
+            name: string;
+            /** @description Whether frames come. */
+            state: components["schemas"]["CameraState"];
+        };
+        /** @description One order with its nodes. */
+        ChangeDetail: components["schemas"]["ChangeView"] & {
+            nodes: components["schemas"]["ChangeNode"][];
+        };
+        /** @description What became of an order at a node. */
+        ChangeNode: {
+            /**
+             * Format: int64
+             * @description When that was known, milliseconds since the Unix epoch.
+             */
+            at_ms: number;
+            detail?: string;
+            /** @description The value before. */
+            from?: {
+                [key: string]: number;
+            } | null;
+            node: string;
+            outcome: string;
+        };
+        /** @description One order of the history. */
+        ChangeView: {
+            /**
+             * Format: int64
+             * @description When, milliseconds since the Unix epoch.
+             */
+            at_ms: number;
+            /**
+             * Format: int64
+             * @description Its number: the generation of the value.
+             */
+            change: number;
+            /** @description How many nodes have which outcome. */
+            counts: {
+                [key: string]: number;
+            };
+            /** @description `hand`, `rollout 3`, `trial 4`, `drift`. */
+            origin: string;
+            /** @description Who was selected; empty where a rollout or trial chose. */
+            select: string;
+            /** @description The value. */
+            to: {
+                [key: string]: number;
+            };
+            /** @description Who: the name of the token. */
+            who: string;
+            /** @description Why. */
+            why: string;
+        };
+        /** @description Orders, the newest first. */
+        Changes: {
+            changes: components["schemas"]["ChangeView"][];
+            /**
+             * Format: int64
+             * @description Give it as `before` for the next page; absent on the last.
+             */
+            next?: number | null;
+        };
+        /** @description A page of clips, the last received first. */
+        ClipPage: {
+            clips: components["schemas"]["StoredClip"][];
+            /**
+             * Format: int64
+             * @description What to give as `cursor` for the next page; absent on the last.
+             */
+            next?: number | null;
+        };
+        /** @description Nodes by state. */
+        Counts: {
+            /** Format: int64 */
+            degraded: number;
+            /** Format: int64 */
+            offline: number;
+            /** Format: int64 */
+            online: number;
+            /** Format: int64 */
+            silent: number;
+        };
+        /** @description A node whose value in force is not the desired one, although it had taken it. */
+        Drift: {
+            /** @description The value desired. */
+            desired: {
+                [key: string]: number;
+            };
+            /** @description The value in force; absent where the cameras differ. */
+            in_force?: {
+                [key: string]: number;
+            } | null;
+            /** @description The node. */
+            node: string;
+            /**
+             * Format: int32
+             * @description How often it was set back.
+             */
+            set_back: number;
+            /** @description Since when the hub knows, milliseconds since the Unix epoch. */
+            since_ms: components["schemas"]["i64"];
+        };
+        /** @description Sums by group and quality. */
+        Energy: {
+            /** @description One entry for each group and quality. */
+            groups: components["schemas"]["EnergyGroup"][];
+            /** @description The spans the sums were made from: days where the times asked for begin and end with one, else five minutes. */
+            resolution: components["schemas"]["Resolution"];
+            /**
+             * Format: int64
+             * @description From this time on, milliseconds since the Unix epoch: the beginning of a span.
+             */
+            since_ms: number;
+            /**
+             * Format: int64
+             * @description Before this time: the end of a span.
+             */
+            until_ms: number;
+        };
+        /** @description Sums of one group and one quality. */
+        EnergyGroup: {
+            /**
+             * Format: int64
+             * @description Frames answered without the detector, degraded ones not among them: calls of it that were avoided.
+             */
+            avoided_calls: number;
+            /**
+             * Format: int64
+             * @description Clips.
+             */
+            clips: number;
+            /**
+             * Format: double
+             * @description Of it the processor's.
+             */
+            cpu_joules: number;
+            /**
+             * Format: int64
+             * @description Calls of the detector.
+             */
+            detector_calls: number;
+            /**
+             * Format: double
+             * @description Seconds of clips.
+             */
+            duration_s: number;
+            /**
+             * Format: int64
+             * @description Frames.
+             */
+            frames: number;
+            /**
+             * Format: double
+             * @description Of it the GPU's.
+             */
+            gpu_joules: number;
+            /**
+             * @description Node, camera (`node/camera`), day (seconds since the Unix epoch), policy, or policy and value (`albireo u=0.0003`);
+             *     empty for the sum over all.
+             */
+            group: string;
+            /**
+             * Format: double
+             * @description Of it memory's and input and output's.
+             */
+            io_mem_joules: number;
+            /**
+             * Format: double
+             * @description Energy, joules: exact sums of what the nodes report, in whole microjoules.
+             */
+            joules: number;
+            /** @description `measured`, `partial`, `estimated` or `unavailable`: sums of different qualities are never added. */
+            quality: string;
+            /**
+             * Format: double
+             * @description Share of frames with state E or P that are not degraded.
+             */
+            skip_rate: number;
+            /**
+             * Format: int64
+             * @description Avoided calls in clips without a call or without energy: they have no price, and are not in the estimate.
+             */
+            unpriced_calls: number;
+            /**
+             * Format: double
+             * @description Always an estimate, whatever the quality: what calling the detector on every frame would have cost, by each
+             *     clip's own mean power over its own mean detector time for each call that was avoided.
+             */
+            vanilla_joules_estimated: number;
+        };
+        /**
+         * @description How far an energy figure can be trusted; the order is from most to least.
+         * @enum {string}
+         */
+        EnergyQuality: "measured" | "partial" | "estimated" | "unavailable";
+        /** @description One thing that happened. */
+        Entry: {
+            /** @description When, milliseconds since the Unix epoch. */
+            at_ms: components["schemas"]["i64"];
+            /** @description Each gate with its numbers. */
+            gates?: components["schemas"]["GateResult"][];
+            /** @description In which stage, from 1. */
+            stage: number;
+            /** @description The same in words. */
+            text?: string;
+            verdict?: components["schemas"]["Verdict"] | null;
+            /** @description What. */
+            what: components["schemas"]["What"];
+            /** @description Who ordered it; absent where the hub did it by itself. */
+            who?: string | null;
+        };
+        /**
+         * @description One kind of number that clips have. Energy that was metered over a part of the clip only is in none of them.
+         * @enum {string}
+         */
+        Figure: "skip_rate" | "joules_measured" | "joules_estimated" | "edp_measured" | "edp_estimated" | "latency_p99" | "degraded" | "detector_errors";
+        /** @description A gate's verdict on one figure, with its numbers. */
+        GateResult: {
+            /**
+             * Format: double
+             * @description Mean over those nodes after; absent without any.
+             */
+            after?: number | null;
+            basis?: components["schemas"]["Basis"] | null;
+            /**
+             * Format: double
+             * @description Mean over those nodes before; absent without any.
+             */
+            before?: number | null;
+            change?: components["schemas"]["Interval"] | null;
+            /**
+             * Format: int64
+             * @description Clips after, of those nodes.
+             */
+            clips_after: number;
+            /**
+             * Format: int64
+             * @description Clips before, of those nodes.
+             */
+            clips_before: number;
+            figure?: components["schemas"]["Figure"] | null;
+            /** @description The gate, as written. */
+            gate: string;
+            /** @description Nodes with enough clips before and after. */
+            nodes: number;
+            /** @description Nodes with too few. */
+            nodes_left_out: number;
+            /** @description The verdict. */
+            verdict: components["schemas"]["Verdict"];
+        };
+        /** @description The process answers. */
+        Health: {
+            /** @description Always `ok`. */
+            status: string;
+            /** @description The program's version. */
+            version: string;
+        };
+        /**
+         * @description Whether a node works as it should.
+         * @enum {string}
+         */
+        HealthState: "ready" | "degraded" | "not_ready";
+        /** @description Health with its reasons. */
+        HealthStatus: {
+            /** @description What is wrong, by part; empty when ready. */
+            reasons: {
+                [key: string]: string;
+            };
+            /** @description Whether it works as it should. */
+            state: components["schemas"]["HealthState"];
+        };
+        /** @description [`HubReadiness`] as a problem document. */
+        HubNotReady: components["schemas"]["Problem"] & components["schemas"]["HubReadiness"];
+        /** @description Whether reports are taken and committed. */
+        HubReadiness: {
+            /** @description Whether everything works. */
+            ready: boolean;
+            /** @description What does not work and why, by part: `database`, `zenoh`. */
+            reasons: {
+                [key: string]: string;
+            };
+        };
+        /** @description An instance of a node, with what is counted of it. */
+        InstanceView: {
+            /**
+             * Format: int64
+             * @description Batches with a number that belongs to another report.
+             */
+            conflicts: number;
+            /**
+             * Format: int64
+             * @description When a batch came first.
+             */
+            first_ms: number;
+            /** @description Its identity. */
+            instance: string;
+            /**
+             * Format: int64
+             * @description When a batch came last.
+             */
+            last_ms: number;
+            /**
+             * Format: int64
+             * @description Reports that the node says it lost.
+             */
+            lost: number;
+            /** @description Digest of the machine it was first heard from. */
+            machine?: string | null;
+            /**
+             * Format: int64
+             * @description Reports that never came.
+             */
+            missing: number;
+            /**
+             * Format: int64
+             * @description Number of the first report that is not stored.
+             */
+            next_report: number;
+            /**
+             * Format: int64
+             * @description Clips stored.
+             */
+            reports: number;
+            /**
+             * Format: int64
+             * @description Reports set aside.
+             */
+            set_aside: number;
+        };
+        /** @description A mean and where it lies with the confidence asked for. */
+        Interval: {
+            /**
+             * Format: double
+             * @description Lower end.
+             */
+            lower: number;
+            /**
+             * Format: double
+             * @description The mean.
+             */
+            mean: number;
+            /**
+             * Format: double
+             * @description Upper end.
+             */
+            upper: number;
+        };
+        /** @description The one number of a policy that a user turns while it runs, as the policy declares it. */
+        Knob: {
+            /**
+             * Format: double
+             * @description The value without configuration.
+             */
+            default: number;
+            /**
+             * Format: double
+             * @description Largest value allowed.
+             */
+            maximum: number;
+            /** @description What turning it does, in one sentence. */
+            meaning: string;
+            /**
+             * Format: double
+             * @description Smallest value allowed.
+             */
+            minimum: number;
+            /** @description Its name in configuration, messages and reports: `u`, `lambda`, … */
+            name: string;
+        };
+        /**
+         * @description Who set the knob's value in force.
+         * @enum {string}
+         */
+        KnobSource: "configuration" | "local" | "hub";
+        /** @description A node that was selected and takes no part, and why. */
+        LeftOut: {
+            /** @description The node. */
+            node: string;
+            /** @description Why. */
+            why: string;
+        };
+        /** @description One node of a rollout or trial. */
+        Member: components["schemas"]["Outcome"] & {
+            /** @description The target that it was last asked for. */
+            asked: components["schemas"]["Target"];
+            /** @description When it was asked. */
+            asked_ms: components["schemas"]["i64"];
+            /** @description The value it had at the beginning. */
+            before: {
+                [key: string]: number;
+            };
+            /**
+             * Format: int64
+             * @description Generation of that.
+             */
+            generation: number;
+            /** @description Its stage or group, from 0. */
+            group: number;
+            /** @description Its name. */
+            node: string;
+            /** @description What it is to have. */
+            target: components["schemas"]["Target"];
+        };
+        /** @description A node with its instances. */
+        NodeDetail: components["schemas"]["NodeView"] & {
+            /**
+             * @description Its instances, the last heard first: more than one after its state was made anew, or when two nodes have this
+             *     name.
+             */
+            instances: components["schemas"]["InstanceView"][];
+        };
+        /** @description A page of nodes, in the order of their names. */
+        NodePage: {
+            /** @description Nodes of the fleet by state, whatever is selected. */
+            counts: components["schemas"]["Counts"];
+            /** @description What to give as `cursor` for the next page; absent on the last. */
+            next?: string | null;
+            nodes: components["schemas"]["NodeView"][];
+        };
+        /** @description Everything a hub shows of a node between reports. */
+        NodeStatus: {
+            /** @description Cameras. */
+            cameras: components["schemas"]["CameraStatus"][];
+            /** @description Health with its reasons. */
+            health: components["schemas"]["HealthStatus"];
+            /** @description Labels of its configuration, for selecting nodes: `region = "north"`. */
+            labels?: {
+                [key: string]: string;
+            };
+            /** @description Detector model: file name. */
+            model: string;
+            /** @description The outbox. */
+            outbox: components["schemas"]["OutboxStatus"];
+            /** @description Policy. */
+            policy: string;
+            /** @description How far they can be trusted. */
+            power_quality: components["schemas"]["EnergyQuality"];
+            /** @description Where power figures come from: `rapl`, `estimate`, … */
+            power_source: string;
+            /** @description Execution provider that really runs it; absent until the model is loaded. */
+            provider?: string | null;
+            refused?: components["schemas"]["RefusedDesired"] | null;
+            /** @description Version of the program. */
+            version: string;
+        };
+        /** @description A node as it is shown. */
+        NodeView: {
+            /**
+             * Format: int64
+             * @description Generation of the desired value in force.
+             */
+            generation: number;
+            /**
+             * Format: int64
+             * @description When the last status came, milliseconds since the Unix epoch.
+             */
+            heard_ms?: number | null;
+            /** @description Its instance. */
+            instance?: string | null;
+            /** @description Its name. */
+            node: string;
+            /**
+             * Format: int64
+             * @description Since when, milliseconds since the Unix epoch.
+             */
+            since_ms: number;
+            /** @description How it is. */
+            state: components["schemas"]["PresenceState"];
+            status?: components["schemas"]["NodeStatus"] | null;
+            /**
+             * Format: int64
+             * @description Reports that wait in its outbox.
+             */
+            waiting: number;
+            /** @description Why; empty when online. */
+            why: string;
+        };
+        /**
+         * @description What happens when a gate fails.
+         * @enum {string}
+         */
+        OnFailure: "return" | "hold";
+        /** @description The outbox of a [`NodeStatus`]. */
+        OutboxStatus: {
+            /** @description Whether reports survive a power loss; `false` without a state directory or when its disk fails. */
+            durable: boolean;
+            /**
+             * Format: int64
+             * @description Reports lost since the instance began: the outbox was full or its disk broken.
+             */
+            lost: number;
+            /**
+             * Format: int64
+             * @description Reports that wait.
+             */
+            waiting: number;
+        };
+        /** @description Where a node is with its target. */
+        Outcome: {
+            /** @enum {string} */
+            outcome: "untouched";
+        } | {
+            /** @enum {string} */
+            outcome: "pending";
+        } | {
+            /** @enum {string} */
+            outcome: "waiting";
+        } | {
+            /** @description When the hub heard it. */
+            at_ms: components["schemas"]["i64"];
+            /** @enum {string} */
+            outcome: "applied";
+        } | {
+            /** @enum {string} */
+            outcome: "refused";
+            /** @description Why. */
+            reason: string;
+        } | {
+            /** @enum {string} */
+            outcome: "timed_out";
+        } | {
+            /** @enum {string} */
+            outcome: "missed";
+        };
+        /** @description What an order came to at one node. */
+        OutcomeLine: {
+            /** @description Why, where there is something to say. */
+            detail?: string;
+            /** @description The value in force before, if it was known. */
+            from?: {
+                [key: string]: number;
+            } | null;
+            /** @description The node. */
+            node: string;
+            /**
+             * @description `applied`, `refused`, `waiting` (out of reach: applied on its return), `timed_out`, `pending`, `superseded`; `unchanged` where it
+             *     has the value already, `would_change` in a dry run.
+             */
+            outcome: string;
+            /** @description The value ordered. */
+            to: {
+                [key: string]: number;
+            };
+        };
+        /** @description Where a rollout is. */
+        Phase: {
+            /** @enum {string} */
+            phase: "applying";
+            /** @description Since when. */
+            since_ms: components["schemas"]["i64"];
+        } | {
+            /**
+             * Format: int32
+             * @description How often its gates were judged.
+             */
+            looks: number;
+            /** @enum {string} */
+            phase: "soaking";
+            /** @description Since when. */
+            since_ms: components["schemas"]["i64"];
+        } | {
+            /** @enum {string} */
+            phase: "held";
+            /** @description Why. */
+            reason: string;
+            /** @description Since when. */
+            since_ms: components["schemas"]["i64"];
+        } | {
+            /** @enum {string} */
+            phase: "finishing";
+            /** @description Since when. */
+            since_ms: components["schemas"]["i64"];
+        } | {
+            /** @enum {string} */
+            phase: "returning";
+            /** @description Why. */
+            reason: string;
+            /** @description Since when. */
+            since_ms: components["schemas"]["i64"];
+        } | {
+            /** @enum {string} */
+            phase: "done";
+        } | {
+            /** @enum {string} */
+            phase: "returned";
+        } | {
+            /** @enum {string} */
+            phase: "stopped";
+        };
+        /**
+         * @description How a node is.
+         * @enum {string}
+         */
+        PresenceState: "online" | "degraded" | "silent" | "offline";
+        /** @description What went wrong with a request, and what would do. */
+        Problem: {
+            /** @description What is allowed in the place of what was sent: methods, names, media types. */
+            allowed?: string[];
+            /** @description What was wrong with this request. */
+            detail: string;
+            knob?: components["schemas"]["Knob"] | null;
+            /**
+             * Format: int32
+             * @description The HTTP status.
+             */
+            status: number;
+            /** @description The status in words. */
+            title: string;
+            /** @description Always `about:blank`: the title is that of the status. */
+            type: string;
+        };
+        /** @description A desired value that a node did not take. */
+        RefusedDesired: {
+            /**
+             * Format: int64
+             * @description Its generation: greater than the one in force.
+             */
+            generation: number;
+            /** @description Why, in words: the policy has another knob, or the value is outside of its range. */
+            reason: string;
+        };
+        /**
+         * @description How long the spans are that the sums were made from.
+         * @enum {string}
+         */
+        Resolution: "five_minutes" | "day";
+        /** @description A change in stages. */
+        RolloutPlan: {
+            /**
+             * Format: double
+             * @description How long a node in reach may take to report the value, seconds.
+             * @default 120
+             */
+            apply_within_s: number;
+            /**
+             * Format: double
+             * @description How far back the measurements before the change go, seconds.
+             * @default 3600
+             */
+            baseline_s: number;
+            /**
+             * Format: double
+             * @description How sure a verdict is to be: 0.95 lets one of twenty be wrong on each side, over all looks at one gate.
+             * @default 0.95
+             */
+            confidence: number;
+            /**
+             * Format: double
+             * @description Share of a stage's nodes in reach that must have reported the value; with fewer the stage has failed.
+             * @default 0.9
+             */
+            fewest_applied: number;
+            /**
+             * Format: int64
+             * @description Fewest clips of a node before and after; those with fewer are left out.
+             * @default 5
+             */
+            fewest_clips: number;
+            /**
+             * @description What the change may cost.
+             * @default [
+             *       "skip_rate>=-0.05",
+             *       "joules<=+5%?",
+             *       "latency_p99<=+10%",
+             *       "degraded<=+0.01",
+             *       "detector_errors<=+0.01?"
+             *     ]
+             */
+            gates: string[];
+            /**
+             * Format: double
+             * @description How long a node out of reach may stay away, seconds; then its value is withdrawn and it is named.
+             * @default 604800
+             */
+            offline_deadline_s: number;
+            /**
+             * @description What happens when a gate fails.
+             * @default return
+             */
+            on_failure: components["schemas"]["OnFailure"];
+            /**
+             * Format: double
+             * @description How much longer a stage is held when its gates could not be judged at the end of the soak, seconds.
+             * @default 3600
+             */
+            patience_s: number;
+            /**
+             * Format: int64
+             * @description Draws the order of the nodes; chosen by the hub when it is not given.
+             * @default null
+             */
+            seed: number | null;
+            /**
+             * @description Which nodes.
+             * @default [
+             *       "all"
+             *     ]
+             */
+            select: string[];
+            /**
+             * Format: double
+             * @description How long a stage is held before its gates are judged, seconds.
+             * @default 1800
+             */
+            soak_s: number;
+            /**
+             * @description How many nodes have the new value in each stage, all stages before included.
+             * @default [
+             *       "1",
+             *       "10%",
+             *       "50%",
+             *       "100%"
+             *     ]
+             */
+            stages: string[];
+            /**
+             * @description Why.
+             * @default
+             */
+            why: string;
+        };
+        /** @description A rollout. */
+        RolloutView: components["schemas"]["Phase"] & {
+            /**
+             * Format: int64
+             * @description When, milliseconds since the Unix epoch.
+             */
+            begun_ms: number;
+            /**
+             * Format: int64
+             * @description When it ended.
+             */
+            ended_ms?: number | null;
+            /**
+             * Format: int64
+             * @description Its number.
+             */
+            id: number;
+            /** @description Selected nodes that take no part; only in the answer to its begin. */
+            left_out?: components["schemas"]["LeftOut"][];
+            /** @description Its nodes; absent in a list. */
+            nodes?: components["schemas"]["Member"][] | null;
+            /** @description Whether it is paused. */
+            paused: boolean;
+            /** @description Its plan. */
+            plan: components["schemas"]["RolloutPlan"];
+            /** @description What happened, with its numbers; absent in a list. */
+            record?: components["schemas"]["Entry"][] | null;
+            /**
+             * Format: int64
+             * @description The seed that drew the order of the nodes.
+             */
+            seed: number;
+            /** @description The stage it is in, from 1. */
+            stage: number;
+            /** @description Its stages. */
+            stages: components["schemas"]["StageView"][];
+            /** @description The new value. */
+            to: {
+                [key: string]: number;
+            };
+            /** @description Who began it. */
+            who: string;
+        };
+        /** @description Rollouts, the newest first. */
+        Rollouts: {
+            /**
+             * Format: int64
+             * @description Give it as `before` for the next page; absent on the last.
+             */
+            next?: number | null;
+            rollouts: components["schemas"]["RolloutView"][];
+        };
+        /** @description A stage of a rollout. */
+        StageView: {
+            /** @description How many of them have which outcome. */
+            counts: {
+                [key: string]: number;
+            };
+            /** @description Nodes that are new in it. */
+            nodes: number;
+        };
+        /** @description A clip. */
+        StoredClip: {
+            /**
+             * Format: int64
+             * @description Frames with state AI.
+             */
+            ai: number;
+            /**
+             * Format: int64
+             * @description The time it is filed under, milliseconds since the Unix epoch: when it began, or when it was received where the
+             *     node's clock is off.
+             */
+            at_ms: number;
+            /** @description Camera. */
+            camera: string;
+            /** @description Clip id. */
+            clip: string;
+            /**
+             * Format: int64
+             * @description Frames answered from prediction because the detector could not be had.
+             */
+            degraded: number;
+            /**
+             * Format: int64
+             * @description Calls of the detector.
+             */
+            detector_calls: number;
+            /**
+             * Format: double
+             * @description Mean time of a call, milliseconds.
+             */
+            detector_mean_ms: number;
+            /**
+             * Format: int64
+             * @description Frames not processed.
+             */
+            dropped: number;
+            /**
+             * Format: double
+             * @description Its length, seconds.
+             */
+            duration_s: number;
+            /**
+             * Format: int64
+             * @description Frames with state E.
+             */
+            e: number;
+            /**
+             * Format: double
+             * @description Energy-delay product, J·ms/frame.
+             */
+            edp?: number | null;
+            /**
+             * Format: int64
+             * @description Frames with state E+I.
+             */
+            ei: number;
+            /** @description Why it ended. */
+            ended_by: string;
+            /**
+             * Format: int64
+             * @description Frames.
+             */
+            frames: number;
+            /**
+             * Format: int64
+             * @description Frames with state I.
+             */
+            i: number;
+            /**
+             * Format: int64
+             * @description Its number in the database: the later it was received, the higher.
+             */
+            id: number;
+            /** @description Instance of the node. */
+            instance: string;
+            /**
+             * Format: double
+             * @description Energy, joules.
+             */
+            joules?: number | null;
+            /** @description Name of its knob; empty without one. */
+            knob: string;
+            /**
+             * Format: double
+             * @description Mean latency, milliseconds.
+             */
+            latency_mean_ms: number;
+            /**
+             * Format: double
+             * @description 99th percentile of the latency, milliseconds.
+             */
+            latency_p99_ms: number;
+            /** @description Detector model. */
+            model: string;
+            /** @description Node. */
+            node: string;
+            /**
+             * Format: int64
+             * @description Frames with state P.
+             */
+            p: number;
+            /** @description Policy. */
+            policy: string;
+            /** @description Where the energy comes from. */
+            power_source: string;
+            /** @description Execution provider. */
+            provider: string;
+            /** @description `measured`, `partial`, `estimated` or `unavailable`. */
+            quality: string;
+            /**
+             * Format: int64
+             * @description When it was received.
+             */
+            received_ms: number;
+            /**
+             * Format: int64
+             * @description Number of the report within the instance.
+             */
+            report: number;
+            /**
+             * Format: double
+             * @description The knob's value at the end of the clip.
+             */
+            value?: number | null;
+        };
+        /** @description Something that happened. */
+        StoredEvent: {
+            /**
+             * Format: int64
+             * @description When, milliseconds since the Unix epoch.
+             */
+            at_ms: number;
+            /** @description The rest, by kind. */
+            detail: unknown;
+            /**
+             * Format: int64
+             * @description Its number: the later, the higher.
+             */
+            id: number;
+            /** @description What kind: `node`, `gap`, `conflict`, `set_aside`, `clock_off`, `refused`. */
+            kind: string;
+            /** @description The node it is about. */
+            node?: string | null;
+        };
+        /** @description A report that could not be read. */
+        StoredSetAside: {
+            /** @description What came, at most 64 KiB of it. */
+            body: string;
+            /** @description Why it cannot be read. */
+            cause: string;
+            /**
+             * Format: int64
+             * @description Its number.
+             */
+            id: number;
+            /** @description The node that sent it. */
+            node: string;
+            /**
+             * Format: int64
+             * @description When it came.
+             */
+            received_ms: number;
+            /**
+             * Format: int64
+             * @description Number of the report within its instance.
+             */
+            report?: number | null;
+        };
+        /**
+         * @description What a node is to have.
+         * @enum {string}
+         */
+        Target: "untouched" | "new" | "old";
+        /** @description What an order came to. */
+        ThresholdAnswer: {
+            /**
+             * Format: int64
+             * @description Number of the order: `/api/v1/changes/{change}` tells how it went on. Absent in a dry run, and when nobody was to change.
+             */
+            change?: number | null;
+            /** @description How many nodes have which outcome. */
+            counts: {
+                [key: string]: number;
+            };
+            /** @description Whether nothing was done. */
+            dry_run: boolean;
+            /** @description Each node. */
+            nodes: components["schemas"]["OutcomeLine"][];
+        };
+        /** @description A value for selected nodes. Beside these fields stands the value under its knob's name: `"u": 5e-4`. */
+        ThresholdRequest: {
+            /** @description Only say who would change. */
+            dry_run?: boolean;
+            /** @description Which nodes: names, globs, labels, `all`. */
+            select: string[];
+            /**
+             * Format: double
+             * @description How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
+             */
+            wait_s?: number | null;
+            /** @description Why; stands in the history. */
+            why?: string;
+        };
+        /** @description Where a trial is. */
+        TrialPhase: {
+            /** @enum {string} */
+            phase: "applying";
+            /** @description Since when. */
+            since_ms: components["schemas"]["i64"];
+        } | {
+            /** @enum {string} */
+            phase: "running";
+            /** @description Since when: clips from then on count. */
+            since_ms: components["schemas"]["i64"];
+        } | {
+            /** @enum {string} */
+            phase: "returning";
+            /** @description Since when. */
+            since_ms: components["schemas"]["i64"];
+        } | {
+            /** @enum {string} */
+            phase: "done";
+        };
+        /** @description A comparison of values. */
+        TrialPlan: {
+            /**
+             * Format: double
+             * @description How long a node in reach may take to report its value, seconds; one that takes longer is not in the result.
+             * @default 120
+             */
+            apply_within_s: number;
+            /**
+             * Format: double
+             * @description Level of the intervals.
+             * @default 0.95
+             */
+            confidence: number;
+            /**
+             * Format: double
+             * @description How long the values hold once the nodes have reported them, seconds.
+             * @default 3600
+             */
+            duration_s: number;
+            /**
+             * Format: int64
+             * @description Fewest clips of a node in the result.
+             * @default 5
+             */
+            fewest_clips: number;
+            /**
+             * Format: int64
+             * @description Draws the groups; chosen by the hub when it is not given.
+             * @default null
+             */
+            seed: number | null;
+            /**
+             * @description Which nodes.
+             * @default [
+             *       "all"
+             *     ]
+             */
+            select: string[];
+            /**
+             * @description The values, two or more of one knob.
+             * @default []
+             */
+            values: {
+                [key: string]: number;
+            }[];
+            /**
+             * @description Why.
+             * @default
+             */
+            why: string;
+        };
+        /** @description What a trial measured. */
+        TrialResult: {
+            /**
+             * Format: double
+             * @description Level of the intervals.
+             */
+            confidence: number;
+            /** @description From when on clips counted. */
+            from_ms: components["schemas"]["i64"];
+            /** @description Until when. */
+            until_ms: components["schemas"]["i64"];
+            /** @description Each value, in the plan's order. */
+            values: components["schemas"]["ArmResult"][];
+        };
+        /** @description A trial. */
+        TrialView: components["schemas"]["TrialPhase"] & {
+            /**
+             * Format: int64
+             * @description When, milliseconds since the Unix epoch.
+             */
+            begun_ms: number;
+            /** @description How many nodes have which outcome. */
+            counts: {
+                [key: string]: number;
+            };
+            /** @description Who ended it before its time. */
+            ended_by?: string | null;
+            /**
+             * Format: int64
+             * @description When it ended.
+             */
+            ended_ms?: number | null;
+            /**
+             * Format: int64
+             * @description Its number.
+             */
+            id: number;
+            /** @description Selected nodes that take no part; only in the answer to its begin. */
+            left_out?: components["schemas"]["LeftOut"][];
+            /** @description Its nodes; absent in a list. */
+            nodes?: components["schemas"]["Member"][] | null;
+            /** @description Its plan. */
+            plan: components["schemas"]["TrialPlan"];
+            result?: components["schemas"]["TrialResult"] | null;
+            /**
+             * Format: int64
+             * @description The seed that drew the groups.
+             */
+            seed: number;
+            /** @description Who began it. */
+            who: string;
+        };
+        /** @description Trials, the newest first. */
+        Trials: {
+            /**
+             * Format: int64
+             * @description Give it as `before` for the next page; absent on the last.
+             */
+            next?: number | null;
+            trials: components["schemas"]["TrialView"][];
+        };
+        /**
+         * @description What a gate or a stage came to.
+         * @enum {string}
+         */
+        Verdict: "passed" | "failed" | "undecided";
+        /**
+         * @description What kind of thing happened.
+         * @enum {string}
+         */
+        What: "begun" | "stage" | "soaking" | "judged" | "held" | "missed" | "returning" | "returned" | "done" | "paused" | "resumed" | "next" | "return" | "stopped";
+        /** @description Who asks. */
+        WhoAsks: {
+            /** @description Whether the caller may change something, and not only look. */
+            may_tune: boolean;
+            /** @description Name of the token; `anonymous` without one. */
+            name: string;
+            /** @description Whether what is asked of this interface needs a token that did not come with the request. */
+            token_needed: boolean;
+        };
+        /** Format: int64 */
+        i64: number;
+        FleetRows: {
+            counts: components["schemas"]["Counts"];
+            waiting: number;
+            total: number;
+            offset: number;
+            nodes: components["schemas"]["NodeView"][];
+        };
+        EnergyBy: string;
+        Command: string;
+    };
+    responses: never;
+    parameters: never;
+    requestBodies: never;
+    headers: never;
+    pathItems: never;
+}
+export type $defs = Record<string, never>;
+export type operations = Record<string, never>;

@@ -1,0 +1,1436 @@
+// Made by `npm run types` from api/node.json. Do not edit.
+
+export interface paths {
+    "/api/v1/caller": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Who asks, and what that one may do
+         * @description Open to all: it answers what a token is good for, and that one is needed where it is missing or not known.
+         *     `curl -H "Authorization: Bearer $TOKEN" http://127.0.0.1:8080/api/v1/caller`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["WhoAsks"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/cameras": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The cameras
+         * @description `curl http://127.0.0.1:8080/api/v1/cameras`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Cameras"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/cameras/{camera}/frame-states": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The frame-state counters of a camera
+         * @description `curl http://127.0.0.1:8080/api/v1/cameras/front/frame-states`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["CameraStates"];
+                    };
+                };
+                404: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/cameras/{camera}/frame.jpg": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The latest picture received from a camera
+         * @description The header `albireo-frame` has the sequence number of the frame.
+         *     `curl -o frame.jpg http://127.0.0.1:8080/api/v1/cameras/front/frame.jpg`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        /** @description Sequence number of the frame. */
+                        "albireo-frame"?: number;
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "image/jpeg": number[];
+                    };
+                };
+                404: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/cameras/{camera}/threshold": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * A camera's threshold in force
+         * @description `curl http://127.0.0.1:8080/api/v1/cameras/front/threshold`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["OneThreshold"];
+                    };
+                };
+                404: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        /**
+         * Changes a camera's threshold
+         * @description It holds from the camera's next frame.
+         *     `curl -X PUT -H 'Content-Type: application/json' -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
+         */
+        put: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["ThresholdMessage"];
+                };
+            };
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["OneThreshold"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/clips": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Recent clip reports, newest first
+         * @description The node keeps the newest 256 in memory.
+         *     `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Of this camera only. */
+                    camera?: string;
+                    /** @description At most this many, 1 to 256; 50 by default. */
+                    limit?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Clips"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/events": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * What happens on the node, as server-sent events
+         * @description First how things stand (counters, thresholds, detector), then each change. A reader that is too slow
+         *     loses events and is told how many by the event `lagged`.
+         *     `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description About this camera only. Events about the detector come all the same. */
+                    camera?: string;
+                    /**
+                     * @description Names of the kinds wanted, separated by commas: `frame`, `clip`, `counters`, `threshold`,
+                     *     `detector`. All of them without it.
+                     */
+                    types?: string;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                /** @description Events `frame`, `clip`, `counters`, `threshold`, `detector`, `lagged`. */
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "text/event-stream": string;
+                    };
+                };
+                /** @description Too many streams. */
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/frame-states": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The frame-state counters of all cameras
+         * @description `curl http://127.0.0.1:8080/api/v1/frame-states`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["NodeStates"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/node": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The node in one answer
+         * @description As `/readyz`, with status 200 whatever the state: this is to be looked at, not to be probed.
+         *     `curl http://127.0.0.1:8080/api/v1/node`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["NodeOverview"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/threshold": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The thresholds in force
+         * @description `curl http://127.0.0.1:8080/api/v1/threshold`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Thresholds"];
+                    };
+                };
+            };
+        };
+        /**
+         * Changes the threshold of all cameras, or of none
+         * @description It holds from each camera's next frame. A policy's knob goes by its own name: `u`, or `lambda` under
+         *     expected-loss.
+         *     `curl -X PUT -H 'Content-Type: application/json' -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
+         */
+        put: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["ThresholdMessage"];
+                };
+            };
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Thresholds"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/healthz": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Whether the process answers
+         * @description Touches neither the detector nor the GPU. `curl http://127.0.0.1:8080/healthz`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Health"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/metrics": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Metrics for Prometheus
+         * @description OpenMetrics text for a reader that accepts it, else the older text format.
+         *     `curl http://127.0.0.1:8080/metrics`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "text/plain": string;
+                        "application/openmetrics-text": string;
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/readyz": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Whether frames are processed as wanted, and by which execution provider
+         * @description 503 while starting, and when a part fails that the node cannot do without. 200 with reasons when another part
+         *     fails. `curl http://127.0.0.1:8080/readyz`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Readiness"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["NotReady"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+}
+export type webhooks = Record<string, never>;
+export interface components {
+    schemas: {
+        /**
+         * @description The state of the board during a clip, as far as the board tells: the same clip costs differently in
+         *     each.
+         */
+        BoardState: {
+            /**
+             * Format: double
+             * @description Mean clock of the CPU cores, MHz.
+             * @default null
+             */
+            cpu_mhz: number | null;
+            /**
+             * Format: double
+             * @description Mean clock of the GPU, MHz.
+             * @default null
+             */
+            gpu_mhz: number | null;
+            /**
+             * Format: double
+             * @description Highest temperature of any sensor, °C.
+             * @default null
+             */
+            hottest_celsius: number | null;
+            /**
+             * @description The sensor that read it.
+             * @default null
+             */
+            hottest_sensor: string | null;
+            /**
+             * @description Power mode: `nvpmodel`'s name for it, else the platform profile of ACPI. Several, in order, when it
+             *     changed.
+             * @default null
+             */
+            power_mode: string | null;
+            /**
+             * @description Whether clocks were held back by heat, current or power at any time; absent when nothing tells.
+             * @default null
+             */
+            throttled: boolean | null;
+        };
+        /** @description One box of a [`DetectionsMessage`]. */
+        BoxMessage: {
+            /** @description Left, top, right, bottom in pixels of the source picture, clipped to it. */
+            box: number[];
+            /** @description Class name. */
+            class: string;
+            /**
+             * Format: float
+             * @description Confidence, 0 to 1.
+             */
+            confidence: number;
+            /** @description Whether that object is confirmed. */
+            confirmed: boolean;
+            object?: components["schemas"]["ObjectId"] | null;
+            /** @description How the box is known. */
+            source: components["schemas"]["BoxSource"];
+        };
+        /**
+         * @description Where a reported box comes from.
+         * @enum {string}
+         */
+        BoxSource: "detected" | "predicted" | "rescued";
+        /** @description A camera. */
+        CameraEntry: {
+            /** @description Its name. */
+            camera: string;
+            /**
+             * Format: int64
+             * @description Clips ended since the node started.
+             */
+            clips: number;
+            /**
+             * Format: int64
+             * @description Frames processed since the node started.
+             */
+            frames: number;
+            /**
+             * Format: int32
+             * @description Rows of its newest frame.
+             */
+            height?: number | null;
+            /** @description Zenoh key its frames come on. */
+            key: string;
+            /**
+             * Format: double
+             * @description Seconds since its newest frame; absent before the first.
+             */
+            last_frame_age_s?: number | null;
+            /**
+             * Format: int32
+             * @description Columns of its newest frame.
+             */
+            width?: number | null;
+        };
+        /** @description What became of a camera's frames since the node started. The five states add up to `frames`. */
+        CameraStates: {
+            /** @description Camera. */
+            camera: string;
+            /**
+             * Format: int64
+             * @description Frames answered from prediction because the detector could not be had.
+             */
+            degraded_frames: number;
+            /** @description Frames not processed, by kind. */
+            dropped: components["schemas"]["DroppedFrames"];
+            /**
+             * Format: int64
+             * @description Frames processed.
+             */
+            frames: number;
+            /**
+             * Format: double
+             * @description Seconds since the newest frame; absent before the first.
+             */
+            last_frame_age_s?: number | null;
+            /**
+             * Format: double
+             * @description Share of frames that skipped the detector: state E or P and not degraded.
+             */
+            skip_rate: number;
+            /** @description How many had each state. */
+            states: components["schemas"]["FrameStates"];
+            /**
+             * Format: double
+             * @description Largest uncertainty of the newest frame; absent without objects.
+             */
+            tau_max?: number | null;
+        };
+        /** @description One camera's threshold. */
+        CameraThreshold: {
+            /** @description Camera. */
+            camera: string;
+            knob?: components["schemas"]["Knob"] | null;
+        };
+        /** @description The cameras of a node. */
+        Cameras: {
+            /** @description In the order of the configuration. */
+            cameras: components["schemas"]["CameraEntry"][];
+        };
+        /**
+         * @description Why a clip ended.
+         * @enum {string}
+         */
+        ClipEnd: "next_clip" | "window" | "silence" | "shutdown";
+        /**
+         * @description Energy of one clip.
+         *
+         *     Joules are those of the time that samples cover, and `coverage` says how much of the clip that is. They are
+         *     never stretched to the rest, so with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip
+         *     used: such joules must not be compared with others or set against the clip's duration, and `edp` is absent.
+         */
+        ClipEnergy: {
+            /**
+             * Format: double
+             * @description Share of the clip's time that samples cover, 0 to 1.
+             */
+            coverage: number;
+            /** @description Node energy by domain. */
+            domains: components["schemas"]["DomainEnergy"][];
+            /**
+             * Format: double
+             * @description Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation). Absent
+             *     without frames, and when samples do not cover the whole clip (`coverage` below 0.999).
+             */
+            edp?: number | null;
+            /**
+             * Format: double
+             * @description Joules of this clip, its share by the time the detector ran for its camera; absent when
+             *     [`EnergyQuality::Unavailable`].
+             */
+            joules?: number | null;
+            /**
+             * Format: double
+             * @description Joules of the whole node over the same time, of which `joules` is the clip's share. The same
+             *     number when the node has one camera.
+             */
+            node_joules?: number | null;
+            /** @description How far to trust it. */
+            quality: components["schemas"]["EnergyQuality"];
+            /**
+             * Format: int64
+             * @description Samples inside the clip.
+             */
+            samples: number;
+            /** @description Where it comes from: `rapl`, `estimate`, … */
+            source: string;
+            /**
+             * @description How `joules` of the total domain came about: `input_rail` or `sum_of_rails`, or the estimate's
+             *     formula in words.
+             */
+            total_from: string;
+        };
+        /** @description The books of one clip. */
+        ClipReport: {
+            board?: components["schemas"]["BoardState"] | null;
+            /** @description Camera. */
+            camera: string;
+            /** @description Clip id: the camera's own, or `window-N`. */
+            clip: string;
+            /**
+             * Format: int64
+             * @description Frames answered from prediction because the detector could not be had: state P, and not skipped.
+             */
+            degraded_frames: number;
+            /** @description Latency of the detector alone, over the frames where it ran. */
+            detector_latency_ms: components["schemas"]["Percentiles"];
+            /** @description Frames not processed, by kind. */
+            dropped: components["schemas"]["DroppedFrames"];
+            /**
+             * Format: double
+             * @description Seconds from the first frame's arrival to the clip's end.
+             */
+            duration_s: number;
+            /** @description Why it ended. */
+            ended_by: components["schemas"]["ClipEnd"];
+            /** @description Energy. */
+            energy: components["schemas"]["ClipEnergy"];
+            /**
+             * Format: int64
+             * @description Frames processed; the five states add up to it.
+             */
+            frames: number;
+            /** @description Every value in force during the clip, in order: the one at the start, then the changes. */
+            knob_changes: components["schemas"]["KnobChange"][];
+            /** @description Detector model: file name. */
+            model: string;
+            /** @description Node. */
+            node: string;
+            /** @description Policy. */
+            policy: string;
+            /** @description Execution provider that really ran it. */
+            provider: string;
+            /**
+             * Format: int64
+             * @description Number of this report within the instance of the node that made it, from 1, without a restart: instance and
+             *     number tell two deliveries of the same report from two reports.
+             */
+            report: number;
+            /**
+             * Format: double
+             * @description Share of frames that skipped the detector: state E or P and not degraded.
+             */
+            skip_rate: number;
+            /**
+             * Format: int64
+             * @description First frame's capture time, nanoseconds since the Unix epoch.
+             */
+            started_ns: number;
+            /** @description Frame states. */
+            states: components["schemas"]["FrameStates"];
+            /** @description Latency from reception to publication. */
+            total_latency_ms: components["schemas"]["Percentiles"];
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+        };
+        /** @description Recent clip reports, newest first. */
+        Clips: {
+            /** @description The reports, as published on Zenoh. */
+            clips: components["schemas"]["ClipReport"][];
+        };
+        /** @description Where a camera stands, once a second. */
+        CountersMessage: {
+            /** @description Camera. */
+            camera: string;
+            /**
+             * Format: int64
+             * @description Frames answered from prediction because the detector could not be had: state P, and not skipped.
+             */
+            degraded_frames: number;
+            /** @description Frames not processed, by kind. */
+            dropped: components["schemas"]["DroppedFrames"];
+            /**
+             * Format: int64
+             * @description Frames processed since the node started.
+             */
+            frames: number;
+            /** @description How far to trust the watts. */
+            power_quality: components["schemas"]["EnergyQuality"];
+            /**
+             * Format: double
+             * @description Share of frames that skipped the detector since the node started: state E or P and not degraded.
+             */
+            skip_rate: number;
+            /** @description Frame states since the node started. */
+            states: components["schemas"]["FrameStates"];
+            /**
+             * Format: int64
+             * @description When, nanoseconds since the Unix epoch.
+             */
+            t_ns: number;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+            /** @description Power now by domain, watts; empty without a source. */
+            watts: components["schemas"]["DomainWatts"][];
+        };
+        /** @description What was found in one frame. */
+        DetectionsMessage: {
+            /** @description What is in view. */
+            boxes: components["schemas"]["BoxMessage"][];
+            /** @description Clip the frame belongs to. */
+            clip: string;
+            /** @description The detector was needed but could not be had; the boxes are predictions. */
+            degraded?: boolean;
+            /**
+             * Format: int32
+             * @description Rows of the picture.
+             */
+            height: number;
+            /** @description Where the time went. */
+            latency_ms: components["schemas"]["Latency"];
+            /**
+             * Format: int64
+             * @description Sequence number of the frame.
+             */
+            seq: number;
+            /** @description Frame state. */
+            state: components["schemas"]["FrameState"];
+            /**
+             * Format: int64
+             * @description Capture time, nanoseconds since the Unix epoch.
+             */
+            t_ns: number;
+            /**
+             * Format: double
+             * @description Largest uncertainty τ before the decision; absent without objects.
+             */
+            tau_max?: number | null;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+            /**
+             * Format: int32
+             * @description Columns of the picture.
+             */
+            width: number;
+        };
+        /** @description How the detector is doing. */
+        DetectorEvent: {
+            /** @description Execution provider that really runs it; absent while it starts. */
+            provider?: string | null;
+            /** @description What happened, when degraded. */
+            reason?: string | null;
+            /** @description `starting`, `ready` or `degraded`. */
+            status: string;
+        };
+        /** @description Energy of one domain of the board. */
+        DomainEnergy: {
+            /** @description `total`, `gpu`, `cpu`, `io_mem`. */
+            domain: string;
+            /**
+             * Format: double
+             * @description Joules, over the time that samples cover.
+             */
+            joules: number;
+            /**
+             * Format: double
+             * @description Mean power over the time that samples cover, watts.
+             */
+            mean_watts: number;
+            /**
+             * Format: double
+             * @description Highest sample, watts; where the source counts energy, the highest mean between two samples. Absent
+             *     without a sample inside the clip.
+             */
+            peak_watts?: number | null;
+        };
+        /** @description Power of one domain now. */
+        DomainWatts: {
+            /** @description `total`, `gpu`, `cpu`, `io_mem`. */
+            domain: string;
+            /**
+             * Format: double
+             * @description Watts.
+             */
+            watts: number;
+        };
+        /** @description Frames that were not processed, each kind under its own name. */
+        DroppedFrames: {
+            /**
+             * Format: int64
+             * @description Arrived again with the same sequence number.
+             * @default 0
+             */
+            duplicate: number;
+            /**
+             * Format: int64
+             * @description Arrived after a later frame (it had been counted as lost when the later one came), or with a number
+             *     far from all others.
+             * @default 0
+             */
+            late: number;
+            /**
+             * Format: int64
+             * @description Never arrived: numbers missing in the sequence.
+             * @default 0
+             */
+            lost: number;
+            /**
+             * Format: int64
+             * @description Pushed out of the ring by a newer one before its turn.
+             * @default 0
+             */
+            overrun: number;
+            /**
+             * Format: int64
+             * @description Payload, picture or decompressed size above the limit.
+             * @default 0
+             */
+            oversized: number;
+            /**
+             * Format: int64
+             * @description Arrived, or waited in the ring, while the camera's loop did not run: it had failed, or the node stopped.
+             * @default 0
+             */
+            stopped: number;
+            /**
+             * Format: int64
+             * @description The picture could not be decoded, or contradicts its own header.
+             * @default 0
+             */
+            undecodable: number;
+            /**
+             * Format: int64
+             * @description A payload encoding that is not known, or an attachment that cannot be read.
+             * @default 0
+             */
+            unknown_format: number;
+        };
+        /**
+         * @description How far an energy figure can be trusted; the order is from most to least.
+         * @enum {string}
+         */
+        EnergyQuality: "measured" | "partial" | "estimated" | "unavailable";
+        /** @description What the whole node has used since it started. */
+        EnergySinceStart: {
+            /** @description That time, seconds. */
+            covered_s: {
+                [key: string]: number;
+            };
+            /** @description Joules by domain, over the time that samples cover. */
+            joules: {
+                [key: string]: number;
+            };
+            /** @description How far to trust them. */
+            quality: components["schemas"]["EnergyQuality"];
+            /** @description Where the figures come from: `rapl`, `estimate`, …; `none` without a source. */
+            source: string;
+        };
+        /** @description A frame was processed: its detections message and whose it is. */
+        FrameEvent: components["schemas"]["DetectionsMessage"] & {
+            /** @description Camera. */
+            camera: string;
+        };
+        /**
+         * @description The state of a frame; every frame has exactly one (paper, table of frame states).
+         * @enum {string}
+         */
+        FrameState: "E" | "P" | "E+I" | "I" | "AI";
+        /** @description How many frames had each state. */
+        FrameStates: {
+            /**
+             * Format: int64
+             * @description Detector with at least one rescue.
+             */
+            AI: number;
+            /**
+             * Format: int64
+             * @description Screen says empty, detector skipped.
+             */
+            E: number;
+            /**
+             * Format: int64
+             * @description Screen, then detector.
+             */
+            "E+I": number;
+            /**
+             * Format: int64
+             * @description Detector.
+             */
+            I: number;
+            /**
+             * Format: int64
+             * @description Predicted boxes, detector skipped.
+             */
+            P: number;
+        };
+        /** @description The process answers. */
+        Health: {
+            /** @description The node. */
+            node: string;
+            /** @description Always `ok`. */
+            status: string;
+            /**
+             * Format: double
+             * @description Seconds since it started.
+             */
+            uptime_s: number;
+            /** @description The program's version. */
+            version: string;
+        };
+        /**
+         * @description Whether a node works as it should.
+         * @enum {string}
+         */
+        HealthState: "ready" | "degraded" | "not_ready";
+        /** @description The one number of a policy that a user turns while it runs, as the policy declares it. */
+        Knob: {
+            /**
+             * Format: double
+             * @description The value without configuration.
+             */
+            default: number;
+            /**
+             * Format: double
+             * @description Largest value allowed.
+             */
+            maximum: number;
+            /** @description What turning it does, in one sentence. */
+            meaning: string;
+            /**
+             * Format: double
+             * @description Smallest value allowed.
+             */
+            minimum: number;
+            /** @description Its name in configuration, messages and reports: `u`, `lambda`, … */
+            name: string;
+        };
+        /** @description A change of the knob during a clip. */
+        KnobChange: {
+            /**
+             * Format: int64
+             * @description First frame it held for.
+             */
+            seq: number;
+        };
+        /** @description Where the time of one frame went, milliseconds. A step that did not happen is absent. */
+        Latency: {
+            /**
+             * Format: double
+             * @description Picture decoding.
+             */
+            decode?: number | null;
+            /**
+             * Format: double
+             * @description The detector: queue, letterbox, model and head.
+             */
+            detector?: number | null;
+            /**
+             * Format: double
+             * @description The policy itself.
+             */
+            policy: number;
+            /**
+             * Format: double
+             * @description The empty-scene screen, with its preprocessing.
+             */
+            screen?: number | null;
+            /**
+             * Format: double
+             * @description From reception to publication.
+             */
+            total: number;
+            /**
+             * Format: double
+             * @description Waiting in the ring before the camera's loop took the frame.
+             */
+            waiting: number;
+        };
+        /** @description A node: how it is, since when it runs, and what it has used since. */
+        NodeOverview: components["schemas"]["Readiness"] & {
+            /** @description Energy since the start. */
+            energy: components["schemas"]["EnergySinceStart"];
+            /** @description Reports that wait for a hub. */
+            outbox: components["schemas"]["OutboxStatus"];
+            /**
+             * Format: double
+             * @description Seconds since it started.
+             */
+            uptime_s: number;
+            /** @description The program's version. */
+            version: string;
+        };
+        /** @description What became of all frames since the node started. */
+        NodeStates: {
+            /** @description Each camera's. */
+            cameras: components["schemas"]["CameraStates"][];
+            /**
+             * Format: int64
+             * @description Frames answered from prediction because the detector could not be had, all cameras together.
+             */
+            degraded_frames: number;
+            /**
+             * Format: int64
+             * @description Frames processed, all cameras together.
+             */
+            frames: number;
+            /** @description Node. */
+            node: string;
+            /**
+             * Format: double
+             * @description Share of frames that skipped the detector, all cameras together: state E or P and not degraded.
+             */
+            skip_rate: number;
+            /** @description How many had each state, all cameras together. */
+            states: components["schemas"]["FrameStates"];
+            /**
+             * Format: double
+             * @description Seconds since it started.
+             */
+            uptime_s: number;
+        };
+        /** @description [`Readiness`] as a problem document. */
+        NotReady: components["schemas"]["Problem"] & components["schemas"]["Readiness"];
+        /**
+         * Format: int64
+         * @description Number of an object within a stream, from 0, never used twice.
+         */
+        ObjectId: number;
+        /** @description One camera's threshold, as read or as changed. */
+        OneThreshold: components["schemas"]["CameraThreshold"] & {
+            /** @description Whether a value changed while running holds after a restart. */
+            survives_restart: boolean;
+        };
+        /** @description The outbox of a [`NodeStatus`]. */
+        OutboxStatus: {
+            /** @description Whether reports survive a power loss; `false` without a state directory or when its disk fails. */
+            durable: boolean;
+            /**
+             * Format: int64
+             * @description Reports lost since the instance began: the outbox was full or its disk broken.
+             */
+            lost: number;
+            /**
+             * Format: int64
+             * @description Reports that wait.
+             */
+            waiting: number;
+        };
+        /** @description Middle and tail of a set of durations, milliseconds. */
+        Percentiles: {
+            /**
+             * Format: int64
+             * @description How many durations.
+             */
+            count: number;
+            /**
+             * Format: double
+             * @description Arithmetic mean.
+             */
+            mean: number;
+            /**
+             * Format: double
+             * @description Median.
+             */
+            p50: number;
+            /**
+             * Format: double
+             * @description 95th percentile.
+             */
+            p95: number;
+            /**
+             * Format: double
+             * @description 99th percentile.
+             */
+            p99: number;
+        };
+        /** @description What went wrong with a request, and what would do. */
+        Problem: {
+            /** @description What is allowed in the place of what was sent: methods, names, media types. */
+            allowed?: string[];
+            /** @description What was wrong with this request. */
+            detail: string;
+            knob?: components["schemas"]["Knob"] | null;
+            /**
+             * Format: int32
+             * @description The HTTP status.
+             */
+            status: number;
+            /** @description The status in words. */
+            title: string;
+            /** @description Always `about:blank`: the title is that of the status. */
+            type: string;
+        };
+        /** @description Whether frames are processed as the configuration wants it, and by what. */
+        Readiness: {
+            /** @description File name of the detector's model. */
+            model: string;
+            /** @description The node. */
+            node: string;
+            /** @description The policy that decides frames. */
+            policy: string;
+            /** @description Execution provider that really runs the detector; absent while it starts. */
+            provider?: string | null;
+            /** @description Whether frames are answered as wanted, perhaps with a part missing. */
+            ready: boolean;
+            /** @description What is wrong; empty when every part works. */
+            reasons: components["schemas"]["Reason"][];
+            /** @description Execution providers asked for, in order. */
+            requested_providers: string[];
+            /** @description Whether every part works. */
+            state: components["schemas"]["HealthState"];
+        };
+        /** @description What is wrong with one of the node's parts. */
+        Reason: {
+            /** @description `not_ready` when the node cannot do its work, `degraded` when it works beside the fault. */
+            effect: string;
+            /** @description Which part: `detector`, `screen`, `cameras`, `power`, `outbox`, `zenoh`, `uplink`, `disk` or `tasks`. */
+            part: string;
+            /** @description What is the matter. */
+            reason: string;
+            /**
+             * Format: double
+             * @description Seconds since the part is at fault.
+             */
+            since_s: number;
+            /** @description Which of several: the name of a camera or a task. Absent where it is the part itself. */
+            subject?: string | null;
+        };
+        /** @description A threshold changed; it holds from the camera's next frame. */
+        ThresholdEvent: {
+            /** @description Camera. */
+            camera: string;
+        };
+        /**
+         * @description The threshold, in a put, in a query's payload and in its reply: `{"u": 3e-4}`, or the policy's own
+         *     knob under its own name.
+         */
+        ThresholdMessage: {
+            /**
+             * Format: int32
+             * @description Version; may be left out on the way in.
+             */
+            v: number;
+        };
+        /** @description The thresholds of a node. */
+        Thresholds: {
+            /** @description Each camera's. */
+            cameras: components["schemas"]["CameraThreshold"][];
+            /**
+             * @description Whether values changed while running hold after a restart: a `state_dir` is set and can be
+             *     written to.
+             */
+            survives_restart: boolean;
+        };
+        /** @description Who asks. */
+        WhoAsks: {
+            /** @description Whether the caller may change something, and not only look. */
+            may_tune: boolean;
+            /** @description Name of the token; `anonymous` without one. */
+            name: string;
+            /** @description Whether what is asked of this interface needs a token that did not come with the request. */
+            token_needed: boolean;
+        };
+    };
+    responses: never;
+    parameters: never;
+    requestBodies: never;
+    headers: never;
+    pathItems: never;
+}
+export type $defs = Record<string, never>;
+export type operations = Record<string, never>;

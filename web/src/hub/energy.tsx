@@ -1,0 +1,163 @@
+// Energy and skip rate of the fleet over time.
+
+import { useEffect, useMemo, useState } from "preact/hooks";
+import type uPlot from "uplot";
+import { json } from "../shared/api";
+import { Chart } from "../shared/chart";
+import { joules, percent } from "../shared/format";
+import { Quality, Section } from "../shared/parts";
+import { EnergyTable } from "./node";
+import { Fault, useLoaded } from "./parts";
+import { refine, route } from "./route";
+import type { Energy, EnergyGroup } from "./types";
+
+export interface Span {
+  id: string;
+  words: string;
+  /** Length of a point, milliseconds. */
+  step: number;
+  points: number;
+}
+
+const HOUR = 3_600_000;
+const SPANS: Span[] = [
+  { id: "hour", words: "last hour", step: HOUR / 12, points: 12 },
+  { id: "day", words: "last 24 hours", step: HOUR, points: 24 },
+  { id: "month", words: "last 30 days", step: 24 * HOUR, points: 30 },
+];
+
+/** Beginnings of the points, the last of which goes on now; days begin where the hub's days do, in UTC. */
+export function beginnings(span: Span, now: number): number[] {
+  const last = Math.floor(now / span.step) * span.step;
+  return Array.from({ length: span.points }, (_, index) => last - (span.points - 1 - index) * span.step);
+}
+
+type Point = { at: number; groups: EnergyGroup[] };
+
+/** One answer for each point, four at a time; what lies behind is read once. */
+function usePoints(span: Span): { points: Point[]; fault: string } {
+  const [points, setPoints] = useState<Point[]>([]);
+  const [fault, setFault] = useState("");
+  useEffect(() => {
+    const stop = new AbortController();
+    const known = new Map<number, EnergyGroup[]>();
+    const look = async () => {
+      const times = beginnings(span, Date.now());
+      const open = times.at(-1)!;
+      // Reports may come late, so the span before the last is read again too.
+      const missing = times.filter((at) => !known.has(at) || at >= open - span.step);
+      const work = async () => {
+        for (let at = missing.pop(); at !== undefined; at = missing.pop()) {
+          const found = await json<Energy>(`/api/v1/energy?by=all&since_ms=${at}&until_ms=${at + span.step}`, { signal: stop.signal });
+          known.set(at, found.groups);
+        }
+      };
+      try {
+        await Promise.all([work(), work(), work(), work()]);
+        setPoints(times.map((at) => ({ at, groups: known.get(at) ?? [] })));
+        setFault("");
+      } catch (error) {
+        if (!stop.signal.aborted) setFault(error instanceof Error ? error.message : String(error));
+      }
+    };
+    void look();
+    const timer = setInterval(() => {
+      if (!document.hidden) void look();
+    }, 30_000);
+    return () => {
+      clearInterval(timer);
+      stop.abort();
+    };
+  }, [span.id]);
+  return { points, fault };
+}
+
+export function EnergyView() {
+  const span = SPANS.find((span) => span.id === route.value.query.get("span")) ?? SPANS[0]!;
+  const { points, fault } = usePoints(span);
+  const since = points[0]?.at;
+  const by = useLoaded<Energy>(since === undefined ? undefined : `/api/v1/energy?by=knob&since_ms=${since}`, 30_000);
+  const qualities = useMemo(() => {
+    const all = new Set(points.flatMap((point) => point.groups.filter((group) => group.quality !== "unavailable").map((group) => group.quality)));
+    return ["measured", "partial", "estimated"].filter((quality) => all.has(quality));
+  }, [points]);
+  const times = points.map((point) => point.at / 1000);
+  const skip = useMemo(
+    (): uPlot.AlignedData => [
+      times,
+      points.map(({ groups }) => {
+        const avoided = groups.reduce((sum, group) => sum + group.avoided_calls, 0);
+        const frames = groups.reduce((sum, group) => sum + group.frames, 0);
+        return frames ? avoided / frames : null;
+      }),
+    ],
+    [points],
+  );
+  return (
+    <>
+      <Section
+        id="energy"
+        title="Energy over time"
+        wide
+        aside={
+          <div class="row" role="group" aria-label="Span">
+            {SPANS.map((one) => (
+              <button key={one.id} type="button" class="plain" aria-pressed={one.id === span.id} onClick={() => refine({ span: one.id })}>
+                {one.words}
+              </button>
+            ))}
+          </div>
+        }
+      >
+        <Fault text={fault} />
+        {points.length > 0 && qualities.length === 0 && <p class="message quiet">No clip with energy in this time.</p>}
+        {qualities.map((quality) => (
+          <Energies key={quality} quality={quality} points={points} />
+        ))}
+      </Section>
+      <Section id="skip" title="Skip rate over time" wide>
+        {points.length > 0 && (
+          <Chart
+            data={skip}
+            label={`Share of frames that skipped the detector, ${span.words}`}
+            lines={[{ label: "frames that skipped the detector", colour: "--state-p" }]}
+            value={(value) => percent(value, 0)}
+            range={[0, 1]}
+            sync="energy"
+          />
+        )}
+      </Section>
+      <Section id="by-knob" title={`By policy and value, ${span.words}`} wide>
+        <Fault text={by.fault} />
+        <EnergyTable energy={by.value} />
+      </Section>
+    </>
+  );
+}
+
+function Energies({ quality, points }: { quality: string; points: Point[] }) {
+  const data = useMemo((): uPlot.AlignedData => {
+    const of = (figure: (group: EnergyGroup) => number) =>
+      points.map(({ groups }) => {
+        const group = groups.find((group) => group.quality === quality);
+        return group ? figure(group) : null;
+      });
+    return [points.map((point) => point.at / 1000), of((group) => group.joules), of((group) => group.vanilla_joules_estimated)];
+  }, [points, quality]);
+  return (
+    <div class="energy-chart">
+      <Quality quality={quality} />
+      <Chart
+        data={data}
+        label={`Energy of the fleet by time, ${quality}, beside what a detector call on every frame would have cost`}
+        lines={[
+          { label: "energy used", colour: "--state-i" },
+          { label: "≈ detector on every frame (estimated)", colour: "--quiet", dash: [6, 4] },
+        ]}
+        value={joules}
+        range={[0, null]}
+        sync="energy"
+      />
+    </div>
+  );
+}

@@ -1,0 +1,331 @@
+// The fleet as a table: as many elements as fit on the screen, filled anew while it is scrolled.
+
+import { signal } from "@preact/signals";
+import { useEffect, useMemo, useRef, useState } from "preact/hooks";
+import { ago, count, dateTime, plural, small } from "../shared/format";
+import { Section } from "../shared/parts";
+import { Fault, Presence } from "./parts";
+import { href, refine, route } from "./route";
+import { names, Rows, type Filter } from "./rows";
+import { changed, events, lost } from "./store";
+import { Tune } from "./tune";
+import type { NodeView } from "./types";
+
+const HEIGHT = 38;
+/** Most names of one selection: a longer one is a label that somebody has yet to give. */
+const MOST_SELECTED = 1000;
+
+export const selected = signal<ReadonlySet<string>>(new Set());
+
+/** Name of the knob that a node's first camera has, with the values of all. */
+export function knobOf(node: NodeView): { name: string; values: number[] } | undefined {
+  const own = new Set(["name", "state", "knob_source"]);
+  let name: string | undefined;
+  const values = new Set<number>();
+  for (const camera of node.status?.cameras ?? []) {
+    for (const [key, value] of Object.entries(camera as Record<string, unknown>)) {
+      if (own.has(key) || typeof value !== "number") continue;
+      name ??= key;
+      if (key === name) values.add(value);
+    }
+  }
+  return name === undefined ? undefined : { name, values: [...values] };
+}
+
+const COLUMNS: { id: string; head: string; sort?: string; class: string }[] = [
+  { id: "name", head: "node", sort: "name", class: "c-name" },
+  { id: "state", head: "state", sort: "state", class: "c-state" },
+  { id: "why", head: "since, why", sort: "since", class: "c-why" },
+  { id: "heard", head: "heard", sort: "heard", class: "c-heard" },
+  { id: "knob", head: "threshold", class: "c-knob" },
+  { id: "provider", head: "runs on", class: "c-provider" },
+  { id: "waiting", head: "waiting", sort: "waiting", class: "c-waiting" },
+  { id: "labels", head: "labels", class: "c-labels" },
+];
+
+function filterOf(query: URLSearchParams): Filter {
+  return {
+    state: query.get("state") ?? "",
+    search: query.get("search") ?? "",
+    select: query.get("select") ?? "",
+    sort: query.get("sort") ?? "name",
+    down: query.get("down") === "true",
+  };
+}
+
+export function Fleet() {
+  const filter = filterOf(route.value.query);
+  const key = JSON.stringify(filter);
+  const [, setTurn] = useState(0);
+  const rows = useMemo(() => new Rows(filter, () => setTurn((turn) => turn + 1)), [key]);
+  useEffect(() => () => rows.stop(), [rows]);
+  const scroller = useRef<HTMLDivElement>(null);
+  const [top, setTop] = useState(0);
+  const [view, setView] = useState(600);
+
+  useEffect(() => {
+    const element = scroller.current!;
+    const observer = new ResizeObserver(() => setView(element.clientHeight));
+    observer.observe(element);
+    return () => observer.disconnect();
+  }, []);
+  useEffect(() => {
+    scroller.current!.scrollTop = 0;
+    setTop(0);
+  }, [key]);
+
+  const first = Math.max(0, Math.floor(top / HEIGHT) - 2);
+  const slots = Math.ceil(view / HEIGHT) + 5;
+  const last = Math.min(first + slots, Math.max(rows.total, 1)) - 1;
+  useEffect(() => rows.want(first, last), [rows, first, last]);
+
+  // Rows are read anew when something happened to one that is seen, and every three seconds for their ages.
+  const news = changed.value;
+  useEffect(() => {
+    if (lost.value === undefined) rows.refresh();
+  }, [news, rows]);
+  useEffect(() => {
+    const timer = setInterval(() => {
+      if (!document.hidden && lost.value === undefined) rows.refresh();
+    }, 3000);
+    return () => clearInterval(timer);
+  }, [rows]);
+
+  const shown: number[] = [];
+  for (let index = first; index <= last && index < rows.total; index += 1) shown.push(index);
+  const sort = (id: string) => refine({ sort: id, down: filter.sort === id && !filter.down ? "true" : undefined });
+  const picked = selected.value;
+  const pick = (node: string, on: boolean) => {
+    const next = new Set(picked);
+    if (on) next.add(node);
+    else next.delete(node);
+    selected.value = next;
+  };
+
+  return (
+    <>
+      <Section
+        id="fleet"
+        title="Nodes"
+        wide
+        aside={<span class="quiet" role="status">{plural(rows.total, "node")}{filter.state || filter.search || filter.select ? " of this selection" : ""}</span>}
+      >
+        <Filters filter={filter} />
+        <Fault text={rows.fault} />
+        <div class="fleet" role="table" aria-label="Nodes" aria-rowcount={rows.total + 1}>
+          <div role="rowgroup">
+            <div class="fleet-row fleet-head" role="row" aria-rowindex={1}>
+              <span role="columnheader" class="c-pick">
+                <span class="hidden">selected</span>
+              </span>
+              {COLUMNS.map((column) => (
+                <span
+                  key={column.id}
+                  role="columnheader"
+                  class={column.class}
+                  aria-sort={column.sort && filter.sort === column.sort ? (filter.down ? "descending" : "ascending") : undefined}
+                >
+                  {column.sort ? (
+                    <button type="button" class="sort" onClick={() => sort(column.sort!)}>
+                      {column.head}
+                      <span aria-hidden="true">{filter.sort === column.sort ? (filter.down ? " ▾" : " ▴") : ""}</span>
+                    </button>
+                  ) : (
+                    column.head
+                  )}
+                </span>
+              ))}
+            </div>
+          </div>
+          <div
+            class="fleet-body"
+            role="rowgroup"
+            tabIndex={0}
+            ref={scroller}
+            onScroll={(event) => setTop(event.currentTarget.scrollTop)}
+          >
+            <div role="presentation" style={{ height: `${Math.max(1, rows.total) * HEIGHT}px` }}>
+              {shown.map((index) => (
+                <Row
+                  // The element that scrolls out at one end comes in at the other.
+                  key={index % slots}
+                  index={index}
+                  node={rows.at(index)}
+                  picked={picked}
+                  pick={pick}
+                />
+              ))}
+            </div>
+          </div>
+        </div>
+        {rows.total === 0 && !rows.fault && <p class="message quiet">No node is of this selection.</p>}
+        <Picker filter={filter} total={rows.total} />
+      </Section>
+      <Tune />
+      <Happened />
+    </>
+  );
+}
+
+function Row(props: {
+  index: number;
+  node: NodeView | undefined;
+  picked: ReadonlySet<string>;
+  pick: (node: string, on: boolean) => void;
+}) {
+  const { index, node } = props;
+  const place = { transform: `translateY(${index * HEIGHT}px)` };
+  if (!node) {
+    return (
+      <div class="fleet-row coming" role="row" aria-rowindex={index + 2} style={place}>
+        <span role="cell" class="c-name quiet">
+          …
+        </span>
+      </div>
+    );
+  }
+  const knob = knobOf(node);
+  const heard = node.heard_ms ? (Date.now() - node.heard_ms) / 1000 : undefined;
+  const since = Math.max(0, (Date.now() - node.since_ms) / 1000);
+  const labels = Object.entries(node.status?.labels ?? {}).map(([label, value]) => `${label}=${value}`).join(" ");
+  return (
+    <div class="fleet-row" role="row" aria-rowindex={index + 2} style={place}>
+      <span role="cell" class="c-pick">
+        <input
+          type="checkbox"
+          aria-label={`select ${node.node}`}
+          checked={props.picked.has(node.node)}
+          onChange={(event) => props.pick(node.node, event.currentTarget.checked)}
+        />
+      </span>
+      <span role="cell" class="c-name">
+        <a href={href(["nodes", node.node])}>{node.node}</a>
+      </span>
+      <span role="cell" class="c-state">
+        <Presence state={node.state} />
+      </span>
+      <span role="cell" class="c-why" title={node.why}>
+        {ago(since).replace(" ago", "")}
+        {node.why ? `: ${node.why}` : ""}
+      </span>
+      <span role="cell" class="c-heard">
+        {heard === undefined ? "never" : ago(Math.max(0, heard))}
+      </span>
+      <span role="cell" class="c-knob">
+        {knob ? (knob.values.length === 1 ? `${knob.name} = ${small(knob.values[0])}` : `${knob.name}: ${knob.values.length} values`) : "–"}
+      </span>
+      <span role="cell" class="c-provider">
+        {node.status?.provider ?? "–"}
+      </span>
+      <span role="cell" class="c-waiting">
+        {count(node.waiting)}
+      </span>
+      <span role="cell" class="c-labels" title={labels}>
+        {labels}
+      </span>
+    </div>
+  );
+}
+
+function Filters({ filter }: { filter: Filter }) {
+  const [select, setSelect] = useState(filter.select);
+  useEffect(() => setSelect(filter.select), [filter.select]);
+  const states = ["online", "degraded", "silent", "offline"];
+  const chosen = new Set(filter.state.split(",").filter(Boolean));
+  const toggle = (state: string) => {
+    if (chosen.has(state)) chosen.delete(state);
+    else chosen.add(state);
+    refine({ state: [...chosen].join(",") || undefined });
+  };
+  return (
+    <form
+      class="filters"
+      onSubmit={(event) => {
+        event.preventDefault();
+        refine({ select: select.trim() || undefined });
+      }}
+    >
+      <label class="field">
+        <span>part of the name</span>
+        <input type="search" value={filter.search} onInput={(event) => refine({ search: event.currentTarget.value || undefined })} />
+      </label>
+      <label class="field">
+        <span>names, globs, labels</span>
+        <input
+          type="search"
+          placeholder="cam-*, region=north"
+          value={select}
+          onInput={(event) => setSelect(event.currentTarget.value)}
+          onChange={(event) => refine({ select: event.currentTarget.value.trim() || undefined })}
+        />
+      </label>
+      <div class="row" role="group" aria-label="States">
+        {states.map((state) => (
+          <button key={state} type="button" class="plain" aria-pressed={chosen.has(state)} onClick={() => toggle(state)}>
+            {state}
+          </button>
+        ))}
+      </div>
+    </form>
+  );
+}
+
+function Picker({ filter, total }: { filter: Filter; total: number }) {
+  const [said, setSaid] = useState("");
+  const all = async () => {
+    setSaid("");
+    try {
+      const found = await names(filter, MOST_SELECTED);
+      selected.value = new Set(found.names);
+      if (found.total > found.names.length) {
+        setSaid(`The first ${count(found.names.length)} of ${count(found.total)}: for more, name them below by a glob or a label.`);
+      }
+    } catch (error) {
+      setSaid(error instanceof Error ? error.message : String(error));
+    }
+  };
+  const picked = selected.value.size;
+  return (
+    <div class="row picker">
+      <button type="button" class="plain" onClick={all} disabled={total === 0}>
+        Select all of these
+      </button>
+      <button type="button" class="plain" onClick={() => (selected.value = new Set())} disabled={picked === 0}>
+        Select none
+      </button>
+      <span role="status" class="quiet">
+        {picked ? `${plural(picked, "node")} selected` : "no node selected"}
+      </span>
+      {said && <span class="wait">{said}</span>}
+    </div>
+  );
+}
+
+/** What happened lately, while this page was open. */
+function Happened() {
+  const known = events.value.slice(0, 12);
+  return (
+    <Section id="happened" title="What happened" wide aside={<span class="quiet">since this page was opened</span>}>
+      {known.length === 0 ? (
+        <p class="message quiet">Nothing yet.</p>
+      ) : (
+        <ul class="events">
+          {known.map((event) => (
+            <li key={event.id}>
+              <time class="quiet">{dateTime(event.at_ms)}</time> <b>{event.kind.replace("_", " ")}</b>{" "}
+              {event.node && <a href={href(["nodes", event.node])}>{event.node}</a>} {detail(event.detail)}
+            </li>
+          ))}
+        </ul>
+      )}
+    </Section>
+  );
+}
+
+function detail(value: unknown): string {
+  if (typeof value !== "object" || value === null) return value === undefined || value === null ? "" : String(value);
+  return Object.entries(value)
+    .filter(([, entry]) => entry !== null && entry !== "")
+    .map(([key, entry]) => `${key.replaceAll("_", " ")} ${typeof entry === "object" ? JSON.stringify(entry) : String(entry)}`)
+    .join(", ");
+}

@@ -1,0 +1,218 @@
+// One node of the fleet: how it is, what it costs, its clips and changes.
+
+import { count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
+import { Pill, Quality, Section } from "../shared/parts";
+import { Download, Fault, Knob, Outcomes, Presence, useLoaded } from "./parts";
+import { href } from "./route";
+import { selected } from "./fleet";
+import { Tune } from "./tune";
+import { useEffect } from "preact/hooks";
+import type { ChangeView, Energy, NodeDetail, StoredClip } from "./types";
+
+const WEEK_MS = 7 * 86_400_000;
+
+export function Node({ name }: { name: string }) {
+  const at = encodeURIComponent(name);
+  const node = useLoaded<NodeDetail>(`/api/v1/nodes/${at}`, 3000);
+  const since = Math.floor((Date.now() - WEEK_MS) / 3_600_000) * 3_600_000;
+  const energy = useLoaded<Energy>(`/api/v1/energy?by=knob&node=${at}&since_ms=${since}`, 30_000);
+  const clips = useLoaded<{ clips: StoredClip[] }>(`/api/v1/clips?node=${at}&limit=30`, 10_000);
+  const changes = useLoaded<{ changes: ChangeView[] }>(`/api/v1/changes?node=${at}&limit=10`, 10_000);
+  // What is set here is set for this node.
+  useEffect(() => {
+    selected.value = new Set([name]);
+    return () => {
+      selected.value = new Set();
+    };
+  }, [name]);
+  const is = node.value;
+  const status = is?.status;
+  return (
+    <>
+      <Section
+        id="node"
+        title={name}
+        wide
+        aside={<a href={href(["fleet"])}>all nodes</a>}
+      >
+        <Fault text={node.fault} />
+        {is && (
+          <>
+            <p class="message">
+              <Presence state={is.state} /> since {dateTime(is.since_ms)}
+              {is.why ? `: ${is.why}` : ""}
+              <span class="quiet"> · heard {is.heard_ms ? ago(Math.max(0, (Date.now() - is.heard_ms) / 1000)) : "never"}</span>
+            </p>
+            {is.instances.length > 1 && (
+              <p class="message wait">
+                {is.instances.length} instances were heard under this name: its state was made anew, or two nodes have one name.
+              </p>
+            )}
+            <dl class="pairs">
+              <dt>policy, model</dt>
+              <dd>{status ? `${status.policy}, ${status.model}` : "–"}</dd>
+              <dt>runs on</dt>
+              <dd>{status?.provider ?? "–"}</dd>
+              <dt>power figures</dt>
+              <dd>
+                {status?.power_source ?? "–"} {status && <Quality quality={status.power_quality} />}
+              </dd>
+              <dt>reports waiting</dt>
+              <dd>
+                {count(is.waiting)}
+                {status && !status.outbox.durable ? ", in memory only" : ""}
+                {status && status.outbox.lost > 0 ? <span class="bad">{`, ${count(status.outbox.lost)} lost`}</span> : ""}
+              </dd>
+              <dt>labels</dt>
+              <dd>{Object.entries(status?.labels ?? {}).map(([key, value]) => `${key}=${value}`).join(", ") || "none"}</dd>
+              <dt>version</dt>
+              <dd>{status?.version ?? "–"}</dd>
+              {status?.refused && (
+                <>
+                  <dt>refused</dt>
+                  <dd class="bad">{status.refused.reason}</dd>
+                </>
+              )}
+            </dl>
+            <h3>Cameras</h3>
+            <ul class="tiles">
+              {(status?.cameras ?? []).map((camera) => {
+                const { name: camera_name, state, knob_source, ...knob } = camera as Record<string, unknown>;
+                return (
+                  <li class="tile padded" key={String(camera_name)}>
+                    <b>{String(camera_name)}</b>{" "}
+                    <Pill mood={state === "live" ? "good" : state === "stale" ? "bad" : "wait"}>{String(state).replace("_", " ")}</Pill>
+                    <br />
+                    <span class="quiet">
+                      <Knob value={knob} />, set by {knob_source === "hub" ? "the hub" : knob_source === "local" ? "somebody at the node" : "its configuration"}
+                    </span>
+                  </li>
+                );
+              })}
+            </ul>
+          </>
+        )}
+      </Section>
+      <Section id="node-energy" title="Energy of the last seven days, by policy and value" wide>
+        <Fault text={energy.fault} />
+        <EnergyTable energy={energy.value} />
+      </Section>
+      <Tune />
+      <Section
+        id="clips"
+        title="Clips"
+        wide
+        aside={<Download path={`/api/v1/clips.csv?node=${at}`} name={`clips-${name}.csv`}>Download all as CSV</Download>}
+      >
+        <Fault text={clips.fault} />
+        <div class="scroll" tabIndex={0} role="region" aria-labelledby="clips-title">
+          <table>
+            <thead>
+              <tr>
+                {["began", "camera", "clip"].map((head) => <th key={head} scope="col" class="left">{head}</th>)}
+                {["frames", "skipped", "length", "energy", "EDP", "energy is", "latency mean", "p99", "detector mean", "threshold"].map((head) => (
+                  <th key={head} scope="col">{head}</th>
+                ))}
+              </tr>
+            </thead>
+            <tbody>
+              {(clips.value?.clips ?? []).map((clip) => (
+                <tr key={clip.id}>
+                  <td class="left">{dateTime(clip.at_ms)}</td>
+                  <td class="left">{clip.camera}</td>
+                  <td class="left">{clip.clip}</td>
+                  <td>{count(clip.frames)}</td>
+                  <td>{percent(clip.frames ? (clip.e + clip.p - clip.degraded) / clip.frames : undefined)}</td>
+                  <td>{duration(clip.duration_s)}</td>
+                  <td>{joules(clip.joules)}</td>
+                  <td>{edp(clip.edp)}</td>
+                  <td><Quality quality={clip.quality} /></td>
+                  <td>{milliseconds(clip.latency_mean_ms)}</td>
+                  <td>{milliseconds(clip.latency_p99_ms)}</td>
+                  <td>{milliseconds(clip.detector_mean_ms)}</td>
+                  <td>{clip.knob ? `${clip.knob} = ${small(clip.value)}` : "–"}</td>
+                </tr>
+              ))}
+            </tbody>
+          </table>
+        </div>
+      </Section>
+      <Section id="instances" title="Instances" wide>
+        <div class="scroll" tabIndex={0} role="region" aria-labelledby="instances-title">
+          <table>
+            <thead>
+              <tr>
+                <th scope="col" class="left">instance</th>
+                <th scope="col" class="left">machine</th>
+                {["reports stored", "never came", "lost at the node", "set aside", "conflicts", "first", "last"].map((head) => <th key={head} scope="col">{head}</th>)}
+              </tr>
+            </thead>
+            <tbody>
+              {(is?.instances ?? []).map((instance) => (
+                <tr key={instance.instance}>
+                  <td class="left"><code>{instance.instance.slice(0, 12)}</code></td>
+                  <td class="left">{instance.machine ?? "–"}</td>
+                  <td>{count(instance.reports)}</td>
+                  <td class={instance.missing ? "bad" : ""}>{count(instance.missing)}</td>
+                  <td class={instance.lost ? "bad" : ""}>{count(instance.lost)}</td>
+                  <td class={instance.set_aside ? "bad" : ""}>{count(instance.set_aside)}</td>
+                  <td class={instance.conflicts ? "bad" : ""}>{count(instance.conflicts)}</td>
+                  <td>{dateTime(instance.first_ms)}</td>
+                  <td>{dateTime(instance.last_ms)}</td>
+                </tr>
+              ))}
+            </tbody>
+          </table>
+        </div>
+      </Section>
+      <Section id="node-changes" title="Changes" wide>
+        <Fault text={changes.fault} />
+        {changes.value?.changes.length === 0 && <p class="message quiet">None was ordered by this hub.</p>}
+        <ul class="events">
+          {(changes.value?.changes ?? []).map((change) => (
+            <li key={change.change}>
+              <time class="quiet">{dateTime(change.at_ms)}</time> <a href={href(["changes", String(change.change)])}>change {change.change}</a>{" "}
+              <Knob value={change.to} /> by {change.who} ({change.origin}){change.why ? `: ${change.why}` : ""} · <Outcomes counts={change.counts} />
+            </li>
+          ))}
+        </ul>
+      </Section>
+    </>
+  );
+}
+
+export function EnergyTable({ energy }: { energy: Energy | undefined }) {
+  if (!energy) return <p class="message quiet">…</p>;
+  if (energy.groups.length === 0) return <p class="message quiet">No clip yet.</p>;
+  return (
+    <div class="scroll" tabIndex={0} role="region" aria-label="Energy by policy and value">
+      <table>
+        <thead>
+          <tr>
+            <th scope="col" class="left">policy and value</th>
+            <th scope="col" class="left">energy is</th>
+            {["clips", "hours", "skipped", "calls avoided", "energy", "an hour", "detector on every frame ≈", "saved ≈"].map((head) => (
+              <th key={head} scope="col">{head}</th>
+            ))}
+          </tr>
+        </thead>
+        <tbody>
+          {energy.groups.map((group) => (
+            <tr key={`${group.group} ${group.quality}`}>
+              <td class="left">{group.group || "all"}</td>
+              <td class="left"><Quality quality={group.quality} /></td>
+              <td>{count(group.clips)}</td>
+              <td>{(group.duration_s / 3600).toFixed(1)}</td>
+              <td>{percent(group.skip_rate)}</td>
+              <td>{count(group.avoided_calls)}</td>
+              <td>{joules(group.joules)}</td>
+              <td>{joules(group.duration_s ? (group.joules / group.duration_s) * 3600 : undefined)}</td>
+              <td>{joules(group.vanilla_joules_estimated)}</td>
+              <td>{group.vanilla_joules_estimated > 0 ? percent(1 - group.joules / group.vanilla_joules_estimated) : "–"}</td>
+            </tr>
+          ))}
+        </tbody>
+      </table>
+    </div>
+  );
+}

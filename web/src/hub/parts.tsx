@@ -1,0 +1,153 @@
+// Small parts of the hub's page.
+
+import type { ComponentChildren } from "preact";
+import { useEffect, useState } from "preact/hooks";
+import { answer, json } from "../shared/api";
+import { small } from "../shared/format";
+import { Pill, type Mood } from "../shared/parts";
+import { changed } from "./store";
+import type { Interval, PresenceState } from "./types";
+
+const MOODS: Record<PresenceState, Mood> = { online: "good", degraded: "bad", silent: "wait", offline: "bad" };
+
+export function Presence({ state }: { state: PresenceState }) {
+  return <Pill mood={MOODS[state]}>{state}</Pill>;
+}
+
+/** Numbers of nodes by outcome, in the order of interest. */
+const OUTCOMES = ["refused", "timed_out", "missed", "waiting", "pending", "superseded", "would_change", "applied", "unchanged", "untouched"];
+const OUTCOME_WORDS: Record<string, string> = {
+  applied: "in force",
+  unchanged: "had it already",
+  would_change: "would change",
+  refused: "refused",
+  timed_out: "did not report in time",
+  waiting: "out of reach, gets it on its return",
+  pending: "asked, no answer yet",
+  superseded: "overtaken by a later change",
+  missed: "away until the deadline",
+  untouched: "not asked yet",
+};
+const OUTCOME_MOODS: Record<string, Mood> = { applied: "good", unchanged: "good", refused: "bad", timed_out: "bad", missed: "bad", waiting: "wait" };
+
+export function outcomeWords(outcome: string): string {
+  return OUTCOME_WORDS[outcome] ?? outcome;
+}
+
+export function Outcomes({ counts }: { counts: Record<string, number> }) {
+  const known = Object.keys(counts).sort((a, b) => OUTCOMES.indexOf(a) - OUTCOMES.indexOf(b));
+  if (known.length === 0) return <span class="quiet">nobody yet</span>;
+  return (
+    <span class="outcomes">
+      {known.map((outcome) => (
+        <span key={outcome} class={OUTCOME_MOODS[outcome] ?? "none"}>
+          <b>{counts[outcome]}</b> {outcomeWords(outcome)}
+        </span>
+      ))}
+    </span>
+  );
+}
+
+/** `u = 3.0×10⁻⁴` of `{"u": 3e-4}`. */
+export function Knob({ value }: { value: object | null | undefined }) {
+  const [name, number] = Object.entries(value ?? {})[0] ?? [];
+  return name === undefined ? <>–</> : <span class="nowrap">{`${name} = ${small(number as number)}`}</span>;
+}
+
+/** An interval on a line with its bound at zero: where it lies is seen before it is read. */
+export function IntervalBar({ interval, words }: { interval: Interval; words: (value: number) => string }) {
+  const reach = Math.max(Math.abs(interval.lower), Math.abs(interval.upper), 1e-12) * 1.15;
+  const place = (value: number) => `${(50 + (50 * value) / reach).toFixed(1)}%`;
+  return (
+    <span class="interval">
+      <span class="interval-line" aria-hidden="true">
+        <span class="zero" />
+        <span class="range" style={{ left: place(interval.lower), width: `${((50 * (interval.upper - interval.lower)) / reach).toFixed(1)}%` }} />
+        <span class="mean" style={{ left: place(interval.mean) }} />
+      </span>
+      <span>
+        {words(interval.mean)} <span class="quiet">({words(interval.lower)} to {words(interval.upper)})</span>
+      </span>
+    </span>
+  );
+}
+
+export interface Loaded<T> {
+  value: T | undefined;
+  fault: string;
+  again: () => void;
+}
+
+/** What a path answers; anew when the fleet changed, every `everyMs`, and when asked to. */
+export function useLoaded<T>(path: string | undefined, everyMs = 10_000): Loaded<T> {
+  const [value, setValue] = useState<T | undefined>(undefined);
+  const [fault, setFault] = useState("");
+  const [turn, setTurn] = useState(0);
+  const news = changed.value;
+  useEffect(() => setValue(undefined), [path]);
+  useEffect(() => {
+    if (path === undefined) return;
+    const stop = new AbortController();
+    const look = async () => {
+      try {
+        const found = await json<T>(path, { signal: stop.signal });
+        setValue(found);
+        setFault("");
+      } catch (error) {
+        if (!stop.signal.aborted) setFault(error instanceof Error ? error.message : String(error));
+      }
+    };
+    void look();
+    const timer = setInterval(() => {
+      if (!document.hidden) void look();
+    }, everyMs);
+    return () => {
+      clearInterval(timer);
+      stop.abort();
+    };
+  }, [path, turn, news, everyMs]);
+  return { value, fault, again: () => setTurn((turn) => turn + 1) };
+}
+
+export function Fault({ text }: { text: string }) {
+  return (
+    <p class="message bad" role="alert">
+      {text}
+    </p>
+  );
+}
+
+/** Downloads what a path gives; a link could not carry the token. */
+export function Download({ path, name, children }: { path: string; name: string; children: ComponentChildren }) {
+  const [fault, setFault] = useState("");
+  const load = async () => {
+    setFault("");
+    try {
+      const file = await (await answer(path)).blob();
+      const link = document.createElement("a");
+      link.href = URL.createObjectURL(file);
+      link.download = name;
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    } catch (error) {
+      setFault(error instanceof Error ? error.message : String(error));
+    }
+  };
+  return (
+    <>
+      <button type="button" class="plain" onClick={load}>
+        {children}
+      </button>
+      <Fault text={fault} />
+    </>
+  );
+}
+
+export function Field({ label, children, wide }: { label: string; children: ComponentChildren; wide?: boolean }) {
+  return (
+    <label class={wide ? "field wide-field" : "field"}>
+      <span>{label}</span>
+      {children}
+    </label>
+  );
+}

@@ -1,0 +1,287 @@
+// Rollouts: a value in stages, each gated on what was measured.
+
+import { useState } from "preact/hooks";
+import { send } from "../shared/api";
+import { count, dateTime, parsed, percent, small } from "../shared/format";
+import { Pill, Section, whyNot, type Mood } from "../shared/parts";
+import { Fault, Field, IntervalBar, Knob, Outcomes, outcomeWords, useLoaded } from "./parts";
+import { href } from "./route";
+import { terms } from "./tune";
+import type { GateResult, RolloutView } from "./types";
+
+const PHASES: Record<string, { words: string; mood: Mood }> = {
+  applying: { words: "nodes are getting the value", mood: "wait" },
+  soaking: { words: "measuring", mood: "wait" },
+  held: { words: "held: somebody has to decide", mood: "bad" },
+  finishing: { words: "passed; nodes out of reach are awaited", mood: "good" },
+  returning: { words: "old values are returning", mood: "bad" },
+  done: { words: "done", mood: "good" },
+  returned: { words: "returned to the old values", mood: "bad" },
+  stopped: { words: "stopped by hand, values as they were", mood: "none" },
+};
+
+function Phase({ rollout }: { rollout: RolloutView }) {
+  const phase = PHASES[rollout.phase] ?? { words: rollout.phase, mood: "none" as Mood };
+  const reason = "reason" in rollout && typeof rollout.reason === "string" ? rollout.reason : "";
+  return (
+    <>
+      <Pill mood={phase.mood}>{phase.words}</Pill>
+      {rollout.paused && <Pill mood="wait">paused</Pill>}
+      {reason && <span class="bad"> {reason}</span>}
+    </>
+  );
+}
+
+/** One bar a stage: how far its nodes are. */
+function Stages({ rollout }: { rollout: RolloutView }) {
+  const over = ["done", "finishing"].includes(rollout.phase);
+  return (
+    <ol class="stages">
+      {rollout.stages.map((stage, index) => {
+        const share = stage.nodes ? (stage.counts.applied ?? 0) / stage.nodes : 0;
+        const now = index + 1 === rollout.stage && !over;
+        return (
+          <li key={index} class={now ? "now" : ""} aria-current={now ? "step" : undefined}>
+            <span>
+              <b>stage {index + 1}</b> {count(stage.nodes)} new {stage.nodes === 1 ? "node" : "nodes"}
+            </span>
+            <span class="track" aria-hidden="true">
+              <span class="fill state-p" style={{ width: percent(share, 0).replace(/\s/g, "") }} />
+            </span>
+            <span class="stage-counts">
+              <Outcomes counts={stage.counts} />
+            </span>
+          </li>
+        );
+      })}
+    </ol>
+  );
+}
+
+const VERDICTS: Record<string, Mood> = { passed: "good", failed: "bad", undecided: "wait" };
+const FIGURES: Record<string, string> = {
+  skip_rate: "skip rate", joules_measured: "energy, measured", joules_estimated: "energy, ≈ estimated", edp_measured: "EDP, measured",
+  edp_estimated: "EDP, ≈ estimated", latency_p99: "latency p99", degraded: "degraded frames", detector_errors: "detector errors",
+};
+
+export function figureWords(figure: string | null | undefined): string {
+  return figure ? (FIGURES[figure] ?? figure) : "not measured";
+}
+
+export function Gates({ gates }: { gates: GateResult[] }) {
+  return (
+    <div class="scroll" tabIndex={0} role="region" aria-label="Gates">
+      <table>
+        <thead>
+          <tr>
+            <th scope="col" class="left">gate</th>
+            <th scope="col" class="left">verdict</th>
+            <th scope="col" class="left">figure</th>
+            <th scope="col">before</th>
+            <th scope="col">after</th>
+            <th scope="col" class="left">change, with its interval</th>
+            <th scope="col">nodes</th>
+            <th scope="col">clips before / after</th>
+          </tr>
+        </thead>
+        <tbody>
+          {gates.map((gate) => {
+            const relative = gate.gate.includes("%");
+            const words = (value: number) => (relative ? `${value >= 0 ? "+" : ""}${percent(value)}` : signed(value));
+            return (
+              <tr key={`${gate.gate} ${gate.figure ?? ""}`}>
+                <td class="left"><code>{gate.gate}</code></td>
+                <td class="left"><Pill mood={VERDICTS[gate.verdict] ?? "none"}>{gate.verdict}</Pill></td>
+                <td class="left">{figureWords(gate.figure)}</td>
+                <td>{plainFigure(gate.before)}</td>
+                <td>{plainFigure(gate.after)}</td>
+                <td class="left">{gate.change ? <IntervalBar interval={gate.change} words={words} /> : "–"}</td>
+                <td>
+                  {count(gate.nodes)}
+                  {gate.nodes_left_out > 0 && <span class="quiet">, {count(gate.nodes_left_out)} left out</span>}
+                </td>
+                <td>
+                  {count(gate.clips_before)} / {count(gate.clips_after)}
+                </td>
+              </tr>
+            );
+          })}
+        </tbody>
+      </table>
+    </div>
+  );
+}
+
+export function signed(value: number): string {
+  return `${value >= 0 ? "+" : "−"}${plainFigure(Math.abs(value))}`;
+}
+
+export function plainFigure(value: number | null | undefined): string {
+  if (value === null || value === undefined) return "–";
+  return Math.abs(value) >= 100 ? count(Math.round(value)) : String(Number(value.toPrecision(3)));
+}
+
+const COMMANDS: { command: string; words: string; in: string[]; danger?: boolean }[] = [
+  { command: "pause", words: "Hold", in: ["applying", "soaking"] },
+  { command: "resume", words: "Go on", in: [] },
+  { command: "next", words: "Next stage now", in: ["applying", "soaking", "held"] },
+  { command: "return", words: "Return the old values", in: ["applying", "soaking", "held", "finishing", "done", "stopped"], danger: true },
+  { command: "stop", words: "Stop, values as they are", in: ["applying", "soaking", "held", "finishing", "returning"], danger: true },
+];
+
+export function Rollout({ id }: { id: string }) {
+  const found = useLoaded<RolloutView>(`/api/v1/rollouts/${encodeURIComponent(id)}`, 2000);
+  const [fault, setFault] = useState("");
+  const forbidden = whyNot();
+  const rollout = found.value;
+  const command = async (name: string) => {
+    setFault("");
+    try {
+      await send("POST", `/api/v1/rollouts/${encodeURIComponent(id)}/${name}`);
+      found.again();
+    } catch (error) {
+      setFault(error instanceof Error ? error.message : String(error));
+    }
+  };
+  const judged = [...(rollout?.record ?? [])].reverse().find((entry) => entry.gates && entry.gates.length > 0);
+  const others = (rollout?.nodes ?? []).filter((member) => !["applied", "untouched"].includes(member.outcome));
+  return (
+    <Section id="rollout" title={`Rollout ${id}`} wide aside={<a href={href(["rollouts"])}>all rollouts</a>}>
+      <Fault text={found.fault} />
+      {rollout && (
+        <>
+          <p class="message">
+            <Knob value={rollout.to} /> for {rollout.plan.select?.join(", ")} · begun {dateTime(rollout.begun_ms)} by {rollout.who}
+            {rollout.plan.why ? `: ${rollout.plan.why}` : ""}
+          </p>
+          <p class="message">
+            <Phase rollout={rollout} />
+          </p>
+          <Stages rollout={rollout} />
+          <div class="row">
+            {COMMANDS.filter(({ command, in: phases }) =>
+              command === "resume" ? rollout.paused : command === "pause" ? !rollout.paused && phases.includes(rollout.phase) : phases.includes(rollout.phase),
+            ).map((one) => (
+              <button key={one.command} type="button" class={one.danger ? "danger" : "plain"} disabled={forbidden !== undefined} onClick={() => command(one.command)}>
+                {one.words}
+              </button>
+            ))}
+          </div>
+          {forbidden && <p class="message wait">{forbidden}</p>}
+          <Fault text={fault} />
+          <h3>Gates{judged ? `, as judged ${dateTime(judged.at_ms)} in stage ${judged.stage}` : ""}</h3>
+          {judged?.gates ? <Gates gates={judged.gates} /> : <p class="message quiet">Not judged yet: {rollout.plan.gates?.join(", ")}</p>}
+          <h3>Nodes that do not have the value</h3>
+          {others.length === 0 ? (
+            <p class="message quiet">None of those that were asked.</p>
+          ) : (
+            <ul class="events">
+              {others.slice(0, 100).map((member) => (
+                <li key={member.node}>
+                  <a href={href(["nodes", member.node])}>{member.node}</a> {outcomeWords(member.outcome)}
+                  {"reason" in member ? `: ${member.reason}` : ""}
+                </li>
+              ))}
+            </ul>
+          )}
+          <h3>Record</h3>
+          <ol class="events">
+            {[...(rollout.record ?? [])].reverse().map((entry, index) => (
+              <li key={index}>
+                <time class="quiet">{dateTime(entry.at_ms)}</time> stage {entry.stage}: <b>{entry.what}</b> {entry.text}
+                {entry.who ? ` (${entry.who})` : ""}
+              </li>
+            ))}
+          </ol>
+        </>
+      )}
+    </Section>
+  );
+}
+
+export function Rollouts() {
+  const found = useLoaded<{ rollouts: RolloutView[] }>("/api/v1/rollouts", 3000);
+  const rollouts = found.value?.rollouts ?? [];
+  return (
+    <>
+      <Section id="rollouts" title="Rollouts" wide>
+        <Fault text={found.fault} />
+        {found.value && rollouts.length === 0 && <p class="message quiet">None yet. One is begun below.</p>}
+        {rollouts.map((rollout) => (
+          <article class="card" key={rollout.id}>
+            <p class="message">
+              <a href={href(["rollouts", String(rollout.id)])}>
+                <b>Rollout {rollout.id}</b>
+              </a>{" "}
+              <Knob value={rollout.to} /> for {rollout.plan.select?.join(", ")} · {dateTime(rollout.begun_ms)} by {rollout.who}{" "}
+              <Phase rollout={rollout} />
+            </p>
+            <Stages rollout={rollout} />
+          </article>
+        ))}
+      </Section>
+      <Begin onBegun={found.again} />
+    </>
+  );
+}
+
+function Begin({ onBegun }: { onBegun: () => void }) {
+  const [fields, setFields] = useState({
+    select: "all", value: "", why: "", stages: "1, 10%, 50%, 100%", soak: "30", gates: "skip_rate>=-0.05, joules<=+5%?, latency_p99<=+10%, degraded<=+0.01",
+    failure: "return",
+  });
+  const [fault, setFault] = useState("");
+  const forbidden = whyNot();
+  const field = (name: keyof typeof fields) => ({
+    value: fields[name],
+    onInput: (event: { currentTarget: { value: string } }) => setFields({ ...fields, [name]: event.currentTarget.value }),
+  });
+  const value = parsed(fields.value);
+  const begin = async (event: Event) => {
+    event.preventDefault();
+    setFault("");
+    const minutes = parsed(fields.soak);
+    if (value === undefined) return setFault("Say which value of u is to be rolled out, such as 5e-4.");
+    if (minutes === undefined) return setFault("Say how many minutes each stage is held.");
+    try {
+      const begun = await send<RolloutView>("POST", "/api/v1/rollouts", {
+        u: value,
+        select: terms(fields.select),
+        stages: terms(fields.stages),
+        gates: terms(fields.gates),
+        soak_s: minutes * 60,
+        on_failure: fields.failure,
+        why: fields.why,
+      });
+      onBegun();
+      location.hash = href(["rollouts", String(begun.id)]);
+    } catch (error) {
+      setFault(error instanceof Error ? error.message : String(error));
+    }
+  };
+  return (
+    <Section id="begin" title="Begin a rollout" wide>
+      <form onSubmit={begin}>
+        <div class="fields">
+          <Field label="for which nodes: names, globs, labels, or all" wide><input type="text" {...field("select")} /></Field>
+          <Field label="u"><input type="text" inputmode="decimal" placeholder="5e-4" {...field("value")} /></Field>
+          <Field label="stages: nodes or share of them, all before included" wide><input type="text" {...field("stages")} /></Field>
+          <Field label="each held for, minutes"><input type="text" inputmode="decimal" {...field("soak")} /></Field>
+          <Field label="gates: what the change may cost" wide><input type="text" {...field("gates")} /></Field>
+          <Field label="when a gate fails">
+            <select value={fields.failure} onChange={(event) => setFields({ ...fields, failure: event.currentTarget.value })}>
+              <option value="return">return the old values</option>
+              <option value="hold">hold, and ask</option>
+            </select>
+          </Field>
+          <Field label="why" wide><input type="text" maxLength={500} {...field("why")} /></Field>
+        </div>
+        <div class="row">
+          <button disabled={forbidden !== undefined}>Begin{value !== undefined ? ` with u = ${small(value)}` : ""}</button>
+        </div>
+        {forbidden && <p class="message wait">{forbidden}</p>}
+        <Fault text={fault} />
+      </form>
+    </Section>
+  );
+}

@@ -1,0 +1,72 @@
+// What the page knows of the fleet as a whole.
+
+import { signal } from "@preact/signals";
+import { every, follow, json } from "../shared/api";
+import type { Energy, EnergyGroup, FleetRows, StoredEvent } from "./types";
+
+/** Events that are remembered. */
+const MOST_EVENTS = 200;
+/** Shortest time between two looks because of events, milliseconds: four a second at most. */
+const LEAST_MS = 250;
+
+export const fleet = signal<Pick<FleetRows, "counts" | "waiting"> | undefined>(undefined);
+export const today = signal<EnergyGroup[] | undefined>(undefined);
+export const lost = signal<string | undefined>(undefined);
+export const events = signal<StoredEvent[]>([]);
+/** Grows when something that is shown may have changed. */
+export const changed = signal(0);
+
+let scheduled = false;
+
+/** Looks anew, soon, and not more often than four times a second however much happens. */
+export function lookSoon(): void {
+  if (scheduled) return;
+  scheduled = true;
+  setTimeout(() => {
+    scheduled = false;
+    changed.value += 1;
+    void lookAtFleet().catch(() => {});
+  }, LEAST_MS);
+}
+
+async function lookAtFleet(): Promise<void> {
+  const { counts, waiting } = await json<FleetRows>("/api/v1/fleet?limit=0");
+  fleet.value = { counts, waiting };
+}
+
+export function midnight(now = new Date()): number {
+  return new Date(now.getFullYear(), now.getMonth(), now.getDate()).getTime();
+}
+
+async function lookAtEnergy(): Promise<void> {
+  today.value = (await json<Energy>(`/api/v1/energy?by=all&since_ms=${midnight()}`)).groups;
+}
+
+export function watchFleet(signal: AbortSignal): void {
+  void follow({
+    path: () => "/api/v1/events",
+    onEvent: (name, data) => {
+      if (name !== "resync") events.value = [data as StoredEvent, ...events.value].slice(0, MOST_EVENTS);
+      lookSoon();
+    },
+    onOpen: async () => {
+      await Promise.all([lookAtFleet(), lookAtEnergy()]);
+      lost.value = undefined;
+      changed.value += 1;
+    },
+    onLost: (reason) => {
+      lost.value = reason;
+    },
+    signal,
+  });
+  const whileReached = (work: () => Promise<void>) => async () => {
+    if (lost.value === undefined) await work();
+  };
+  void every(3000, signal, whileReached(lookAtFleet));
+  void every(20_000, signal, whileReached(lookAtEnergy));
+}
+
+/** Energy by quality, which are never added: the largest first. */
+export function byQuality(groups: readonly EnergyGroup[]): EnergyGroup[] {
+  return [...groups].filter((group) => group.quality !== "unavailable").sort((a, b) => b.clips - a.clips);
+}

@@ -1,0 +1,93 @@
+// One line about the whole fleet.
+
+import { count, joules, percent, short } from "../shared/format";
+import { Figure, Pill, Quality } from "../shared/parts";
+import { caller } from "../shared/api";
+import { href, route } from "./route";
+import { byQuality, fleet, lost, today } from "./store";
+
+const VIEWS: [string, string][] = [
+  ["fleet", "Nodes"],
+  ["energy", "Energy"],
+  ["rollouts", "Rollouts"],
+  ["trials", "Trials"],
+  ["changes", "Changes"],
+  ["set-aside", "Set aside"],
+];
+
+export function Header() {
+  const who = caller.value;
+  const here = route.value.path[0] === "nodes" ? "fleet" : route.value.path[0];
+  return (
+    <header>
+      <h1>
+        <span class="quiet">albireo</span> fleet
+      </h1>
+      <span role="status">
+        {lost.value !== undefined ? (
+          <Pill mood="bad">hub does not answer</Pill>
+        ) : fleet.value ? (
+          <Pill mood="good">connected</Pill>
+        ) : (
+          <Pill mood="wait">connecting</Pill>
+        )}
+      </span>
+      {lost.value !== undefined && <span class="why">{lost.value}. Trying again; what is shown is the last that was heard.</span>}
+      <nav aria-label="Views">
+        {VIEWS.map(([view, words]) => (
+          <a key={view} href={href([view])} aria-current={here === view ? "page" : undefined}>
+            {words}
+          </a>
+        ))}
+      </nav>
+      {who && who.name !== "anonymous" && (
+        <span class="quiet who">
+          as {who.name}
+          {who.may_tune ? "" : ", who may look and not change"}
+        </span>
+      )}
+    </header>
+  );
+}
+
+export function Summary() {
+  const known = fleet.value;
+  const groups = byQuality(today.value ?? []);
+  const avoided = groups.reduce((sum, group) => sum + group.avoided_calls, 0);
+  const calls = groups.reduce((sum, group) => sum + group.detector_calls, 0);
+  const states = ["online", "degraded", "silent", "offline"] as const;
+  return (
+    <section class="wide headline" aria-label="The fleet in a line">
+      <dl class="figures">
+        <Figure label="nodes">
+          <span class="by-state">
+            {states.map((state) => (
+              <a key={state} href={href(["fleet"], { state })} class={known && known.counts[state] ? `state ${state}` : "state none"}>
+                <b>{known ? count(known.counts[state]) : "–"}</b> {state}
+              </a>
+            ))}
+          </span>
+        </Figure>
+        <Figure label="detector calls avoided today" note={avoided + calls ? `${short(avoided)} of ${short(avoided + calls)}` : "no clip yet"}>
+          <span class="big">{avoided + calls ? percent(avoided / (avoided + calls)) : "–"}</span>
+        </Figure>
+        {groups.map((group) => (
+          <Figure
+            key={group.quality}
+            label="energy today"
+            note={
+              <>
+                detector on every frame: {joules(group.vanilla_joules_estimated)} <Quality quality="estimated" />
+              </>
+            }
+          >
+            <span class="big">{joules(group.joules)}</span> <Quality quality={group.quality} />
+          </Figure>
+        ))}
+        <Figure label="reports waiting in outboxes">
+          <span class="big">{known ? count(known.waiting) : "–"}</span>
+        </Figure>
+      </dl>
+    </section>
+  );
+}

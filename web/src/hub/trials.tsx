@@ -1,0 +1,172 @@
+// Trials: values compared on random groups of nodes.
+
+import { useState } from "preact/hooks";
+import { send } from "../shared/api";
+import { count, dateTime, duration, parsed, percent, small } from "../shared/format";
+import { Pill, Section, whyNot, type Mood } from "../shared/parts";
+import { Fault, Field, IntervalBar, Knob, Outcomes, useLoaded } from "./parts";
+import { figureWords, plainFigure, signed } from "./rollouts";
+import { href } from "./route";
+import { terms } from "./tune";
+import type { TrialView } from "./types";
+
+const PHASES: Record<string, { words: string; mood: Mood }> = {
+  applying: { words: "nodes are getting their values", mood: "wait" },
+  running: { words: "measuring", mood: "wait" },
+  returning: { words: "over; old values are returning", mood: "wait" },
+  done: { words: "done", mood: "good" },
+};
+
+function Phase({ trial }: { trial: TrialView }) {
+  const phase = PHASES[trial.phase] ?? { words: trial.phase, mood: "none" as Mood };
+  return <Pill mood={phase.mood}>{phase.words}</Pill>;
+}
+
+function Values({ trial }: { trial: TrialView }) {
+  return <>{(trial.plan.values ?? []).map((value, index) => <span key={index}>{index ? " against " : ""}<Knob value={value} /></span>)}</>;
+}
+
+export function Trial({ id }: { id: string }) {
+  const found = useLoaded<TrialView>(`/api/v1/trials/${encodeURIComponent(id)}`, 3000);
+  const [fault, setFault] = useState("");
+  const forbidden = whyNot();
+  const trial = found.value;
+  const end = async () => {
+    setFault("");
+    try {
+      await send("POST", `/api/v1/trials/${encodeURIComponent(id)}/end`);
+      found.again();
+    } catch (error) {
+      setFault(error instanceof Error ? error.message : String(error));
+    }
+  };
+  return (
+    <Section id="trial" title={`Trial ${id}`} wide aside={<a href={href(["trials"])}>all trials</a>}>
+      <Fault text={found.fault} />
+      {trial && (
+        <>
+          <p class="message">
+            <Values trial={trial} /> on {trial.plan.select?.join(", ")} for {duration(trial.plan.duration_s)} · begun {dateTime(trial.begun_ms)} by {trial.who}
+            {trial.plan.why ? `: ${trial.plan.why}` : ""}
+          </p>
+          <p class="message">
+            <Phase trial={trial} /> <Outcomes counts={trial.counts} />
+            {trial.ended_by ? ` · ended early by ${trial.ended_by}` : ""}
+          </p>
+          {["applying", "running"].includes(trial.phase) && (
+            <div class="row">
+              <button type="button" class="danger" disabled={forbidden !== undefined} onClick={end}>End it now</button>
+            </div>
+          )}
+          {forbidden && <p class="message wait">{forbidden}</p>}
+          <Fault text={fault} />
+          {trial.result ? (
+            <div class="scroll" tabIndex={0} role="region" aria-label="Result">
+              <table>
+                <thead>
+                  <tr>
+                    <th scope="col" class="left">value</th>
+                    <th scope="col" class="left">figure</th>
+                    <th scope="col" class="left">mean, with its interval at {percent(trial.result.confidence, 0)}</th>
+                    <th scope="col" class="left">difference from the first value</th>
+                    <th scope="col">nodes</th>
+                    <th scope="col">clips</th>
+                  </tr>
+                </thead>
+                <tbody>
+                  {trial.result.values.flatMap((arm, index) =>
+                    arm.figures.map((figure) => (
+                      <tr key={`${index} ${figure.figure}`}>
+                        <td class="left"><Knob value={arm.value} /></td>
+                        <td class="left">{figureWords(figure.figure)}</td>
+                        <td class="left">
+                          {plainFigure(figure.mean)}
+                          {figure.interval && <span class="quiet"> ({plainFigure(figure.interval.lower)} to {plainFigure(figure.interval.upper)})</span>}
+                        </td>
+                        <td class="left">{figure.difference ? <IntervalBar interval={figure.difference} words={signed} /> : "–"}</td>
+                        <td>{count(figure.nodes)}</td>
+                        <td>{count(figure.clips)}</td>
+                      </tr>
+                    )),
+                  )}
+                </tbody>
+              </table>
+            </div>
+          ) : (
+            <p class="message quiet">The result comes when it is over.</p>
+          )}
+        </>
+      )}
+    </Section>
+  );
+}
+
+export function Trials() {
+  const found = useLoaded<{ trials: TrialView[] }>("/api/v1/trials", 3000);
+  const trials = found.value?.trials ?? [];
+  return (
+    <>
+      <Section id="trials" title="Trials" wide>
+        <Fault text={found.fault} />
+        {found.value && trials.length === 0 && <p class="message quiet">None yet. One is begun below.</p>}
+        {trials.map((trial) => (
+          <article class="card" key={trial.id}>
+            <p class="message">
+              <a href={href(["trials", String(trial.id)])}><b>Trial {trial.id}</b></a> <Values trial={trial} /> on {trial.plan.select?.join(", ")} ·{" "}
+              {dateTime(trial.begun_ms)} by {trial.who} <Phase trial={trial} /> <Outcomes counts={trial.counts} />
+            </p>
+          </article>
+        ))}
+      </Section>
+      <Begin onBegun={found.again} />
+    </>
+  );
+}
+
+function Begin({ onBegun }: { onBegun: () => void }) {
+  const [fields, setFields] = useState({ select: "all", values: "", minutes: "60", why: "" });
+  const [fault, setFault] = useState("");
+  const forbidden = whyNot();
+  const field = (name: keyof typeof fields) => ({
+    value: fields[name],
+    onInput: (event: { currentTarget: { value: string } }) => setFields({ ...fields, [name]: event.currentTarget.value }),
+  });
+  const begin = async (event: Event) => {
+    event.preventDefault();
+    setFault("");
+    const values = terms(fields.values).map(parsed);
+    const minutes = parsed(fields.minutes);
+    if (values.length < 2 || values.includes(undefined)) return setFault("Say two or more values of u, such as 3e-4, 5e-4.");
+    if (minutes === undefined) return setFault("Say how many minutes it lasts.");
+    try {
+      const begun = await send<TrialView>("POST", "/api/v1/trials", {
+        values: values.map((u) => ({ u })),
+        select: terms(fields.select),
+        duration_s: minutes * 60,
+        why: fields.why,
+      });
+      onBegun();
+      location.hash = href(["trials", String(begun.id)]);
+    } catch (error) {
+      setFault(error instanceof Error ? error.message : String(error));
+    }
+  };
+  const shown = terms(fields.values).map(parsed).filter((value): value is number => value !== undefined);
+  return (
+    <Section id="begin" title="Begin a trial" wide>
+      <form onSubmit={begin}>
+        <div class="fields">
+          <Field label="on which nodes: names, globs, labels, or all" wide><input type="text" {...field("select")} /></Field>
+          <Field label="values of u to compare, the first is the measure"><input type="text" placeholder="3e-4, 5e-4" {...field("values")} /></Field>
+          <Field label="for, minutes"><input type="text" inputmode="decimal" {...field("minutes")} /></Field>
+          <Field label="why" wide><input type="text" maxLength={500} {...field("why")} /></Field>
+        </div>
+        <div class="row">
+          <button disabled={forbidden !== undefined}>Begin{shown.length > 1 ? `: ${shown.map((value) => small(value)).join(" against ")}` : ""}</button>
+        </div>
+        {forbidden && <p class="message wait">{forbidden}</p>}
+        <Fault text={fault} />
+      </form>
+    </Section>
+  );
+}

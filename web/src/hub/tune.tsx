@@ -1,0 +1,178 @@
+// Setting a value on selected nodes, with the outcome at each as it comes.
+
+import { signal } from "@preact/signals";
+import { useState } from "preact/hooks";
+import { answer, send } from "../shared/api";
+import { parsed, plural, small } from "../shared/format";
+import { Section, whyNot } from "../shared/parts";
+import { selected } from "./fleet";
+import { Fault, Field, Outcomes, outcomeWords } from "./parts";
+import { href, route } from "./route";
+import { lookSoon } from "./store";
+import type { OutcomeLine, ThresholdAnswer } from "./types";
+
+/** Lines of outcomes that are shown; the counts have them all. */
+const SHOWN = 100;
+/** How long the outcomes are followed, seconds. */
+const FOLLOW_S = 120;
+
+/** What was ordered last, so that it stays while the page shows something else. */
+const order = signal<{ counts: Record<string, number>; lines: OutcomeLine[]; dry: boolean; running: boolean; change?: number } | undefined>(undefined);
+
+/** The terms of what is written: names, globs and labels between commas. */
+export function terms(text: string): string[] {
+  return text.split(",").map((term) => term.trim()).filter(Boolean);
+}
+
+/** Takes the next pieces of a text with one JSON object a line. */
+export class LineParser {
+  #rest = "";
+
+  take(text: string): unknown[] {
+    const lines = (this.#rest + text).split("\n");
+    this.#rest = lines.pop() ?? "";
+    return lines.filter((line) => line.trim() !== "").map((line) => JSON.parse(line) as unknown);
+  }
+}
+
+export function countOutcomes(lines: Iterable<Pick<OutcomeLine, "outcome">>): Record<string, number> {
+  const counts: Record<string, number> = {};
+  for (const line of lines) counts[line.outcome] = (counts[line.outcome] ?? 0) + 1;
+  return counts;
+}
+
+export function Tune() {
+  const [select, setSelect] = useState("");
+  const [knob, setKnob] = useState("u");
+  const [value, setValue] = useState("");
+  const [why, setWhy] = useState("");
+  const [fault, setFault] = useState("");
+  const picked = [...selected.value].sort();
+  // What is written counts; else the boxes; else the filter of the table.
+  const filtered = route.value.query.get("select") ?? "";
+  const chosen = terms(select).length ? terms(select) : picked.length ? picked : terms(filtered);
+  const forbidden = whyNot();
+  const number = parsed(value);
+  const body = { [knob]: number ?? value.trim(), select: chosen, why };
+
+  const attempt = async (work: () => Promise<void>) => {
+    setFault("");
+    if (chosen.length === 0) return setFault("Say which nodes: select some above, or write names, globs, labels or “all”.");
+    if (number === undefined) return setFault(`Say which value ${knob} shall have, such as 5e-4.`);
+    try {
+      await work();
+    } catch (error) {
+      setFault(error instanceof Error ? error.message : String(error));
+    }
+  };
+  const dry = () =>
+    attempt(async () => {
+      const found = await send<ThresholdAnswer>("PUT", "/api/v1/threshold", { ...body, dry_run: true });
+      order.value = { counts: found.counts, lines: found.nodes, dry: true, running: false };
+    });
+  const set = (event: Event) => {
+    event.preventDefault();
+    return attempt(async () => {
+      const response = await answer("/api/v1/threshold", {
+        method: "PUT",
+        headers: { "Content-Type": "application/json", Accept: "application/x-ndjson" },
+        body: JSON.stringify({ ...body, wait_s: FOLLOW_S }),
+      });
+      const byNode = new Map<string, OutcomeLine>();
+      const show = (running: boolean, change?: number) => {
+        const lines = [...byNode.values()];
+        order.value = { counts: countOutcomes(lines), lines, dry: false, running, change };
+      };
+      show(true);
+      const reader = response.body!.pipeThrough(new TextDecoderStream()).getReader();
+      const parser = new LineParser();
+      let painted = 0;
+      for (;;) {
+        const { done, value } = await reader.read();
+        if (done) break;
+        for (const line of parser.take(value)) {
+          const last = line as { change?: number | null; counts?: object };
+          // The last line has the sums.
+          if (last.counts !== undefined) show(false, last.change ?? undefined);
+          else byNode.set((line as OutcomeLine).node, line as OutcomeLine);
+        }
+        // Thousands come at once.
+        if (order.value?.running && performance.now() - painted > 200) {
+          painted = performance.now();
+          show(true);
+        }
+      }
+      if (order.value?.running) show(false);
+      lookSoon();
+    });
+  };
+
+  const said = order.value;
+  const interesting = said?.lines.filter((line) => said.dry || !["applied", "unchanged"].includes(line.outcome)) ?? [];
+  return (
+    <Section id="tune" title="Set a threshold" wide>
+      <form onSubmit={set}>
+        <div class="fields">
+          <Field label="for which nodes: names, globs, labels, or all" wide>
+            <input
+              type="text"
+              value={select}
+              placeholder={picked.length ? `the ${plural(picked.length, "node")} selected above` : filtered || "cam-*, region=north"}
+              onInput={(event) => setSelect(event.currentTarget.value)}
+            />
+          </Field>
+          <Field label="knob">
+            <select value={knob} onChange={(event) => setKnob(event.currentTarget.value)}>
+              {["u", "lambda", "n", "skip_rate", "threshold", "component_size"].map((name) => (
+                <option key={name}>{name}</option>
+              ))}
+            </select>
+          </Field>
+          <Field label="value">
+            <input type="text" inputmode="decimal" autocomplete="off" placeholder="5e-4" value={value} onInput={(event) => setValue(event.currentTarget.value)} />
+          </Field>
+          <Field label="why; stands in the history" wide>
+            <input type="text" maxLength={500} value={why} onInput={(event) => setWhy(event.currentTarget.value)} />
+          </Field>
+        </div>
+        <div class="row">
+          <button type="button" class="plain" onClick={dry}>
+            Who would change?
+          </button>
+          <button disabled={forbidden !== undefined || said?.running}>Set{number !== undefined ? ` ${knob} = ${small(number)}` : ""}</button>
+          <span class="quiet">
+            for {chosen.length === 0 ? "nobody yet" : chosen.length > 4 ? plural(chosen.length, "term") : chosen.join(", ")}
+          </span>
+        </div>
+        {forbidden && <p class="message wait">{forbidden}</p>}
+        <Fault text={fault} />
+      </form>
+      {said && (
+        <div class="order" role="status" aria-live="polite">
+          <p class="message">
+            {said.dry ? "Nothing was changed: " : said.running ? "Waiting for the nodes: " : "Ordered: "}
+            <Outcomes counts={said.counts} />
+            {said.change !== undefined && (
+              <>
+                {" · "}
+                <a href={href(["changes", String(said.change)])}>change {said.change}</a>
+              </>
+            )}
+          </p>
+          {interesting.length > 0 && (
+            <ul class="events">
+              {interesting.slice(0, SHOWN).map((line) => (
+                <li key={line.node}>
+                  <a href={href(["nodes", line.node])}>{line.node}</a> {outcomeWords(line.outcome)}
+                  {line.from ? ` (from ${small(Object.values(line.from)[0])})` : ""}
+                  {line.detail ? `: ${line.detail}` : ""}
+                </li>
+              ))}
+              {interesting.length > SHOWN && <li class="quiet">… and {interesting.length - SHOWN} more</li>}
+            </ul>
+          )}
+        </div>
+      )}
+    </Section>
+  );
+}

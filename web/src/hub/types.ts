@@ -1,0 +1,27 @@
+// The messages of a hub, as its OpenAPI document has them.
+
+import type { components } from "../api/hub";
+
+type Schemas = components["schemas"];
+
+export type FleetRows = Schemas["FleetRows"];
+export type NodeView = Schemas["NodeView"];
+export type NodeDetail = Schemas["NodeDetail"];
+export type InstanceView = Schemas["InstanceView"];
+export type Counts = Schemas["Counts"];
+export type PresenceState = Schemas["PresenceState"];
+export type Energy = Schemas["Energy"];
+export type EnergyGroup = Schemas["EnergyGroup"];
+export type StoredClip = Schemas["StoredClip"];
+export type StoredEvent = Schemas["StoredEvent"];
+export type OutcomeLine = Schemas["OutcomeLine"];
+export type ThresholdAnswer = Schemas["ThresholdAnswer"];
+export type Drift = Schemas["Drift"];
+export type ChangeView = Schemas["ChangeView"];
+export type ChangeDetail = Schemas["ChangeDetail"];
+export type RolloutView = Schemas["RolloutView"];
+export type GateResult = Schemas["GateResult"];
+export type Interval = Schemas["Interval"];
+export type TrialView = Schemas["TrialView"];
+export type ArmFigure = Schemas["ArmFigure"];
+export type SetAside = Schemas["StoredSetAside"];

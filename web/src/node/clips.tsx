@@ -1,0 +1,108 @@
+// Clips with their energy: sortable, and as a file.
+
+import { useState } from "preact/hooks";
+import { count, dateTime, duration, edp, joules, milliseconds, percent, small } from "../shared/format";
+import { knobValue } from "../shared/knob";
+import { Quality, Section } from "../shared/parts";
+import { csv, type Column, sorted } from "../shared/table";
+import { cameras, clips, knob, overview } from "./store";
+import type { ClipReport } from "./types";
+
+const SHOWN = 50;
+
+function columns(knobName: string, several: boolean): Column<ClipReport>[] {
+  return [
+    { id: "started", head: "began", key: (clip) => clip.started_ns, cell: (clip) => dateTime(clip.started_ns / 1e6), unit: "ns since 1970" },
+    { id: "clip", head: "clip", key: (clip) => clip.clip, cell: (clip) => clip.clip, left: true },
+    ...(several ? [{ id: "camera", head: "camera", key: (clip: ClipReport) => clip.camera, cell: (clip: ClipReport) => clip.camera, left: true }] : []),
+    { id: "frames", head: "frames", key: (clip) => clip.frames, cell: (clip) => count(clip.frames) },
+    { id: "skip_rate", head: "skipped", key: (clip) => clip.skip_rate, cell: (clip) => percent(clip.skip_rate) },
+    { id: "degraded_frames", head: "degraded", key: (clip) => clip.degraded_frames, cell: (clip) => count(clip.degraded_frames) },
+    { id: "duration", head: "length", key: (clip) => clip.duration_s, cell: (clip) => duration(clip.duration_s), unit: "s" },
+    {
+      id: "energy", head: "energy", key: (clip) => clip.energy.joules ?? undefined, unit: "J",
+      // Joules of a part of the time are told as such.
+      cell: (clip) => joules(clip.energy.joules) + (clip.energy.coverage < 0.999 ? ` in ${percent(clip.energy.coverage)} of the time` : ""),
+    },
+    { id: "edp", head: "EDP", key: (clip) => clip.energy.edp ?? undefined, cell: (clip) => edp(clip.energy.edp), unit: "J·ms/frame" },
+    { id: "energy_is", head: "energy is", key: (clip) => clip.energy.quality, cell: (clip) => <Quality quality={clip.energy.quality} />, left: true },
+    { id: "energy_source", head: "source", key: (clip) => clip.energy.source, cell: (clip) => clip.energy.source, left: true },
+    { id: "latency_p50", head: "latency p50", key: (clip) => clip.total_latency_ms.p50, cell: (clip) => milliseconds(clip.total_latency_ms.p50), unit: "ms" },
+    { id: "latency_p99", head: "p99", key: (clip) => clip.total_latency_ms.p99, cell: (clip) => milliseconds(clip.total_latency_ms.p99), unit: "ms" },
+    { id: "detector_p50", head: "detector p50", key: (clip) => clip.detector_latency_ms.p50, cell: (clip) => milliseconds(clip.detector_latency_ms.p50), unit: "ms" },
+    { id: "detector_p99", head: "p99", key: (clip) => clip.detector_latency_ms.p99, cell: (clip) => milliseconds(clip.detector_latency_ms.p99), unit: "ms" },
+    { id: knobName, head: knobName, key: (clip) => knobValue(clip, knobName), cell: (clip) => small(knobValue(clip, knobName)) },
+    { id: "provider", head: "provider", key: (clip) => clip.provider, cell: (clip) => clip.provider, left: true },
+    { id: "celsius", head: "hottest", key: (clip) => clip.board?.hottest_celsius ?? undefined, cell: (clip) => (clip.board?.hottest_celsius ? `${clip.board.hottest_celsius.toFixed(0)} °C` : "–"), unit: "°C" },
+    {
+      id: "throttled", head: "throttled", key: (clip) => (clip.board?.throttled === undefined ? undefined : String(clip.board.throttled)),
+      cell: (clip) => (clip.board?.throttled ? <b class="bad">yes</b> : clip.board?.throttled === false ? "no" : "–"),
+    },
+    { id: "power_mode", head: "power mode", key: (clip) => clip.board?.power_mode ?? undefined, cell: (clip) => clip.board?.power_mode ?? "–", left: true },
+  ];
+}
+
+export function Clips() {
+  const [order, setOrder] = useState<{ id: string; down: boolean }>({ id: "started", down: true });
+  const all = columns(knob.value?.name ?? "u", cameras.value.length > 1);
+  // What no clip tells is no column.
+  const shown = all.filter((column) => !["celsius", "throttled", "power_mode"].includes(column.id) || clips.value.some((clip) => column.key(clip) !== undefined));
+  const rows = sorted(clips.value, all.find((column) => column.id === order.id) ?? all[0]!, order.down);
+  const download = () => {
+    const file = new Blob([csv(rows, all)], { type: "text/csv" });
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(file);
+    link.download = `clips-${overview.value?.node ?? "node"}.csv`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  };
+  return (
+    <Section
+      id="clips"
+      title="Clips"
+      wide
+      aside={
+        <button type="button" class="plain" onClick={download} disabled={rows.length === 0}>
+          Download {count(rows.length)} as CSV
+        </button>
+      }
+    >
+      {rows.length === 0 ? (
+        <p class="message quiet">No clip has ended yet.</p>
+      ) : (
+        <div class="scroll" tabIndex={0} role="region" aria-labelledby="clips-title">
+          <table>
+            <thead>
+              <tr>
+                {shown.map((column) => (
+                  <th key={column.id} scope="col" class={column.left ? "left" : ""} aria-sort={order.id === column.id ? (order.down ? "descending" : "ascending") : undefined}>
+                    <button
+                      type="button"
+                      class="sort"
+                      onClick={() => setOrder({ id: column.id, down: order.id === column.id ? !order.down : true })}
+                    >
+                      {column.head}
+                      <span aria-hidden="true">{order.id === column.id ? (order.down ? " ▾" : " ▴") : ""}</span>
+                    </button>
+                  </th>
+                ))}
+              </tr>
+            </thead>
+            <tbody>
+              {rows.slice(0, SHOWN).map((clip) => (
+                <tr key={`${clip.camera} ${clip.report}`}>
+                  {shown.map((column) => (
+                    <td key={column.id} class={column.left ? "left" : ""}>
+                      {column.cell(clip)}
+                    </td>
+                  ))}
+                </tr>
+              ))}
+            </tbody>
+          </table>
+        </div>
+      )}
+      {rows.length > SHOWN && <p class="message quiet">The first {SHOWN} of {count(rows.length)}; the file has them all.</p>}
+    </Section>
+  );
+}

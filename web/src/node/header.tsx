@@ -1,0 +1,148 @@
+// The head of the page: which node, how it is, what runs the detector, what was saved.
+
+import { useComputed } from "@preact/signals";
+import { count, duration, joules, percent, short, small, watts } from "../shared/format";
+import { Figure, Pill, Quality, type Mood } from "../shared/parts";
+import { saved } from "./energy";
+import { clips, counters, detector, knob, knobInForce, lost, missed, overview } from "./store";
+
+interface State {
+  mood: Mood;
+  word: string;
+  why: string;
+}
+
+function state(): State {
+  if (lost.value !== undefined) return { mood: "bad", word: "node does not answer", why: "Trying again. What is shown is the last that was heard." };
+  const now = overview.value;
+  if (!now) return { mood: "wait", word: "connecting", why: "" };
+  const reasons = now.reasons.map((reason) => {
+    const subject = reason.subject ? ` ${reason.subject}` : "";
+    return `${reason.part}${subject}: ${reason.reason} (for ${duration(reason.since_s)})`;
+  });
+  const why = reasons.join("; ");
+  if (now.state === "ready") return { mood: "good", word: "ready", why };
+  return { mood: "bad", word: now.state === "degraded" ? "degraded" : "not ready", why };
+}
+
+/** Whether the detector runs on something else than what was asked for first. */
+function provider(): { mood: Mood; text: string } {
+  const now = overview.value;
+  const runs = detector.value?.provider ?? now?.provider;
+  if (!runs) return { mood: "wait", text: "no provider yet" };
+  const wanted = now?.requested_providers[0];
+  return wanted && wanted !== runs
+    ? { mood: "bad", text: `${runs}, not ${wanted}` }
+    : { mood: "none", text: runs };
+}
+
+export function Header() {
+  const is = useComputed(state).value;
+  const runs = useComputed(provider).value;
+  const now = overview.value;
+  const name = now?.node;
+  if (name) document.title = `${name} · albireo`;
+  return (
+    <header>
+      <h1>
+        <span class="quiet">albireo</span> {name ?? "…"}
+      </h1>
+      <span role="status">
+        <Pill mood={is.mood}>{is.word}</Pill>
+      </span>
+      {is.why && <span class="why">{is.why}</span>}
+      {now && (
+        <dl class="facts">
+          <div>
+            <dt>runs on</dt>
+            <dd class={runs.mood}>{runs.text}</dd>
+          </div>
+          <div>
+            <dt>policy</dt>
+            <dd>
+              {now.policy}
+              {knob.value && (
+                <>
+                  {", "}
+                  {knob.value.name} = <b>{small(knobInForce.value)}</b>
+                </>
+              )}
+            </dd>
+          </div>
+          <div>
+            <dt>up</dt>
+            <dd>{duration(now.uptime_s)}</dd>
+          </div>
+          <div>
+            <dt>version</dt>
+            <dd>{now.version}</dd>
+          </div>
+        </dl>
+      )}
+    </header>
+  );
+}
+
+/** What the whole node saved: detector calls since the start, energy over the clips it remembers. */
+export function Headline() {
+  const now = overview.value;
+  const all = [...counters.value.values()];
+  const frames = all.reduce((sum, camera) => sum + camera.frames, 0);
+  const degraded = all.reduce((sum, camera) => sum + camera.degraded_frames, 0);
+  const avoided = all.reduce((sum, camera) => sum + camera.states.E + camera.states.P, 0) - degraded;
+  const sums = saved(clips.value);
+  const power = all[0]?.watts.find((entry) => entry.domain === "total") ?? all[0]?.watts[0];
+  return (
+    <section class="wide headline" aria-label="What was saved">
+      <dl class="figures">
+        <Figure
+          label="detector calls avoided since the start"
+          note={frames ? `${count(avoided)} of ${count(frames)} frames` : "no frame yet"}
+        >
+          <span class="big">{frames ? percent(avoided / frames) : "–"}</span>
+        </Figure>
+        {sums.map((sum) => (
+          <Figure
+            key={sum.quality}
+            label={`energy an hour, over the last ${duration(sum.seconds)} of clips`}
+            note={
+              <>
+                detector on every frame: {joules((sum.vanilla / sum.seconds) * 3600)} an hour <Quality quality="estimated" />
+                {sum.unpriced > 0 && `, without ${short(sum.unpriced)} avoided calls that have no price`}
+              </>
+            }
+          >
+            <span class="big">{joules((sum.joules / sum.seconds) * 3600)}</span> <Quality quality={sum.quality} />
+          </Figure>
+        ))}
+        {sums.map((sum) => (
+          <Figure key={sum.quality} label="energy saved by it" note={<Quality quality="estimated" />}>
+            <span class="big">{sum.vanilla > 0 ? percent(1 - sum.joules / sum.vanilla) : "–"}</span>
+          </Figure>
+        ))}
+        {sums.length === 0 && (
+          <Figure label="energy an hour" note="comes with the first clip that ends">
+            <span class="big">–</span>
+          </Figure>
+        )}
+        {power && (
+          <Figure label="power now" note={<Quality quality={all[0]!.power_quality} />}>
+            <span class="big">{watts(power.watts)}</span>
+          </Figure>
+        )}
+        {degraded > 0 && (
+          <Figure label="answered without the detector it needed" note="degraded frames: not among the avoided">
+            <span class="big bad">{count(degraded)}</span>
+          </Figure>
+        )}
+      </dl>
+      {now && !now.outbox.durable && now.outbox.waiting > 0 && (
+        <p class="message quiet">
+          {count(now.outbox.waiting)} clip reports wait for a hub in memory: no state_dir is set, so they are gone when the
+          node stops.
+        </p>
+      )}
+      {missed.value > 0 && <p class="message wait">This page was too slow for {count(missed.value)} events.</p>}
+    </section>
+  );
+}

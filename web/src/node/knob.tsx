@@ -1,0 +1,148 @@
+// The knob: on a logarithmic scale over its useful range, in force from the next frame on.
+
+import { useEffect, useState } from "preact/hooks";
+import { Refused, send } from "../shared/api";
+import { parsed, small, typed } from "../shared/format";
+import { Section, whyNot } from "../shared/parts";
+import { cameras, knob, knobInForce, opened, overview, thresholds } from "./store";
+import type { Knob } from "./types";
+
+const STEPS = 200;
+/** Values that the paper measured with (its threshold sweep). */
+const PAPER = [3e-4, 5e-4, 7e-4, 1e-3];
+
+/** The slider covers what is of use; the field takes the whole range. */
+export function usefulRange(knob: Pick<Knob, "minimum" | "maximum" | "default">): [number, number] {
+  return [Math.max(knob.minimum, knob.default / 100), Math.min(knob.maximum, knob.default * 100)];
+}
+
+export function toSlider(value: number, [low, high]: [number, number]): number {
+  const place = (STEPS * Math.log(value / low)) / Math.log(high / low);
+  return Math.round(Math.min(STEPS, Math.max(0, place)));
+}
+
+export function fromSlider(place: number, [low, high]: [number, number]): number {
+  return Number((low * (high / low) ** (place / STEPS)).toPrecision(2));
+}
+
+export function KnobPanel() {
+  const about = knob.value;
+  const inForce = knobInForce.value;
+  const [text, setText] = useState("");
+  const [edited, setEdited] = useState(false);
+  const [everywhere, setEverywhere] = useState(false);
+  const [said, setSaid] = useState<{ good: boolean; text: string } | undefined>(undefined);
+
+  useEffect(() => {
+    if (!edited && inForce !== undefined) setText(typed(inForce));
+  }, [inForce, edited, opened.value]);
+
+  if (!about) {
+    return (
+      <Section id="knob" title="Threshold">
+        <p class="message quiet">The policy {overview.value?.policy ?? ""} has no threshold to turn.</p>
+      </Section>
+    );
+  }
+  const range = usefulRange(about);
+  const value = parsed(text);
+  const change = (next: string) => {
+    setText(next);
+    setEdited(true);
+    setSaid(undefined);
+  };
+  const submit = async (event: Event) => {
+    event.preventDefault();
+    const path = everywhere ? "/api/v1/threshold" : `/api/v1/cameras/${encodeURIComponent(opened.value!)}/threshold`;
+    try {
+      // As typed where it is no number: the node says what is wrong with it.
+      await send("PUT", path, { [about.name]: value ?? text.trim() });
+      setSaid({ good: true, text: `${about.name} = ${small(value)} from the next frame on.` });
+      setEdited(false);
+    } catch (error) {
+      const refused = error instanceof Refused || error instanceof Error ? error.message : String(error);
+      setSaid({ good: false, text: refused });
+    }
+  };
+  const changed = value !== undefined && inForce !== undefined && value !== inForce;
+  const paper = about.name === "u" ? PAPER.filter((mark) => mark >= range[0] && mark <= range[1]) : [];
+  const forbidden = whyNot();
+  return (
+    <Section
+      id="knob"
+      title={`Threshold ${about.name}`}
+      aside={<span>in force: <b id="in-force">{small(inForce)}</b></span>}
+    >
+      <form onSubmit={submit}>
+        <p class="message quiet">{about.meaning.replace(/\.?$/, ".")}</p>
+        <div class="slider">
+          <input
+            type="range"
+            min={0}
+            max={STEPS}
+            step={1}
+            aria-label={`${about.name}, on a logarithmic scale`}
+            aria-valuetext={text}
+            value={value !== undefined && value > 0 ? toSlider(value, range) : 0}
+            onInput={(event) => change(typed(fromSlider(Number(event.currentTarget.value), range)))}
+          />
+          <span class="ends quiet">
+            <span>{small(range[0])}: accurate</span>
+            <span>{small(range[1])}: saves most</span>
+          </span>
+        </div>
+        <div class="row">
+          <label for="u">{about.name}</label>
+          <input
+            id="u"
+            type="text"
+            inputmode="decimal"
+            autocomplete="off"
+            value={text}
+            aria-describedby="knob-range knob-message"
+            aria-invalid={said && !said.good ? true : undefined}
+            onInput={(event) => change(event.currentTarget.value)}
+          />
+          <button disabled={forbidden !== undefined}>Set</button>
+          {cameras.value.length > 1 && (
+            <label>
+              <input type="checkbox" checked={everywhere} onChange={(event) => setEverywhere(event.currentTarget.checked)} />{" "}
+              all {cameras.value.length} cameras
+            </label>
+          )}
+          {edited && changed && (
+            <button
+              type="button"
+              class="plain"
+              onClick={() => {
+                setEdited(false);
+                setSaid(undefined);
+              }}
+            >
+              Leave at {small(inForce)}
+            </button>
+          )}
+        </div>
+        {paper.length > 0 && (
+          <p class="row marks">
+            <span class="quiet">measured in the paper:</span>
+            {paper.map((mark) => (
+              <button key={mark} type="button" class="plain" onClick={() => change(typed(mark))}>
+                {small(mark, 1)}
+              </button>
+            ))}
+          </p>
+        )}
+        <p id="knob-message" class={`message ${said?.good ? "good" : "bad"}`} role="alert">
+          {forbidden ?? said?.text ?? ""}
+        </p>
+        <p id="knob-range" class="message quiet">
+          From {small(about.minimum)} to {small(about.maximum)}; without configuration {small(about.default)}.{" "}
+          {thresholds.value?.survives_restart
+            ? "A change survives a restart of the node."
+            : "A change is forgotten when the node restarts: it has no state_dir."}
+        </p>
+      </form>
+    </Section>
+  );
+}

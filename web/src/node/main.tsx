@@ -1,0 +1,85 @@
+// The page of one node.
+
+import { render } from "preact";
+import { useEffect } from "preact/hooks";
+import { askWho, caller, pause } from "../shared/api";
+import { Unlock } from "../shared/parts";
+import "../shared/style.css";
+import { Tiles } from "./cameras";
+import { DetectorTime, Power, Rates, Uncertainty } from "./charts";
+import { Clips } from "./clips";
+import { Header, Headline } from "./header";
+import { Health } from "./health";
+import { KnobPanel } from "./knob";
+import { Picture } from "./picture";
+import { Ribbon } from "./ribbon";
+import { States } from "./states";
+import { cameras, lost, opened, watchFrames, watchNode } from "./store";
+
+function Page() {
+  const who = caller.value;
+  const locked = who?.token_needed ?? false;
+  const open = who !== undefined && !locked;
+  useEffect(() => {
+    if (!open) return;
+    const stop = new AbortController();
+    watchNode(stop.signal);
+    return () => stop.abort();
+  }, [open]);
+  const camera = opened.value;
+  const known = cameras.value.some((entry) => entry.camera === camera);
+  useEffect(() => {
+    if (!open || camera === undefined || !known) return;
+    const stop = new AbortController();
+    watchFrames(camera, stop.signal);
+    return () => stop.abort();
+  }, [open, camera, known]);
+
+  if (locked) return <Unlock what="node" />;
+  return (
+    <>
+      <Header />
+      {open && (
+        <main>
+          <Headline />
+          <Tiles />
+          <div class="stack">
+            <Picture />
+          </div>
+          <div class="stack">
+            <States />
+            <KnobPanel />
+          </div>
+          <Ribbon />
+          <div class="stack">
+            <Uncertainty />
+            <Rates />
+          </div>
+          <div class="stack">
+            <Power />
+            <DetectorTime />
+            <Health />
+          </div>
+          <Clips />
+        </main>
+      )}
+    </>
+  );
+}
+
+async function start(): Promise<void> {
+  render(<Page />, document.getElementById("page")!);
+  // The node may still be starting.
+  for (;;) {
+    try {
+      await askWho();
+      lost.value = undefined;
+      return;
+    } catch (error) {
+      lost.value = error instanceof Error ? error.message : String(error);
+      await pause(1000);
+    }
+  }
+}
+
+void start();

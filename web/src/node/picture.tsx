@@ -1,0 +1,193 @@
+// The picture with its boxes: the JPEG untouched, boxes over it by source; held, and stepped through.
+
+import { useEffect, useRef, useState } from "preact/hooks";
+import { pause, Refused } from "../shared/api";
+import { percent } from "../shared/format";
+import { Section } from "../shared/parts";
+import { describe, type Seen } from "./frames";
+import { counters, frameListeners, knob, log, opened, picture, pointed, tick } from "./store";
+import type { BoxSource } from "./types";
+
+const LINES: Record<BoxSource, { colour: string; dash: number[] }> = {
+  detected: { colour: "#4fb3ff", dash: [] },
+  predicted: { colour: "#6be28f", dash: [9, 6] },
+  rescued: { colour: "#ffb454", dash: [2, 4] },
+};
+
+/** Pictures that are kept for stepping. */
+const KEPT = 60;
+/** Shortest time between two pictures, milliseconds. */
+const LEAST_MS = 90;
+
+interface Shown {
+  seq: number;
+  bitmap: ImageBitmap;
+}
+
+export function Picture() {
+  const canvas = useRef<HTMLCanvasElement>(null);
+  const kept = useRef<{ seq: number; file: Blob }[]>([]);
+  const shown = useRef<Shown | undefined>(undefined);
+  const [note, setNote] = useState("no picture yet");
+  const camera = opened.value;
+
+  const paint = (frame: Seen | undefined, picture: Shown | undefined) => {
+    const place = canvas.current;
+    if (!place || (!frame && !picture)) return;
+    draw(place, frame, picture?.bitmap);
+    const words = frame ? describe(frame, knob.value?.name ?? "", Date.now() / 1000) : `frame ${picture!.seq}`;
+    setNote(picture ? words : `${words} · this page has no picture of it`);
+    const boxes = frame?.boxes.map((box) => `${box.class} ${percent(box.confidence, 0)} (${box.source})`).join(", ");
+    place.setAttribute("aria-label", `Picture of camera ${opened.value}, ${words}${boxes ? `: ${boxes}` : ""}`);
+  };
+
+  const show = async (seq: number, file: Blob | undefined) => {
+    const bitmap = file && (await createImageBitmap(file));
+    const asked = pointed.value;
+    // Somebody pointed elsewhere while it was decoded.
+    if (asked !== undefined && asked !== seq) return bitmap?.close();
+    shown.current?.bitmap.close();
+    shown.current = bitmap ? { seq, bitmap } : undefined;
+    paint(log.bySeq(seq), shown.current);
+  };
+
+  // New pictures, while nobody holds one.
+  useEffect(() => {
+    if (!camera) return;
+    const stop = new AbortController();
+    kept.current = [];
+    setNote("no picture yet");
+    const came = () => new Promise<void>((done) => {
+      const listener = () => {
+        frameListeners.delete(listener);
+        done();
+      };
+      frameListeners.add(listener);
+      stop.signal.addEventListener("abort", listener);
+    });
+    const run = async () => {
+      while (!stop.signal.aborted) {
+        try {
+          // A camera that was never seen has no picture to ask for.
+          if (document.hidden || pointed.value !== undefined || !counters.value.get(camera)?.frames) {
+            await pause(200, stop.signal);
+            continue;
+          }
+          const began = performance.now();
+          const got = await picture(camera);
+          if (stop.signal.aborted) return;
+          if (kept.current.at(-1)?.seq !== got.seq) {
+            kept.current.push(got);
+            if (kept.current.length > KEPT) kept.current.shift();
+          }
+          // The picture is there before the frame is decided: boxes and picture are shown together.
+          if (!log.bySeq(got.seq)) await Promise.race([came(), pause(400, stop.signal)]);
+          if (pointed.value === undefined) await show(got.seq, got.file);
+          const rest = LEAST_MS - (performance.now() - began);
+          if (rest > 0) await pause(rest, stop.signal);
+          // Nothing new: the next frame is awaited, for a while.
+          if (log.at(log.length - 1)?.seq === got.seq) await Promise.race([came(), pause(2000, stop.signal)]);
+        } catch (error) {
+          await pause(error instanceof Refused ? 2000 : 1000, stop.signal);
+        }
+      }
+    };
+    void run();
+    return () => stop.abort();
+  }, [camera]);
+
+  // The frame that is pointed at.
+  const seq = pointed.value;
+  useEffect(() => {
+    if (seq === undefined) return;
+    void show(seq, kept.current.find((picture) => picture.seq === seq)?.file);
+  }, [seq]);
+
+  const step = (by: number) => {
+    const from = pointed.value ?? shown.current?.seq;
+    if (from === undefined) return;
+    // Among the frames that a picture is kept of; further back by the ribbon.
+    const places = kept.current.map((picture) => picture.seq);
+    const at = places.indexOf(from);
+    const next = at >= 0 ? places[at + by] : log.at(log.indexOf(from) + by)?.seq;
+    if (next !== undefined) pointed.value = next;
+  };
+  const hold = () => {
+    pointed.value = pointed.value === undefined ? shown.current?.seq : undefined;
+  };
+  const held = pointed.value !== undefined;
+  void tick.value;
+
+  return (
+    <Section
+      id="picture"
+      title={camera ? `Camera ${camera}` : "Picture"}
+      aside={
+        <div class="row controls" role="group" aria-label="Frames">
+          <button type="button" class="plain" onClick={() => step(-1)} aria-label="One frame back">
+            ◀
+          </button>
+          <button type="button" class="plain" onClick={hold} aria-pressed={held}>
+            {held ? "Go on" : "Hold"}
+          </button>
+          <button type="button" class="plain" onClick={() => step(1)} disabled={!held} aria-label="One frame forward">
+            ▶
+          </button>
+        </div>
+      }
+    >
+      <canvas id="canvas" ref={canvas} width={640} height={360} role="img" aria-label="No picture yet" />
+      <p class="under-picture" id="picture-note">
+        {note}
+      </p>
+      <ul class="legend">
+        <li>
+          <i class="line detected" /> detected in this frame
+        </li>
+        <li>
+          <i class="line predicted" /> predicted, detector not asked
+        </li>
+        <li>
+          <i class="line rescued" /> missed by the detector, kept
+        </li>
+      </ul>
+    </Section>
+  );
+}
+
+function draw(canvas: HTMLCanvasElement, frame: Seen | undefined, bitmap: ImageBitmap | undefined): void {
+  const context = canvas.getContext("2d")!;
+  const width = bitmap?.width ?? frame?.width ?? canvas.width;
+  const height = bitmap?.height ?? frame?.height ?? canvas.height;
+  if (canvas.width !== width || canvas.height !== height) {
+    canvas.width = width;
+    canvas.height = height;
+    canvas.style.aspectRatio = `${width} / ${height}`;
+  }
+  if (bitmap) context.drawImage(bitmap, 0, 0);
+  else {
+    context.fillStyle = "#0b0e13";
+    context.fillRect(0, 0, width, height);
+  }
+  // Lines and words keep their size on the screen, whatever the picture's.
+  const unit = width / (canvas.clientWidth || width);
+  context.lineWidth = 2 * unit;
+  context.font = `600 ${11 * unit}px system-ui, sans-serif`;
+  context.textBaseline = "bottom";
+  for (const box of frame?.boxes ?? []) {
+    const { colour, dash } = LINES[box.source];
+    const [x1, y1, x2, y2] = box.box as [number, number, number, number];
+    context.strokeStyle = colour;
+    context.setLineDash(dash.map((length) => length * unit));
+    context.strokeRect(x1, y1, x2 - x1, y2 - y1);
+    const label = `${box.class} ${percent(box.confidence, 0)}`;
+    const tall = 15 * unit;
+    const wide = context.measureText(label).width + 6 * unit;
+    const top = y1 >= tall ? y1 - tall : y1;
+    const left = Math.min(x1, width - wide);
+    context.fillStyle = "#0b0e13cc";
+    context.fillRect(left, top, wide, tall);
+    context.fillStyle = colour;
+    context.fillText(label, left + 3 * unit, top + tall - unit);
+  }
+}

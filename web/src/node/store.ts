@@ -1,0 +1,226 @@
+// What the page knows of the node: filled from its event streams and a few looks, read by the components.
+
+import { computed, signal } from "@preact/signals";
+import { answer, caller, every, follow, json } from "../shared/api";
+import { knobValue } from "../shared/knob";
+import { FrameLog } from "./frames";
+import type {
+  CameraEntry, ClipReport, Counters, DetectorEvent, Frame, Overview, Threshold, Thresholds,
+} from "./types";
+
+/** Frames of the opened camera that are remembered: minutes, and some megabytes at most. */
+export const MOST_FRAMES = 6000;
+/** Counter samples remembered, one a second. */
+const MOST_SAMPLES = 3600;
+/** Clips remembered: as many as the node does. */
+const MOST_CLIPS = 256;
+
+export interface Sample {
+  /** Seconds since the Unix epoch. */
+  at: number;
+  frames: number;
+  skipped: number;
+  degraded: number;
+}
+
+export interface PowerSample {
+  at: number;
+  watts: Record<string, number>;
+}
+
+export const overview = signal<Overview | undefined>(undefined);
+/** Why the node cannot be reached; undefined while it can. */
+export const lost = signal<string | undefined>(undefined);
+export const cameras = signal<(CameraEntry & { readAt: number })[]>([]);
+export const counters = signal<ReadonlyMap<string, Counters>>(new Map());
+export const thresholds = signal<Thresholds | undefined>(undefined);
+export const clips = signal<ClipReport[]>([]);
+export const detector = signal<DetectorEvent | undefined>(undefined);
+/** Events that this page was too slow for. */
+export const missed = signal(0);
+
+/** The camera that is looked at; kept in the address, so that a link leads to it. */
+export const opened = signal<string | undefined>(cameraOfAddress());
+export const log = new FrameLog(MOST_FRAMES);
+/** Grows a few times a second while there is something new to draw. */
+export const tick = signal(0);
+/** The frame that picture, ribbon and charts point at; undefined while they follow the newest. */
+export const pointed = signal<number | undefined>(undefined);
+
+export const samples = new Map<string, Sample[]>();
+export const power: PowerSample[] = [];
+
+export const knob = computed(() => {
+  const mine = thresholds.value?.cameras.find((camera) => camera.camera === opened.value);
+  return mine?.knob ?? undefined;
+});
+export const knobInForce = computed(() => {
+  const mine = thresholds.value?.cameras.find((camera) => camera.camera === opened.value);
+  return mine?.knob ? knobValue(mine, mine.knob.name) : undefined;
+});
+
+let dirty = false;
+setInterval(() => {
+  if (dirty && !document.hidden) {
+    dirty = false;
+    tick.value += 1;
+  }
+}, 200);
+
+function cameraOfAddress(): string | undefined {
+  return new URLSearchParams(location.hash.slice(1)).get("camera") ?? undefined;
+}
+
+addEventListener("hashchange", () => {
+  const named = cameraOfAddress();
+  if (named !== undefined && named !== opened.value) open(named);
+});
+
+export function open(camera: string): void {
+  opened.value = camera;
+  history.replaceState(null, "", `#camera=${encodeURIComponent(camera)}`);
+}
+
+function takeCounters(message: Counters): void {
+  const list = samples.get(message.camera) ?? [];
+  samples.set(message.camera, list);
+  const at = message.t_ns / 1e9;
+  const before = list.at(-1);
+  // The node began anew.
+  if (before && message.frames < before.frames) list.length = 0;
+  const skipped = message.states.E + message.states.P - message.degraded_frames;
+  list.push({ at, frames: message.frames, skipped, degraded: message.degraded_frames });
+  if (list.length > MOST_SAMPLES) list.splice(0, MOST_SAMPLES / 10);
+  if (message.camera === cameras.value[0]?.camera || cameras.value.length === 0) {
+    power.push({ at, watts: Object.fromEntries(message.watts.map(({ domain, watts }) => [domain, watts])) });
+    if (power.length > MOST_SAMPLES) power.splice(0, MOST_SAMPLES / 10);
+  }
+  counters.value = new Map(counters.value).set(message.camera, message);
+  dirty = true;
+}
+
+function takeThreshold(message: Threshold): void {
+  const known = thresholds.value;
+  if (!known) return;
+  thresholds.value = {
+    ...known,
+    cameras: known.cameras.map((entry) => (entry.camera === message.camera ? { ...entry, ...message } : entry)),
+  };
+}
+
+function takeClip(report: ClipReport): void {
+  clips.value = [report, ...clips.value].slice(0, MOST_CLIPS);
+}
+
+async function lookAtAll(): Promise<void> {
+  const [kept, known, newest] = await Promise.all([
+    json<Thresholds>("/api/v1/threshold"),
+    json<{ cameras: CameraEntry[] }>("/api/v1/cameras"),
+    json<{ clips: ClipReport[] }>(`/api/v1/clips?limit=${MOST_CLIPS}`),
+  ]);
+  thresholds.value = kept;
+  takeCameras(known.cameras);
+  clips.value = newest.clips;
+  await lookAtNode();
+}
+
+async function lookAtNode(): Promise<void> {
+  const before = overview.value?.uptime_s ?? 0;
+  const now = await json<Overview>("/api/v1/node");
+  if (now.uptime_s < before) {
+    // Another run: its frames are others.
+    log.clear();
+    pointed.value = undefined;
+    samples.clear();
+    power.length = 0;
+  }
+  overview.value = now;
+}
+
+function takeCameras(known: CameraEntry[]): void {
+  const readAt = performance.now();
+  cameras.value = known.map((camera) => ({ ...camera, readAt }));
+  if (!known.some((camera) => camera.camera === opened.value) && known[0]) opened.value = known[0].camera;
+}
+
+function onEvent(name: string, data: unknown): void {
+  switch (name) {
+    case "counters": return takeCounters(data as Counters);
+    case "threshold": return takeThreshold(data as Threshold);
+    case "clip": return takeClip(data as ClipReport);
+    case "detector":
+      detector.value = data as DetectorEvent;
+      // Health follows the detector; who looks shall not wait for the next turn.
+      void lookAtNode().catch(() => {});
+      return;
+    case "lagged":
+      missed.value += (data as { lost: number }).lost;
+      void lookAtAll().catch(() => {});
+  }
+}
+
+/** Follows the node until aborted. */
+export function watchNode(signal: AbortSignal): void {
+  void follow({
+    path: () => "/api/v1/events?types=counters,clip,threshold,detector",
+    onEvent,
+    onOpen: async () => {
+      await lookAtAll();
+      lost.value = undefined;
+    },
+    onLost: (reason) => {
+      lost.value = reason;
+    },
+    signal,
+  });
+  void every(1000, signal, async () => {
+    if (lost.value !== undefined || caller.value?.token_needed) return;
+    const [known] = await Promise.all([json<{ cameras: CameraEntry[] }>("/api/v1/cameras"), lookAtNode()]);
+    takeCameras(known.cameras);
+  });
+}
+
+/** Follows the frames of one camera until aborted. */
+export function watchFrames(camera: string, signal: AbortSignal): void {
+  log.clear();
+  pointed.value = undefined;
+  dirty = true;
+  void follow({
+    path: () => `/api/v1/events?camera=${encodeURIComponent(camera)}&types=frame`,
+    onEvent: (name, data) => {
+      if (name !== "frame") return;
+      log.push({ ...(data as Frame), at: Date.now() / 1000 });
+      dirty = true;
+      for (const listener of frameListeners) listener(data as Frame);
+    },
+    signal,
+  });
+}
+
+/** Called at every frame of the opened camera. */
+export const frameListeners = new Set<(frame: Frame) => void>();
+
+/** The newest picture of a camera with the number of its frame. */
+export async function picture(camera: string): Promise<{ seq: number; file: Blob }> {
+  const response = await answer(`/api/v1/cameras/${encodeURIComponent(camera)}/frame.jpg`);
+  return { seq: Number(response.headers.get("albireo-frame")), file: await response.blob() };
+}
+
+export interface Rates {
+  perSecond: number;
+  skipRate: number;
+}
+
+/** Frames a second and skip rate of a camera over the last `seconds` that were seen. */
+export function rates(camera: string, seconds: number): Rates | undefined {
+  const list = samples.get(camera);
+  const last = list?.at(-1);
+  if (!list || !last) return undefined;
+  const first = list.find((sample) => sample.at >= last.at - seconds);
+  if (!first || first === last) return undefined;
+  const frames = last.frames - first.frames;
+  return {
+    perSecond: frames / (last.at - first.at),
+    skipRate: frames ? (last.skipped - first.skipped) / frames : NaN,
+  };
+}

@@ -1,0 +1,20 @@
+// The messages of a node, as its OpenAPI document has them.
+
+import type { components } from "../api/node";
+
+type Schemas = components["schemas"];
+
+export type CameraEntry = Schemas["CameraEntry"];
+export type ClipReport = Schemas["ClipReport"];
+export type Counters = Schemas["CountersMessage"];
+export type DetectorEvent = Schemas["DetectorEvent"];
+export type Detections = Schemas["DetectionsMessage"];
+export type Frame = Schemas["FrameEvent"];
+export type FrameState = Schemas["FrameState"];
+export type BoxSource = Schemas["BoxSource"];
+export type Overview = Schemas["NodeOverview"];
+export type States = Schemas["NodeStates"];
+export type Threshold = Schemas["ThresholdEvent"];
+export type Thresholds = Schemas["Thresholds"];
+export type CameraThreshold = Schemas["CameraThreshold"];
+export type Knob = Schemas["Knob"];

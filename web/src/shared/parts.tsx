@@ -1,0 +1,119 @@
+// Small parts that both pages use.
+
+import type { ComponentChildren } from "preact";
+import { useState } from "preact/hooks";
+import { caller, tokenRefused, useToken } from "./api";
+
+export type Mood = "good" | "bad" | "wait" | "none";
+
+export function Pill({ mood, children, title }: { mood: Mood; children: ComponentChildren; title?: string }) {
+  return (
+    <span class={`pill ${mood}`} title={title}>
+      {children}
+    </span>
+  );
+}
+
+/** Where a figure of energy comes from, told apart at a glance: filled when metered, an outline with ≈ when not. */
+export function Quality({ quality }: { quality: string }) {
+  const words: Record<string, string> = {
+    measured: "measured",
+    partial: "measured in part",
+    estimated: "≈ estimated",
+    unavailable: "no figure",
+  };
+  return <span class={`quality ${quality}`}>{words[quality] ?? quality}</span>;
+}
+
+export function Figure({ label, children, note }: { label: string; children: ComponentChildren; note?: ComponentChildren }) {
+  return (
+    <div class="figure">
+      <dt>{label}</dt>
+      <dd>{children}</dd>
+      {note !== undefined && <dd class="note">{note}</dd>}
+    </div>
+  );
+}
+
+export function Section(props: {
+  id: string;
+  title: string;
+  wide?: boolean;
+  aside?: ComponentChildren;
+  children: ComponentChildren;
+}) {
+  return (
+    <section aria-labelledby={`${props.id}-title`} id={props.id} class={props.wide ? "wide" : undefined}>
+      <div class="section-head">
+        <h2 id={`${props.id}-title`}>{props.title}</h2>
+        {props.aside}
+      </div>
+      {props.children}
+    </section>
+  );
+}
+
+/** Asks for the token; shown in place of everything that needs one. */
+export function Unlock({ what }: { what: string }) {
+  const [text, setText] = useState("");
+  const [fault, setFault] = useState("");
+  const submit = async (event: Event) => {
+    event.preventDefault();
+    setFault("");
+    try {
+      await useToken(text);
+    } catch (error) {
+      setFault(error instanceof Error ? error.message : String(error));
+    }
+    setText("");
+  };
+  return (
+    <main class="narrow">
+      <section aria-labelledby="unlock-title" class="wide">
+        <h2 id="unlock-title">This {what} asks for a token</h2>
+        <form onSubmit={submit}>
+          <label for="token">Token, as in the {what}'s configuration. It is kept until this tab is closed.</label>
+          <div class="row">
+            <input
+              id="token"
+              type="password"
+              autocomplete="off"
+              required
+              autofocus
+              value={text}
+              onInput={(event) => setText(event.currentTarget.value)}
+            />
+            <button>Open</button>
+          </div>
+          <p class="message bad" role="alert">
+            {fault || (tokenRefused.value ? `This token is not the ${what}'s.` : "")}
+          </p>
+        </form>
+      </section>
+    </main>
+  );
+}
+
+/** Why something cannot be changed, or nothing. */
+export function whyNot(): string | undefined {
+  const who = caller.value;
+  return who && !who.may_tune
+    ? `The token “${who.name}” may look and not change: this needs one with the role “tune”.`
+    : undefined;
+}
+
+export function CopyButton({ text }: { text: string }) {
+  const [done, setDone] = useState(false);
+  const copy = async () => {
+    // Only there on pages of this machine and over TLS.
+    await navigator.clipboard?.writeText(text);
+    setDone(true);
+    setTimeout(() => setDone(false), 1500);
+  };
+  if (!navigator.clipboard) return null;
+  return (
+    <button type="button" class="plain" onClick={copy}>
+      {done ? "Copied" : "Copy"}
+    </button>
+  );
+}

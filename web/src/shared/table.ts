@@ -1,0 +1,37 @@
+// Tables: sorting, and rows as CSV (RFC 4180).
+
+import type { ComponentChildren } from "preact";
+
+export interface Column<T> {
+  id: string;
+  head: string;
+  /** What it is sorted by and written to a file as; undefined where there is nothing. */
+  key: (row: T) => number | string | undefined;
+  cell: (row: T) => ComponentChildren;
+  unit?: string;
+  /** Words, not numbers. */
+  left?: boolean;
+}
+
+/** Sorted by a column; what has no value comes last either way. */
+export function sorted<T>(rows: readonly T[], column: Column<T>, down: boolean): T[] {
+  return [...rows].sort((a, b) => {
+    const [x, y] = [column.key(a), column.key(b)];
+    if (x === undefined || y === undefined) return x === y ? 0 : x === undefined ? 1 : -1;
+    const order = typeof x === "number" && typeof y === "number" ? x - y : String(x).localeCompare(String(y));
+    return down ? -order : order;
+  });
+}
+
+function field(value: number | string | undefined): string {
+  let text = value === undefined ? "" : String(value);
+  // A spreadsheet would take it for a formula.
+  if (typeof value === "string" && /^[=+\-@\t\r]/.test(text)) text = `'${text}`;
+  return /[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
+}
+
+export function csv<T>(rows: readonly T[], columns: readonly Column<T>[]): string {
+  const head = columns.map((column) => field(column.unit ? `${column.id} (${column.unit})` : column.id));
+  const lines = rows.map((row) => columns.map((column) => field(column.key(row))));
+  return [head, ...lines].map((line) => `${line.join(",")}\r\n`).join("");
+}

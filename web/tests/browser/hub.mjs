@@ -1,0 +1,169 @@
+// The hub's page.
+
+import { join } from "node:path";
+import { accessible, answers, assert, file, fits, folder, freePort, open, quiet, start, stop, test, until } from "./harness.mjs";
+
+const NODES = Number(process.env.ALBIREO_NODES ?? 10_000);
+
+export async function hubTests(browser) {
+  const [port, zenoh] = [await freePort(), await freePort()];
+  const address = `http://127.0.0.1:${port}`;
+  const config = file("hub.toml", `
+[zenoh]
+listen = ["tcp/127.0.0.1:${zenoh}"]
+[http]
+listen = "127.0.0.1:${port}"
+token = "a-token-that-may-tune"
+[database]
+url = "sqlite:${join(folder, "hub.db")}"
+[[token]]
+name = "looker"
+role = "read"
+token = "a-token-that-may-look"
+`);
+  let hub = start(["hub", "--config", config]);
+  await answers(`${address}/readyz`, hub);
+  const fleet = start(["simulate", "--nodes", String(NODES), "--sessions", "20", "--connect", `tcp/127.0.0.1:${zenoh}`, "--for", "3000",
+    "--clip-s", "40", "--gather", "1", "--refusing", "0.01", "--seed", "7"]);
+  const headers = { Authorization: "Bearer a-token-that-may-tune" };
+  await until("all nodes online", async () => {
+    if (fleet.exitCode !== null) throw new Error(fleet.said);
+    return (await (await fetch(`${address}/api/v1/fleet?limit=0`, { headers })).json()).counts.online === NODES;
+  });
+  const page = await open(browser, address);
+  const unlock = async (page, token) => {
+    await page.getByLabel(/Token/).fill(token);
+    await page.keyboard.press("Enter");
+  };
+  const firstName = () => page.locator(".fleet-body .c-name a").first().textContent();
+  const total = async () => Number((await page.locator("#fleet .section-head [role=status]").textContent()).replaceAll(",", "").match(/\d+/)?.[0]);
+
+  await test("a fleet is shown in a line and as a table, without an error in the console", async () => {
+    await unlock(page, "a-token-that-may-tune");
+    await until("the whole fleet", async () => (await total()) === NODES);
+    await page.locator(".fleet-body").getByText("sim-000003").waitFor();
+    assert((await page.textContent(".by-state")).includes("online"), "no state in the summary");
+    quiet(page);
+  });
+
+  await test("ten thousand rows are scrolled with as many elements as fit on the screen", async () => {
+    const scrolled = await page.evaluate(async () => {
+      const body = document.querySelector(".fleet-body");
+      const end = performance.now() + 3000;
+      let frames = 0;
+      let most = 0;
+      while (performance.now() < end) {
+        body.scrollTop += 150;
+        await new Promise(requestAnimationFrame);
+        frames += 1;
+        most = Math.max(most, document.querySelectorAll(".fleet-body [role=row]").length);
+      }
+      body.scrollTop = body.scrollHeight;
+      return { perSecond: frames / 3, most };
+    });
+    console.log(`        ${scrolled.perSecond.toFixed(0)} frames a second while scrolling, ${scrolled.most} rows in the page`);
+    assert(scrolled.most < 60, `${scrolled.most} rows`);
+    const last = `sim-${String(NODES - 1).padStart(6, "0")}`;
+    await page.locator(".fleet-body").getByText(last).waitFor();
+    quiet(page);
+  });
+
+  await test("what is sought, sorted and filtered is in the address, and there after a reload", async () => {
+    await page.getByLabel("part of the name").fill("00042");
+    await until("the found", async () => (await total()) < NODES && (await firstName()).includes("00042"));
+    await page.getByRole("button", { name: "online", exact: true }).click();
+    await page.getByRole("button", { name: "node", exact: false }).first().click();
+    await until("the other order", async () => page.url().includes("down=true"));
+    const [found, address_] = [await total(), page.url()];
+    assert(/search=00042/.test(address_) && /state=online/.test(address_), address_);
+    await page.reload();
+    await until("the same", async () => (await total()) === found);
+    assert(page.url() === address_, page.url());
+    await page.goto(`${address}/#/fleet?select=region%3Dnorth`);
+    await until("a label's nodes", async () => (await total()) > 0 && (await total()) < NODES);
+    quiet(page);
+  });
+
+  await test("a value is set for a selection, with the outcome at every node as it comes", async () => {
+    await page.goto(`${address}/#/fleet`);
+    await page.getByLabel(/for which nodes/).fill("sim-0000*");
+    await page.getByLabel("value").fill("4.2e-4");
+    await page.getByLabel(/why/).fill("a test of the page");
+    await page.getByRole("button", { name: "Who would change?" }).click();
+    await page.getByText("Nothing was changed:").waitFor();
+    await until("who would change", async () => /100 would change/.test(await page.textContent(".order")));
+    await page.getByRole("button", { name: /^Set u/ }).click();
+    await until("all outcomes", async () => {
+      const text = await page.textContent(".order");
+      const [applied, refused] = [Number(text.match(/(\d+) in force/)?.[1] ?? 0), Number(text.match(/(\d+) refused/)?.[1] ?? 0)];
+      return text.startsWith("Ordered") && applied + refused === 100 && applied > 90;
+    });
+    await page.getByRole("link", { name: /change \d+/ }).click();
+    await page.getByText("a test of the page").waitFor();
+    quiet(page);
+  });
+
+  await test("one node's own page shows it with clips, instances and changes", async () => {
+    await page.goto(`${address}/#/nodes/sim-000003`);
+    await page.getByRole("heading", { name: "sim-000003" }).waitFor();
+    await page.locator("#node-changes").getByText("a test of the page").waitFor();
+    await page.locator("#instances td").first().waitFor();
+    await until("a clip of it", async () => (await page.locator("#clips tbody tr").count()) > 0);
+    await accessible(page, "a node of the fleet");
+    quiet(page);
+  });
+
+  await test("a rollout is begun, watched by stages, and returned", async () => {
+    await page.goto(`${address}/#/rollouts`);
+    await page.getByLabel(/for which nodes/).fill("sim-00010*");
+    await page.getByLabel("u", { exact: true }).fill("3.5e-4");
+    await page.getByLabel(/stages/).fill("2, 100%");
+    await page.getByRole("button", { name: /^Begin/ }).click();
+    await page.getByRole("heading", { name: /Rollout \d+/ }).waitFor();
+    await until("the first stage's nodes", async () => /2 in force/.test(await page.textContent(".stages")));
+    await accessible(page, "a rollout");
+    await page.getByRole("button", { name: "Return the old values" }).click();
+    await page.getByText("returned to the old values").waitFor();
+    quiet(page);
+  });
+
+  await test("every view has no finding of axe and fits a phone", async () => {
+    const phone = await open(browser, address, { width: 390, height: 844, scheme: "dark" });
+    await unlock(phone, "a-token-that-may-tune");
+    for (const view of ["fleet", "energy", "rollouts", "trials", "changes", "set-aside"]) {
+      await phone.goto(`${address}/#/${view}`);
+      await phone.locator("main section h2").first().waitFor();
+      await until("what is loaded", async () => (await phone.locator("text=…").count()) === 0 || view === "fleet");
+      await fits(phone);
+      await accessible(phone, `${view}, 390, dark`);
+    }
+    quiet(phone);
+    await phone.context().close();
+  });
+
+  await test("who may look cannot tune, and sees why", async () => {
+    const looker = await open(browser, address);
+    await unlock(looker, "a-token-that-may-look");
+    await looker.getByText("who may look and not change").waitFor();
+    assert(await looker.getByRole("button", { name: /^Set/ }).last().isDisabled(), "the button can be pressed");
+    await looker.getByText(/needs one with the role/).first().waitFor();
+    quiet(looker);
+    await looker.context().close();
+  });
+
+  await test("a hub that starts anew is followed without a reload", async () => {
+    await page.goto(`${address}/#/fleet`);
+    await page.getByText("connected").waitFor();
+    await stop(hub, "SIGKILL");
+    await page.getByText("hub does not answer").waitFor();
+    hub = start(["hub", "--config", config]);
+    await answers(`${address}/readyz`, hub);
+    await page.getByText("connected").waitFor();
+    await until("the fleet", async () => (await total()) === NODES);
+    quiet(page, /net::ERR|status of 503/);
+  });
+
+  await page.context().close();
+  await stop(fleet, "SIGKILL");
+  await stop(hub);
+}

@@ -1,0 +1,179 @@
+// A node's page.
+
+import { truncateSync, copyFileSync } from "node:fs";
+import { join } from "node:path";
+import { ROOT, accessible, answers, assert, fits, folder, freePort, open, quiet, start, stop, test, until } from "./harness.mjs";
+
+const frameNumber = async (page) => Number((await page.textContent("#picture-note")).match(/frame (\d+)/)?.[1]);
+const pixels = (page) =>
+  page.evaluate(() => {
+    const canvas = document.querySelector("#canvas");
+    const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
+    let hash = 0;
+    for (let at = 0; at < data.length; at += 997) hash = (hash * 31 + data[at]) | 0;
+    return hash;
+  });
+
+export async function nodeTests(browser) {
+  const port = await freePort();
+  const address = `http://127.0.0.1:${port}`;
+  const demo = () => start(["demo", "--port", String(port), "--rate", "5"]);
+  let node = demo();
+  await answers(`${address}/readyz`, node);
+  const page = await open(browser, address);
+
+  await test("a node's page shows the node, its provider, and boxes that move", async () => {
+    await page.getByRole("status").getByText("ready", { exact: true }).waitFor();
+    assert((await page.textContent("header")).includes("cpu"), "the provider is not in the head");
+    await until("a picture with boxes", async () => /\d%? \((detected|predicted)\)/.test(await page.getAttribute("#canvas", "aria-label")));
+    const [first, before] = [await frameNumber(page), await pixels(page)];
+    await until("later frames", async () => (await frameNumber(page)) > first + 3);
+    await until("another picture", async () => (await pixels(page)) !== before);
+    await until("some avoided calls", async () => /\d%? ?%/.test((await page.textContent(".headline .big")).replace("\u202f", "")));
+    quiet(page);
+  });
+
+  await test("a node's page calls nobody else", async () => {
+    assert([...page.called].join() === `127.0.0.1:${port}`, [...page.called].join());
+  });
+
+  await test("a change of u by keyboard alone shows in threshold, states and ribbon", async () => {
+    const before = (await (await fetch(`${address}/api/v1/frame-states`)).json()).states;
+    await page.locator("#cameras button").first().focus();
+    for (let tabs = 0; tabs < 20; tabs += 1) {
+      if (await page.evaluate(() => document.activeElement?.id === "u")) break;
+      await page.keyboard.press("Tab");
+    }
+    assert(await page.evaluate(() => document.activeElement?.id === "u"), "the field is not reached by Tab");
+    await page.keyboard.press("Control+a");
+    await page.keyboard.type("0.02");
+    await page.keyboard.press("Enter");
+    await page.getByText("from the next frame on").waitFor();
+    await until("the value in force", async () => (await page.textContent("#in-force")) === "0.02");
+    const shown = await until("more predicted frames", async () => {
+      const { states } = await (await fetch(`${address}/api/v1/frame-states`)).json();
+      return states.P > before.P + 10 && states;
+    });
+    await until("the page's count of them", async () => {
+      const text = (await page.locator(".bar", { hasText: "predicted" }).locator(".number").textContent()).split("·")[0];
+      return Number(text.replaceAll(",", "")) >= shown.P;
+    });
+    await page.locator("canvas.ribbon").focus();
+    await page.keyboard.press("ArrowLeft");
+    const held = await page.getAttribute("canvas.ribbon", "aria-valuetext");
+    assert(/frame \d+ · .* · \d+ box/.test(held), held);
+    await page.getByRole("button", { name: "Go on" }).waitFor();
+    await page.keyboard.press("Escape");
+    await page.getByRole("button", { name: "Hold" }).waitFor();
+    quiet(page);
+  });
+
+  await test("a refused value is told with its reason", async () => {
+    await page.fill("#u", "7");
+    await page.getByRole("button", { name: "Set", exact: true }).click();
+    await until("the reason", async () => /1e-9|0\.000000001|from/.test(await page.textContent("#knob-message")));
+    assert((await page.getAttribute("#u", "aria-invalid")) === "true", "the field is not marked");
+    await page.getByRole("button", { name: /Leave at/ }).click();
+    // The browser itself writes down that an answer was a refusal.
+    quiet(page, /status of 422/);
+  });
+
+  await test("the page has no finding of axe and fits a phone, light and dark", async () => {
+    await accessible(page, "1280, light");
+    quiet(page);
+    const phone = await open(browser, address, { width: 390, height: 844, scheme: "dark" });
+    await until("a picture", async () => (await frameNumber(phone)) > 0);
+    await fits(phone);
+    await accessible(phone, "390, dark");
+    quiet(phone);
+    await phone.context().close();
+  });
+
+  await test("a node that starts anew is followed without a reload", async () => {
+    await stop(node, "SIGKILL");
+    await page.getByText("node does not answer").waitFor();
+    node = demo();
+    await answers(`${address}/readyz`, node);
+    await page.getByRole("status").getByText("ready", { exact: true }).waitFor();
+    const first = await until("a frame of the new run", async () => (await frameNumber(page)) || 0);
+    await until("later frames", async () => (await frameNumber(page)) > first + 2);
+    quiet(page, /net::ERR/);
+  });
+  await page.context().close();
+  await stop(node);
+
+  await cameraTests(browser);
+}
+
+async function cameraTests(browser) {
+  const [port, zenoh] = [await freePort(), await freePort()];
+  const address = `http://127.0.0.1:${port}`;
+  const env = {
+    ALBIREO_HTTP__LISTEN: `127.0.0.1:${port}`,
+    ALBIREO_ZENOH__LISTEN: `["tcp/127.0.0.1:${zenoh}"]`,
+    ALBIREO_HTTP__TOKEN: "a-token-for-the-tests",
+    ALBIREO_NODE__STATE_DIR: join(folder, "state"),
+  };
+  let node = start(["node"], env);
+  await answers(`${address}/readyz`, node);
+  const page = await open(browser, address);
+
+  await test("a node with a token asks for it, without an error in the console", async () => {
+    await page.getByLabel(/Token/).fill("not-the-token-of-this");
+    await page.keyboard.press("Enter");
+    await page.getByText("This token is not the node's").waitFor();
+    await page.getByLabel(/Token/).fill("a-token-for-the-tests");
+    await page.keyboard.press("Enter");
+    await page.getByRole("heading", { name: "Threshold u" }).waitFor();
+    quiet(page);
+  });
+
+  await test("a camera that was never seen shows the key to publish on", async () => {
+    const tile = page.locator(".tile").first();
+    await tile.getByText("never seen").waitFor();
+    assert((await tile.textContent()).includes("albireo/node/front/frame"), await tile.textContent());
+    await accessible(page, "never seen");
+    quiet(page);
+  });
+
+  await test("a camera that stops is stale within five seconds", async () => {
+    const camera = start(["replay", "synth:3", "--rate", "5", "--connect", `tcp/127.0.0.1:${zenoh}`]);
+    const tile = page.locator(".tile").first();
+    await tile.getByText("live", { exact: true }).waitFor();
+    await until("a few frames", async () => (await frameNumber(page)) > 8);
+    await stop(camera, "SIGKILL");
+    const stopped = Date.now();
+    await tile.getByText(/stale/).waitFor();
+    const took = (Date.now() - stopped) / 1000;
+    console.log(`        stale after ${took.toFixed(1)} s`);
+    assert(took <= 5, `${took} s`);
+    quiet(page);
+  });
+  await stop(node);
+  await page.context().close();
+
+  await test("a broken detector is red, and its frames are not among the skipped", async () => {
+    const model = join(folder, "broken.onnx");
+    copyFileSync(join(ROOT, "models/detector.onnx"), model);
+    truncateSync(model, 1000);
+    node = start(["node"], { ...env, ALBIREO_DETECTOR__MODEL: model });
+    await until("the node answers", async () => (await fetch(`${address}/healthz`)).ok);
+    const camera = start(["replay", "synth:3", "--rate", "5", "--connect", `tcp/127.0.0.1:${zenoh}`]);
+    const broken = await open(browser, address);
+    await broken.getByLabel(/Token/).fill("a-token-for-the-tests");
+    await broken.keyboard.press("Enter");
+    const state = broken.getByRole("status").first().locator(".pill.bad");
+    await state.waitFor();
+    await broken.locator("#health").getByText("detector", { exact: true }).first().waitFor();
+    await until("frames answered without the detector, or none at all", async () => {
+      const states = await (await fetch(`${address}/api/v1/frame-states`, { headers: { Authorization: "Bearer a-token-for-the-tests" } })).json();
+      return states.frames === 0 ? states.uptime_s > 10 : states.degraded_frames > 3 && states.skip_rate < 0.5;
+    });
+    const headline = await broken.textContent(".headline .big");
+    assert(!headline.startsWith("100"), headline);
+    quiet(broken);
+    await stop(camera, "SIGKILL");
+    await broken.context().close();
+  });
+  await stop(node, "SIGKILL");
+}

@@ -1,0 +1,199 @@
+import { afterEach, beforeEach, describe, expect, test, vi } from "vitest";
+import { csv, sorted, type Column } from "../src/shared/table";
+
+// What of a browser the modules touch when they are loaded.
+const kept = new Map<string, string>();
+vi.stubGlobal("sessionStorage", {
+  getItem: (key: string) => kept.get(key) ?? null,
+  setItem: (key: string, value: string) => kept.set(key, value),
+  removeItem: (key: string) => kept.delete(key),
+});
+vi.stubGlobal("location", { hash: "" });
+vi.stubGlobal("history", { replaceState: (_: unknown, __: string, url: string) => (location.hash = url) });
+vi.stubGlobal("addEventListener", () => {});
+vi.stubGlobal("document", { hidden: false });
+
+const { EventParser, follow } = await import("../src/shared/api");
+const { knobValue } = await import("../src/shared/knob");
+const { frameAt, placeOf } = await import("../src/node/ribbon");
+const { fromSlider, toSlider, usefulRange } = await import("../src/node/knob");
+const { cameraState } = await import("../src/node/cameras");
+const { href, parseRoute } = await import("../src/hub/route");
+const { Rows, PAGE, path } = await import("../src/hub/rows");
+const { LineParser, countOutcomes, terms } = await import("../src/hub/tune");
+const { knobOf } = await import("../src/hub/fleet");
+const { beginnings } = await import("../src/hub/energy");
+
+describe("event streams", () => {
+  test("are read whatever the pieces they come in", () => {
+    const text = 'event: frame\nid: 7\ndata: {"a":1}\n\n: keep-alive\n\nevent: clip\ndata: {"b":\ndata: 2}\n\nevent: cut';
+    for (const size of [1, 2, 3, 7, 1000]) {
+      const parser = new EventParser();
+      const events = [];
+      for (let at = 0; at < text.length; at += size) events.push(...parser.take(text.slice(at, at + size)));
+      expect(events).toEqual([
+        { name: "frame", id: "7", data: '{"a":1}' },
+        { name: "clip", id: undefined, data: '{"b":2}' },
+      ]);
+    }
+  });
+
+  describe("that break", () => {
+    beforeEach(() => void vi.useFakeTimers());
+    afterEach(() => void vi.useRealTimers());
+
+    test("are taken up again behind the last event", async () => {
+      const asked: (string | null)[] = [];
+      const stop = new AbortController();
+      const got: unknown[] = [];
+      vi.stubGlobal("fetch", async (_: string, init: { headers: Headers }) => {
+        asked.push(init.headers.get("Last-Event-ID"));
+        if (asked.length === 2) throw new TypeError("refused");
+        return new Response(`event: node\nid: ${asked.length}\ndata: ${asked.length}\n\n`);
+      });
+      const done = follow({
+        path: () => "/api/v1/events",
+        onEvent: (_, data) => {
+          got.push(data);
+          if (got.length === 3) stop.abort();
+        },
+        signal: stop.signal,
+      });
+      await vi.advanceTimersByTimeAsync(20_000);
+      await done;
+      expect(asked).toEqual([null, "1", "1", "3"]);
+      expect(got).toEqual([1, 3, 4]);
+    });
+  });
+});
+
+test("a knob's value is found beside other fields", () => {
+  expect(knobValue({ camera: "front", u: 3e-4 }, "u")).toBe(3e-4);
+  expect(knobValue({ u: "3" }, "u")).toBeUndefined();
+  expect(knobValue(undefined, "u")).toBeUndefined();
+});
+
+describe("the ribbon", () => {
+  test("every place of it is one frame, and every frame one place", () => {
+    const width = 37;
+    const length = 100;
+    const seen = new Set<number>();
+    for (let row = 0; row < 4; row += 1) {
+      for (let x = 0; x < width; x += 1) {
+        const index = frameAt(x, row, width, length);
+        if (index === undefined) continue;
+        expect(placeOf(index, width, length)).toEqual({ x, row });
+        seen.add(index);
+      }
+    }
+    expect(seen.size).toBe(100);
+    // A hundred frames fill three rows; the fourth is not drawn yet.
+    expect(frameAt(width - 1, 2, width, length)).toBe(99);
+    expect(frameAt(width - 1, 3, width, length)).toBeUndefined();
+    expect(frameAt(-1, 0, width, length)).toBeUndefined();
+    expect(placeOf(0, 10, 1000)).toBeUndefined();
+  });
+});
+
+describe("the slider", () => {
+  const range = usefulRange({ minimum: 1e-9, maximum: 1, default: 3e-4 });
+  test("covers what is of use, evenly in powers of ten", () => {
+    expect(range[0]).toBeCloseTo(3e-6, 12);
+    expect(range[1]).toBeCloseTo(3e-2, 12);
+    expect(toSlider(3e-4, range)).toBe(100);
+    expect(fromSlider(100, range)).toBe(3e-4);
+    for (let place = 0; place <= 200; place += 1) expect(Math.abs(toSlider(fromSlider(place, range), range) - place)).toBeLessThanOrEqual(1);
+  });
+  test("stays at its ends for values outside of it", () => {
+    expect(toSlider(1e-9, range)).toBe(0);
+    expect(toSlider(1, range)).toBe(200);
+  });
+});
+
+test("a camera is stale after three seconds, or three of its own gaps", () => {
+  expect(cameraState(undefined, 0, false)).toBe("never seen");
+  expect(cameraState(0.1, 0.1, false)).toBe("live");
+  expect(cameraState(0.1, 0.1, true)).toBe("degraded");
+  expect(cameraState(3.1, 0.1, false)).toBe("stale");
+  expect(cameraState(10, 5, false)).toBe("live");
+  expect(cameraState(16, 5, true)).toBe("stale");
+});
+
+describe("the address", () => {
+  test("leads where it was made from", () => {
+    const made = href(["nodes", "a/b c"], { search: "x&y", state: undefined, empty: "" });
+    const found = parseRoute(made);
+    expect(found.path).toEqual(["nodes", "a/b c"]);
+    expect([...found.query]).toEqual([["search", "x&y"]]);
+  });
+  test("is the fleet without one", () => expect(parseRoute("").path).toEqual(["fleet"]));
+});
+
+describe("the rows of a fleet", () => {
+  const filter = { state: "", search: "", select: "region=north", sort: "waiting", down: true };
+  test("are asked for as the table shows them", () => {
+    expect(path(filter, 200, 100)).toBe("/api/v1/fleet?select=region%3Dnorth&sort=waiting&down=true&offset=200&limit=100");
+  });
+  test("are held only near what is seen", async () => {
+    vi.stubGlobal("fetch", async (address: string) => {
+      const offset = Number(new URLSearchParams(address.split("?")[1]).get("offset"));
+      const nodes = Array.from({ length: PAGE }, (_, index) => ({ node: `n${offset + index}` }));
+      return Response.json({ total: 10_000, nodes });
+    });
+    let news = 0;
+    const rows = new Rows(filter, () => (news += 1));
+    for (let first = 0; first < 10_000; first += 50) {
+      rows.want(first, first + 30);
+      await vi.waitFor(() => expect(rows.at(first + 30)).toBeDefined(), { interval: 1 });
+    }
+    expect(rows.total).toBe(10_000);
+    expect(rows.at(9_990)?.node).toBe("n9990");
+    expect(rows.at(0)).toBeUndefined();
+    expect(rows.held).toBeLessThanOrEqual(14);
+    expect(news).toBe(100);
+  });
+});
+
+describe("an order", () => {
+  test("is for the terms that were written", () => {
+    expect(terms(" cam-*, region=north & !cam-3 ,, all")).toEqual(["cam-*", "region=north & !cam-3", "all"]);
+  });
+  test("comes to outcomes, one a line", () => {
+    const parser = new LineParser();
+    expect(parser.take('{"node":"a","outcome":"app')).toEqual([]);
+    const lines = parser.take('lied"}\n{"node":"b","outcome":"refused"}\n\n') as { outcome: string }[];
+    expect(countOutcomes(lines)).toEqual({ applied: 1, refused: 1 });
+  });
+});
+
+test("a node's knob is what its cameras have beside their own fields", () => {
+  const camera = (values: object) => ({ name: "front", state: "live", knob_source: "hub", ...values });
+  const node = (...cameras: object[]) => ({ status: { cameras } }) as never;
+  expect(knobOf(node(camera({ u: 1e-4 }), camera({ u: 1e-4 })))).toEqual({ name: "u", values: [1e-4] });
+  expect(knobOf(node(camera({ u: 1e-4 }), camera({ u: 2e-4 })))?.values).toHaveLength(2);
+  expect(knobOf(node(camera({})))).toBeUndefined();
+  expect(knobOf(node())).toBeUndefined();
+});
+
+test("points of a chart begin where the hub's sums do", () => {
+  const span = { id: "day", words: "", step: 3_600_000, points: 24 };
+  const times = beginnings(span, 1_795_307_277_759);
+  expect(times).toHaveLength(24);
+  expect(times.every((time) => time % 300_000 === 0)).toBe(true);
+  expect(times[23]).toBeLessThanOrEqual(1_795_307_277_759);
+  expect(times[23]! + span.step).toBeGreaterThan(1_795_307_277_759);
+});
+
+describe("tables", () => {
+  const column: Column<{ v?: number; t: string }> = { id: "v", head: "v", key: (row) => row.v, cell: () => null, unit: "J" };
+  const words: Column<{ v?: number; t: string }> = { id: "t", head: "t", key: (row) => row.t, cell: () => null };
+  test("what has no value comes last either way", () => {
+    const rows = [{ t: "a" }, { v: 2, t: "b" }, { v: 10, t: "c" }];
+    expect(sorted(rows, column, false).map((row) => row.t)).toEqual(["b", "c", "a"]);
+    expect(sorted(rows, column, true).map((row) => row.t)).toEqual(["c", "b", "a"]);
+  });
+  test("a file of them is CSV that no spreadsheet takes for formulas", () => {
+    const text = csv([{ v: -1.5, t: 'say "hi", you' }, { t: "=1+1" }], [column, words]);
+    expect(text).toBe('v (J),t\r\n-1.5,"say ""hi"", you"\r\n,\'=1+1\r\n');
+  });
+});
