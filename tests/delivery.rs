@@ -224,7 +224,7 @@ async fn slowest(node: &Node, camera: &mut Camera, frames: u64) -> [Duration; 2]
 async fn a_subscriber_that_stops_reading_costs_detections_and_http_nothing() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;
-    let mut camera = Camera::at(&node.zenoh).await;
+    let mut camera = Camera::at(&node.zenoh, "node").await;
     let before = slowest(&node, &mut camera, 200).await;
     let endpoint = format!("{}#so_rcvbuf=4096", node.zenoh);
     let deaf = Client::listen(&endpoint, "albireo/node/**", false).await;
