@@ -10,7 +10,11 @@ fn main() {
     let optimised = std::env::var("PROFILE").is_ok_and(|profile| profile == "release");
     // Other builds read the folder when they run: a change of a page costs them nothing. It is always there, for its
     // .gitignore is part of the clone.
-    let watched = if optimised { "../../web/dist" } else { "build.rs" };
+    let watched = if optimised {
+        "../../web/dist"
+    } else {
+        "build.rs"
+    };
     println!("cargo:rerun-if-changed={watched}");
     let deliberate = std::env::var_os("ALBIREO_WITHOUT_PAGES").is_some();
     if optimised && !built && !deliberate {

@@ -25,7 +25,7 @@ export async function nodeTests(browser) {
   await test("a node's page shows the node, its provider, and boxes that move", async () => {
     await page.getByRole("status").getByText("ready", { exact: true }).waitFor();
     assert((await page.textContent("header")).includes("cpu"), "the provider is not in the head");
-    await until("a picture with boxes", async () => /\d%? \((detected|predicted)\)/.test(await page.getAttribute("#canvas", "aria-label")));
+    await until("a picture with boxes", async () => /% \((detected|predicted|rescued)\)/.test(await page.getAttribute("#canvas", "aria-label")));
     const [first, before] = [await frameNumber(page), await pixels(page)];
     await until("later frames", async () => (await frameNumber(page)) > first + 3);
     await until("another picture", async () => (await pixels(page)) !== before);

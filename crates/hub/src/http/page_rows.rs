@@ -96,7 +96,10 @@ fn states(text: Option<&str>) -> Result<Vec<PresenceState>, Problem> {
         .map(|name| {
             PresenceState::named(name).ok_or_else(|| {
                 let known = PresenceState::ALL.map(PresenceState::as_str);
-                let detail = format!("there is no state `{name}`; there are: {}", known.join(", "));
+                let detail = format!(
+                    "there is no state `{name}`; there are: {}",
+                    known.join(", ")
+                );
                 unusable(detail).allowing(known)
             })
         })
@@ -140,7 +143,9 @@ pub(super) async fn rows(
         if !state_fits || !node.name.contains(&search) {
             return;
         }
-        let place = PresenceState::ALL.iter().position(|state| *state == node.state);
+        let place = PresenceState::ALL
+            .iter()
+            .position(|state| *state == node.state);
         found.push(Row {
             name: Arc::clone(node.name),
             key: match order {

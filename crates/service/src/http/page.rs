@@ -112,9 +112,7 @@ fn file(name: &str, headers: &HeaderMap, caching: &'static str) -> Option<Respon
         .iter()
         .filter_map(|value| value.to_str().ok())
         .flat_map(|value| value.split(','))
-        .any(|value| {
-            value.trim().trim_start_matches("W/") == etag.to_str().unwrap_or_default()
-        });
+        .any(|value| value.trim().trim_start_matches("W/") == etag.to_str().unwrap_or_default());
     let mut response = if known {
         StatusCode::NOT_MODIFIED.into_response()
     } else {

@@ -14,7 +14,11 @@ fn gzip_is_sent_to_those_who_take_it() {
         ("br, zstd", false),
         ("xgzip", false),
     ] {
-        assert_eq!(takes_gzip(&asking(ACCEPT_ENCODING, value)), takes, "{value}");
+        assert_eq!(
+            takes_gzip(&asking(ACCEPT_ENCODING, value)),
+            takes,
+            "{value}"
+        );
     }
     assert!(!takes_gzip(&HeaderMap::new()));
 }
@@ -24,27 +28,31 @@ fn the_page_is_served_under_a_strict_policy_whether_it_was_built_or_not() {
     for page in [Page::Node, Page::Hub] {
         let response = page.answer(&HeaderMap::new());
         assert_eq!(response.status(), StatusCode::OK);
-        let policy = response.headers()[CONTENT_SECURITY_POLICY].to_str().unwrap();
+        let policy = response.headers()[CONTENT_SECURITY_POLICY]
+            .to_str()
+            .unwrap();
         assert!(policy.contains("default-src 'none'"));
         assert!(!policy.contains("unsafe"), "{policy}");
-        assert_eq!(
-            response.headers()[CONTENT_TYPE],
-            "text/html; charset=utf-8"
-        );
+        assert_eq!(response.headers()[CONTENT_TYPE], "text/html; charset=utf-8");
     }
 }
 
 #[test]
 fn only_parts_of_pages_are_served() {
     for name in [".gitignore", "node.html.gz", "../Cargo.toml", "assets/", ""] {
-        assert!(file(name, &HeaderMap::new(), "no-cache").is_none(), "{name}");
+        assert!(
+            file(name, &HeaderMap::new(), "no-cache").is_none(),
+            "{name}"
+        );
     }
 }
 
 /// What the embedded build holds, if there is one: every check is of real files.
 #[test]
 fn what_was_built_is_compressed_and_known_again_by_its_tag() {
-    let names: Vec<_> = Built::iter().filter(|name| media_type(name).is_some()).collect();
+    let names: Vec<_> = Built::iter()
+        .filter(|name| media_type(name).is_some())
+        .collect();
     for name in names {
         let plain = file(&name, &HeaderMap::new(), "no-cache").unwrap();
         let packed = file(&name, &asking(ACCEPT_ENCODING, "gzip"), "no-cache").unwrap();
