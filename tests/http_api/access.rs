@@ -19,7 +19,14 @@ fn with_token() -> HttpConfig {
 async fn with_a_token_all_but_health_and_the_page_needs_it() {
     let node = Served::with(with_token(), Some(KNOB)).await;
     node.ready();
-    for path in ["/", "/healthz", "/readyz", "/openapi.json", "/docs/"] {
+    for path in [
+        "/",
+        "/healthz",
+        "/readyz",
+        "/openapi.json",
+        "/docs/",
+        "/api/v1/caller",
+    ] {
         assert_eq!(node.get(path).await.status(), StatusCode::OK, "{path}");
     }
     for path in [

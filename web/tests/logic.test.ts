@@ -110,11 +110,11 @@ describe("the slider", () => {
   });
 });
 
-test("a camera is stale after three seconds, or three of its own gaps", () => {
+test("a camera is stale after two and a half seconds, or three of its own gaps", () => {
   expect(cameraState(undefined, 0, false)).toBe("never seen");
   expect(cameraState(0.1, 0.1, false)).toBe("live");
   expect(cameraState(0.1, 0.1, true)).toBe("degraded");
-  expect(cameraState(3.1, 0.1, false)).toBe("stale");
+  expect(cameraState(2.6, 0.1, false)).toBe("stale");
   expect(cameraState(10, 5, false)).toBe("live");
   expect(cameraState(16, 5, true)).toBe("stale");
 });

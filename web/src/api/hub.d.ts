@@ -438,6 +438,67 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/fleet": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The fleet as rows of a table
+         * @description `curl 'http://127.0.0.1:8090/api/v1/fleet?state=degraded,silent&select=region=north&sort=waiting&down=true'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Of these states only, separated by commas: `degraded,silent`. */
+                    state?: string;
+                    /** @description With this text in the name. */
+                    search?: string;
+                    /** @description Chosen by names, globs and labels, separated by commas: `cam-*,region=north`. */
+                    select?: string;
+                    /** @description What they are sorted by. */
+                    sort?: "name" | "state" | "since" | "heard" | "waiting";
+                    /** @description The other way round. */
+                    down?: boolean;
+                    /** @description Rows left out before the first one. */
+                    offset?: number;
+                    /** @description At most so many, 100 by default, 500 at most. */
+                    limit?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["FleetRows"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/nodes": {
         parameters: {
             query?: never;
@@ -1289,6 +1350,11 @@ export interface components {
              */
             next?: number | null;
         };
+        /**
+         * @description What a person may ask of a rollout.
+         * @enum {string}
+         */
+        Command: "pause" | "resume" | "next" | "return" | "stop";
         /** @description Nodes by state. */
         Counts: {
             /** Format: int64 */
@@ -1337,6 +1403,11 @@ export interface components {
              */
             until_ms: number;
         };
+        /**
+         * @description What sums are grouped by.
+         * @enum {string}
+         */
+        EnergyBy: "all" | "node" | "camera" | "day" | "policy" | "knob";
         /** @description Sums of one group and one quality. */
         EnergyGroup: {
             /**
@@ -1434,6 +1505,21 @@ export interface components {
          * @enum {string}
          */
         Figure: "skip_rate" | "joules_measured" | "joules_estimated" | "edp_measured" | "edp_estimated" | "latency_p99" | "degraded" | "detector_errors";
+        /** @description Rows of the fleet. */
+        FleetRows: {
+            /** @description Nodes of the whole fleet by state. */
+            counts: components["schemas"]["Counts"];
+            nodes: components["schemas"]["NodeView"][];
+            /** @description Place of the first row of this answer among them. */
+            offset: number;
+            /** @description Rows there are of this selection. */
+            total: number;
+            /**
+             * Format: int64
+             * @description Reports that wait in the outboxes of the whole fleet.
+             */
+            waiting: number;
+        };
         /** @description A gate's verdict on one figure, with its numbers. */
         GateResult: {
             /**
@@ -2358,15 +2444,6 @@ export interface components {
         };
         /** Format: int64 */
         i64: number;
-        FleetRows: {
-            counts: components["schemas"]["Counts"];
-            waiting: number;
-            total: number;
-            offset: number;
-            nodes: components["schemas"]["NodeView"][];
-        };
-        EnergyBy: string;
-        Command: string;
     };
     responses: never;
     parameters: never;

@@ -44,7 +44,7 @@ export function Changes() {
         <Fault text={found.fault || fault} />
         {found.value && changes.length === 0 && <p class="message quiet">None was ordered yet.</p>}
         {changes.length > 0 && (
-          <div class="scroll" tabIndex={0} role="region" aria-labelledby="changes-title">
+          <div class="scroll" tabIndex={0} role="group" aria-label="table of changes">
             <table>
               <thead>
                 <tr>

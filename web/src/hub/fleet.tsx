@@ -324,6 +324,8 @@ function Happened() {
 
 function detail(value: unknown): string {
   if (typeof value !== "object" || value === null) return value === undefined || value === null ? "" : String(value);
+  // In words where there are some; the rest is on the node's own page.
+  if ("reason" in value && typeof value.reason === "string") return value.reason;
   return Object.entries(value)
     .filter(([, entry]) => entry !== null && entry !== "")
     .map(([key, entry]) => `${key.replaceAll("_", " ")} ${typeof entry === "object" ? JSON.stringify(entry) : String(entry)}`)

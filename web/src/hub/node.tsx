@@ -105,7 +105,7 @@ export function Node({ name }: { name: string }) {
         aside={<Download path={`/api/v1/clips.csv?node=${at}`} name={`clips-${name}.csv`}>Download all as CSV</Download>}
       >
         <Fault text={clips.fault} />
-        <div class="scroll" tabIndex={0} role="region" aria-labelledby="clips-title">
+        <div class="scroll" tabIndex={0} role="group" aria-label="table of clips">
           <table>
             <thead>
               <tr>
@@ -138,7 +138,7 @@ export function Node({ name }: { name: string }) {
         </div>
       </Section>
       <Section id="instances" title="Instances" wide>
-        <div class="scroll" tabIndex={0} role="region" aria-labelledby="instances-title">
+        <div class="scroll" tabIndex={0} role="group" aria-label="table of instances">
           <table>
             <thead>
               <tr>
@@ -185,7 +185,7 @@ export function EnergyTable({ energy }: { energy: Energy | undefined }) {
   if (!energy) return <p class="message quiet">…</p>;
   if (energy.groups.length === 0) return <p class="message quiet">No clip yet.</p>;
   return (
-    <div class="scroll" tabIndex={0} role="region" aria-label="Energy by policy and value">
+    <div class="scroll" tabIndex={0} role="group" aria-label="Energy by policy and value">
       <table>
         <thead>
           <tr>

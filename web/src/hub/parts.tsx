@@ -5,7 +5,7 @@ import { useEffect, useState } from "preact/hooks";
 import { answer, json } from "../shared/api";
 import { small } from "../shared/format";
 import { Pill, type Mood } from "../shared/parts";
-import { changed } from "./store";
+import { changedSlowly } from "./store";
 import type { Interval, PresenceState } from "./types";
 
 const MOODS: Record<PresenceState, Mood> = { online: "good", degraded: "bad", silent: "wait", offline: "bad" };
@@ -78,12 +78,12 @@ export interface Loaded<T> {
   again: () => void;
 }
 
-/** What a path answers; anew when the fleet changed, every `everyMs`, and when asked to. */
+/** What a path answers; anew every `everyMs`, when the fleet changed (sums over long times wait for their turn), and when asked to. */
 export function useLoaded<T>(path: string | undefined, everyMs = 10_000): Loaded<T> {
   const [value, setValue] = useState<T | undefined>(undefined);
   const [fault, setFault] = useState("");
   const [turn, setTurn] = useState(0);
-  const news = changed.value;
+  const news = changedSlowly.value;
   useEffect(() => setValue(undefined), [path]);
   useEffect(() => {
     if (path === undefined) return;
@@ -105,7 +105,7 @@ export function useLoaded<T>(path: string | undefined, everyMs = 10_000): Loaded
       clearInterval(timer);
       stop.abort();
     };
-  }, [path, turn, news, everyMs]);
+  }, [path, turn, everyMs < 10_000 ? news : 0, everyMs]);
   return { value, fault, again: () => setTurn((turn) => turn + 1) };
 }
 

@@ -70,7 +70,7 @@ export function figureWords(figure: string | null | undefined): string {
 
 export function Gates({ gates }: { gates: GateResult[] }) {
   return (
-    <div class="scroll" tabIndex={0} role="region" aria-label="Gates">
+    <div class="scroll" tabIndex={0} role="group" aria-label="Gates">
       <table>
         <thead>
           <tr>

@@ -16,7 +16,11 @@ export const events = signal<StoredEvent[]>([]);
 /** Grows when something that is shown may have changed. */
 export const changed = signal(0);
 
+/** The same, every two seconds at most: for what costs the hub more than a page of rows. */
+export const changedSlowly = signal(0);
+
 let scheduled = false;
+let slowlyAt = 0;
 
 /** Looks anew, soon, and not more often than four times a second however much happens. */
 export function lookSoon(): void {
@@ -25,6 +29,10 @@ export function lookSoon(): void {
   setTimeout(() => {
     scheduled = false;
     changed.value += 1;
+    if (performance.now() - slowlyAt > 2000) {
+      slowlyAt = performance.now();
+      changedSlowly.value += 1;
+    }
     void lookAtFleet().catch(() => {});
   }, LEAST_MS);
 }
@@ -53,6 +61,7 @@ export function watchFleet(signal: AbortSignal): void {
       await Promise.all([lookAtFleet(), lookAtEnergy()]);
       lost.value = undefined;
       changed.value += 1;
+      changedSlowly.value += 1;
     },
     onLost: (reason) => {
       lost.value = reason;

@@ -61,7 +61,7 @@ export function Trial({ id }: { id: string }) {
           {forbidden && <p class="message wait">{forbidden}</p>}
           <Fault text={fault} />
           {trial.result ? (
-            <div class="scroll" tabIndex={0} role="region" aria-label="Result">
+            <div class="scroll" tabIndex={0} role="group" aria-label="Result">
               <table>
                 <thead>
                   <tr>

@@ -3,11 +3,11 @@
 import { useEffect, useState } from "preact/hooks";
 import { ago, count, percent } from "../shared/format";
 import { CopyButton, Pill, Section, type Mood } from "../shared/parts";
-import { cameras, counters, lost, open, opened, picture, rates, tick } from "./store";
+import { cameras, counters, lost, open, opened, picture, rates, samples, tick, usualGap } from "./store";
 import type { CameraEntry } from "./types";
 
 /** A camera is stale when no frame came for this long, or three times as long as between its frames lately. */
-const STALE_S = 3;
+const STALE_S = 2.5;
 
 export type CameraWord = "live" | "stale" | "never seen" | "degraded";
 
@@ -49,9 +49,7 @@ function Tile({ camera }: { camera: CameraEntry & { readAt: number } }) {
   const elapsed = (performance.now() - camera.readAt) / 1000;
   const known = camera.last_frame_age_s;
   const age = known === undefined || known === null ? undefined : lost.value === undefined ? known : known + elapsed;
-  const usual = rates(camera.camera, 600)?.perSecond;
-  const list = message ? degradedLately(camera.camera) : false;
-  const word = cameraState(age, usual ? 1 / usual : 0, list);
+  const word = cameraState(age, usualGap(camera.camera), degradedLately(camera.camera));
   const isOpen = opened.value === camera.camera;
   return (
     <li class={isOpen ? "tile open" : "tile"}>
@@ -79,8 +77,6 @@ function Tile({ camera }: { camera: CameraEntry & { readAt: number } }) {
     </li>
   );
 }
-
-import { samples } from "./store";
 
 function degradedLately(camera: string): boolean {
   const list = samples.get(camera);

@@ -70,7 +70,7 @@ export function Clips() {
       {rows.length === 0 ? (
         <p class="message quiet">No clip has ended yet.</p>
       ) : (
-        <div class="scroll" tabIndex={0} role="region" aria-labelledby="clips-title">
+        <div class="scroll" tabIndex={0} role="group" aria-label="table of clips">
           <table>
             <thead>
               <tr>

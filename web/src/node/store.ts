@@ -47,6 +47,15 @@ export const tick = signal(0);
 /** The frame that picture, ribbon and charts point at; undefined while they follow the newest. */
 export const pointed = signal<number | undefined>(undefined);
 
+/** Seconds between two frames, the last times that one came: silence itself is no such time. */
+const gaps = new Map<string, { at: number; last: number[] }>();
+
+/** The usual time between two frames of a camera, seconds: the median of the last ones. */
+export function usualGap(camera: string): number {
+  const last = [...(gaps.get(camera)?.last ?? [])].sort((a, b) => a - b);
+  return last[Math.floor(last.length / 2)] ?? 0;
+}
+
 export const samples = new Map<string, Sample[]>();
 export const power: PowerSample[] = [];
 
@@ -88,6 +97,11 @@ function takeCounters(message: Counters): void {
   const before = list.at(-1);
   // The node began anew.
   if (before && message.frames < before.frames) list.length = 0;
+  if (before && message.frames > before.frames) {
+    const known = gaps.get(message.camera);
+    const last = known ? [...known.last, (at - known.at) / (message.frames - before.frames)].slice(-9) : [];
+    gaps.set(message.camera, { at, last });
+  }
   const skipped = message.states.E + message.states.P - message.degraded_frames;
   list.push({ at, frames: message.frames, skipped, degraded: message.degraded_frames });
   if (list.length > MOST_SAMPLES) list.splice(0, MOST_SAMPLES / 10);

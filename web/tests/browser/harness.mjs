@@ -67,9 +67,10 @@ export async function until(what, look, patience = PATIENCE) {
 
 export async function answers(address, child) {
   await until(`${address} answers`, async () => {
-    if (child.exitCode !== null) throw new Error(`it has ended: ${child.said}`);
+    if (child.exitCode !== null) return "ended";
     return (await fetch(address)).status === 200;
   });
+  assert(child.exitCode === null, `it has ended: ${child.said}`);
 }
 
 export function file(name, text) {

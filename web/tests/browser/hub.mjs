@@ -3,7 +3,7 @@
 import { join } from "node:path";
 import { accessible, answers, assert, file, fits, folder, freePort, open, quiet, start, stop, test, until } from "./harness.mjs";
 
-const NODES = Number(process.env.ALBIREO_NODES ?? 10_000);
+const NODES = Number(process.env.ALBIREO_NODES ?? 2_000);
 
 export async function hubTests(browser) {
   const [port, zenoh] = [await freePort(), await freePort()];
@@ -24,7 +24,7 @@ token = "a-token-that-may-look"
   let hub = start(["hub", "--config", config]);
   await answers(`${address}/readyz`, hub);
   const fleet = start(["simulate", "--nodes", String(NODES), "--sessions", "20", "--connect", `tcp/127.0.0.1:${zenoh}`, "--for", "3000",
-    "--clip-s", "40", "--gather", "1", "--refusing", "0.01", "--seed", "7"]);
+    "--clip-s", "40", "--gather", "1", "--refusing", "0.01", "--status-s", "5", "--seed", "7"]);
   const headers = { Authorization: "Bearer a-token-that-may-tune" };
   await until("all nodes online", async () => {
     if (fleet.exitCode !== null) throw new Error(fleet.said);
@@ -46,7 +46,7 @@ token = "a-token-that-may-look"
     quiet(page);
   });
 
-  await test("ten thousand rows are scrolled with as many elements as fit on the screen", async () => {
+  await test("thousands of rows are scrolled with as many elements as fit on the screen", async () => {
     const scrolled = await page.evaluate(async () => {
       const body = document.querySelector(".fleet-body");
       const end = performance.now() + 3000;
