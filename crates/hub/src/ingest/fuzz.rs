@@ -26,7 +26,7 @@ fn batch(random: &mut Pcg64Mcg) -> Value {
     let reports: Vec<Value> = (first..first + count).map(report).collect();
     json!({
         "v": albireo_wire::VERSION, "node": "car-1", "instance": format!("{:032x}", random.next_u64() % INSTANCES),
-        "machine": if random.next_u64() % 4 == 0 { json!("m2") } else { json!("m1") },
+        "machine": if random.next_u64().is_multiple_of(4) { json!("m2") } else { json!("m1") },
         "first": first, "last": first + count - 1, "lost": 0, "reports": reports,
     })
 }
@@ -74,12 +74,12 @@ fn spoil(value: &mut Value, random: &mut Pcg64Mcg) {
             _ => 0,
         };
         // The outermost is seldom met: a batch that is no object at all is soon refused.
-        if count == 0 || random.next_u64() % 4 == 0 {
+        if count == 0 || random.next_u64().is_multiple_of(4) {
             *here = hostile(random);
             return;
         }
         let place = random.next_u64() as usize % count;
-        if random.next_u64() % 12 == 0 {
+        if random.next_u64().is_multiple_of(12) {
             match here {
                 Value::Object(members) => {
                     let name = members.keys().nth(place).cloned().unwrap_or_default();
@@ -104,7 +104,7 @@ fn payload(random: &mut Pcg64Mcg) -> Vec<u8> {
         spoil(&mut batch, random);
     }
     let mut text = batch.to_string().into_bytes();
-    if random.next_u64() % 8 == 0 {
+    if random.next_u64().is_multiple_of(8) {
         let place = random.next_u64() as usize % text.len();
         text[place] = random.next_u64() as u8;
     }
