@@ -3,7 +3,9 @@
 use super::PATIENCE;
 use albireo_core::geometry::PictureSize;
 use albireo_synth::{Dashcam, DashcamSettings};
-use albireo_wire::{FrameAttachment, VERSION};
+use albireo_wire::{ClipReport, FrameAttachment, VERSION, read};
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex};
 use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::time::timeout;
 use zenoh::Session;
@@ -17,8 +19,7 @@ pub(crate) struct Camera {
     picture: Vec<u8>,
     /// Number of the next frame, and of its clip.
     pub(crate) seq: u64,
-    /// Frames answered: the clip of each but the last is closed.
-    pub(crate) answered: u64,
+    reported: Arc<Mutex<BTreeSet<String>>>,
 }
 
 impl Camera {
@@ -32,6 +33,17 @@ impl Camera {
             .declare_subscriber(format!("albireo/{node}/front/detections"))
             .callback(move |_| {
                 let _ = sender.send(());
+            })
+            .background()
+            .await
+            .unwrap();
+        let reported: Arc<Mutex<BTreeSet<String>>> = Arc::default();
+        let of_callback = Arc::clone(&reported);
+        session
+            .declare_subscriber(format!("albireo/{node}/front/clip"))
+            .callback(move |sample| {
+                let report: ClipReport = read(&sample.payload().to_bytes()).unwrap();
+                of_callback.lock().unwrap().insert(report.clip);
             })
             .background()
             .await
@@ -66,7 +78,7 @@ impl Camera {
             answers,
             picture: dashcam.frame(0).encode_jpeg(80).unwrap(),
             seq: 0,
-            answered: 0,
+            reported,
         }
     }
 
@@ -91,8 +103,12 @@ impl Camera {
                 .await
                 .unwrap()
                 .unwrap();
-            self.answered += 1;
         }
+    }
+
+    /// The clips whose reports the node has published: it keeps a report on its disk before.
+    pub(crate) fn reported(&self) -> BTreeSet<String> {
+        self.reported.lock().unwrap().clone()
     }
 
     pub(crate) async fn close(self) {

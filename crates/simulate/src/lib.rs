@@ -130,7 +130,13 @@ async fn open_all(options: &Arc<Options>, totals: &Arc<Totals>) -> anyhow::Resul
             let session = session::open(&options, index).await?;
             let nodes = (index..options.nodes).step_by(options.sessions);
             let nodes = nodes
-                .map(|node| SimNode::new(node, &options, started_ns))
+                .map(|node| {
+                    let mut node = SimNode::new(node, &options, started_ns);
+                    if options.backlog == 0 {
+                        node.begin_within(options.gather);
+                    }
+                    node
+                })
                 .collect();
             Player::new(session, nodes, options, totals).await
         });

@@ -83,6 +83,15 @@ impl SimNode {
         }
     }
 
+    /// Lets the node begin somewhere between two batches, as a fleet that runs for long is found: else nothing is
+    /// reported for as long as the first batch takes to gather.
+    pub(crate) fn begin_within(&mut self, gather: u64) {
+        let waiting = mix(self.seed, 6) % gather.max(1);
+        self.made += waiting;
+        let clips_ns = (waiting as f64 * self.clip_s * 1e9) as u64;
+        self.started_ns = self.started_ns.saturating_sub(clips_ns);
+    }
+
     /// Instance and generation, for a pull.
     pub(crate) fn identity(&self) -> (&str, u64) {
         (&self.instance, self.generation)
@@ -401,6 +410,23 @@ mod tests {
                 / count
         };
         assert!(joules(&node, 50..100) > 1.2 * joules(&node, 0..50));
+    }
+
+    #[test]
+    fn a_fleet_begins_between_two_batches_and_no_clip_lies_ahead() {
+        let started = 1_000_000_000_000_000_000;
+        let waiting: std::collections::BTreeSet<u64> = (0..100)
+            .map(|index| {
+                let mut node = SimNode::new(index, &Options::default(), started);
+                node.begin_within(8);
+                let last = node
+                    .batch(10)
+                    .map(|batch| batch.reports[batch.reports.len() - 1].started_ns);
+                assert!(last.is_none_or(|last| last < started));
+                node.waiting()
+            })
+            .collect();
+        assert_eq!(waiting, (0..8).collect());
     }
 
     proptest! {

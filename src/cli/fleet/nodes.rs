@@ -121,15 +121,20 @@ fn value(node: &Value) -> String {
     }
 }
 
+/// The labels of a node, in one line.
+fn labels(node: &Value) -> String {
+    let labels = node["status"]["labels"].as_object().into_iter().flatten();
+    let labels: Vec<String> = labels
+        .map(|(key, value)| format!("{key}={}", value.as_str().unwrap_or_default()))
+        .collect();
+    labels.join(" ")
+}
+
 fn table(nodes: &[Value]) -> String {
     let mut table = Table::new(&[
         "node", "state", "since", ">value", "policy", ">waiting", ">change", "labels", "why",
     ]);
     for node in nodes {
-        let labels = node["status"]["labels"].as_object().into_iter().flatten();
-        let labels: Vec<String> = labels
-            .map(|(key, value)| format!("{key}={}", value.as_str().unwrap_or_default()))
-            .collect();
         table.row([
             node["node"].as_str().unwrap_or("?").to_owned(),
             node["state"].as_str().unwrap_or("?").to_owned(),
@@ -138,7 +143,7 @@ fn table(nodes: &[Value]) -> String {
             node["status"]["policy"].as_str().unwrap_or("-").to_owned(),
             node["waiting"].to_string(),
             node["generation"].to_string(),
-            cut(&labels.join(" "), 24),
+            cut(&labels(node), 30),
             node["why"].as_str().unwrap_or_default().to_owned(),
         ]);
     }
@@ -164,7 +169,10 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<
         let since = ago(node["since_ms"].as_i64().unwrap_or(0));
         line(
             "state",
-            format!("{} for {since} {why}", said(&node["state"])),
+            match why.is_empty() {
+                true => format!("{} for {since}", said(&node["state"])),
+                false => format!("{} for {since}: {why}", said(&node["state"])),
+            },
         );
         line(
             "heard",
@@ -173,6 +181,7 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<
                 .map(|at| format!("{} ago", ago(at)))
                 .unwrap_or_default(),
         );
+        line("labels", labels(node));
         line("version", said(&status["version"]));
         line("policy", said(&status["policy"]));
         line(

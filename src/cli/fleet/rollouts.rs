@@ -1,7 +1,7 @@
 //! `rollout`: changes in stages.
 
 use super::client::Failure;
-use super::table::{Table, WIDTH, cut};
+use super::table::{Table, WIDTH, cut, wrapped};
 use super::units::{ago, figure, knob, seconds, span};
 use super::{Context, Ended};
 use serde_json::{Value, json};
@@ -341,14 +341,18 @@ fn entry_text(entry: &Value) -> String {
         .as_str()
         .map(|who| format!(" by {who}"))
         .unwrap_or_default();
+    let said = match entry["text"].as_str().unwrap_or_default() {
+        "" => String::new(),
+        text => format!(": {text}"),
+    };
     let line = format!(
-        "{:>9} ago  stage {}  {}{who} {}",
+        "{:>9} ago  stage {}  {}{who}{said}",
         ago(entry["at_ms"].as_i64().unwrap_or(0)),
         entry["stage"],
         entry["what"].as_str().unwrap_or("?"),
-        entry["text"].as_str().unwrap_or_default(),
     );
-    let mut text = cut(line.trim_end(), WIDTH) + "\n";
+    // Why a stage failed is what it is all about: it is not cut.
+    let mut text = wrapped(&line, 15);
     let gates = entry["gates"]
         .as_array()
         .map(Vec::as_slice)
