@@ -163,6 +163,7 @@ fn unavailable(error: &StoreError) -> Problem {
         StoredEvent,
         // Of parameters, which do not bring theirs.
         EnergyBy,
+        energy::Sort,
         Command
     )),
     modifiers(&Security),

@@ -274,6 +274,46 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/diag": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * One archive (tar) of what helps to find a fault
+         * @description Versions, the configuration with its secrets masked, readiness, nodes that are not well, metrics, the last events and
+         *     changes, the last lines of the log. What cannot be had (a database that is away) is named in its place.
+         *     `curl -O -J http://127.0.0.1:8090/api/v1/diag`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/x-tar": number[];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/drift": {
         parameters: {
             query?: never;
@@ -334,6 +374,8 @@ export interface paths {
                     until_ms?: number;
                     /** @description Of this node only. */
                     node?: string;
+                    /** @description `group`, or `joules`: the groups with the most energy first. A group has a line for each quality. */
+                    sort?: components["schemas"]["Sort"];
                     /** @description At most so many groups, 1000 by default, 10000 at most. */
                     limit?: number;
                 };
@@ -386,7 +428,7 @@ export interface paths {
         };
         /**
          * What happens in the fleet, as server-sent events
-         * @description Kinds: `node` (its state changed), `gap`, `conflict`, `set_aside`, `clock_off`, `refused`, and `resync`: more was
+         * @description Kinds: `node` (its state changed), `gap`, `conflict`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node), and `resync`: more was
          *     missed than is told again, so look anew at how things stand.
          *     `curl -N http://127.0.0.1:8090/api/v1/events`
          */
@@ -517,7 +559,12 @@ export interface paths {
                     state?: string;
                     /** @description With this text in the name. */
                     search?: string;
-                    /** @description After the node of this name: `next` of the page before. */
+                    /**
+                     * @description `name`, or: `state` (offline first), `heard` (the last heard first), `-heard` (the longest not heard first),
+                     *     `waiting` (the most waiting reports first).
+                     */
+                    sort?: string;
+                    /** @description `next` of the page before. */
                     cursor?: string;
                     /** @description At most so many, 100 by default, 1000 at most. */
                     limit?: number;
@@ -1715,7 +1762,7 @@ export interface components {
              */
             instances: components["schemas"]["InstanceView"][];
         };
-        /** @description A page of nodes, in the order of their names. */
+        /** @description A page of nodes. */
         NodePage: {
             /** @description Nodes of the fleet by state, whatever is selected. */
             counts: components["schemas"]["Counts"];
@@ -2077,6 +2124,11 @@ export interface components {
             next?: number | null;
             rollouts: components["schemas"]["RolloutView"][];
         };
+        /**
+         * @description Which group comes first.
+         * @enum {string}
+         */
+        Sort: "group" | "joules";
         /** @description A stage of a rollout. */
         StageView: {
             /** @description How many of them have which outcome. */

@@ -1,6 +1,6 @@
 // A node's page.
 
-import { truncateSync, copyFileSync } from "node:fs";
+import { } from "node:fs";
 import { join } from "node:path";
 import { ROOT, accessible, answers, assert, fits, folder, freePort, open, quiet, start, stop, test, until } from "./harness.mjs";
 
@@ -154,10 +154,9 @@ async function cameraTests(browser) {
   await page.context().close();
 
   await test("a broken detector is red, and its frames are not among the skipped", async () => {
-    const model = join(folder, "broken.onnx");
-    copyFileSync(join(ROOT, "models/detector.onnx"), model);
-    truncateSync(model, 1000);
-    node = start(["node"], { ...env, ALBIREO_DETECTOR__MODEL: model });
+    // Computes for ever on any picture that is bright somewhere: each run is given up, and the session built anew.
+    const model = join(ROOT, "tests/fixtures/models/hanging.onnx");
+    node = start(["node"], { ...env, ALBIREO_DETECTOR__MODEL: model, ALBIREO_DETECTOR__TIMEOUT_MS: "300" });
     await until("the node answers", async () => (await fetch(`${address}/healthz`)).ok);
     const camera = start(["replay", "synth:3", "--rate", "5", "--connect", `tcp/127.0.0.1:${zenoh}`]);
     const broken = await open(browser, address);
