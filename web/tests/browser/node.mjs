@@ -1,6 +1,5 @@
 // A node's page.
 
-import { } from "node:fs";
 import { join } from "node:path";
 import { ROOT, accessible, answers, assert, fits, folder, freePort, open, quiet, start, stop, test, until } from "./harness.mjs";
 
