@@ -9,7 +9,7 @@ PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
 PARITY_ENVIRONMENT := $(CACHE)/parity/.ready
 DEMO_SECONDS ?=
 
-.PHONY: help demo test web lint soak board onnxruntime python debian release bench bench-peers parity clean
+.PHONY: help demo test web browser lint soak board onnxruntime python debian release bench bench-peers parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -54,6 +54,10 @@ board: ## the node for a small board: without hub, simulator, evaluation and ren
 web: ## the pages that people look at, with Node.js and npm; without them everything works but the pages
 	@bash web/build.sh
 
+browser: onnxruntime web ## the pages in Debian's Chromium against the program, by hand (on a busy machine a step may be too slow)
+	cargo build --locked
+	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" ALBIREO_BIN="$(abspath target/debug/albireo)" npm --prefix web run browser
+
 release: web ## the optimised program in target/release/albireo
 	cargo build --locked --release
 
@@ -70,7 +74,7 @@ $(PYTHON_ENVIRONMENT): tests/requirements.txt
 
 debian: ## Debian packages the tests use, installed when missing and when allowed
 	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql \
-		strace:strace chromium:chromium
+		strace:strace
 
 clean: ## remove what was built and fetched
 	cargo clean

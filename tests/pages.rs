@@ -1,5 +1,5 @@
-//! The pages that people look at: what they are built on is current, they are small, and they work in a browser against
-//! the program itself.
+//! The pages that people look at: what they are built on is current, and they are small. In a browser, against the
+//! program itself, `make browser` tests them.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
@@ -40,7 +40,6 @@ fn run(program: &str, arguments: &[&str]) {
     let output = Command::new(program)
         .args(arguments)
         .current_dir(web())
-        .env("ALBIREO_BIN", env!("CARGO_BIN_EXE_albireo"))
         .output()
         .unwrap();
     let said = String::from_utf8_lossy(&output.stdout);
@@ -75,10 +74,4 @@ fn both_pages_together_are_at_most_150_kilobytes_on_the_wire() {
     let total: u64 = sizes.iter().sum();
     assert!(sizes.len() >= 5, "the pages are not built: {sizes:?}");
     assert!(total <= 150_000, "{total} bytes");
-}
-
-#[test]
-#[ignore = "needs Node.js and Chromium and ONNX Runtime"]
-fn the_pages_work_in_a_browser() {
-    run("node", &["tests/browser/main.mjs"]);
 }

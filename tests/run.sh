@@ -21,7 +21,6 @@ need "curl" command -v curl
 need "strace" strace -o /dev/null true
 need "PostgreSQL" bash -c "command -v initdb || ls /usr/lib/postgresql/*/bin/initdb"
 need "Node.js" test -x web/node_modules/.bin/vitest -a -e web/dist/node.html
-need "Chromium" command -v chromium
 
 # With the feature turbojpeg where it can be built; its tests are named scaled_…
 read -ra options <<< "--locked --workspace $(bash tests/features.sh)"

@@ -12,6 +12,7 @@ use super::none;
 use super::reading::{Domain, Reading};
 use super::series::longest_gap;
 use super::user::EnergyUser;
+use albireo_service::panics::{contain, message};
 use albireo_wire::{BoardState, DomainWatts, EnergyQuality};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -288,7 +289,13 @@ impl Sensors {
     fn look(&mut self) -> Seen {
         let cpu = thread_cpu();
         let before = Instant::now();
-        let readings = self.meter.poll(before);
+        // A meter that meets a reading it has a bug for is a meter that cannot be read now: the next reading may do.
+        let meter = &mut self.meter;
+        let polled = contain(|| meter.poll(before));
+        let readings = polled.unwrap_or_else(|panic| {
+            let said = message(&*panic);
+            Err(MeterError::Failed(format!("the meter panicked: {said}")))
+        });
         let at = before + before.elapsed() / 2;
         let due = self
             .last_condition

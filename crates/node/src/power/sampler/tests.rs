@@ -189,3 +189,20 @@ async fn a_meter_that_fails_lets_nobody_wait() {
     );
     stop.cancel();
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_meter_that_panics_is_counted_and_read_again() {
+    let mut polls = 0;
+    let (handle, start, stop, task) = sampled(move |_| {
+        polls += 1;
+        assert_ne!(polls, 20, "a bug in a meter");
+        Some(10.0)
+    });
+    let end = start + Duration::from_secs(5);
+    tokio::time::sleep_until(end).await;
+    let found = handle.settled_energy(start, end).await;
+    assert_eq!(handle.failed_reads(), 1);
+    assert!((found.total_joules().unwrap() / 50.0 - 1.0).abs() < 1e-3);
+    stop.cancel();
+    task.await.unwrap();
+}
