@@ -3,9 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
-use albireo_core::policy::{
-    Evidence, FrameHead, Knob, KnobError, Need, Outcome, Policy, PolicyConfig,
-};
+use crate::support::policies::Before;
+use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
 use albireo_node::config::CameraConfig;
 use albireo_node::frame::Delivery;
@@ -46,48 +45,6 @@ struct OpenAtLast(Arc<Gate>);
 impl Drop for OpenAtLast {
     fn drop(&mut self) {
         self.0.open();
-    }
-}
-
-/// A policy that does not begin a frame before its gate is open.
-struct Gated {
-    inner: Box<dyn Policy>,
-    gate: Arc<Gate>,
-}
-
-impl Policy for Gated {
-    fn name(&self) -> &'static str {
-        self.inner.name()
-    }
-
-    fn knob(&self) -> Option<Knob> {
-        self.inner.knob()
-    }
-
-    fn knob_value(&self) -> Option<f64> {
-        self.inner.knob_value()
-    }
-
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        self.inner.set_knob(value)
-    }
-
-    fn begin(&mut self, frame: FrameHead) -> Need {
-        // The other tasks of this worker thread go on.
-        tokio::task::block_in_place(|| self.gate.pass());
-        self.inner.begin(frame)
-    }
-
-    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        self.inner.answer(evidence)
-    }
-
-    fn finish(&mut self, outcome: &mut Outcome) {
-        self.inner.finish(outcome);
-    }
-
-    fn reset(&mut self) {
-        self.inner.reset();
     }
 }
 
@@ -154,7 +111,9 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
                 return Ok(inner);
             }
             let gate = Arc::clone(&shut);
-            Ok(Box::new(Gated { inner, gate }) as Box<dyn Policy>)
+            // The other tasks of this worker thread go on.
+            let before = move || tokio::task::block_in_place(|| gate.pass());
+            Ok(Box::new(Before { inner, before }) as Box<dyn Policy>)
         }));
     let mut bench = Bench::start_prepared(&config, prepared).await;
     let picture = pictures(1).remove(0);

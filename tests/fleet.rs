@@ -4,21 +4,13 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::support::camera::Camera;
-use crate::support::fleet::{HubProcess, Router, Settings, behind, sqlite};
+use crate::support::fleet::{HubProcess, Router, Settings, behind, from_environment, sqlite};
 use crate::support::postgres::Postgres;
 use crate::support::{Node, PATIENCE, free_port};
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
-
-/// Kills of one run. More by hand: `ALBIREO_KILLS=1000`; another order: `ALBIREO_SEED=7`.
-fn from_environment(name: &str, default: u64) -> u64 {
-    std::env::var(name)
-        .ok()
-        .and_then(|text| text.parse().ok())
-        .unwrap_or(default)
-}
 
 /// A node and its camera, through kills and restarts.
 struct Car {
@@ -258,6 +250,7 @@ impl Fleet {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and Python and PostgreSQL"]
 async fn node_hub_router_and_database_killed_in_any_order_lose_no_report_and_double_none() {
+    // More by hand: ALBIREO_KILLS=1000; another order: ALBIREO_SEED=7.
     let kills = from_environment("ALBIREO_KILLS", 24);
     let mut random = Pcg64Mcg::seed_from_u64(from_environment("ALBIREO_SEED", 1));
     let endpoint = format!("tcp/127.0.0.1:{}", free_port());

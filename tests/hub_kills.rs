@@ -3,19 +3,11 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::support::PATIENCE;
-use crate::support::fleet::{HubProcess, now_ns, send, settings, sqlite, uplink};
+use crate::support::fleet::{HubProcess, from_environment, now_ns, send, settings, sqlite, uplink};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
-
-/// Kills of one run. More by hand: `ALBIREO_KILLS=1000`.
-fn kills() -> u64 {
-    std::env::var("ALBIREO_KILLS")
-        .ok()
-        .and_then(|text| text.parse().ok())
-        .unwrap_or(12)
-}
 
 const NODES: usize = 4;
 
@@ -82,7 +74,8 @@ async fn a_hub_killed_in_the_middle_of_ingest_loses_no_report_and_has_none_twice
             ))
         })
         .collect();
-    for kill in 0..kills() {
+    // More by hand: ALBIREO_KILLS=1000.
+    for kill in 0..from_environment("ALBIREO_KILLS", 12) {
         let before = acknowledged.load(Ordering::Relaxed);
         more_than(&acknowledged, before + kill % 7 * 5).await;
         // At another moment of a commit each time.

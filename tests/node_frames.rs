@@ -3,6 +3,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use crate::support::both_ways;
 use albireo_core::geometry::PictureSize;
 use albireo_node::board::Board;
 use albireo_node::config::{CameraConfig, NodeConfig};
@@ -84,29 +85,8 @@ impl Bench {
             detections,
             endpoints,
         };
-        bench.both_ways().await;
+        both_ways(&bench.session, "node", CAMERA).await;
         bench
-    }
-
-    /// Waits until both subscriptions, the node's and this one, are known to the other side.
-    async fn both_ways(&self) {
-        let publisher = self.session.declare_publisher(frame_key()).await.unwrap();
-        let listener = publisher.matching_listener().await.unwrap();
-        timeout(LONG, async {
-            while !publisher.matching_status().await.unwrap().matching() {
-                let _ = listener.recv_async().await;
-            }
-        })
-        .await
-        .unwrap();
-        // The node's subscription came over the link on which this one went out before it, and links keep
-        // their order; a query that is answered says that the node has read what came before.
-        let replies = self
-            .session
-            .get("albireo/node/front/threshold")
-            .await
-            .unwrap();
-        while replies.recv_async().await.is_ok() {}
     }
 
     pub(crate) async fn send(

@@ -5,9 +5,8 @@
 use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
 use crate::support::Node;
 use crate::support::detectors::model;
-use albireo_core::policy::{
-    Evidence, FrameHead, Knob, KnobError, Need, Outcome, Policy, PolicyConfig,
-};
+use crate::support::policies::Before;
+use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
 use albireo_node::board::Board;
 use albireo_wire::{ClipEnd, HealthState};
@@ -15,45 +14,10 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::timeout;
 
-/// Another policy that has a bug: it panics on the frame after so many.
-struct Buggy {
-    inner: Box<dyn Policy>,
-    good: u32,
-}
-
-impl Policy for Buggy {
-    fn name(&self) -> &'static str {
-        self.inner.name()
-    }
-
-    fn knob(&self) -> Option<Knob> {
-        self.inner.knob()
-    }
-
-    fn knob_value(&self) -> Option<f64> {
-        self.inner.knob_value()
-    }
-
-    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
-        self.inner.set_knob(value)
-    }
-
-    fn begin(&mut self, frame: FrameHead) -> Need {
-        self.good = self.good.checked_sub(1).expect("a bug in a policy");
-        self.inner.begin(frame)
-    }
-
-    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
-        self.inner.answer(evidence)
-    }
-
-    fn finish(&mut self, outcome: &mut Outcome) {
-        self.inner.finish(outcome);
-    }
-
-    fn reset(&mut self) {
-        self.inner.reset();
-    }
+/// `inner` with a bug: it panics on the frame after so many.
+fn buggy(inner: Box<dyn Policy>, mut good: u32) -> Box<dyn Policy> {
+    let before = move || good = good.checked_sub(1).expect("a bug in a policy");
+    Box::new(Before { inner, before })
 }
 
 /// Waits until `holds` of the board.
@@ -75,7 +39,7 @@ async fn a_camera_loop_that_panics_is_counted_said_and_started_anew_and_no_frame
         .unwrap()
         .with_policies(Arc::new(move |_| {
             let inner = policy.build()?;
-            Ok(Box::new(Buggy { inner, good: 2 }) as Box<dyn Policy>)
+            Ok(buggy(inner, 2))
         }));
     let mut bench = Bench::start_prepared(&config, prepared).await;
     let mut reports = bench.reports().await;
@@ -131,7 +95,7 @@ async fn frames_that_arrive_while_a_camera_loop_does_not_run_are_counted() {
         .unwrap()
         .with_policies(Arc::new(move |_| {
             let inner = policy.build()?;
-            Ok(Box::new(Buggy { inner, good: 0 }) as Box<dyn Policy>)
+            Ok(buggy(inner, 0))
         }));
     let bench = Bench::start_prepared(&config, prepared).await;
     let picture = pictures(1).remove(0);

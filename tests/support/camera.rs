@@ -1,6 +1,6 @@
 //! A camera that names a clip a frame, so that each frame ends a clip.
 
-use super::PATIENCE;
+use super::{PATIENCE, both_ways};
 use albireo_core::geometry::PictureSize;
 use albireo_synth::{Dashcam, DashcamSettings};
 use albireo_wire::{ClipReport, FrameAttachment, VERSION, read};
@@ -53,19 +53,7 @@ impl Camera {
             .congestion_control(zenoh::qos::CongestionControl::Block)
             .await
             .unwrap();
-        let listener = frames.matching_listener().await.unwrap();
-        let matched = async {
-            while !frames.matching_status().await.unwrap().matching() {
-                let _ = listener.recv_async().await;
-            }
-        };
-        tokio::time::timeout(PATIENCE, matched).await.unwrap();
-        // An answered query says that the node knows this side's subscription.
-        let replies = session
-            .get(format!("albireo/{node}/front/threshold"))
-            .await
-            .unwrap();
-        while replies.recv_async().await.is_ok() {}
+        both_ways(&session, node, "front").await;
         let mut dashcam = Dashcam::new(DashcamSettings {
             seed: 5,
             size: PictureSize::new(320, 180),

@@ -21,6 +21,14 @@ pub(crate) struct HubProcess {
     log: tempfile::NamedTempFile,
 }
 
+/// A number from the environment, for more by hand.
+pub(crate) fn from_environment(name: &str, default: u64) -> u64 {
+    std::env::var(name)
+        .ok()
+        .and_then(|text| text.parse().ok())
+        .unwrap_or(default)
+}
+
 /// A hub's settings, as environment variables of its process.
 pub(crate) type Settings = Vec<(&'static str, String)>;
 

@@ -7,11 +7,13 @@ pub(crate) mod camera;
 pub(crate) mod detectors;
 #[cfg(feature = "hub")]
 pub(crate) mod fleet;
+pub(crate) mod policies;
 #[cfg(feature = "hub")]
 #[path = "../../crates/hub/tests/support/postgres.rs"]
 #[allow(unreachable_pub)]
 pub(crate) mod postgres;
 
+use albireo::cli::replay::{FrameSender, Haste};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
@@ -201,6 +203,20 @@ async fn http_address<R: AsyncRead + Unpin>(lines: &mut Lines<BufReader<R>>) -> 
         seen.push('\n');
     }
     panic!("the node ended before it listened:\n{seen}");
+}
+
+/// Waits until a node has subscribed to the frames of its camera, and knows what `session` has subscribed to.
+pub(crate) async fn both_ways(session: &zenoh::Session, node: &str, camera: &str) {
+    let key = format!("albireo/{node}/{camera}/frame");
+    let sender = FrameSender::declare(session, &key, Haste::Drop).await;
+    let sender = sender.expect("a key for frames");
+    let waited = sender.wait_for_receiver(PATIENCE).await;
+    waited.expect("the node subscribes");
+    // The node's subscription came over the link on which this side's went out before it, and links keep their order;
+    // a query that is answered says that the node has read what came before.
+    let replies = session.get(format!("albireo/{node}/{camera}/threshold"));
+    let replies = replies.await.expect("a query");
+    while replies.recv_async().await.is_ok() {}
 }
 
 /// The independent client: Eclipse Zenoh's Python binding.

@@ -1,7 +1,6 @@
 //! The hub of a fleet: it takes the nodes' clip reports exactly once, knows which nodes are there and how they are,
 //! keeps their history in a database, and shows it by HTTP. [`run()`] is the service.
 
-mod clock;
 pub mod config;
 pub mod desired;
 pub mod events;

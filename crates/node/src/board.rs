@@ -21,8 +21,9 @@ use albireo_core::policy::KnobError;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskTally;
 use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
+use parking_lot::Mutex;
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
@@ -32,12 +33,6 @@ pub(crate) const RECENT_CLIPS: usize = 256;
 
 /// Events a slow reader may be behind before it loses some (and is told how many).
 const EVENT_BACKLOG: usize = 1024;
-
-/// Locks, also after a panic elsewhere: what is behind these locks is plain numbers that no panic can
-/// leave half-written in a way that matters.
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// Power now, and energy since the node started.
 #[derive(Clone, Debug, PartialEq)]
@@ -200,7 +195,7 @@ impl Board {
             camera.count_clip();
         }
         let report = Arc::new(report);
-        let mut clips = lock(&self.clips);
+        let mut clips = self.clips.lock();
         if clips.len() == RECENT_CLIPS {
             clips.pop_front();
         }
@@ -212,7 +207,8 @@ impl Board {
 
     /// The newest clip reports, newest first: of one camera or of all, at most `limit`.
     pub fn recent_clips(&self, camera: Option<&str>, limit: usize) -> Vec<Arc<ClipReport>> {
-        lock(&self.clips)
+        self.clips
+            .lock()
             .iter()
             .rev()
             .filter(|report| camera.is_none_or(|name| report.camera == name))
@@ -304,12 +300,12 @@ impl Board {
 
     /// Writes the power figures; to be called by the sampling task.
     pub fn set_power(&self, power: PowerSnapshot) {
-        *lock(&self.power) = power;
+        *self.power.lock() = power;
     }
 
     /// The power figures as last written.
     pub fn power(&self) -> PowerSnapshot {
-        lock(&self.power).clone()
+        self.power.lock().clone()
     }
 
     /// Whether the node works, part by part.

@@ -1,6 +1,6 @@
 //! Log lines that may come with every frame, thinned out: one a period and kind, the rest counted.
 
-use std::sync::{Mutex, PoisonError};
+use parking_lot::Mutex;
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -41,16 +41,14 @@ pub(crate) struct SharedLimit(Mutex<RateLimit>);
 impl SharedLimit {
     /// A limit that has let nothing through yet.
     pub(crate) const fn new() -> Self {
-        Self(Mutex::new(RateLimit::new(Duration::from_secs(10))))
+        Self(parking_lot::const_mutex(RateLimit::new(
+            Duration::from_secs(10),
+        )))
     }
 
     /// Calls `tell` with the number of calls since it was last called, unless that was just now.
     pub(crate) fn tell(&self, tell: impl FnOnce(u64)) {
-        let admitted = self
-            .0
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .admit(Instant::now());
+        let admitted = self.0.lock().admit(Instant::now());
         if let Some(held_back) = admitted {
             tell(held_back);
         }

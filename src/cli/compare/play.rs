@@ -12,7 +12,8 @@ use albireo_node::frame::Delivery;
 use albireo_service::config::{Configuration, ZenohConfig};
 use albireo_wire::{ClipReport, DetectionsMessage, read};
 use anyhow::{Context, anyhow, bail};
-use std::sync::{Arc, Mutex, PoisonError};
+use parking_lot::Mutex;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -203,7 +204,7 @@ impl Player {
             .close()
             .await
             .map_err(|error| anyhow!("closing the Zenoh session: {error}"))?;
-        let answers = std::mem::take(&mut *answers.lock().unwrap_or_else(PoisonError::into_inner));
+        let answers = std::mem::take(&mut *answers.lock());
         Ok(Measured {
             cpu,
             first: warm_up,
@@ -267,9 +268,7 @@ async fn subscribe(session: &Session, key: String) -> anyhow::Result<Arc<Mutex<V
         .declare_subscriber(key)
         .callback(move |sample| {
             let answer = sample.payload().to_bytes().into_owned();
-            kept.lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .push(answer);
+            kept.lock().push(answer);
         })
         .background()
         .await

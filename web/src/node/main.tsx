@@ -1,9 +1,9 @@
 // The page of one node.
 
-import { render } from "preact";
 import { useEffect } from "preact/hooks";
-import { askWho, caller, pause } from "../shared/api";
+import { caller } from "../shared/api";
 import { Unlock } from "../shared/parts";
+import { start } from "../shared/start";
 import "../shared/style.css";
 import { Tiles } from "./cameras";
 import { DetectorTime, Power, Rates, Uncertainty } from "./charts";
@@ -67,19 +67,4 @@ function Page() {
   );
 }
 
-async function start(): Promise<void> {
-  render(<Page />, document.getElementById("page")!);
-  // The node may still be starting.
-  for (;;) {
-    try {
-      await askWho();
-      lost.value = undefined;
-      return;
-    } catch (error) {
-      lost.value = error instanceof Error ? error.message : String(error);
-      await pause(1000);
-    }
-  }
-}
-
-void start();
+void start(<Page />, lost);

@@ -220,9 +220,27 @@ fn fresh(id: i64, who: &str) -> Row {
     Row {
         id,
         who: who.to_owned(),
-        begun_ms: crate::clock::now_ms(),
+        begun_ms: albireo_service::clock::unix_milliseconds(),
         ended_ms: None,
     }
+}
+
+/// A page of rollouts or trials, and where the next one begins.
+async fn page(
+    view: &HubView,
+    kind: &str,
+    which: &Which,
+) -> Result<(Vec<(CampaignRow, Campaign)>, Option<i64>), Problem> {
+    let limit = which.limit.unwrap_or(20).clamp(1, MOST);
+    let found = view
+        .tuner()?
+        .list_campaigns(kind, which.before.unwrap_or(i64::MAX), limit)
+        .await?;
+    let next = found
+        .last()
+        .filter(|_| found.len() as i64 == limit)
+        .map(|(row, _)| row.id);
+    Ok((found, next))
 }
 
 const NOT_OF_ITS_KIND: &str = "the database has something else under that number";
@@ -273,15 +291,7 @@ pub(super) async fn rollouts(
     State(view): State<HubView>,
     Query(which): Query<Which>,
 ) -> Result<Json<Rollouts>, Problem> {
-    let limit = which.limit.unwrap_or(20).clamp(1, MOST);
-    let found = view
-        .tuner()?
-        .list_campaigns("rollout", which.before.unwrap_or(i64::MAX), limit)
-        .await?;
-    let next = found
-        .last()
-        .filter(|_| found.len() as i64 == limit)
-        .map(|(row, _)| row.id);
+    let (found, next) = page(&view, "rollout", &which).await?;
     let rollouts = found
         .into_iter()
         .filter_map(|(row, campaign)| match campaign {
@@ -371,15 +381,7 @@ pub(super) async fn trials(
     State(view): State<HubView>,
     Query(which): Query<Which>,
 ) -> Result<Json<Trials>, Problem> {
-    let limit = which.limit.unwrap_or(20).clamp(1, MOST);
-    let found = view
-        .tuner()?
-        .list_campaigns("trial", which.before.unwrap_or(i64::MAX), limit)
-        .await?;
-    let next = found
-        .last()
-        .filter(|_| found.len() as i64 == limit)
-        .map(|(row, _)| row.id);
+    let (found, next) = page(&view, "trial", &which).await?;
     let trials = found
         .into_iter()
         .filter_map(|(row, campaign)| match campaign {

@@ -1,10 +1,10 @@
 //! What a hub tells of itself in one archive, for whoever looks for a fault from afar.
 
 use super::HubView;
-use crate::clock::now_ms;
 use crate::config::HubConfig;
 use crate::presence::{Order, PresenceState};
 use crate::store::{Store, StoreError};
+use albireo_service::clock::unix_milliseconds;
 use albireo_service::{archive, logging};
 use axum::extract::State;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
@@ -59,7 +59,7 @@ fn mask(value: &mut Value) {
     responses((status = 200, content_type = "application/x-tar", body = Vec<u8>))
 )]
 pub(super) async fn archive(State(view): State<HubView>) -> Response {
-    let now_s = u64::try_from(now_ms().div_euclid(1000)).unwrap_or(0);
+    let now_s = u64::try_from(unix_milliseconds().div_euclid(1000)).unwrap_or(0);
     let (events, changes) = match view.store() {
         Ok(store) => (said(events(store).await), said(changes(store).await)),
         Err(_) => (away(), away()),

@@ -1,8 +1,8 @@
 //! What the fleet's clips cost.
 
 use super::{HubView, query, unavailable};
-use crate::clock::now_ms;
 use crate::store::{EnergyBy, EnergyGroup, EnergyQuery, Resolution};
+use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
@@ -74,7 +74,7 @@ pub(super) async fn sums(
     selection: Result<Query<Selection>, QueryRejection>,
 ) -> Result<Json<Energy>, Problem> {
     let selection = query(selection)?;
-    let now_s = now_ms().div_euclid(1000);
+    let now_s = unix_milliseconds().div_euclid(1000);
     let seconds = |ms: i64| ms.div_euclid(1000);
     let asked_until = selection.until_ms.map(seconds);
     let asked_since = selection.since_ms.map(seconds);

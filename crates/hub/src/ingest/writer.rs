@@ -4,7 +4,6 @@ use super::commit::{Committed, Numbers, write};
 use super::decode::{Batch, decode};
 use super::plan::Outcome;
 use super::{IngestCounters, Replies, Waiting, refusal};
-use crate::clock::now_ms;
 use crate::config::{HistoryConfig, IngestConfig};
 use crate::desired::Desires;
 use crate::events::EventsChanged;
@@ -12,6 +11,7 @@ use crate::presence::Fleet;
 use crate::readiness::Readiness;
 use crate::store::retention::STEP;
 use crate::store::{Store, StoreError, Writer};
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{RefusalReason, ReportAnswer};
 use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
@@ -120,7 +120,7 @@ impl IngestWriter {
                 tracing::warn!(node = waiting.node, %error, "a batch cannot be read");
                 self.setup
                     .fleet
-                    .unreadable(&waiting.node, &error.to_string(), now_ms());
+                    .unreadable(&waiting.node, &error.to_string(), unix_milliseconds());
                 let refusal = refusal(reason, error.to_string(), None);
                 self.setup.replies.refuse(waiting.query, refusal);
             }
@@ -195,7 +195,7 @@ impl IngestWriter {
         batches: &[Batch],
         retention: bool,
     ) -> Result<Committed, StoreError> {
-        let now_ms = now_ms();
+        let now_ms = unix_milliseconds();
         let mut writing = self.writer.begin().await?;
         let mut committed = write(
             &mut writing,
@@ -253,7 +253,7 @@ impl IngestWriter {
         }
         for ((waiting, batch), outcome) in waiting.into_iter().zip(batches).zip(committed.outcomes)
         {
-            setup.fleet.reported(&batch.node, now_ms());
+            setup.fleet.reported(&batch.node, unix_milliseconds());
             match outcome {
                 Outcome::Stored(number) => {
                     counters.batches(1);

@@ -4,9 +4,9 @@
 //! gap in the numbers, and the hub asks for all.
 
 use super::Fleet;
-use crate::clock::now_ms;
 use crate::desired::Desires;
 use crate::ingest::{Replies, refusal};
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{FleetKeys, Poke, PullRequest, RefusalReason, StatusMessage, VERSION};
 use anyhow::anyhow;
 use bytes::Bytes;
@@ -226,16 +226,18 @@ async fn take(
                 None => return,
             },
             _ = sweep.tick() => {
-                fleet.sweep(Instant::now(), now_ms());
+                fleet.sweep(Instant::now(), unix_milliseconds());
                 continue;
             }
         };
         match one {
-            Heard::Token { node, present } => fleet.token(&node, present, Instant::now(), now_ms()),
+            Heard::Token { node, present } => {
+                fleet.token(&node, present, Instant::now(), unix_milliseconds())
+            }
             Heard::Status { node, payload } => {
                 match albireo_wire::read::<StatusMessage>(&payload) {
                     Ok(message) => {
-                        if fleet.heard(&node, &message, Instant::now(), now_ms()) {
+                        if fleet.heard(&node, &message, Instant::now(), unix_milliseconds()) {
                             pokes.poke(&node, 0);
                         }
                     }

@@ -10,8 +10,8 @@ use super::selector::Selector;
 use super::statistics::Moments;
 use super::trial::{Trial, TrialPhase, TrialPlan, TrialWindow};
 use super::tuner::{NewOrder, Tuner, text};
-use crate::clock::now_ms;
 use crate::store::{CampaignRow, ClipSums, ClipWindow, Key, StoreError};
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::KnobValue;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
@@ -173,7 +173,7 @@ impl Tuner {
             node: c.node,
             why: "has the value already".to_owned(),
         }));
-        let now = now_ms();
+        let now = unix_milliseconds();
         let seed = request.plan.seed.unwrap_or(now.unsigned_abs());
         let why = request.plan.why.clone();
         let rollout = Rollout::begin(request, candidates, seed, who, now)?;
@@ -200,7 +200,7 @@ impl Tuner {
         let taken = Self::taken(&campaigns);
         let knob = plan.values.first().map_or("u", |value| value.name);
         let (candidates, left_out) = self.candidates(&plan.select, knob, &taken);
-        let now = now_ms();
+        let now = unix_milliseconds();
         let seed = plan.seed.unwrap_or(now.unsigned_abs());
         let why = plan.why.clone();
         let trial = Trial::begin(plan, candidates, seed, now)?;
@@ -287,7 +287,7 @@ impl Tuner {
     ) -> Result<Rollout, CampaignError> {
         const KIND: &str = "rollout";
         let mut campaigns = self.campaigns.lock().await;
-        let now = now_ms();
+        let now = unix_milliseconds();
         if !campaigns.running.contains_key(&id) {
             let row = self
                 .store
@@ -352,7 +352,7 @@ impl Tuner {
     /// Ends a trial before its time, with what was measured until now.
     pub(crate) async fn end_trial(&self, id: i64, who: &str) -> Result<Trial, CampaignError> {
         const KIND: &str = "trial";
-        let now = now_ms();
+        let now = unix_milliseconds();
         let mut campaigns = self.campaigns.lock().await;
         let Some(Driven {
             campaign: Campaign::Trial(trial),

@@ -1,7 +1,7 @@
 //! The task that follows orders, rollouts and trials while the hub runs.
 
 use super::tuner::Tuner;
-use crate::clock::now_ms;
+use albireo_service::clock::unix_milliseconds;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
@@ -24,7 +24,7 @@ pub(crate) async fn follow(tuner: Arc<Tuner>, shutdown: CancellationToken) {
             _ = every.tick() => {}
             () = shutdown.cancelled() => return,
         }
-        let now = now_ms();
+        let now = unix_milliseconds();
         let look = looks;
         let worked = async {
             tuner.look(now).await?;

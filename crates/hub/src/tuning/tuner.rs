@@ -3,12 +3,12 @@
 use super::desired::DesiredValue;
 use super::fleet::{Fleet, NodeFacts};
 use super::members::{Millis, Outcome};
-use crate::clock::now_ms;
 use crate::config::TuningConfig;
 use crate::desired::Desires;
 use crate::presence::Pokes;
 use crate::store::tables::EventRow;
 use crate::store::{OrderNodeRow, OrderRow, Store, StoreError, Writer};
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::KnobValue;
 use parking_lot::Mutex;
 use serde::Serialize;
@@ -165,7 +165,7 @@ impl Tuner {
                     ..desired.knob
                 }),
                 // Its time counts anew: nobody listened meanwhile.
-                asked_ms: now_ms(),
+                asked_ms: unix_milliseconds(),
                 poked_ms: 0,
                 outcome: Outcome::Pending,
             };
@@ -227,7 +227,7 @@ impl Tuner {
         order: NewOrder,
         follower: Option<mpsc::UnboundedSender<OutcomeLine>>,
     ) -> Result<u64, StoreError> {
-        let now = now_ms();
+        let now = unix_milliseconds();
         let reachable = |node: &str| self.fleet.node(node).is_some_and(|facts| facts.reachable);
         let generation = self
             .write(async |writing| {

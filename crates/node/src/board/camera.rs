@@ -1,15 +1,15 @@
 //! One camera's part of the live board.
 
 use super::event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
-use super::lock;
 use super::thresholds;
 use crate::frame::EncodedPicture;
 use crate::outbox::Outbox;
 use crate::screen::ScreenCounts;
 use albireo_core::policy::{FrameState, Knob, KnobError};
 use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, KnobSource, KnobValue};
+use parking_lot::Mutex;
 use prometheus_client::metrics::histogram::Histogram;
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
@@ -161,7 +161,7 @@ impl CameraBoard {
 
     /// Takes over what the empty-scene screen has counted.
     pub(crate) fn record_screen(&self, screen: ScreenCounts) {
-        lock(&self.counts).screen = screen;
+        self.counts.lock().screen = screen;
     }
 
     /// Counts a processed frame by what was published for it, and tells it to subscribers.
@@ -176,7 +176,7 @@ impl CameraBoard {
         if let Some(detector) = latency.detector {
             self.detector_latency.observe(detector / 1e3);
         }
-        let mut counts = lock(&self.counts);
+        let mut counts = self.counts.lock();
         counts.states.count(detections.state);
         counts.degraded_frames += u64::from(detections.degraded);
         counts.last_frame = Some(Instant::now());
@@ -193,16 +193,16 @@ impl CameraBoard {
 
     /// Adds frames that were not processed, each kind under its own name.
     pub fn record_dropped(&self, more: &DroppedFrames) {
-        lock(&self.counts).dropped += more;
+        self.counts.lock().dropped += more;
     }
 
     pub(super) fn count_clip(&self) {
-        lock(&self.counts).clips += 1;
+        self.counts.lock().clips += 1;
     }
 
     /// Where the camera stands.
     pub fn snapshot(&self) -> CameraSnapshot {
-        let counts = lock(&self.counts);
+        let counts = self.counts.lock();
         CameraSnapshot {
             states: counts.states,
             degraded_frames: counts.degraded_frames,
@@ -233,12 +233,12 @@ impl CameraBoard {
 
     /// Keeps the newest picture for who wants to look.
     pub fn set_latest_frame(&self, frame: LatestFrame) {
-        *lock(&self.latest_frame) = Some(frame);
+        *self.latest_frame.lock() = Some(frame);
     }
 
     /// The newest picture.
     pub(crate) fn latest_frame(&self) -> Option<LatestFrame> {
-        lock(&self.latest_frame).clone()
+        self.latest_frame.lock().clone()
     }
 
     /// The threshold in force from the next frame on; `None` when the policy has none.
@@ -253,7 +253,7 @@ impl CameraBoard {
 
     /// Who set the threshold in force.
     pub(crate) fn knob_source(&self) -> KnobSource {
-        *lock(&self.source)
+        *self.source.lock()
     }
 
     /// The threshold, for the camera's loop: read it before each frame.
@@ -301,9 +301,9 @@ impl CameraBoard {
         source: KnobSource,
     ) -> Result<f64, KnobError> {
         let knob = self.check_threshold(value)?;
-        let changing = lock(&self.changing);
+        let changing = self.changing.lock();
         let before = self.threshold.send_replace(Some(value));
-        *lock(&self.source) = source;
+        *self.source.lock() = source;
         if let Some(configured) = self.configured {
             thresholds::keep(&self.outbox, &self.name, &knob, configured, value, source);
         }

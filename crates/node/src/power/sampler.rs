@@ -14,8 +14,9 @@ use super::series::longest_gap;
 use super::user::EnergyUser;
 use albireo_service::panics::{contain, message};
 use albireo_wire::{BoardState, DomainWatts, EnergyQuality};
+use parking_lot::{Mutex, MutexGuard};
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::{Notify, watch};
 use tokio::task::JoinHandle;
@@ -73,10 +74,6 @@ struct SamplerState {
     wanted: Notify,
     cost: Mutex<MeterCost>,
     failures: AtomicU64,
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Answers for the energy of clips, and of any span of the last minute. Cheap to clone.
@@ -147,7 +144,7 @@ impl PowerHandle {
 
     /// The books, locked.
     pub(super) fn ledger(&self) -> MutexGuard<'_, Ledger> {
-        lock(&self.shared.ledger)
+        self.shared.ledger.lock()
     }
 
     /// What the books do not know of the meter.
@@ -190,7 +187,7 @@ impl PowerHandle {
 
     /// What reading the meter has cost so far.
     pub fn cost(&self) -> MeterCost {
-        *lock(&self.shared.cost)
+        *self.shared.cost.lock()
     }
 }
 
@@ -352,10 +349,10 @@ async fn sample(
         senses = returned;
         last = Instant::now();
         if let Some(condition) = seen.condition {
-            lock(&shared.ledger).looked(seen.at, condition);
+            shared.ledger.lock().looked(seen.at, condition);
         }
         {
-            let mut cost = lock(&shared.cost);
+            let mut cost = shared.cost.lock();
             cost.polls += 1;
             cost.cpu = seen.cpu;
             cost.elapsed = began.elapsed();
@@ -385,7 +382,7 @@ fn record(
     regular: bool,
 ) {
     let newest = {
-        let mut ledger = lock(&shared.ledger);
+        let mut ledger = shared.ledger.lock();
         for reading in readings {
             // A meter that tells the time delivers by its own clock, whenever it is asked.
             let regular = regular || reading.at.is_some();

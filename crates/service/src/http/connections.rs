@@ -5,10 +5,12 @@
 //! only hold connections never shut out one who asks. Only when every connection is in the middle of a request is a
 //! new one turned away, with an answer.
 
+use super::problem::{MEDIA_TYPE, Problem};
 use super::stalled::Stalled;
 use axum::Router;
 use axum::body::{Body, HttpBody};
 use axum::extract::Request;
+use axum::http::StatusCode;
 use bytes::Bytes;
 use http_body::{Frame, SizeHint};
 use hyper::server::conn::http1;
@@ -31,15 +33,15 @@ use tower_service::Service;
 const TURNING_AWAY: Duration = Duration::from_millis(250);
 
 /// What is answered when every connection is in the middle of a request.
-fn turned_away() -> Vec<u8> {
-    let body = "{\"type\":\"about:blank\",\"title\":\"Service Unavailable\",\"status\":503,\"detail\":\"all \
-                connections are in use (http.max_connections); close one, or try again later\"}";
-    format!(
-        "HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/problem+json\r\nretry-after: 1\r\n\
+fn turned_away() -> std::io::Result<Vec<u8>> {
+    let detail = "all connections are in use (http.max_connections); close one, or try again later";
+    let body = serde_json::to_string(&Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail))?;
+    let answer = format!(
+        "HTTP/1.1 503 Service Unavailable\r\ncontent-type: {MEDIA_TYPE}\r\nretry-after: 1\r\n\
          connection: close\r\ncontent-length: {}\r\n\r\n{body}",
         body.len()
-    )
-    .into_bytes()
+    );
+    Ok(answer.into_bytes())
 }
 
 /// Answers without looking at what is asked. It is read all the same: a client takes an answer before its request for
@@ -47,7 +49,7 @@ fn turned_away() -> Vec<u8> {
 async fn turn_away(mut stream: TcpStream) -> std::io::Result<()> {
     let mut asked = [0; 4096];
     if stream.read(&mut asked).await? > 0 {
-        stream.write_all(&turned_away()).await?;
+        stream.write_all(&turned_away()?).await?;
         stream.shutdown().await?;
         while stream.read(&mut asked).await? > 0 {}
     }

@@ -1,0 +1,44 @@
+//! A policy that does something of a test's own before it begins a frame.
+
+use albireo_core::policy::{Evidence, FrameHead, Knob, KnobError, Need, Outcome, Policy};
+
+/// Another policy, with what is to happen before each frame.
+pub(crate) struct Before<F> {
+    pub(crate) inner: Box<dyn Policy>,
+    pub(crate) before: F,
+}
+
+impl<F: FnMut() + Send + Sync> Policy for Before<F> {
+    fn name(&self) -> &'static str {
+        self.inner.name()
+    }
+
+    fn knob(&self) -> Option<Knob> {
+        self.inner.knob()
+    }
+
+    fn knob_value(&self) -> Option<f64> {
+        self.inner.knob_value()
+    }
+
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        self.inner.set_knob(value)
+    }
+
+    fn begin(&mut self, frame: FrameHead) -> Need {
+        (self.before)();
+        self.inner.begin(frame)
+    }
+
+    fn answer(&mut self, evidence: Evidence<'_>) -> Need {
+        self.inner.answer(evidence)
+    }
+
+    fn finish(&mut self, outcome: &mut Outcome) {
+        self.inner.finish(outcome);
+    }
+
+    fn reset(&mut self) {
+        self.inner.reset();
+    }
+}

@@ -1,0 +1,21 @@
+// How a page begins.
+
+import type { Signal } from "@preact/signals";
+import { render } from "preact";
+import type { VNode } from "preact";
+import { askWho, pause } from "./api";
+
+/** Shows `page`, then asks the service who this is until it answers: it may still be starting. `lost` says why not. */
+export async function start(page: VNode, lost: Signal<string | undefined>): Promise<void> {
+  render(page, document.getElementById("page")!);
+  for (;;) {
+    try {
+      await askWho();
+      lost.value = undefined;
+      return;
+    } catch (error) {
+      lost.value = error instanceof Error ? error.message : String(error);
+      await pause(1000);
+    }
+  }
+}
