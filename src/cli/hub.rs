@@ -48,5 +48,5 @@ async fn serve(config: HubConfig) -> anyhow::Result<()> {
     let listener = TcpListener::bind(config.http.listen)
         .await
         .with_context(|| format!("http.listen: {} cannot be listened on", config.http.listen))?;
-    albireo_hub::run(&config, listener, shutdown).await
+    Ok(albireo_hub::run(&config, listener, shutdown).await?)
 }

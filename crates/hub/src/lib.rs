@@ -3,6 +3,7 @@
 
 pub mod config;
 pub mod desired;
+mod error;
 pub mod events;
 pub mod http;
 pub mod ingest;
@@ -12,4 +13,5 @@ mod run;
 pub mod store;
 pub mod tuning;
 
+pub use error::HubError;
 pub use run::run;

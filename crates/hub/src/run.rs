@@ -1,6 +1,7 @@
 //! The service: a hub and its HTTP interface, from start to stop.
 
 use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
+use crate::error::HubError;
 use crate::events::EventsChanged;
 use crate::http::{self, HubView};
 use crate::ingest::{IngestWriter, Intake, Replies, WriterSetup};
@@ -9,7 +10,6 @@ use crate::readiness::Readiness;
 use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::session;
-use anyhow::{Context, anyhow};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
@@ -45,10 +45,10 @@ pub async fn run(
     config: &HubConfig,
     listener: TcpListener,
     shutdown: CancellationToken,
-) -> anyhow::Result<()> {
+) -> Result<(), HubError> {
     let address = listener
         .local_addr()
-        .context("the listener has no address")?;
+        .map_err(HubError::system("the listener has no address"))?;
     let readiness = Arc::new(Readiness::default());
     readiness.hold("zenoh", "the session is not open yet");
     readiness.hold("database", "it is not open yet");
@@ -74,7 +74,7 @@ pub async fn run(
     };
     let (http, hub) = tokio::join!(
         async {
-            let ended = http.await.context("[http]");
+            let ended = http.await.map_err(HubError::from);
             // Without its interface a hub cannot be watched or stopped: it ends.
             shutdown.cancel();
             ended
@@ -89,7 +89,7 @@ async fn parts(
     config: &HubConfig,
     view: &HubView,
     shutdown: &CancellationToken,
-) -> anyhow::Result<()> {
+) -> Result<(), HubError> {
     let readiness = &view.readiness;
     // A database may go away again at any moment, also between two questions of the start.
     let (store, nodes) = loop {
@@ -116,7 +116,8 @@ async fn parts(
     };
 
     view.attach_session(session.clone());
-    let (replies, replier) = Replies::start(Arc::clone(&view.ingest))?;
+    let (replies, replier) = Replies::start(Arc::clone(&view.ingest))
+        .map_err(HubError::system("the answering thread cannot be started"))?;
     let (intake, queue) = Intake::new(&config.ingest, replies.clone(), Arc::clone(&view.ingest));
     let changed = EventsChanged::default();
     let writer = IngestWriter::new(WriterSetup {
@@ -152,7 +153,7 @@ async fn parts(
         .complete(true)
         .callback(move |query| intake.take(query))
         .await
-        .map_err(|error| anyhow!("reports cannot be taken: {error}"))?;
+        .map_err(HubError::declaration("reports cannot be taken"))?;
     // Without one the hub is being stopped: what was taken in the meantime is committed below.
     let tuner = loop {
         let opened = Tuner::open(
@@ -230,9 +231,12 @@ async fn later(
     readiness: &Readiness,
     shutdown: &CancellationToken,
     error: StoreError,
-) -> anyhow::Result<bool> {
+) -> Result<bool, HubError> {
     if !error.passes() {
-        return Err(anyhow!("[database] {}: {error}", config.database.shown()));
+        return Err(HubError::Database {
+            url: config.database.shown().to_string(),
+            source: error,
+        });
     }
     tracing::warn!(%error, database = config.database.shown(), "trying again");
     readiness.hold("database", &error.to_string());
@@ -246,7 +250,7 @@ async fn open_session(
     config: &HubConfig,
     readiness: &Readiness,
     shutdown: &CancellationToken,
-) -> anyhow::Result<Option<Session>> {
+) -> Result<Option<Session>, HubError> {
     let session = session::open_patiently(
         &config.zenoh,
         MAX_PAYLOAD_BYTES,

@@ -14,7 +14,7 @@ use tokio_util::sync::CancellationToken;
 /// A fleet that is played until it is dropped.
 struct Played {
     stop: CancellationToken,
-    task: Option<JoinHandle<anyhow::Result<albireo_simulate::Summary>>>,
+    task: Option<JoinHandle<Result<albireo_simulate::Summary, albireo_simulate::SimulateError>>>,
 }
 
 /// Few nodes that live fast.

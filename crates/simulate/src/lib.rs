@@ -2,6 +2,7 @@
 //! desired, outages. It tells what it sent, what was acknowledged, and what it and other processes cost.
 
 mod cost;
+mod error;
 mod node;
 mod options;
 mod session;
@@ -9,11 +10,11 @@ mod summary;
 mod totals;
 
 pub use cost::ProcessCost;
+pub use error::SimulateError;
 pub use options::{Behaviour, LONGEST, MOST_NODES, MOST_SESSIONS, Options};
 pub use summary::Summary;
 pub use totals::{DelaySummary, SpreadSummary};
 
-use anyhow::{Context, anyhow};
 use cost::Process;
 use node::SimNode;
 use session::Player;
@@ -36,14 +37,14 @@ pub async fn run(
     options: Options,
     shutdown: CancellationToken,
     mut progress: impl FnMut(String),
-) -> anyhow::Result<Summary> {
-    options.check().map_err(|reason| anyhow!(reason))?;
+) -> Result<Summary, SimulateError> {
+    options.check().map_err(SimulateError::Options)?;
     let options = Arc::new(options);
     let totals = Arc::new(Totals::default());
     let opening = Instant::now();
     let players = tokio::select! {
         players = open_all(&options, &totals) => players?,
-        () = shutdown.cancelled() => return Err(anyhow!("stopped before all sessions were open")),
+        () = shutdown.cancelled() => return Err(SimulateError::Stopped),
     };
     let opened_s = opening.elapsed().as_secs_f64();
     progress(format!(
@@ -91,7 +92,7 @@ pub async fn run(
     });
     let (mut made, mut acknowledged) = (0, 0);
     while let Some(ended) = playing.join_next().await {
-        let (more, of_them) = ended.context("a simulated session failed")?;
+        let (more, of_them) = ended?;
         made += more;
         acknowledged += of_them;
     }
@@ -118,7 +119,10 @@ pub async fn run(
 }
 
 /// Opens every session, a few at a time, with its share of the nodes.
-async fn open_all(options: &Arc<Options>, totals: &Arc<Totals>) -> anyhow::Result<Vec<Player>> {
+async fn open_all(
+    options: &Arc<Options>,
+    totals: &Arc<Totals>,
+) -> Result<Vec<Player>, SimulateError> {
     let started_ns = session::now_ns();
     let places = Arc::new(Semaphore::new(OPEN_AT_ONCE));
     let mut opening = JoinSet::new();
@@ -126,7 +130,8 @@ async fn open_all(options: &Arc<Options>, totals: &Arc<Totals>) -> anyhow::Resul
         let (options, totals, places) =
             (Arc::clone(options), Arc::clone(totals), Arc::clone(&places));
         opening.spawn(async move {
-            let _place = places.acquire_owned().await?;
+            // Never closed, so there is always a place in the end.
+            let _place = places.acquire_owned().await;
             let session = session::open(&options, index).await?;
             let nodes = (index..options.nodes).step_by(options.sessions);
             let nodes = nodes
@@ -143,7 +148,7 @@ async fn open_all(options: &Arc<Options>, totals: &Arc<Totals>) -> anyhow::Resul
     }
     let mut players = Vec::with_capacity(options.sessions);
     while let Some(opened) = opening.join_next().await {
-        players.push(opened.context("opening a session failed")??);
+        players.push(opened??);
     }
     Ok(players)
 }

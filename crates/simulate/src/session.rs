@@ -1,12 +1,12 @@
 //! One Zenoh session and the nodes that talk through it.
 
+use super::error::SimulateError;
 use super::node::{SimNode, mix, unit};
 use super::options::Options;
 use super::totals::{Totals, count};
 use albireo_wire::{
     Desired, FleetKeys, Poke, PullRequest, RefusalReason, ReportAnswer, ReportRefusal, VERSION,
 };
-use anyhow::{Context, anyhow};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::sync::Arc;
@@ -67,10 +67,14 @@ pub(crate) struct Player {
 }
 
 /// Opens a client session to the endpoint, with the buffers of a node's uplink.
-pub(crate) async fn open(options: &Options, index: usize) -> anyhow::Result<Session> {
+pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, SimulateError> {
     let mut config = match &options.zenoh_config {
-        Some(file) => zenoh::Config::from_file(file)
-            .map_err(|error| anyhow!("{}: {error}", file.display()))?,
+        Some(file) => {
+            zenoh::Config::from_file(file).map_err(|error| SimulateError::ConfigFile {
+                file: file.clone(),
+                reason: error.to_string(),
+            })?
+        }
         None => zenoh::Config::default(),
     };
     // Thousands that lost their router come back spread out.
@@ -91,11 +95,25 @@ pub(crate) async fn open(options: &Options, index: usize) -> anyhow::Result<Sess
     ] {
         config
             .insert_json5(key, &value.to_string())
-            .map_err(|error| anyhow!("{key}: {error}"))?;
+            .map_err(|error| SimulateError::Setting {
+                key,
+                reason: error.to_string(),
+            })?;
     }
     zenoh::open(config)
         .await
-        .map_err(|error| anyhow!("session {index}: {error}"))
+        .map_err(|error| SimulateError::Session {
+            index,
+            reason: error.to_string(),
+        })
+}
+
+fn refused(what: &'static str, node: &SimNode, error: &zenoh::Error) -> SimulateError {
+    SimulateError::Declaration {
+        what,
+        node: node.name.clone(),
+        reason: error.to_string(),
+    }
 }
 
 pub(crate) fn now_ns() -> u64 {
@@ -112,12 +130,11 @@ impl Player {
         nodes: Vec<SimNode>,
         options: Arc<Options>,
         totals: Arc<Totals>,
-    ) -> anyhow::Result<Self> {
+    ) -> Result<Self, SimulateError> {
         let (tell, heard) = mpsc::channel(HEARD);
         let (mut places, mut pokes, mut tokens) = (Vec::new(), Vec::new(), Vec::new());
         for (index, node) in nodes.into_iter().enumerate() {
-            let keys =
-                FleetKeys::new(&options.prefix, &node.name).context("a simulated node's name")?;
+            let keys = FleetKeys::new(&options.prefix, &node.name)?;
             if options.pokes {
                 let tell = tell.clone();
                 let poked = session
@@ -131,12 +148,12 @@ impl Player {
                 pokes.push(
                     poked
                         .await
-                        .map_err(|error| anyhow!("poke of {}: {error}", node.name))?,
+                        .map_err(|error| refused("poke", &node, &error))?,
                 );
             }
             if options.tokens {
                 let token = session.liveliness().declare_token(keys.alive()).await;
-                tokens.push(token.map_err(|error| anyhow!("token of {}: {error}", node.name))?);
+                tokens.push(token.map_err(|error| refused("token", &node, &error))?);
             }
             places.push(Place {
                 node,

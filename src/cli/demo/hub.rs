@@ -15,7 +15,7 @@ use tokio_util::sync::CancellationToken;
 pub(super) struct DemoHub {
     address: SocketAddr,
     stop: CancellationToken,
-    running: JoinHandle<anyhow::Result<()>>,
+    running: JoinHandle<Result<(), albireo_hub::HubError>>,
     _folder: Folder,
 }
 

@@ -5,10 +5,10 @@
 
 use super::Fleet;
 use crate::desired::Desires;
+use crate::error::HubError;
 use crate::ingest::{Replies, refusal};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{FleetKeys, Poke, PullRequest, RefusalReason, StatusMessage, VERSION};
-use anyhow::anyhow;
 use bytes::Bytes;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -83,7 +83,7 @@ pub(crate) struct ListenSetup<'a> {
 }
 
 /// Declares everything and starts the task that takes what is heard, until the shutdown.
-pub(crate) async fn listen(setup: ListenSetup<'_>) -> anyhow::Result<Listening> {
+pub(crate) async fn listen(setup: ListenSetup<'_>) -> Result<Listening, HubError> {
     let ListenSetup {
         session,
         prefix,
@@ -96,7 +96,8 @@ pub(crate) async fn listen(setup: ListenSetup<'_>) -> anyhow::Result<Listening> 
     } = setup;
     let keys = FleetKeys::all(prefix)?;
     let (sender, heard) = mpsc::channel(QUEUE);
-    let pokes = poker(session.clone(), prefix.to_owned())?;
+    let pokes = poker(session.clone(), prefix.to_owned())
+        .map_err(HubError::system("the thread of pokes cannot be started"))?;
     tokio::spawn(take(
         heard,
         Arc::clone(&fleet),
@@ -121,7 +122,7 @@ pub(crate) async fn listen(setup: ListenSetup<'_>) -> anyhow::Result<Listening> 
             }
         })
         .await
-        .map_err(|error| anyhow!("status messages cannot be heard: {error}"))?;
+        .map_err(HubError::declaration("status messages cannot be heard"))?;
     let tokens = if tokens {
         let subscriber = session
             .liveliness()
@@ -137,7 +138,7 @@ pub(crate) async fn listen(setup: ListenSetup<'_>) -> anyhow::Result<Listening> 
                 }
             })
             .await
-            .map_err(|error| anyhow!("liveliness tokens cannot be watched: {error}"))?;
+            .map_err(HubError::declaration("liveliness tokens cannot be watched"))?;
         Some(subscriber)
     } else {
         None
@@ -169,7 +170,7 @@ pub(crate) async fn listen(setup: ListenSetup<'_>) -> anyhow::Result<Listening> 
             }
         })
         .await
-        .map_err(|error| anyhow!("what is desired cannot be answered: {error}"))?;
+        .map_err(HubError::declaration("what is desired cannot be answered"))?;
     Ok(Listening {
         _status: status,
         _tokens: tokens,
@@ -179,7 +180,7 @@ pub(crate) async fn listen(setup: ListenSetup<'_>) -> anyhow::Result<Listening> 
 }
 
 /// A thread that sends pokes, since a put may block; it ends when the last sender is gone.
-fn poker(session: Session, prefix: String) -> anyhow::Result<Pokes> {
+fn poker(session: Session, prefix: String) -> std::io::Result<Pokes> {
     let (sender, pokes) = sync_channel::<(String, u64)>(POKES);
     std::thread::Builder::new()
         .name("pokes".to_owned())

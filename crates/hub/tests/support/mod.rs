@@ -38,7 +38,7 @@ pub struct Hub {
     pub zenoh: String,
     pub config: HubConfig,
     shutdown: CancellationToken,
-    task: tokio::task::JoinHandle<anyhow::Result<()>>,
+    task: tokio::task::JoinHandle<Result<(), albireo_hub::HubError>>,
 }
 
 /// A configuration with addresses of its own.
