@@ -8,7 +8,7 @@ pub(crate) use names::SetupKey;
 pub(crate) use tallies::{Instance, Known};
 pub(crate) use tuning::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, knob};
 
-use super::rows::{Row, insert, parameter};
+use super::rows::{Row, insert, statements};
 use super::{Dialect, Store, StoreError};
 use serde::Serialize;
 use sqlx::any::AnyArguments;
@@ -85,24 +85,24 @@ impl Writing<'_> {
 
     /// Runs a statement on those rows; nothing is done without rows. How many rows of the table it touched.
     async fn with<T: Serialize>(&mut self, text: &str, rows: &[T]) -> Result<u64, StoreError> {
-        if rows.is_empty() {
-            return Ok(0);
+        let mut touched = 0;
+        for query in statements(self.dialect, text, rows)? {
+            touched += query.execute(&mut *self.transaction).await?.rows_affected();
         }
-        let query = self.query(text).bind(parameter(rows)?);
-        Ok(query.execute(&mut *self.transaction).await?.rows_affected())
+        Ok(touched)
     }
 
-    /// The rows a statement on those rows gives.
+    /// The rows a statement on those rows gives. Each row is looked up for itself: no statement gathers several.
     async fn ask<T: Serialize>(
         &mut self,
         text: &str,
         rows: &[T],
     ) -> Result<Vec<sqlx::any::AnyRow>, StoreError> {
-        if rows.is_empty() {
-            return Ok(Vec::new());
+        let mut found = Vec::new();
+        for query in statements(self.dialect, text, rows)? {
+            found.extend(query.fetch_all(&mut *self.transaction).await?);
         }
-        let query = self.query(text).bind(parameter(rows)?);
-        Ok(query.fetch_all(&mut *self.transaction).await?)
+        Ok(found)
     }
 
     /// Inserts rows into `table`.
