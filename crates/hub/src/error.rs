@@ -3,6 +3,7 @@
 use crate::store::StoreError;
 use albireo_service::http::HttpError;
 use albireo_service::session::SessionError;
+use albireo_service::supervise::TaskFailed;
 use albireo_wire::KeyError;
 
 /// Why a hub cannot start, or had to end.
@@ -34,6 +35,9 @@ pub enum HubError {
     /// The HTTP interface cannot be offered.
     #[error("[http]: {0}")]
     Http(#[from] HttpError),
+    /// A task the hub cannot do without has ended by itself.
+    #[error(transparent)]
+    Task(#[from] TaskFailed),
     /// The operating system refuses something.
     #[error("{what}: {source}")]
     System {

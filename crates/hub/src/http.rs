@@ -28,7 +28,7 @@ use axum::extract::rejection::QueryRejection;
 use axum::http::StatusCode;
 use axum::routing::get;
 use std::sync::{Arc, OnceLock};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 use utoipa::{Modify, OpenApi as _};
@@ -58,6 +58,8 @@ pub struct HubView {
     session: Arc<OnceLock<Session>>,
     /// The configuration without its secrets.
     config: Arc<serde_json::Value>,
+    /// After what time a request is answered with an error.
+    timeout: Duration,
     started: Instant,
 }
 
@@ -76,6 +78,7 @@ impl HubView {
             tuner: Arc::default(),
             session: Arc::default(),
             config: Arc::new(diag::without_secrets(config)),
+            timeout: Duration::from_millis(config.http.timeout_ms),
             started: Instant::now(),
         }
     }

@@ -10,9 +10,13 @@ use crate::readiness::Readiness;
 use crate::store::{Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::session;
+use albireo_service::supervise::TaskFailed;
+use std::collections::HashMap;
+use std::future::Future;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
+use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 
@@ -131,13 +135,15 @@ async fn parts(
         desires: Arc::clone(&view.desires),
         events: changed.clone(),
     });
-    let writing = tokio::spawn(writer.run(queue));
-    let following = tokio::spawn(view.events.clone().follow(
-        store.clone(),
-        changed,
-        shutdown.clone(),
-    ));
-    let listening = listen(ListenSetup {
+    let mut tasks = Tasks::default();
+    tasks.spawn("writer", writer.run(queue));
+    tasks.spawn(
+        "events",
+        view.events
+            .clone()
+            .follow(store.clone(), changed, shutdown.clone()),
+    );
+    let (listening, hearing) = listen(ListenSetup {
         session: &session,
         prefix: &config.hub.prefix,
         tokens: config.presence.tokens,
@@ -148,6 +154,7 @@ async fn parts(
         shutdown: shutdown.clone(),
     })
     .await?;
+    tasks.spawn("presence", hearing);
     let reports = session
         .declare_queryable(config.keys()?.report())
         .complete(true)
@@ -174,10 +181,10 @@ async fn parts(
         }
     };
     readiness.release("database");
-    let tuning = tuner.map(|tuner| {
+    if let Some(tuner) = tuner {
         view.attach_tuner(Arc::clone(&tuner));
-        tokio::spawn(tuning::follow(tuner, shutdown.clone()))
-    });
+        tasks.spawn("tuning", tuning::follow(tuner, shutdown.clone()));
+    }
     // Who was known tells where it stands now, and not at its next period.
     for node in view.fleet.names() {
         listening
@@ -194,16 +201,22 @@ async fn parts(
         .collect();
     tracing::info!(?zenoh, "ready");
 
-    shutdown.cancelled().await;
+    let failed = tokio::select! {
+        // Tasks end at the shutdown, and that is no failure.
+        biased;
+        () = shutdown.cancelled() => None,
+        failed = tasks.failed() => Some(failed),
+    };
+    if let Some(failed) = &failed {
+        // Whoever starts the hub starts it anew; what was not acknowledged is sent again.
+        tracing::error!(%failed, "the hub ends");
+        shutdown.cancel();
+    }
     readiness.hold("zenoh", "the hub stops");
     // With the queryable the queue's only sender goes: the writer commits what waits, and ends.
     drop(reports);
     let stop = async {
-        let _ = writing.await;
-        let _ = following.await;
-        if let Some(tuning) = tuning {
-            let _ = tuning.await;
-        }
+        tasks.finish().await;
         drop(listening);
         // The last answers go before the session does.
         let _ = tokio::task::spawn_blocking(move || replier.join()).await;
@@ -215,7 +228,43 @@ async fn parts(
     if tokio::time::timeout(STOP_LIMIT, stop).await.is_err() {
         tracing::warn!("not everything could be committed before the end; the nodes keep it");
     }
-    Ok(())
+    failed.map_or(Ok(()), |failed| Err(failed.into()))
+}
+
+/// The hub's tasks. Each runs until the hub stops; a hub that has lost one would look well and do half of its work.
+#[derive(Default)]
+struct Tasks {
+    running: JoinSet<&'static str>,
+    names: HashMap<tokio::task::Id, &'static str>,
+}
+
+impl Tasks {
+    fn spawn(&mut self, name: &'static str, task: impl Future<Output = ()> + Send + 'static) {
+        let handle = self.running.spawn(async move {
+            task.await;
+            name
+        });
+        self.names.insert(handle.id(), name);
+    }
+
+    /// The first one that ends.
+    async fn failed(&mut self) -> TaskFailed {
+        match self.running.join_next().await {
+            Some(Ok(task)) => TaskFailed {
+                task: task.to_owned(),
+                reason: "ended by itself".to_owned(),
+            },
+            Some(Err(error)) => TaskFailed {
+                task: (self.names.get(&error.id()).copied().unwrap_or("unknown")).to_owned(),
+                reason: format!("failed: {error}"),
+            },
+            None => std::future::pending().await,
+        }
+    }
+
+    async fn finish(&mut self) {
+        while self.running.join_next().await.is_some() {}
+    }
 }
 
 /// The database and what it knows of the nodes.

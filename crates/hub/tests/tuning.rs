@@ -332,6 +332,30 @@ async fn a_rollout_goes_on_where_it_was_when_the_hub_starts_anew_and_reaches_all
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_rollout_that_is_stopped_has_ended_and_its_old_values_can_still_be_had_back() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let played = Played::begin(&hub, fleet(3)).await;
+    let plan = json!({"u": 5e-4, "select": ["all"], "stages": ["100%"], "soak_s": 3600, "seed": 3});
+    let (_, begun) = post(&hub, "/api/v1/rollouts", plan).await;
+    let path = format!("/api/v1/rollouts/{}", begun["id"]);
+    hub.until(&path, |rollout| rollout["phase"] == "soaking")
+        .await;
+    let (status, answer) = post(&hub, &format!("{path}/stop"), json!({})).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    let stopped = hub.get(&path).await;
+    assert_eq!(stopped["phase"], "stopped");
+    assert!(stopped["ended_ms"].is_i64(), "{stopped}");
+    assert_eq!(values(&hub.get("/api/v1/nodes").await), [5e-4; 3]);
+    let (status, answer) = post(&hub, &format!("{path}/return"), json!({})).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    hub.until("/api/v1/nodes", |nodes| values(nodes) == [3e-4; 3])
+        .await;
+    played.end().await;
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_trial_measures_each_value_on_its_group_and_gives_the_old_value_back() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;

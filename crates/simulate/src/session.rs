@@ -32,6 +32,8 @@ const HEARD: usize = 4096;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Due {
     Status,
+    /// A status beside the period's.
+    StatusNow,
     Clip,
     Send,
 }
@@ -62,6 +64,8 @@ pub(crate) struct Player {
     due: BinaryHeap<Reverse<(Instant, usize, Due)>>,
     heard: mpsc::Receiver<Heard>,
     tell: mpsc::Sender<Heard>,
+    /// No more clips are made: what is left is sent, however little.
+    ending: bool,
     _pokes: Vec<Subscriber<()>>,
     _tokens: Vec<LivelinessToken>,
 }
@@ -170,6 +174,7 @@ impl Player {
             due: BinaryHeap::new(),
             heard,
             tell,
+            ending: false,
             _pokes: pokes,
             _tokens: tokens,
         })
@@ -186,13 +191,9 @@ impl Player {
         let clip = Duration::from_secs_f64(self.options.clip_s);
         for index in 0..self.places.len() {
             // Everybody's times are spread over the period.
-            let name = mix(
-                self.options.seed,
-                index as u64 ^ mix(7, self.places[index].node.waiting()),
-            );
-            let spread = |period: Duration, salt| {
-                period.mul_f64(unit(mix(name, salt ^ began.elapsed().as_nanos() as u64)))
-            };
+            let name = (self.places[index].node.name.bytes())
+                .fold(self.options.seed, |seed, byte| mix(seed, byte.into()));
+            let spread = |period: Duration, salt| period.mul_f64(unit(mix(name, salt)));
             self.due.push(Reverse((
                 began + spread(status.min(Duration::from_secs(5)), 1),
                 index,
@@ -207,9 +208,8 @@ impl Player {
             (from, from + self.options.outage_for)
         });
         let away = move |at: Instant| outage.is_some_and(|(from, until)| from <= at && at < until);
-        let mut ending = false;
         loop {
-            if ending && self.places.iter().all(|place| place.node.waiting() == 0) {
+            if self.ending && self.places.iter().all(|place| place.node.waiting() == 0) {
                 break;
             }
             let next = self.due.peek().map(|Reverse((at, ..))| *at);
@@ -225,22 +225,25 @@ impl Player {
                 () = tokio::time::sleep_until(next) => {
                     let Some(Reverse((at, index, due))) = self.due.pop() else { continue };
                     match due {
-                        Due::Status if !ending => {
+                        Due::Status if !self.ending => {
                             self.due.push(Reverse((at + status, index, Due::Status)));
                             if !away(at) { self.status(index).await }
                         }
-                        Due::Clip if !ending => {
+                        Due::StatusNow if !self.ending => {
+                            if !away(at) { self.status(index).await }
+                        }
+                        Due::Clip if !self.ending => {
                             self.due.push(Reverse((at + clip, index, Due::Clip)));
                             self.places[index].node.made += 1;
                             count(&self.totals.made, 1);
                             if self.places[index].node.waiting() >= self.options.gather { self.send(index, away(at)) }
                         }
                         Due::Send => self.send(index, away(at)),
-                        Due::Status | Due::Clip => {}
+                        Due::Status | Due::StatusNow | Due::Clip => {}
                     }
                 }
-                () = end.cancelled(), if !ending => {
-                    ending = true;
+                () = end.cancelled(), if !self.ending => {
+                    self.ending = true;
                     for index in 0..self.places.len() { self.send(index, false) }
                 }
                 () = stop.cancelled() => break,
@@ -279,7 +282,9 @@ impl Player {
                 if news == 0 {
                     // An answer that acknowledges nothing: the same batch again, but not at once.
                     self.later(index, None);
-                } else if place.node.waiting() >= self.options.gather {
+                } else if place.node.waiting() >= self.options.gather
+                    || (self.ending && place.node.waiting() > 0)
+                {
                     self.send(index, false);
                 }
                 if let Some(desired) = answer.desired {
@@ -320,7 +325,8 @@ impl Player {
             self.totals.decided(desired.generation, taken);
         }
         // A change is told at once.
-        self.due.push(Reverse((Instant::now(), index, Due::Status)));
+        self.due
+            .push(Reverse((Instant::now(), index, Due::StatusNow)));
     }
 
     async fn status(&mut self, index: usize) {

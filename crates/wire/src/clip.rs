@@ -111,7 +111,7 @@ pub enum ClipEnd {
     Shutdown,
 }
 
-/// The books of one clip.
+/// The report of one clip.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ClipReport {
     /// Version.
@@ -144,7 +144,11 @@ pub struct ClipReport {
     /// Policy.
     pub policy: String,
     /// Threshold at the end of the clip, under the knob's name; absent when the policy has none.
-    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        flatten,
+        deserialize_with = "crate::knob::optional",
+        skip_serializing_if = "Option::is_none"
+    )]
     #[schema(value_type = std::collections::BTreeMap<String, f64>)]
     pub knob: Option<KnobValue>,
     /// Every value in force during the clip, in order: the one at the start, then the changes.

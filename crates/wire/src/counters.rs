@@ -24,7 +24,11 @@ pub struct CountersMessage {
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
     /// Threshold in force, under the knob's name; absent when the policy has none.
-    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        flatten,
+        deserialize_with = "crate::knob::optional",
+        skip_serializing_if = "Option::is_none"
+    )]
     #[schema(value_type = std::collections::BTreeMap<String, f64>)]
     pub knob: Option<KnobValue>,
     /// Power now by domain, watts; empty without a source.

@@ -98,7 +98,11 @@ pub struct DetectionsMessage {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tau_max: Option<f64>,
     /// Threshold `u` in force, or the policy's own knob under its own name; absent when the policy has none.
-    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        flatten,
+        deserialize_with = "crate::knob::optional",
+        skip_serializing_if = "Option::is_none"
+    )]
     #[schema(value_type = std::collections::BTreeMap<String, f64>)]
     pub knob: Option<KnobValue>,
     /// Columns of the picture.

@@ -153,9 +153,12 @@ impl FleetKeys {
         })
     }
 
-    /// The node that a key of this kind belongs to: its last part.
+    /// The node that a key of this kind belongs to: its last part. None where that is no node's name: who puts to a
+    /// wildcard, or to a key with characters that no name has, is no node.
     pub fn node_of(key: &str) -> Option<&str> {
-        key.rsplit_once('/').map(|(_, node)| node)
+        key.rsplit_once('/')
+            .map(|(_, node)| node)
+            .filter(|node| check_segment("node", node).is_ok())
     }
 }
 
@@ -207,6 +210,8 @@ mod tests {
             "albireo/@status/*"
         );
         assert_eq!(FleetKeys::node_of("albireo/@status/car-7"), Some("car-7"));
+        assert_eq!(FleetKeys::node_of("albireo/@status/*"), None);
+        assert_eq!(FleetKeys::node_of("albireo/@status/a\0b"), None);
         assert_eq!(camera.frame(), "albireo/car-7/front/frame");
         assert_eq!(camera.detections(), "albireo/car-7/front/detections");
         assert_eq!(camera.clip(), "albireo/car-7/front/clip");

@@ -47,33 +47,43 @@ impl Serialize for KnobValue {
 
 impl<'de> Deserialize<'de> for KnobValue {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        struct OneKnob;
-        impl<'de> Visitor<'de> for OneKnob {
-            type Value = KnobValue;
+        optional(deserializer)?.ok_or_else(|| de::Error::invalid_length(0, &AtMostOneKnob))
+    }
+}
 
-            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-                write!(formatter, "the value of a knob: {}", KNOB_NAMES.join(", "))
-            }
+/// Reads a message's knob where it may have none. An `Option` alone would take a value that cannot be read, or two
+/// knobs, for none.
+pub(crate) fn optional<'de, D: Deserializer<'de>>(
+    deserializer: D,
+) -> Result<Option<KnobValue>, D::Error> {
+    // A struct, so that within another message only the fields of these names are looked at.
+    deserializer.deserialize_struct("KnobValue", KNOB_NAMES, AtMostOneKnob)
+}
 
-            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<KnobValue, A::Error> {
-                let mut found = None;
-                while let Some(key) = map.next_key::<String>()? {
-                    match known(&key) {
-                        Some(name) if found.is_none() => {
-                            let value = map.next_value()?;
-                            found = Some(KnobValue { name, value });
-                        }
-                        Some(_) => return Err(de::Error::custom("more than one knob")),
-                        None => {
-                            map.next_value::<de::IgnoredAny>()?;
-                        }
-                    }
+struct AtMostOneKnob;
+
+impl<'de> Visitor<'de> for AtMostOneKnob {
+    type Value = Option<KnobValue>;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "the value of a knob: {}", KNOB_NAMES.join(", "))
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+        let mut found = None;
+        while let Some(key) = map.next_key::<String>()? {
+            match known(&key) {
+                Some(name) if found.is_none() => {
+                    let value = map.next_value()?;
+                    found = Some(KnobValue { name, value });
                 }
-                found.ok_or_else(|| de::Error::invalid_length(0, &self))
+                Some(_) => return Err(de::Error::custom("more than one knob")),
+                None => {
+                    map.next_value::<de::IgnoredAny>()?;
+                }
             }
         }
-        // A struct, so that within another message only the fields of these names are looked at.
-        deserializer.deserialize_struct("KnobValue", KNOB_NAMES, OneKnob)
+        Ok(found)
     }
 }
 

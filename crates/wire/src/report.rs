@@ -122,7 +122,7 @@ impl ReceivedBatch {
             return Err(BatchError::Inconsistent("no reports"));
         }
         let span = batch.last.checked_sub(batch.first);
-        if span.is_none_or(|span| span + 1 < batch.reports.len() as u64) {
+        if span.is_none_or(|span| span < batch.reports.len() as u64 - 1) {
             return Err(BatchError::Inconsistent(
                 "more reports than numbers from first to last",
             ));

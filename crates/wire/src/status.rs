@@ -125,7 +125,11 @@ pub struct CameraStatus {
     /// Whether frames come.
     pub state: CameraState,
     /// Knob in force, under its own name; absent when the policy has none.
-    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[serde(
+        flatten,
+        deserialize_with = "crate::knob::optional",
+        skip_serializing_if = "Option::is_none"
+    )]
     #[schema(value_type = BTreeMap<String, f64>)]
     pub knob: Option<KnobValue>,
     /// Who set it.

@@ -58,3 +58,32 @@ fn a_report_that_cannot_be_read_does_not_make_its_batch_unreadable() {
     assert_eq!(batch.reports.len(), 2);
     assert!(read::<ClipReport>(batch.reports[1].get().as_bytes()).is_err());
 }
+
+#[test]
+fn a_knob_that_cannot_be_read_is_not_taken_for_none() {
+    let camera = |knob: &str| {
+        let json =
+            format!(r#"{{"name":"front","state":"never_seen","knob_source":"local"{knob}}}"#);
+        serde_json::from_str::<CameraStatus>(&json).map(|camera| camera.knob.map(|knob| knob.value))
+    };
+    assert_eq!(camera("").unwrap(), None);
+    assert_eq!(camera(r#","other":1,"u":3e-4"#).unwrap(), Some(3e-4));
+    assert!(camera(r#","u":"x""#).is_err());
+    let error = camera(r#","u":1e-4,"lambda":0.3"#).unwrap_err();
+    assert!(
+        error.to_string().starts_with("more than one knob"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_batch_over_all_numbers_there_are_does_not_overflow() {
+    use std::io::Write;
+    let json = format!(
+        r#"{{"v":1,"node":"n","instance":"0123456789abcdef0123456789abcdef","first":0,"last":{},"reports":[{{"v":1}}]}}"#,
+        u64::MAX
+    );
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
+    gzip.write_all(json.as_bytes()).unwrap();
+    assert!(ReceivedBatch::from_payload(&gzip.finish().unwrap()).is_ok());
+}

@@ -52,18 +52,23 @@ impl Default for DatabaseConfig {
 }
 
 impl DatabaseConfig {
-    /// The URL without its password.
+    /// The URL without its password, which may also stand among its parameters.
     pub fn shown(&self) -> String {
-        match self.url.split_once("://") {
-            Some((scheme, rest)) => match rest.rsplit_once('@') {
-                Some((user, place)) => {
-                    let user = user.split(':').next().unwrap_or_default();
-                    format!("{scheme}://{user}@{place}")
-                }
-                None => self.url.clone(),
-            },
-            None => self.url.clone(),
-        }
+        let Some((scheme, rest)) = self.url.split_once("://") else {
+            return self.url.clone();
+        };
+        let (place, parameters) = match rest.split_once('?') {
+            Some((place, _)) => (place, "?***"),
+            None => (rest, ""),
+        };
+        let place = match place.rsplit_once('@') {
+            Some((user, host)) => {
+                let user = user.split(':').next().unwrap_or_default();
+                format!("{user}@{host}")
+            }
+            None => place.to_owned(),
+        };
+        format!("{scheme}://{place}{parameters}")
     }
 
     pub(super) fn check(&self, findings: &mut Findings) {

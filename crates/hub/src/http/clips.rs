@@ -110,7 +110,7 @@ pub(super) async fn csv(
 ) -> Result<Response, Problem> {
     let selection = query(selection)?;
     let store = view.store()?.clone();
-    let left = selection.limit.unwrap_or(i64::MAX);
+    let left = selection.limit.unwrap_or(i64::MAX).max(1);
     let first = selection.query(left.min(MOST))?;
     // The first page is read before anything is answered: an error is then an answer of its own.
     let page = store

@@ -25,6 +25,8 @@ use utoipa::{IntoParams, ToSchema};
 const LINES: &str = "application/x-ndjson";
 /// How long a plain answer waits for the nodes at most: an answer that begins too late is an error.
 const LONGEST_WAIT_S: f64 = 8.0;
+/// What of the time of a request is left for the order and the answer.
+const ANSWER_S: f64 = 1.0;
 /// How long a stream of outcomes lasts at most.
 const LONGEST_STREAM_S: f64 = 3_600.0;
 /// Most orders of one answer.
@@ -105,9 +107,9 @@ pub(super) async fn put(
     let most = if streams {
         LONGEST_STREAM_S
     } else {
-        LONGEST_WAIT_S
+        (view.timeout.as_secs_f64() - ANSWER_S).clamp(0.0, LONGEST_WAIT_S)
     };
-    let wait = request.wait_s.unwrap_or(5.0);
+    let wait = request.wait_s.unwrap_or(most.min(5.0));
     if !(0.0..=most).contains(&wait) {
         return Err(body::unusable(format!(
             "wait_s: must be from 0 to {most}, not {wait}"
@@ -181,22 +183,7 @@ impl Following {
             None if self.change.awaited.is_empty() => return None,
             None => match tokio::time::timeout_at(self.until, self.change.follow.recv()).await {
                 Ok(line) => line?,
-                Err(_) => {
-                    // The time is over: what is still awaited is said to be so.
-                    let node = self.change.awaited.iter().next()?.clone();
-                    self.change.awaited.remove(&node);
-                    let known = self.last.contains_key(&node);
-                    if known {
-                        return Box::pin(self.next()).await;
-                    }
-                    OutcomeLine {
-                        node,
-                        outcome: "pending",
-                        from: None,
-                        to: self.change.knob,
-                        detail: "not answered yet".to_owned(),
-                    }
-                }
+                Err(_) => self.not_answered()?,
             },
         };
         if line.is_final() {
@@ -204,6 +191,23 @@ impl Following {
         }
         self.last.insert(line.node.clone(), line.clone());
         Some(line)
+    }
+
+    /// The time is over: what is still awaited is said to be so, unless that was said before.
+    fn not_answered(&mut self) -> Option<OutcomeLine> {
+        while let Some(node) = self.change.awaited.iter().next().cloned() {
+            self.change.awaited.remove(&node);
+            if !self.last.contains_key(&node) {
+                return Some(OutcomeLine {
+                    node,
+                    outcome: "pending",
+                    from: None,
+                    to: self.change.knob,
+                    detail: "not answered yet".to_owned(),
+                });
+            }
+        }
+        None
     }
 
     fn counts(&self) -> BTreeMap<String, usize> {

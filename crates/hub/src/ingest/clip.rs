@@ -8,6 +8,8 @@ use serde_json::json;
 
 /// Largest energy of a clip, joules: about 3 kWh.
 const MOST_JOULES: f64 = 1e7;
+/// Longest time of all calls or frames of a clip, microseconds: nine thousand such clips still fit into a sum.
+const MOST_TIME_US: i64 = 100_000_000_000_000;
 /// Longest clip and latency, seconds.
 const MOST_SECONDS: f64 = 10.0 * 86_400.0;
 /// Most frames of a clip, and of any other count.
@@ -113,6 +115,7 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
     let product = |mean_us: i64, count: i64| {
         mean_us
             .checked_mul(count)
+            .filter(|product| *product <= MOST_TIME_US)
             .ok_or_else(|| "a mean latency times its count is too large".to_owned())
     };
     let edp = energy.edp.filter(|edp| edp.is_finite());

@@ -145,7 +145,7 @@ fn gaps(batch: &Batch, instance: &Instance) -> (Vec<Gap>, i64) {
         if number > expected {
             ranges.push((expected, number - 1));
         }
-        expected = expected.max(number + 1);
+        expected = expected.max(number.saturating_add(1));
     }
     let unknown = instance.next_report <= 1 && instance.reports + instance.set_aside == 0;
     let total: i64 = ranges.iter().map(|(first, last)| last - first + 1).sum();

@@ -250,14 +250,18 @@ impl Fleet {
         {
             entry.identity = None;
         }
-        // Remembered as silent or offline, and not heard since: it stays so.
-        if entry.heard.is_none() && entry.heard_ms.is_some() {
-            return;
-        }
+        let heard_ago = match (entry.heard, entry.heard_ms) {
+            (Some(heard), _) => Some(now.saturating_duration_since(heard)),
+            (None, None) => None,
+            // Remembered as silent or offline, and not heard since: it stays so, but for the time that goes on.
+            (None, Some(_)) if entry.state == PresenceState::Offline => return,
+            (None, Some(heard_ms)) => {
+                let ago = Duration::from_millis(u64::try_from(now_ms - heard_ms).unwrap_or(0));
+                Some(ago.max(self.limits.silent))
+            }
+        };
         let facts = Facts {
-            heard_ago: entry
-                .heard
-                .map(|heard| now.saturating_duration_since(heard)),
+            heard_ago,
             token: entry.token,
             health: entry.health,
             reasons: &entry.reasons,

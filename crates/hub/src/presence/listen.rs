@@ -82,8 +82,10 @@ pub(crate) struct ListenSetup<'a> {
     pub(crate) shutdown: CancellationToken,
 }
 
-/// Declares everything and starts the task that takes what is heard, until the shutdown.
-pub(crate) async fn listen(setup: ListenSetup<'_>) -> Result<Listening, HubError> {
+/// Declares everything. What it gives beside is the task that takes what is heard, until the shutdown.
+pub(crate) async fn listen(
+    setup: ListenSetup<'_>,
+) -> Result<(Listening, impl Future<Output = ()> + Send + 'static), HubError> {
     let ListenSetup {
         session,
         prefix,
@@ -98,13 +100,13 @@ pub(crate) async fn listen(setup: ListenSetup<'_>) -> Result<Listening, HubError
     let (sender, heard) = mpsc::channel(QUEUE);
     let pokes = poker(session.clone(), prefix.to_owned())
         .map_err(HubError::system("the thread of pokes cannot be started"))?;
-    tokio::spawn(take(
+    let hearing = take(
         heard,
         Arc::clone(&fleet),
         pokes.clone(),
         Arc::clone(&counters),
         shutdown,
-    ));
+    );
     let queue = sender.clone();
     let counted = Arc::clone(&counters);
     let status = session
@@ -171,12 +173,13 @@ pub(crate) async fn listen(setup: ListenSetup<'_>) -> Result<Listening, HubError
         })
         .await
         .map_err(HubError::declaration("what is desired cannot be answered"))?;
-    Ok(Listening {
+    let listening = Listening {
         _status: status,
         _tokens: tokens,
         _pulls: pulls,
         pokes,
-    })
+    };
+    Ok((listening, hearing))
 }
 
 /// A thread that sends pokes, since a put may block; it ends when the last sender is gone.

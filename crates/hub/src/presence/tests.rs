@@ -1,5 +1,6 @@
 //! The state function by table, and the fleet over time.
 
+use super::fleet::Remembered;
 use super::*;
 use crate::config::PresenceConfig;
 use albireo_wire::{HealthState, StatusMessage, VERSION};
@@ -164,6 +165,30 @@ fn a_node_that_is_not_heard_gets_silent_then_offline_and_comes_back() {
     assert_eq!(fleet.view("a").unwrap().since_ms, 601_000);
     fleet.heard("a", &life(1), at(700), 700_000);
     assert_eq!(state(), PresenceState::Online);
+}
+
+#[test]
+fn a_node_that_was_silent_when_the_hub_stopped_gets_offline_after_its_time() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let remembered = Remembered {
+        name: "a".to_owned(),
+        state: PresenceState::Silent,
+        since_ms: 100_000,
+        why: "no status for 95 s".to_owned(),
+        heard_ms: Some(5_000),
+        instance: None,
+        machine: None,
+        started_ns: None,
+        generation: 0,
+        status: None,
+    };
+    let start = Instant::now();
+    fleet.remember(vec![remembered], start);
+    let state = || fleet.view("a").unwrap().state;
+    fleet.sweep(start + Duration::from_secs(1), 200_000);
+    assert_eq!(state(), PresenceState::Silent);
+    fleet.sweep(start + Duration::from_secs(2), 700_000);
+    assert_eq!(state(), PresenceState::Offline);
 }
 
 #[test]

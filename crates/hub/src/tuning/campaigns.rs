@@ -41,6 +41,23 @@ struct Driven {
     campaign: Campaign,
     who: String,
     why: String,
+    /// It changed since it was kept.
+    unsaved: bool,
+}
+
+impl Driven {
+    fn new(campaign: Campaign, who: String) -> Self {
+        let why = match &campaign {
+            Campaign::Rollout(rollout) => rollout.plan.why.clone(),
+            Campaign::Trial(trial) => trial.plan.why.clone(),
+        };
+        Self {
+            campaign,
+            who,
+            why,
+            unsaved: false,
+        }
+    }
 }
 
 /// Why a rollout or trial cannot be begun or commanded.
@@ -84,11 +101,13 @@ impl Campaign {
         }
     }
 
+    /// Whether nothing is left to do.
     fn has_ended(&self) -> bool {
-        match self {
+        let ended = match self {
             Self::Rollout(rollout) => rollout.phase.has_ended(),
             Self::Trial(trial) => trial.phase == TrialPhase::Done,
-        }
+        };
+        ended && self.due().is_empty()
     }
 
     fn members(&self) -> &[super::members::Member] {
@@ -175,16 +194,9 @@ impl Tuner {
         }));
         let now = unix_milliseconds();
         let seed = request.plan.seed.unwrap_or(now.unsigned_abs());
-        let why = request.plan.why.clone();
         let rollout = Rollout::begin(request, candidates, seed, who, now)?;
         let id = self
-            .begin(
-                &mut campaigns,
-                Campaign::Rollout(rollout.clone()),
-                who,
-                why,
-                now,
-            )
+            .begin(&mut campaigns, Campaign::Rollout(rollout.clone()), who, now)
             .await?;
         Ok((id, rollout, left_out))
     }
@@ -202,16 +214,9 @@ impl Tuner {
         let (candidates, left_out) = self.candidates(&plan.select, knob, &taken);
         let now = unix_milliseconds();
         let seed = plan.seed.unwrap_or(now.unsigned_abs());
-        let why = plan.why.clone();
         let trial = Trial::begin(plan, candidates, seed, now)?;
         let id = self
-            .begin(
-                &mut campaigns,
-                Campaign::Trial(trial.clone()),
-                who,
-                why,
-                now,
-            )
+            .begin(&mut campaigns, Campaign::Trial(trial.clone()), who, now)
             .await?;
         Ok((id, trial, left_out))
     }
@@ -221,7 +226,6 @@ impl Tuner {
         campaigns: &mut Campaigns,
         campaign: Campaign,
         who: &str,
-        why: String,
         now: Millis,
     ) -> Result<i64, CampaignError> {
         let state = serde_json::to_string(&campaign).map_err(StoreError::from)?;
@@ -234,8 +238,9 @@ impl Tuner {
                     .await
             })
             .await?;
-        let who = who.to_owned();
-        campaigns.running.insert(id, Driven { campaign, who, why });
+        campaigns
+            .running
+            .insert(id, Driven::new(campaign, who.to_owned()));
         Ok(id)
     }
 
@@ -310,18 +315,7 @@ impl Tuner {
                     node: member.node.clone(),
                 });
             }
-            let why = match &campaign {
-                Campaign::Rollout(rollout) => rollout.plan.why.clone(),
-                Campaign::Trial(trial) => trial.plan.why.clone(),
-            };
-            campaigns.running.insert(
-                id,
-                Driven {
-                    campaign,
-                    who: row.who,
-                    why,
-                },
-            );
+            campaigns.running.insert(id, Driven::new(campaign, row.who));
         }
         let Some(Driven {
             campaign: Campaign::Rollout(rollout),
@@ -339,13 +333,19 @@ impl Tuner {
         let rollout = rollout.clone();
         let state =
             serde_json::to_string(&Campaign::Rollout(rollout.clone())).map_err(StoreError::from)?;
-        let driver = self.driver.clone();
-        self.write(async |writing| {
-            writing
-                .reopen_campaign(id, &driver, now + CLAIM_MS, &state)
-                .await
-        })
-        .await?;
+        if rollout.phase.has_ended() {
+            self.write(async |writing| writing.save_campaign(id, Some(now), &state).await)
+                .await?;
+            campaigns.running.remove(&id);
+        } else {
+            let driver = self.driver.clone();
+            self.write(async |writing| {
+                writing
+                    .reopen_campaign(id, &driver, now + CLAIM_MS, &state)
+                    .await
+            })
+            .await?;
+        }
         Ok(rollout)
     }
 
@@ -388,20 +388,33 @@ impl Tuner {
             self.claim(&mut campaigns, now).await?;
         }
         let ids: Vec<i64> = campaigns.running.keys().copied().collect();
+        let mut failed = None;
         for id in ids {
             let Some(driven) = campaigns.running.get_mut(&id) else {
                 continue;
             };
-            let changed = self.go_on(id, driven, now).await?;
-            let ended = driven.campaign.has_ended();
-            if changed {
-                self.save(id, &driven.campaign, now).await?;
-            }
-            if ended {
-                campaigns.running.remove(&id);
+            // One that cannot go on does not keep the others from it.
+            match self.step(id, driven, now).await {
+                Ok(()) if driven.campaign.has_ended() => {
+                    campaigns.running.remove(&id);
+                }
+                Ok(()) => {}
+                Err(error) => failed = Some(error),
             }
         }
-        Ok(())
+        failed.map_or(Ok(()), Err)
+    }
+
+    /// Goes on with one and keeps what changed; what could not be kept is kept the next time.
+    async fn step(&self, id: i64, driven: &mut Driven, now: Millis) -> Result<(), StoreError> {
+        let went = self.go_on(id, driven, now).await;
+        // Also before an error things may have changed: nodes that were asked, for instance.
+        driven.unsaved |= *went.as_ref().unwrap_or(&true);
+        if driven.unsaved {
+            self.save(id, &driven.campaign, now).await?;
+            driven.unsaved = false;
+        }
+        went.map(drop)
     }
 
     async fn claim(&self, campaigns: &mut Campaigns, now: Millis) -> Result<(), StoreError> {
@@ -421,18 +434,7 @@ impl Tuner {
             match serde_json::from_str::<Campaign>(&row.state) {
                 Ok(campaign) => {
                     tracing::info!(id, kind = campaign.kind(), "going on");
-                    let why = match &campaign {
-                        Campaign::Rollout(rollout) => rollout.plan.why.clone(),
-                        Campaign::Trial(trial) => trial.plan.why.clone(),
-                    };
-                    campaigns.running.insert(
-                        id,
-                        Driven {
-                            campaign,
-                            who: row.who,
-                            why,
-                        },
-                    );
+                    campaigns.running.insert(id, Driven::new(campaign, row.who));
                 }
                 Err(error) => tracing::error!(%error, id, "a rollout or trial cannot be read"),
             }

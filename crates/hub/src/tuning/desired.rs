@@ -47,16 +47,6 @@ impl DesiredValues {
             .map(|(node, value)| (node.clone(), *value))
             .collect()
     }
-
-    /// The highest generation; 0 without any.
-    pub fn highest(&self) -> u64 {
-        let values = self.0.read();
-        values
-            .values()
-            .map(|value| value.generation)
-            .max()
-            .unwrap_or(0)
-    }
 }
 
 #[cfg(test)]
@@ -75,7 +65,6 @@ mod tests {
                 prop_assert_eq!(taken, highest.is_none_or(|highest| generation > highest));
                 highest = highest.max(Some(generation));
                 prop_assert_eq!(values.get("n").map(|v| v.generation), highest);
-                prop_assert_eq!(values.highest(), highest.unwrap_or(0));
             }
             prop_assert_eq!(values.get("other"), None);
         }

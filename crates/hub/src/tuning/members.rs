@@ -86,6 +86,11 @@ impl Outcome {
         }
     }
 
+    /// Whether its time runs: the node was asked and has not said what became of it.
+    pub(crate) const fn is_open(&self) -> bool {
+        matches!(self, Self::Pending | Self::Waiting)
+    }
+
     /// When it was applied.
     pub const fn applied_at(&self) -> Option<Millis> {
         match self {

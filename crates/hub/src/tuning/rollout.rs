@@ -219,6 +219,10 @@ impl Rollout {
     /// [`Rollout::asked`].
     pub fn due(&self) -> Vec<Order> {
         let mut orders: Vec<Order> = Vec::new();
+        // Also at its end there may be some: nodes that missed their deadline shall find the old value.
+        if self.paused_ms.is_some() || self.phase == Phase::Stopped {
+            return orders;
+        }
         for member in self.members.iter().filter(|member| member.is_due()) {
             let is_return = member.target == Target::Old;
             let knob = if is_return { member.before } else { self.knob };
@@ -250,20 +254,10 @@ impl Rollout {
         }
     }
 
-    /// The nodes whose state matters now.
-    pub fn watched(&self) -> impl Iterator<Item = &str> {
-        use Outcome::{Pending, Refused, TimedOut, Waiting};
-        let open =
-            |outcome: &Outcome| matches!(outcome, Pending | Waiting | TimedOut | Refused { .. });
-        let watched = self
-            .members
-            .iter()
-            .filter(move |member| open(&member.outcome));
-        watched.map(|member| member.node.as_str())
-    }
-
     /// Takes in what is known of nodes. Returns whether anything changed.
     pub fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Seen>) -> bool {
+        // Time stands still in a pause: what nodes say meanwhile is taken as of then.
+        let now = self.paused_ms.unwrap_or(now);
         let patience = seconds(self.plan.apply_within_s);
         let mut changed = false;
         for member in &mut self.members {

@@ -14,6 +14,7 @@ use parking_lot::Mutex;
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, Ordering};
 use tokio::sync::mpsc;
 use utoipa::ToSchema;
 
@@ -101,6 +102,8 @@ pub struct Tuner {
     pub(super) config: TuningConfig,
     /// This hub among several on one database.
     pub(super) driver: String,
+    /// Highest generation that was read from the database: what this hub orders itself says nothing of the others'.
+    learned: AtomicI64,
     open: Mutex<HashMap<String, OpenOrder>>,
     followers: Mutex<HashMap<u64, mpsc::UnboundedSender<OutcomeLine>>>,
     drift: Mutex<BTreeMap<String, Drift>>,
@@ -138,14 +141,13 @@ impl Tuner {
             pokes,
             config,
             driver,
+            learned: AtomicI64::new(0),
             open: Mutex::default(),
             followers: Mutex::default(),
             drift: Mutex::default(),
             campaigns: tokio::sync::Mutex::default(),
         };
-        for (node, generation, knob) in tuner.store.desired_after(0).await? {
-            tuner.desire(&node, generation.unsigned_abs(), knob);
-        }
+        tuner.learn().await?;
         for row in tuner.store.open_order_nodes().await? {
             let generation = row.generation.unsigned_abs();
             let Some(desired) = tuner
@@ -193,10 +195,10 @@ impl Tuner {
 
     /// Takes what other hubs on the same database have ordered.
     pub(crate) async fn learn(&self) -> Result<(), StoreError> {
-        let known = self.desires.values.highest();
-        let after = i64::try_from(known).unwrap_or(i64::MAX);
+        let after = self.learned.load(Ordering::Relaxed);
         for (node, generation, knob) in self.store.desired_after(after).await? {
             self.desire(&node, generation.unsigned_abs(), knob);
+            self.learned.fetch_max(generation, Ordering::Relaxed);
         }
         Ok(())
     }
@@ -262,7 +264,9 @@ impl Tuner {
             })
             .await?;
         if let Some(follower) = follower {
-            self.followers.lock().insert(generation, follower);
+            let mut followers = self.followers.lock();
+            followers.retain(|_, follower| !follower.is_closed());
+            followers.insert(generation, follower);
         }
         for (node, from) in &order.nodes {
             self.desire(node, generation, order.knob);
@@ -381,7 +385,7 @@ impl Tuner {
     /// configuration says so.
     pub(crate) async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
         let mut back: HashMap<String, SetBack> = HashMap::new();
-        let mut events = Vec::new();
+        let (mut events, mut found) = (Vec::new(), Vec::new());
         for (node, desired) in self.desires.values.all() {
             let Some(facts) = self.fleet.node(&node) else {
                 continue;
@@ -394,20 +398,22 @@ impl Tuner {
                 continue;
             }
             let mut drift = self.drift.lock();
-            let entry = drift.entry(node.clone()).or_insert_with(|| {
+            let known = drift.get_mut(&node).map(|entry| {
+                entry.in_force = facts.knob();
+                entry.set_back
+            });
+            if known.is_none() {
                 events.push(drift_event(&node, desired, &facts, now));
-                Drift {
+                found.push(Drift {
                     node: node.clone(),
                     since_ms: now,
                     desired: desired.knob,
                     in_force: facts.knob(),
                     set_back: 0,
-                }
-            });
-            entry.in_force = facts.knob();
-            if self.config.local_change.is_set_back() && entry.set_back < self.config.set_back_times
-            {
-                entry.set_back += 1;
+                });
+            }
+            let set_back = known.unwrap_or(0);
+            if self.config.local_change.is_set_back() && set_back < self.config.set_back_times {
                 let group = back.entry(format!("{} {}", desired.knob.name, text(desired.knob)));
                 group
                     .or_insert_with(|| (desired.knob, Vec::new()))
@@ -419,9 +425,15 @@ impl Tuner {
             self.write(async |writing| writing.events(&events).await)
                 .await?;
         }
+        // Only what stands in the history is known: after an error it is found again.
+        (self.drift.lock()).extend(found.into_iter().map(|entry| (entry.node.clone(), entry)));
         for (knob, nodes) in back.into_values() {
             let counts: Vec<_> = (nodes.iter())
                 .filter_map(|(node, _)| self.drift.lock().get(node).cloned())
+                .map(|entry| Drift {
+                    set_back: entry.set_back + 1,
+                    ..entry
+                })
                 .collect();
             let order = NewOrder {
                 knob,

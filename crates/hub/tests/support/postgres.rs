@@ -100,6 +100,8 @@ impl Postgres {
         let file = format!("{}/postmaster.pid", self.data());
         let first = std::fs::read_to_string(file).unwrap();
         let id = first.lines().next().unwrap().to_owned();
+        // Its children would answer on until they notice.
+        let _ = Command::new("pkill").args(["-9", "-P", &id]).status();
         let killed = Command::new("kill").args(["-9", &id]).status().unwrap();
         assert!(killed.success(), "the server's process {id} is killed");
     }

@@ -92,6 +92,11 @@ impl Rollout {
         let Some(paused) = self.paused_ms.take() else {
             return;
         };
+        for member in &mut self.members {
+            if member.outcome.is_open() {
+                member.asked_ms += now - paused;
+            }
+        }
         match &mut self.phase {
             Phase::Applying { since_ms }
             | Phase::Soaking { since_ms, .. }

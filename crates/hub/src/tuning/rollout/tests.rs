@@ -370,6 +370,41 @@ fn a_paused_rollout_stands_still_and_its_soak_does_not_run_on() {
 }
 
 #[test]
+fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
+    let mut world = World::new(10);
+    let mut rollout = world.begin(plan());
+    world.run_until(&mut rollout, "soaking");
+    rollout.command(Command::Next, "ops", world.now).unwrap();
+    assert!(!rollout.due().is_empty());
+    rollout.command(Command::Pause, "ops", world.now).unwrap();
+    assert_eq!(rollout.due(), []);
+    rollout.command(Command::Resume, "ops", world.now).unwrap();
+    let order = rollout.due().remove(0);
+    rollout.asked(&order, 7, world.now);
+    rollout.command(Command::Pause, "ops", world.now).unwrap();
+    let silent = |_: &str| {
+        Some(Seen {
+            reachable: true,
+            generation: 0,
+            knob: Some(OLD),
+            refused: None,
+        })
+    };
+    let hours = 3 * 3_600_000;
+    rollout.observe(world.now + hours, silent);
+    rollout
+        .command(Command::Resume, "ops", world.now + hours)
+        .unwrap();
+    rollout.observe(world.now + hours + 1_000, silent);
+    let asked = rollout
+        .members
+        .iter()
+        .filter(|m| order.nodes.contains(&m.node));
+    assert!(asked.clone().count() > 0);
+    assert!(asked.clone().all(|m| m.outcome == Outcome::Pending));
+}
+
+#[test]
 fn commands_that_make_no_sense_are_refused() {
     let mut world = World::new(4);
     let mut rollout = world.begin(plan());
