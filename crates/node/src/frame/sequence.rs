@@ -625,7 +625,7 @@ mod tests {
             arriving.sort_by_key(|(place, _)| *place);
             let mut tracker = SequenceTracker::default();
             let (mut fresh, mut late, mut duplicate) = (BTreeSet::new(), BTreeSet::new(), 0_usize);
-            let (mut lost, mut found, mut last_index) = (0, 0, None, &FrameOrder::default());
+            let (mut lost, mut found, mut last_index) = (0, 0, None);
             let begin = arriving.first().map_or(0, |(_, number)| *number);
             for (_, number) in &arriving {
                 match tracker.arrive(*number, None, &FrameOrder::default()) {
