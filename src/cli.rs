@@ -55,6 +55,7 @@ Examples:
   albireo power                          say which power meters work here
   albireo node --config config/node.toml run a node
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name
+  albireo publish /dev/video0            send a camera's frames to a node elsewhere
 
 This program was built for a board, without the feature `eval`: demo, replay, compare and eval are in a program
 built with it, which can play a camera to this node from another machine.";

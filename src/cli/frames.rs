@@ -3,6 +3,7 @@
 mod sender;
 mod session;
 
+#[cfg(feature = "eval")]
 pub(crate) use sender::SentFrame;
 pub use sender::{FrameSender, Haste, OutgoingFrame};
 #[cfg(feature = "eval")]

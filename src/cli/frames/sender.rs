@@ -3,6 +3,7 @@
 use albireo_node::frame::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAnswer, FrameAttachment, read};
 use anyhow::{Context, anyhow, bail};
+use parking_lot::Mutex;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -129,28 +130,34 @@ impl FrameSender {
         })?
     }
 
-    /// Tells `changed` whether somebody takes what is sent: now, and at every change as long as the sender lives.
+    /// Tells `changed` whether somebody takes what is sent: now, and at every change as long as the session is open.
     ///
     /// # Errors
     /// When the session is closed.
     pub(crate) async fn watch_receivers(
         &self,
-        mut changed: impl FnMut(bool) + Send + 'static,
+        changed: impl FnMut(bool) + Send + 'static,
     ) -> anyhow::Result<()> {
         let zenoh = |error: zenoh::Error| anyhow!("looking for a receiver: {error}");
         let Way::Put(publisher) = &self.0 else {
             bail!("only who puts frames does not hear whether they are taken");
         };
-        let listener = publisher.matching_listener().await.map_err(zenoh)?;
-        let mut matching = publisher.matching_status().await.map_err(zenoh)?.matching();
-        changed(matching);
-        tokio::spawn(async move {
-            while let Ok(status) = listener.recv_async().await {
-                if std::mem::replace(&mut matching, status.matching()) != matching {
-                    changed(matching);
-                }
+        let told = Arc::new(Mutex::new((changed, None)));
+        let tell = move |taken: bool| {
+            let (changed, last) = &mut *told.lock();
+            if last.replace(taken) != Some(taken) {
+                changed(taken);
             }
-        });
+        };
+        // Listening comes before looking, so that none is missed in between.
+        let heard = tell.clone();
+        publisher
+            .matching_listener()
+            .callback(move |status| heard(status.matching()))
+            .background()
+            .await
+            .map_err(zenoh)?;
+        tell(publisher.matching_status().await.map_err(zenoh)?.matching());
         Ok(())
     }
 
@@ -158,6 +165,7 @@ impl FrameSender {
     ///
     /// # Errors
     /// When the session is closed.
+    #[cfg_attr(not(feature = "eval"), allow(dead_code))]
     pub(crate) async fn heard(&self) -> anyhow::Result<Arc<AtomicBool>> {
         let heard = Arc::new(AtomicBool::new(false));
         if let Way::Ask(_) = &self.0 {
@@ -188,6 +196,7 @@ impl FrameSender {
     ///
     /// # Errors
     /// When Zenoh refuses it, or no node takes it.
+    #[cfg_attr(not(feature = "eval"), allow(dead_code))]
     pub(crate) async fn send(&self, frame: OutgoingFrame) -> anyhow::Result<SentFrame> {
         match &self.0 {
             Way::Put(publisher) => {

@@ -74,6 +74,27 @@ impl Secrets {
         self.0.sort_by_key(|secret| std::cmp::Reverse(secret.len()));
     }
 
+    /// User and password of an address; a name of one or two letters would be hidden everywhere.
+    fn add_login(&mut self, login: Option<&str>) {
+        let Some(login) = login else { return };
+        let (user, password) = login.split_once(':').unwrap_or((login, ""));
+        self.add(login);
+        self.add(password);
+        if user.len() > 2 {
+            self.add(user);
+        }
+    }
+
+    /// What follows the `?` of an address.
+    fn add_query(&mut self, query: Option<&str>) {
+        let Some(query) = query else { return };
+        self.add(query);
+        let values = query.split('&').filter_map(|pair| pair.split_once('='));
+        for (_, value) in values.filter(|(_, value)| value.len() > 2) {
+            self.add(value);
+        }
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.0.is_empty()
     }
@@ -173,17 +194,8 @@ impl SourceAddress {
             } else {
                 word
             });
-            for part in address.userinfo().into_iter().chain(address.query()) {
-                let whole = part.split(['&', ':']);
-                let values = part.split('&').filter_map(|pair| pair.split_once('='));
-                for secret in whole.chain(values.map(|(_, value)| value)) {
-                    // A user's name alone is not worth hiding `a` everywhere.
-                    if secret.len() > 2 || part.contains(':') {
-                        secrets.add(secret);
-                    }
-                }
-                secrets.add(part);
-            }
+            secrets.add_login(address.userinfo());
+            secrets.add_query(address.query());
             if let Some((name, value)) = word.split_once('=')
                 && ["user-id", "user-pw", "proxy-pw"].contains(&name)
             {

@@ -340,9 +340,14 @@ impl LiveSource {
             };
         }
         let device = self.settings.address.kind() == SourceKind::Device;
-        let other = codec.as_deref().is_some_and(|codec| codec != "mjpeg");
-        if is_ffmpeg && motion_jpeg && pictures == 0 && other {
-            self.motion_jpeg.store(false, Ordering::Relaxed);
+        let is_file = self.settings.address.kind() == SourceKind::File;
+        if is_ffmpeg
+            && !is_file
+            && pictures == 0
+            && let Some(codec) = codec
+            && (codec == "mjpeg") != motion_jpeg
+        {
+            self.motion_jpeg.store(!motion_jpeg, Ordering::Relaxed);
             return End::Otherwise;
         }
         if is_ffmpeg && device && pictures == 0 {
