@@ -74,7 +74,11 @@ fn parse_rate(text: &str) -> Result<f64, String> {
 }
 
 pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
-    logging::start(&LogConfig::default())?;
+    logging::start(&LogConfig {
+        // That nobody can be reached is told here, and once.
+        level: "info,zenoh=error".to_owned(),
+        ..LogConfig::default()
+    })?;
     if arguments.source.holds_password() {
         tracing::warn!(
             "the password in the address stands in the list of processes, for every user of this machine: give \

@@ -55,13 +55,14 @@ pub async fn open_session(
     }
     zenoh::open(config).await.map_err(|error| {
         anyhow!(
-            "no Zenoh session with {}: {error}; is the node running, and does it listen there?",
+            "no Zenoh session with {}: {}; is the node running, and does it listen there?",
             connect
                 .iter()
                 .chain(listen)
                 .cloned()
                 .collect::<Vec<_>>()
-                .join(", ")
+                .join(", "),
+            albireo_service::session::plain(&error)
         )
     })
 }
