@@ -74,7 +74,8 @@ $(PYTHON_ENVIRONMENT): tests/requirements.txt
 
 debian: ## Debian packages the tests use, installed when missing and when allowed
 	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql \
-		strace:strace
+		strace:strace gst-launch-1.0:gstreamer1.0-tools :gstreamer1.0-plugins-base :gstreamer1.0-plugins-good \
+		:gstreamer1.0-plugins-ugly :gir1.2-gst-rtsp-server-1.0 :python3-gi
 
 clean: ## remove what was built and fetched
 	cargo clean

@@ -10,10 +10,12 @@ mod detect;
 pub mod eval;
 #[cfg(feature = "hub")]
 mod fleet;
+pub mod frames;
 #[cfg(feature = "hub")]
 mod hub;
 mod node;
 mod power;
+mod publish;
 #[cfg(feature = "eval")]
 pub mod replay;
 #[cfg(feature = "simulate")]
@@ -42,6 +44,7 @@ Examples:
   albireo node --config config/node.toml run a node
   albireo hub --config config/hub.toml   run the hub of a fleet
   albireo replay drive.mp4               play a video to it as a camera
+  albireo publish /dev/video0            send a camera's frames to a node elsewhere
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
 
 #[cfg(not(feature = "eval"))]
@@ -52,6 +55,7 @@ Examples:
   albireo power                          say which power meters work here
   albireo node --config config/node.toml run a node
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name
+  albireo publish /dev/video0            send a camera's frames to a node elsewhere
 
 This program was built for a board, without the feature `eval`: demo, replay, compare and eval are in a program
 built with it, which can play a camera to this node from another machine.";
@@ -80,6 +84,8 @@ enum Command {
     Detect(detect::Arguments),
     /// Say which power sources work on this machine, their rails, and watts now.
     Power(power::Arguments),
+    /// Send a live camera's frames to a node on another machine.
+    Publish(publish::Arguments),
     #[cfg(feature = "eval")]
     /// Play a clip to the live node under several policies: what each costs and finds here.
     Compare(compare::Arguments),
@@ -112,6 +118,7 @@ impl Arguments {
             Command::Check(arguments) => check::run(&arguments),
             Command::Detect(arguments) => detect::run(&arguments),
             Command::Power(arguments) => power::run(&arguments),
+            Command::Publish(arguments) => publish::run(arguments),
             #[cfg(feature = "eval")]
             Command::Compare(arguments) => block_on(compare::run(arguments)),
             #[cfg(feature = "eval")]

@@ -1,10 +1,16 @@
 #!/usr/bin/env bash
-# Installs Debian packages that are missing, where this user may. Arguments: COMMAND:PACKAGE …
+# Installs Debian packages that are missing, where this user may. Arguments: COMMAND:PACKAGE …, or :PACKAGE for one that
+# has no command.
 # A package that cannot be installed is named; the tests that need it then fail and say so.
 set -u
 missing=()
 for pair in "$@"; do
-    command -v "${pair%%:*}" >/dev/null 2>&1 || missing+=("${pair##*:}")
+    if [ -n "${pair%%:*}" ]; then
+        command -v "${pair%%:*}" >/dev/null 2>&1 && continue
+    else
+        dpkg -s "${pair##*:}" 2>/dev/null | grep -q '^Status: .* installed$' && continue
+    fi
+    missing+=("${pair##*:}")
 done
 [ ${#missing[@]} -eq 0 ] && exit 0
 

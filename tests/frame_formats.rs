@@ -90,7 +90,7 @@ fn final_padding_of_a_ros2_message_is_passed_over_and_every_cut_is_refused() {
         let rejected =
             read_ros(&payload[..length], PayloadFormat::Ros2CompressedImage).unwrap_err();
         assert_eq!(rejected.fault.kind(), "undecodable", "{length}: {rejected}");
-        assert_eq!(rejected.sequence, Some(12));
+        assert_eq!(rejected.sequence, None);
     }
     payload[1] = 9;
     let rejected = read_ros(&payload, PayloadFormat::Ros2CompressedImage).unwrap_err();

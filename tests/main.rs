@@ -2,6 +2,7 @@
 
 mod support;
 
+mod cameras;
 mod command_line;
 mod compare;
 mod delivery;

@@ -2,6 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use crate::support::live_camera::{MotionJpegCamera, RtspCamera};
 use albireo::cli::replay::{
     self, Ffmpeg, FrameSource, ReplayArguments, Sent, Video, VideoEncoding,
 };
@@ -190,6 +191,53 @@ async fn nobody_there_is_an_error_that_says_so() {
         text.contains("nobody took frames on `albireo/node/front/frame`"),
         "{text}"
     );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn frames_that_went_to_nobody_are_an_error_that_says_so() {
+    let folder = pictures(3);
+    let (session, endpoint) = listening_peer().await;
+    let _other = session.declare_subscriber("albireo/node/front/frame").await;
+    let more = ["--connect", &endpoint, "--rate", "max", "--camera", "frnt"];
+    let error = replay::run(arguments(folder.path(), &more), CancellationToken::new())
+        .await
+        .unwrap_err();
+    let text = format!("{error:#}");
+    assert!(
+        text.contains("nobody listened on `albireo/node/frnt/frame`"),
+        "{text}"
+    );
+    let more = ["--connect", &endpoint, "--rate", "max"];
+    let sent = replay::run(arguments(folder.path(), &more), CancellationToken::new()).await;
+    assert_eq!(sent.unwrap().frames, 3);
+}
+
+/// Needs the real `ffmpeg`.
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn a_live_address_is_opened_once_and_comes_at_its_own_pace() {
+    let folder = pictures(1);
+    let picture = std::fs::read(folder.path().join("0.jpg")).unwrap();
+    let camera = MotionJpegCamera::start(picture, Duration::from_millis(20)).await;
+    let source = Path::new(&camera.address).to_owned();
+    let (frames, sent) = replayed(&source, &["--frames", "30"], async || {}).await;
+    assert_eq!((sent.frames, sent.behind), (30, 0));
+    assert_eq!(camera.clients(), 1);
+    assert!(
+        frames
+            .windows(2)
+            .all(|pair| pair[0].time_ns < pair[1].time_ns)
+    );
+}
+
+/// Needs the real `ffmpeg` and an RTSP server.
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg and RTSP server"]
+async fn a_network_camera_does_not_end_after_a_frame() {
+    let camera = RtspCamera::start("h264", &[]).await;
+    let address = format!("rtsp://127.0.0.1:{}/stream", camera.port);
+    let (frames, sent) = replayed(Path::new(&address), &["--frames", "60"], async || {}).await;
+    assert_eq!((sent.frames, frames.len()), (60, 60));
 }
 
 #[tokio::test(flavor = "multi_thread")]

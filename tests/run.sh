@@ -16,6 +16,8 @@ need "../shared" test -d "$ALBIREO_SHARED"
 need "ONNX Runtime" test -e "$ORT_DYLIB_PATH"
 need "Python" "$ALBIREO_PYTHON" -c ""
 need "ffmpeg" command -v ffmpeg
+need "RTSP server" bash -c "command -v gst-launch-1.0 && gst-inspect-1.0 x264enc && gst-inspect-1.0 rtspsrc &&
+    /usr/bin/python3 -c 'import gi; gi.require_version(\"GstRtspServer\", \"1.0\"); from gi.repository import GstRtspServer'"
 need "promtool" command -v promtool
 need "curl" command -v curl
 need "strace" strace -o /dev/null true

@@ -324,6 +324,7 @@ fn a_test_that_wants_more_than_the_clone_says_what_in_words_that_run_sh_knows() 
         "ONNX Runtime",
         "Python",
         "ffmpeg",
+        "RTSP server",
         "promtool",
         "curl",
         "PostgreSQL",

@@ -110,6 +110,7 @@ impl<'a> OurPath<'a> {
     ) -> anyhow::Result<()> {
         let frame = Frame {
             sequence: self.frames,
+            order: albireo_node::frame::FrameOrder::default(),
             time_ns: self.frames * 100_000_000,
             clip: None,
             picture: encoded.clone(),

@@ -1,20 +1,18 @@
 //! `albireo replay`: any machine plays a camera.
 
 mod publish;
-mod sender;
-mod session;
 
+pub use super::frames::{DEFAULT_ENDPOINT, FrameSender, Haste, OutgoingFrame, flush, open_session};
 pub use albireo_eval::footage::{
     Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Synthetic, Video, VideoEncoding,
 };
-pub use publish::{OutgoingFrame, PublishOptions, Rate, Sent, publish};
-pub use sender::{FrameSender, Haste};
-pub use session::{DEFAULT_ENDPOINT, flush, open_session};
+pub use publish::{PublishOptions, Rate, Sent, publish};
 
-use albireo_wire::NodeKeys;
-use anyhow::{Context, anyhow};
+use super::frames::{FrameTarget, NOBODY};
+use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
@@ -31,32 +29,16 @@ use tokio_util::sync::CancellationToken;
       a folder, five pictures a second, for ever, in clips of 40 s
   albireo replay synth:7 --connect tcp/192.168.0.20:7447
       the synthetic dashcam with seed 7, to another machine
-  albireo replay rtsp://camera.local/stream --key site/gate/frames
-      a network camera, on a key of one's own"
+
+A live camera is not replayed: the node opens it ([[camera]] source), or `albireo publish` does."
 )]
 pub struct ReplayArguments {
     /// A video file or address, a folder of JPEG and PNG files, or synth:SEED
     pub source: SourceName,
 
-    /// First part of the key PREFIX/NODE/CAMERA/frame
-    #[arg(long, default_value = "albireo")]
-    pub prefix: String,
-    /// Node the frames are for
-    #[arg(long, default_value = "node")]
-    pub node: String,
-    /// Camera to play
-    #[arg(long, default_value = "front")]
-    pub camera: String,
-    /// Publish on this key instead
-    #[arg(long, conflicts_with_all = ["prefix", "node", "camera"])]
-    pub key: Option<String>,
-
-    /// Zenoh endpoint to connect to, may be given again [default: tcp/127.0.0.1:7447]
-    #[arg(long, value_name = "ENDPOINT")]
-    pub connect: Vec<String>,
-    /// Zenoh endpoint to listen on, may be given again
-    #[arg(long, value_name = "ENDPOINT")]
-    pub listen: Vec<String>,
+    /// Where the frames go.
+    #[command(flatten)]
+    pub target: FrameTarget,
     /// Wait for a subscriber before the first frame, at most SECONDS (60 when not said)
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "60")]
     pub wait_for_subscriber: Option<u64>,
@@ -65,7 +47,7 @@ pub struct ReplayArguments {
     #[arg(long)]
     pub every: bool,
 
-    /// Frames per second, or `max` for as fast as possible [default: the source's own]
+    /// Frames per second, or `max` for as fast as possible [default: the source's own]; of a live source at most so many
     #[arg(long, value_name = "FPS", value_parser = parse_rate)]
     pub rate: Option<Rate>,
     /// Begin again at the end, until stopped
@@ -106,19 +88,6 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl ReplayArguments {
-    /// The key to publish on.
-    ///
-    /// # Errors
-    /// When a name cannot stand in a key.
-    pub fn frame_key(&self) -> anyhow::Result<String> {
-        match &self.key {
-            Some(key) => Ok(key.clone()),
-            None => Ok(NodeKeys::new(&self.prefix, &self.node)?
-                .camera(&self.camera)?
-                .frame()),
-        }
-    }
-
     /// What is sent of `source`.
     pub fn publish_options(&self, source: &dyn FrameSource) -> PublishOptions {
         let clip = self
@@ -136,12 +105,15 @@ impl ReplayArguments {
     }
 }
 
+/// How long it may take until it is known who listens.
+const LISTENERS: Duration = Duration::from_secs(2);
+
 /// Replays until the source ends or `shutdown`, then says what was sent.
 ///
 /// # Errors
 /// When the source cannot be read, the node cannot be reached, or nobody listens in time.
 pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> anyhow::Result<Sent> {
-    let key = arguments.frame_key()?;
+    let key = arguments.target.frame_key()?;
     let rate = match arguments.rate {
         Some(Rate::PerSecond(rate)) => Some(rate),
         _ => None,
@@ -150,7 +122,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     let options = arguments.publish_options(source.as_ref());
     let patience = Duration::from_secs(arguments.wait_for_subscriber.unwrap_or(0));
     let session = tokio::select! {
-        session = open_session(&arguments.connect, &arguments.listen, patience) => session?,
+        session = open_session(&arguments.target.connect, &arguments.target.listen, patience) => session?,
         () = shutdown.cancelled() => return Ok(Sent::default()),
     };
     let haste = if arguments.every {
@@ -163,6 +135,17 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         tokio::select! {
             waited = sender.wait_for_receiver(patience) => waited?,
             () = shutdown.cancelled() => return Ok(Sent::default()),
+        }
+    }
+    let heard = sender.heard().await?;
+    if !heard.load(Ordering::Relaxed) {
+        // What a node subscribes to is known a moment after the session is open.
+        let waited = tokio::select! {
+            waited = sender.wait_for_receiver(LISTENERS) => waited,
+            () = shutdown.cancelled() => return Ok(Sent::default()),
+        };
+        if waited.is_err() {
+            eprintln!("albireo: nobody listens on `{key}` yet, so frames go to nobody: {NOBODY}");
         }
     }
     let total = match (options.frames, source.frames()) {
@@ -189,6 +172,9 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         .map_err(|error| anyhow!("closing the Zenoh session: {error}"))?;
     let sent = sent?;
     println!("{}", summary(&sent, &key));
+    if sent.frames > 0 && !heard.load(Ordering::Relaxed) {
+        bail!("nobody listened on `{key}`: {NOBODY}");
+    }
     Ok(sent)
 }
 
@@ -254,7 +240,7 @@ mod tests {
 
     #[test]
     fn the_key_is_the_camera_s_or_the_one_given() {
-        let key = |arguments| parse(arguments).unwrap().frame_key();
+        let key = |arguments| parse(arguments).unwrap().target.frame_key();
         assert_eq!(key(&["synth"]).unwrap(), "albireo/node/front/frame");
         let named = ["synth", "--prefix", "f", "--node", "n", "--camera", "c"];
         assert_eq!(key(&named).unwrap(), "f/n/c/frame");

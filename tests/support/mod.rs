@@ -7,6 +7,7 @@ pub(crate) mod camera;
 pub(crate) mod detectors;
 #[cfg(feature = "hub")]
 pub(crate) mod fleet;
+pub(crate) mod live_camera;
 pub(crate) mod policies;
 #[cfg(feature = "hub")]
 #[path = "../../crates/hub/tests/support/postgres.rs"]
@@ -106,6 +107,15 @@ impl Node {
     }
 
     async fn start_unready_in(folder: tempfile::TempDir, settings: &str) -> Self {
+        Self::start_with(folder, settings, &[]).await
+    }
+
+    /// Starts a node with these variables in its environment.
+    pub(crate) async fn start_with(
+        folder: tempfile::TempDir,
+        settings: &str,
+        environment: &[(&str, &str)],
+    ) -> Self {
         let zenoh = format!("tcp/127.0.0.1:{}", free_port());
         let file = folder.path().join("node.toml");
         let listen = if settings.contains("zenoh.mode = \"client\"") {
@@ -120,6 +130,7 @@ impl Node {
         let mut child = albireo()
             .args(["node", "--config"])
             .arg(&file)
+            .envs(environment.iter().copied())
             .stderr(Stdio::piped())
             .spawn()
             .expect("the program starts");

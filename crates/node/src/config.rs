@@ -9,6 +9,7 @@ use crate::frame::{Delivery, FrameLimits, PayloadFormat};
 use crate::outbox::OutboxConfig;
 use crate::power::PowerConfig;
 use crate::screen::ScreenConfig;
+use crate::source::{Handover, RtspTransport, SourceAddress, SourceSettings};
 use albireo_core::policy::PolicyConfig;
 use albireo_service::config::{HttpConfig, LogConfig, UplinkConfig, ZenohConfig};
 use albireo_wire::{KeyError, NodeKeys};
@@ -148,6 +149,24 @@ pub struct CameraConfig {
     /// Zenoh key its frames come on; by default `{prefix}/{node}/{camera}/frame`.
     #[serde(default)]
     pub key: Option<String>,
+    /// A source that the node itself opens, in place of the key.
+    #[serde(default)]
+    pub source: Option<SourceAddress>,
+    /// The source's frames per second, at most.
+    #[serde(default)]
+    pub max_rate: Option<f64>,
+    /// How an RTSP source sends its packets.
+    #[serde(default)]
+    pub rtsp_transport: RtspTransport,
+    /// What decodes the source in the place of the processor: an acceleration or a decoder of ffmpeg.
+    #[serde(default)]
+    pub hardware: Option<String>,
+    /// Options of ffmpeg put before the source.
+    #[serde(default)]
+    pub source_options: Vec<String>,
+    /// A source without a picture for so long is opened anew, seconds.
+    #[serde(default = "default_source_timeout")]
+    pub source_timeout_s: f64,
     /// How its payload is to be read.
     #[serde(default)]
     pub format: PayloadFormat,
@@ -173,18 +192,43 @@ const fn default_ring() -> usize {
     2
 }
 
+const fn default_source_timeout() -> f64 {
+    15.0
+}
+
 impl CameraConfig {
     /// A camera of that name with every other setting at its default.
     pub fn named(name: impl Into<String>) -> Self {
         Self {
             name: name.into(),
             key: None,
+            source: None,
+            max_rate: None,
+            rtsp_transport: RtspTransport::default(),
+            hardware: None,
+            source_options: Vec::new(),
+            source_timeout_s: default_source_timeout(),
             format: PayloadFormat::default(),
             delivery: Delivery::default(),
             ring: default_ring(),
             threshold: None,
             reset_at_clip: default_reset_at_clip(),
         }
+    }
+
+    /// How its source is opened, if it has one.
+    pub fn source_settings(&self, limits: FrameLimits) -> Option<SourceSettings> {
+        Some(SourceSettings {
+            address: self.source.clone()?,
+            max_rate: self.max_rate,
+            transport: self.rtsp_transport,
+            hardware: self.hardware.clone(),
+            options: self.source_options.clone(),
+            silence: Duration::try_from_secs_f64(self.source_timeout_s).unwrap_or(Duration::MAX),
+            // Not coded again: most frames are never looked at.
+            decoded: Handover::Ppm,
+            limits,
+        })
     }
 }
 

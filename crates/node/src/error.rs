@@ -3,6 +3,7 @@
 use crate::board::SetupError;
 use crate::detector::StartError;
 use crate::power::MeterError;
+use crate::source::SourceError;
 use albireo_core::policy::PolicyConfigError;
 use albireo_service::http::HttpError;
 use albireo_service::supervise::TaskFailed;
@@ -45,6 +46,9 @@ pub enum NodeError {
         #[source]
         error: Box<NodeError>,
     },
+    /// A camera's source cannot be opened.
+    #[error(transparent)]
+    Source(#[from] SourceError),
     /// The HTTP interface cannot be offered.
     #[error("[http]: {0}")]
     Http(#[from] HttpError),

@@ -3,15 +3,18 @@
 //! waits; frames of which none is to be missed wait for their turn in [`held`].
 
 mod held;
+mod source;
 
 pub(crate) use held::HeldFrames;
+pub(crate) use source::SourceFeed;
 
 use super::board::{CameraBoard, LatestFrame};
 use super::rate_limit::RateLimit;
 use crate::frame::{
-    Arrival, Frame, FrameLimits, PayloadFormat, Pushed, RejectedFrame, RingSender, SequenceTracker,
-    read_sample,
+    Arrival, EncodedPicture, Frame, FrameFault, FrameLimits, FrameOrder, PayloadFormat, Pushed,
+    RejectedFrame, RingSender, SequenceTracker, read_sample,
 };
+use albireo_service::clock::unix_nanoseconds;
 use albireo_wire::DroppedFrames;
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::BTreeMap;
@@ -140,9 +143,8 @@ impl DropKind {
     }
 }
 
-impl From<&crate::frame::FrameFault> for DropKind {
-    fn from(fault: &crate::frame::FrameFault) -> Self {
-        use crate::frame::FrameFault;
+impl From<&FrameFault> for DropKind {
+    fn from(fault: &FrameFault) -> Self {
         match fault {
             FrameFault::Undecodable { .. } => Self::Undecodable,
             FrameFault::Oversized { .. } => Self::Oversized,
@@ -193,6 +195,34 @@ impl Intake {
         self.place(|arrival, format, limits| read_sample(sample, arrival, format, limits));
     }
 
+    /// Takes one picture of a source that the node itself reads. `anew`: it is the first since the source was opened, so
+    /// that nothing is known of what happened in between.
+    pub(crate) fn take_picture(&self, picture: Result<EncodedPicture, FrameFault>, anew: bool) {
+        if anew {
+            self.stream.lock().epoch += 1;
+        }
+        self.place(|arrival, _, _| {
+            let order = FrameOrder::default();
+            match picture {
+                Ok(picture) => Ok(Frame {
+                    sequence: arrival,
+                    order,
+                    time_ns: unix_nanoseconds(),
+                    clip: None,
+                    payload_bytes: picture.bytes.len(),
+                    picture,
+                    received: Instant::now(),
+                }),
+                Err(fault) => Err(RejectedFrame {
+                    sequence: None,
+                    order,
+                    clip: None,
+                    fault,
+                }),
+            }
+        });
+    }
+
     /// Numbers what `read` reads and puts it into the ring, in the place of the oldest frame if there is no room.
     fn place(
         &self,
@@ -231,16 +261,21 @@ impl Intake {
         let arrival = stream.arrivals;
         stream.arrivals += 1;
         let read = read(arrival, self.format, &self.limits);
-        let (sequence, clip) = match &read {
-            Ok(frame) => (Some(frame.sequence), frame.clip.clone()),
-            Err(rejected) => (rejected.sequence, rejected.clip.clone()),
-        };
-        let place = match sequence {
-            Some(sequence) => Some(stream.tracker.arrive(sequence, clip.as_ref())),
-            None => {
-                stream.tracker.arrive_unnumbered();
-                None
+        let tracker = &mut stream.tracker;
+        let place = match &read {
+            Ok(frame) if frame.order.numbered => {
+                Some(tracker.arrive(frame.sequence, frame.clip.as_ref(), &frame.order))
             }
+            Ok(_) => Some(tracker.arrive_without_number()),
+            Err(rejected) => match rejected.sequence {
+                Some(sequence) => {
+                    Some(tracker.arrive(sequence, rejected.clip.as_ref(), &rejected.order))
+                }
+                None => {
+                    tracker.arrive_unreadable();
+                    None
+                }
+            },
         };
         if let Some(Arrival::New {
             lost, restarted, ..

@@ -23,6 +23,7 @@ pub mod readiness;
 mod report;
 mod run;
 pub mod screen;
+pub mod source;
 mod start;
 mod threshold;
 mod uplink;

@@ -4,7 +4,7 @@
 //! | --- | --- | --- |
 //! | `detector` | it starts, or its session is being rebuilt | |
 //! | `screen` | | its session is being rebuilt: the detector is asked instead |
-//! | `cameras` | they are not subscribed to yet | no frame has come from one for a while |
+//! | `cameras` | they are not subscribed to yet | no frame has come from one for a while, or its source is opened again |
 //! | `power` | | the meter cannot be read, or gives no samples |
 //! | `outbox` | | reports are lost, or do not survive a power loss though a state directory is set |
 //! | `zenoh` | the local session is not open, or closed | another node has the same name |

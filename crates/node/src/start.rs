@@ -6,7 +6,7 @@ use super::config::{CameraConfig, NodeConfig};
 use super::counters::Counters;
 use super::error::NodeError;
 use super::evidence::LiveEvidence;
-use super::intake::{DropCounts, HeldFrames, Incoming, Intake};
+use super::intake::{DropCounts, HeldFrames, Incoming, Intake, SourceFeed};
 use super::name::NodeName;
 use super::report::{ClipAccounts, Reporter};
 use super::threshold::ThresholdService;
@@ -17,6 +17,7 @@ use crate::power::{self, PowerHandle};
 use crate::publishing::{self, Detections, PublishingThread};
 use crate::readiness;
 use crate::screen::{CameraScreen, ScreenConfig, ScreenHandle};
+use crate::source::{LiveSource, SourceSettings};
 use crate::uplink::{DesiredKeeper, Uplink, UplinkSetup, Way};
 use albireo_core::policy::{Policy, PolicyConfigError};
 use albireo_service::readiness::{Effect, Fault, Latch};
@@ -589,6 +590,9 @@ impl Parts<'_> {
             config.format,
             self.config.frame,
         );
+        if let Some(settings) = config.source_settings(self.config.frame) {
+            return self.add_source(name, intake, settings).await;
+        }
         let refused = || refused(format!("frames on `{}` cannot be had", board.key()));
         let key = board.key().to_owned();
         let subscriber = match config.delivery {
@@ -628,6 +632,35 @@ impl Parts<'_> {
             }
         };
         self.intakes.subscribers.push(subscriber);
+        Ok(())
+    }
+}
+
+impl Parts<'_> {
+    /// Feeds the camera from a source that the node keeps open.
+    async fn add_source(
+        &mut self,
+        name: &str,
+        intake: Intake,
+        settings: SourceSettings,
+    ) -> Result<(), NodeError> {
+        // It asks the programs for their versions.
+        let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
+        let source = found.map_err(|error| NodeError::State(error.to_string()))??;
+        let subject = format!("{name} source");
+        let part = self.board.readiness().part_of(readiness::CAMERAS, subject);
+        let feed = SourceFeed {
+            source: Arc::new(source),
+            intake: Arc::new(intake),
+            part,
+        };
+        let stop = self.shutdown.clone();
+        self.tasks.restarting(
+            format!("source {name}"),
+            tracing::info_span!("source", camera = name),
+            Restarts::new(Effect::Degraded),
+            move || feed.clone().run(stop.clone()),
+        );
         Ok(())
     }
 }

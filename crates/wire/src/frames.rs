@@ -14,6 +14,10 @@ pub struct FrameAttachment {
     /// Sequence number, one more for each frame. Without it frames are numbered by arrival.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seq: Option<u64>,
+    /// Which numbering `seq` belongs to: a sender that starts anew says another number, such as the time of its start
+    /// in nanoseconds, and loses no frame then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stream: Option<u64>,
     /// Capture time, nanoseconds since the Unix epoch. Without it the sample's timestamp counts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub t_ns: Option<u64>,

@@ -1,6 +1,6 @@
 //! Plays a source on a frame key: when each frame is due, its number, its time and its clip.
 
-use super::sender::{FrameSender, SentFrame};
+use crate::cli::frames::{FrameSender, OutgoingFrame, SentFrame};
 use albireo_eval::footage::{FrameSource, Stopper};
 use albireo_node::frame::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
@@ -56,15 +56,6 @@ pub struct Sent {
     pub first_refusal: Option<String>,
     /// From the first frame until now.
     pub elapsed: Duration,
-}
-
-/// A frame to be sent.
-#[derive(Clone, Debug, PartialEq)]
-pub struct OutgoingFrame {
-    /// The picture.
-    pub picture: EncodedPicture,
-    /// What is said beside it.
-    pub attachment: FrameAttachment,
 }
 
 /// Publishes `source` until it ends, the frames asked for are sent, or `shutdown`. `progress` is called
@@ -203,6 +194,7 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
         bail!("{rate} frames per second is not a rate");
     }
     let _stop = StopOnDrop(source.stopper());
+    let is_live = source.is_live();
     let mut prepared = prepare(source, options.repeat);
     let mut clips = Clips::new(options);
     let mut sent = Sent::default();
@@ -221,7 +213,8 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
             due = Instant::now();
             (due, SystemTime::now())
         });
-        if options.rate != Rate::Unpaced {
+        // A live source comes at its own pace.
+        if options.rate != Rate::Unpaced && !is_live {
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => break,
@@ -234,12 +227,17 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
             }
             due += period;
         }
-        let seconds = sent.frames as f64 / rate;
+        let seconds = if is_live {
+            began.elapsed().as_secs_f64()
+        } else {
+            sent.frames as f64 / rate
+        };
         let bytes = picture.bytes.len() as u64;
         let frame = OutgoingFrame {
             attachment: FrameAttachment {
                 v: VERSION,
                 seq: Some(options.first_sequence + sent.frames),
+                stream: Some(nanoseconds(clock, 0.0)),
                 t_ns: Some(nanoseconds(clock, seconds)),
                 clip: clips.next(pass, seconds),
                 ..raw_size(&picture)

@@ -1,17 +1,18 @@
-//! A video file as a source of frames, decoded by the `ffmpeg` program.
+//! A video file as a source of frames, decoded by the `ffmpeg` program; or an address, which is opened once.
 
 use super::source::{FrameSource, Stopper, clip_name};
-use albireo_node::frame::{EncodedPicture, FrameLimits, PayloadFormat, RawSample, read_frame};
-use anyhow::{Context, anyhow, bail};
+use albireo_node::frame::{EncodedPicture, FrameLimits, picture_of_file};
+use albireo_node::source::{
+    FfmpegInput, Handover, Running, SourceAddress, SourceKind, Stop, read_part, read_png,
+};
+use anyhow::{Context, bail};
 use bytes::Bytes;
 use parking_lot::Mutex;
 use serde::Deserialize;
-use std::io::{BufRead, BufReader, ErrorKind, Read};
-use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
+use std::path::Path;
 use std::sync::Arc;
-use std::thread::JoinHandle;
-use tokio::time::Instant;
+
+pub use albireo_node::source::Ffmpeg;
 
 /// How the frames of a video are encoded before they are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -23,85 +24,33 @@ pub enum VideoEncoding {
     Png,
 }
 
-/// The two programs.
-#[derive(Clone, Debug)]
-pub struct Ffmpeg {
-    /// The decoder.
-    pub ffmpeg: PathBuf,
-    /// The prober, of the same package.
-    pub ffprobe: PathBuf,
-}
+/// Most bytes of one picture.
+const MOST_BYTES: u64 = 256 << 20;
 
-impl Default for Ffmpeg {
-    fn default() -> Self {
-        Self {
-            ffmpeg: PathBuf::from("ffmpeg"),
-            ffprobe: PathBuf::from("ffprobe"),
-        }
-    }
-}
+/// Frames a second that are assumed of a live source, which tells its rate only by its frames.
+const LIVE_RATE: f64 = 25.0;
 
 /// A video. Its `ffmpeg` ends with it.
 #[derive(Debug)]
 pub struct Video {
-    input: String,
+    address: SourceAddress,
     name: String,
     encoding: VideoEncoding,
     programs: Ffmpeg,
     rate: f64,
+    /// Frames per second at most, of a live source.
+    most: Option<f64>,
+    is_live: bool,
     frames: Option<u64>,
-    slot: Arc<Mutex<Slot>>,
-    output: Option<BufReader<ChildStdout>>,
-    complaints: Option<JoinHandle<String>>,
+    running: Option<Running>,
+    stopping: Arc<Mutex<Stopping>>,
 }
 
-/// The running `ffmpeg`, shared with the stopper.
+/// How to end it from another thread.
 #[derive(Debug, Default)]
-struct Slot {
-    child: Option<Child>,
+struct Stopping {
+    stop: Option<Stop>,
     stopped: bool,
-}
-
-impl Slot {
-    fn kill(&mut self) {
-        if let Some(mut child) = self.child.take() {
-            // Errors mean that it has ended already.
-            let _ = child.kill();
-            let _ = child.wait();
-        }
-    }
-}
-
-/// Longest complaint of a program that is kept.
-const COMPLAINT_BYTES: u64 = 4096;
-
-fn start(command: &mut Command) -> anyhow::Result<Child> {
-    let program = command.get_program().to_string_lossy().into_owned();
-    command
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .map_err(|error| match error.kind() {
-            ErrorKind::NotFound => anyhow!(
-                "`{program}` was not found, and videos need it. Install it with `apt-get install \
-                 ffmpeg`, `dnf install ffmpeg` or `brew install ffmpeg`, or replay a folder of \
-                 pictures instead"
-            ),
-            _ => anyhow!("`{program}` cannot be started: {error}"),
-        })
-}
-
-/// Reads what a program complains of, so that it never waits for a reader.
-fn collect(stderr: ChildStderr) -> JoinHandle<String> {
-    std::thread::spawn(move || {
-        let mut reader = BufReader::new(stderr);
-        let mut kept = Vec::new();
-        // What cannot be read is not missed: it would only have explained a failure.
-        let _ = reader.by_ref().take(COMPLAINT_BYTES).read_to_end(&mut kept);
-        let _ = std::io::copy(&mut reader, &mut std::io::sink());
-        String::from_utf8_lossy(&kept).trim().to_owned()
-    })
 }
 
 #[derive(Deserialize)]
@@ -124,109 +73,93 @@ fn rate(text: &str) -> Option<f64> {
     (rate.is_finite() && rate > 0.0 && rate <= 1000.0).then_some(rate)
 }
 
-/// The option that keeps `ffmpeg` from adding or leaving out frames; it was renamed in 5.1.
-fn passthrough_option(version: &str) -> &'static str {
-    let number = version
-        .strip_prefix("ffmpeg version ")
-        .unwrap_or_default()
-        .trim_start_matches('n');
-    let mut parts = number.split(|c: char| !c.is_ascii_digit());
-    let major: Option<u32> = parts.next().and_then(|part| part.parse().ok());
-    let minor: u32 = parts.next().and_then(|part| part.parse().ok()).unwrap_or(0);
-    match major {
-        // Builds between releases have no number; they are young.
-        Some(major) if (major, minor) < (5, 1) => "-vsync",
-        _ => "-fps_mode",
-    }
-}
+/// What ffprobe is asked about a file.
+const PROBE: [&str; 8] = [
+    "-v",
+    "error",
+    "-select_streams",
+    "v:0",
+    "-show_entries",
+    "stream=avg_frame_rate,r_frame_rate,nb_frames",
+    "-of",
+    "json",
+];
 
 impl Video {
-    /// Probes and opens a video file, or an address that `ffmpeg` can open. `fallback_rate` is for streams
-    /// that have no rate of their own.
+    /// Probes and opens a video file; or opens an address or a device, which may have but one client, without probing it.
+    /// `wanted_rate` is for files that have no rate of their own, and the most frames per second of a live source.
     ///
     /// # Errors
     /// When a program is not installed or finds no video stream.
     pub fn open(
         input: &str,
-        fallback_rate: Option<f64>,
+        wanted_rate: Option<f64>,
         encoding: VideoEncoding,
         programs: Ffmpeg,
     ) -> anyhow::Result<Self> {
-        let probe = start(Command::new(&programs.ffprobe).args([
-            "-v",
-            "error",
-            "-select_streams",
-            "v:0",
-            "-show_entries",
-            "stream=avg_frame_rate,r_frame_rate,nb_frames",
-            "-of",
-            "json",
-            input,
-        ]))?
-        .wait_with_output()
-        .context("ffprobe")?;
-        let said = String::from_utf8_lossy(&probe.stderr);
-        if !probe.status.success() {
-            bail!("{input}: ffprobe cannot read it: {}", said.trim());
-        }
-        let probed: Probed = serde_json::from_slice(&probe.stdout)
-            .with_context(|| format!("{input}: ffprobe's answer is not understood"))?;
-        let Some(stream) = probed.streams.first() else {
-            bail!("{input}: there is no video in it");
+        let address = SourceAddress::new(input);
+        let is_live = match address.kind() {
+            SourceKind::File => false,
+            SourceKind::Network(_) | SourceKind::Device => true,
+            SourceKind::Pipeline => {
+                bail!("a GStreamer pipeline is not replayed: `albireo publish` sends it to a node")
+            }
         };
-        let rate = [&stream.avg_frame_rate, &stream.r_frame_rate]
-            .into_iter()
-            .flatten()
-            .find_map(|text| rate(text))
-            .or(fallback_rate)
-            .with_context(|| {
-                format!("{input}: ffprobe tells no frame rate; give one with --rate")
-            })?;
+        let (rate, frames) = if is_live {
+            (wanted_rate.unwrap_or(LIVE_RATE), None)
+        } else {
+            probed(input, wanted_rate, &programs)?
+        };
+        let name = if is_live {
+            "live".to_owned()
+        } else {
+            clip_name(Path::new(input))
+        };
         let mut video = Self {
-            input: input.to_owned(),
-            name: clip_name(Path::new(input)),
+            address,
+            name,
             encoding,
             programs,
             rate,
-            frames: stream.nb_frames.as_ref().and_then(|text| text.parse().ok()),
-            slot: Arc::default(),
-            output: None,
-            complaints: None,
+            most: wanted_rate.filter(|_| is_live),
+            is_live,
+            frames,
+            running: None,
+            stopping: Arc::default(),
         };
         video.rewind()?;
         Ok(video)
     }
 
-    fn version(&self) -> anyhow::Result<String> {
-        let answer = start(Command::new(&self.programs.ffmpeg).arg("-version"))?
-            .wait_with_output()
-            .context("ffmpeg -version")?;
-        Ok(String::from_utf8_lossy(&answer.stdout)
-            .lines()
-            .next()
-            .unwrap_or_default()
-            .to_owned())
-    }
-
     /// The pass is over: an error if `ffmpeg` failed.
     fn ended(&mut self) -> anyhow::Result<()> {
-        self.output = None;
-        let (status, stopped) = {
-            let mut slot = self.slot.lock();
-            let status = slot.child.take().map(|mut child| child.wait());
-            (status, slot.stopped)
-        };
-        let complaints = self.complaints.take().and_then(|thread| thread.join().ok());
-        match status {
-            Some(Ok(status)) if !status.success() && !stopped => bail!(
-                "{}: ffmpeg failed ({status}): {}",
-                self.input,
-                complaints.unwrap_or_default()
-            ),
-            Some(Err(error)) => bail!("{}: ffmpeg is lost: {error}", self.input),
+        match self.running.take().map(Running::ended) {
+            Some(Err(reason)) => bail!("{}: ffmpeg failed: {reason}", self.address),
             _ => Ok(()),
         }
     }
+}
+
+/// Rate and number of the frames of a file.
+fn probed(
+    input: &str,
+    fallback: Option<f64>,
+    programs: &Ffmpeg,
+) -> anyhow::Result<(f64, Option<u64>)> {
+    let said = programs.probe(&PROBE, input)?;
+    let probed: Probed = serde_json::from_slice(&said)
+        .with_context(|| format!("{input}: ffprobe's answer is not understood"))?;
+    let Some(stream) = probed.streams.first() else {
+        bail!("{input}: there is no video in it");
+    };
+    let rate = [&stream.avg_frame_rate, &stream.r_frame_rate]
+        .into_iter()
+        .flatten()
+        .find_map(|text| rate(text))
+        .or(fallback)
+        .with_context(|| format!("{input}: ffprobe tells no frame rate; give one with --rate"))?;
+    let frames = stream.nb_frames.as_ref().and_then(|text| text.parse().ok());
+    Ok((rate, frames))
 }
 
 impl FrameSource for Video {
@@ -242,166 +175,69 @@ impl FrameSource for Video {
         self.frames
     }
 
+    fn is_live(&self) -> bool {
+        self.is_live
+    }
+
     fn next(&mut self) -> anyhow::Result<Option<EncodedPicture>> {
-        let Some(output) = &mut self.output else {
+        let Some(running) = &mut self.running else {
             return Ok(None);
         };
         let file = match self.encoding {
-            VideoEncoding::Jpeg => read_part(output),
-            VideoEncoding::Png => read_png(output),
+            VideoEncoding::Jpeg => read_part(running.output(), MOST_BYTES),
+            VideoEncoding::Png => read_png(running.output(), MOST_BYTES),
         };
         match file {
-            Ok(Some(file)) => {
-                let raw = RawSample {
-                    payload: Bytes::from(file),
-                    encoding: "",
-                    attachment: None,
-                    timestamp_ns: None,
-                    arrival: 0,
-                    received: Instant::now(),
-                };
-                read_frame(raw, PayloadFormat::Encoding, &FrameLimits::default())
-                    .map(|frame| Some(frame.picture))
-                    .with_context(|| format!("{}: a frame cannot be sent", self.input))
-            }
+            Ok(Some(file)) => picture_of_file(Bytes::from(file), &FrameLimits::default())
+                .map(Some)
+                .with_context(|| format!("{}: a frame cannot be sent", self.address)),
             Ok(None) => self.ended().map(|()| None),
             Err(error) => {
                 // A failed ffmpeg explains a cut stream better than the cut does.
                 self.ended()?;
-                if self.slot.lock().stopped {
+                if self.stopping.lock().stopped {
                     return Ok(None);
                 }
-                Err(error).with_context(|| format!("{}: ffmpeg's output is cut", self.input))
+                Err(error).with_context(|| format!("{}: ffmpeg's output is cut", self.address))
             }
         }
     }
 
     fn rewind(&mut self) -> anyhow::Result<()> {
-        let passthrough = passthrough_option(&self.version()?);
-        let codec: &[&str] = match self.encoding {
-            VideoEncoding::Jpeg => &["-c:v", "mjpeg", "-q:v", "2", "-f", "mpjpeg"],
-            VideoEncoding::Png => &["-c:v", "png", "-f", "image2pipe"],
-        };
-        let mut slot = self.slot.lock();
-        slot.kill();
-        if slot.stopped {
+        self.running = None;
+        let mut stopping = self.stopping.lock();
+        if stopping.stopped {
             return Ok(());
         }
-        let mut child = start(
-            Command::new(&self.programs.ffmpeg)
-                .args([
-                    "-nostdin",
-                    "-v",
-                    "error",
-                    "-i",
-                    &self.input,
-                    "-map",
-                    "0:v:0",
-                ])
-                .args([passthrough, "passthrough"])
-                .args(codec)
-                .arg("pipe:1"),
-        )?;
-        self.output = child
-            .stdout
-            .take()
-            .map(|stdout| BufReader::with_capacity(1 << 18, stdout));
-        self.complaints = child.stderr.take().map(collect);
-        slot.child = Some(child);
+        let handover = match self.encoding {
+            VideoEncoding::Jpeg => Handover::Jpeg(2),
+            VideoEncoding::Png => Handover::Png,
+        };
+        let input = FfmpegInput {
+            max_rate: self.most,
+            ..FfmpegInput::new(&self.address)
+        };
+        let running = self.programs.open(&input, handover)?;
+        stopping.stop = Some(running.stop());
+        self.running = Some(running);
         Ok(())
     }
 
     fn stopper(&self) -> Option<Stopper> {
-        let slot = Arc::clone(&self.slot);
+        let stopping = Arc::clone(&self.stopping);
         Some(Box::new(move || {
-            let mut slot = slot.lock();
-            slot.stopped = true;
-            slot.kill();
+            let mut stopping = stopping.lock();
+            stopping.stopped = true;
+            if let Some(stop) = &stopping.stop {
+                stop.stop();
+            }
         }))
     }
-}
-
-impl Drop for Video {
-    fn drop(&mut self) {
-        self.slot.lock().kill();
-    }
-}
-
-/// The next part of ffmpeg's `mpjpeg` stream (multipart with a `Content-length` in every part's head);
-/// `None` at its end.
-fn read_part(stream: &mut impl BufRead) -> anyhow::Result<Option<Vec<u8>>> {
-    let mut length = None;
-    let mut line = String::new();
-    loop {
-        line.clear();
-        if stream.by_ref().take(1024).read_line(&mut line)? == 0 {
-            return if length.is_none() {
-                Ok(None)
-            } else {
-                Err(anyhow!("it ends inside a head"))
-            };
-        }
-        let text = line.trim();
-        if let Some((name, value)) = text.split_once(':')
-            && name.eq_ignore_ascii_case("content-length")
-        {
-            length = Some(value.trim().parse::<u64>().context("Content-length")?);
-        }
-        if text.is_empty()
-            && let Some(length) = length
-        {
-            return read_exactly(stream, length).map(Some);
-        }
-    }
-}
-
-/// The next PNG file of a row of them; `None` at the end.
-fn read_png(stream: &mut impl BufRead) -> anyhow::Result<Option<Vec<u8>>> {
-    if stream.fill_buf()?.is_empty() {
-        return Ok(None);
-    }
-    let mut file = read_exactly(stream, 8)?;
-    loop {
-        let head = read_exactly(stream, 8)?;
-        let [a, b, c, d, kind @ ..] = head.as_slice() else {
-            bail!("a PNG chunk has no head");
-        };
-        let length = u64::from(u32::from_be_bytes([*a, *b, *c, *d]));
-        let last = kind == b"IEND";
-        file.extend_from_slice(&head);
-        // The content and its checksum.
-        file.extend_from_slice(&read_exactly(stream, length + 4)?);
-        if last {
-            return Ok(Some(file));
-        }
-    }
-}
-
-fn read_exactly(stream: &mut impl BufRead, length: u64) -> anyhow::Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    stream.by_ref().take(length).read_to_end(&mut bytes)?;
-    if bytes.len() as u64 != length {
-        bail!("it ends {} bytes early", length - bytes.len() as u64);
-    }
-    Ok(bytes)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn the_option_for_every_frame_fits_the_version() {
-        for (version, option) in [
-            ("ffmpeg version 4.4.2-0ubuntu0.22.04.1 Copyright", "-vsync"),
-            ("ffmpeg version 5.0", "-vsync"),
-            ("ffmpeg version 5.1.9-0+deb12u1 Copyright", "-fps_mode"),
-            ("ffmpeg version n7.1", "-fps_mode"),
-            ("ffmpeg version N-118000-gabc", "-fps_mode"),
-        ] {
-            assert_eq!(passthrough_option(version), option, "{version}");
-        }
-    }
 
     #[test]
     fn a_rate_is_a_fraction_that_makes_sense() {
@@ -410,17 +246,5 @@ mod tests {
         for text in ["0/0", "90000/1", "x", "-5/1", ""] {
             assert_eq!(rate(text), None, "{text}");
         }
-    }
-
-    #[test]
-    fn parts_are_cut_where_their_heads_say() {
-        let stream = b"--ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: 5\r\n\r\nab\r\nc\r\n\
-                       --ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: 1\r\n\r\nd\r\n--ffmpeg\r\n";
-        let mut reader = &stream[..];
-        assert_eq!(read_part(&mut reader).unwrap().unwrap(), b"ab\r\nc");
-        assert_eq!(read_part(&mut reader).unwrap().unwrap(), b"d");
-        assert_eq!(read_part(&mut reader).unwrap(), None);
-        let mut cut = &stream[..60];
-        assert!(read_part(&mut cut).is_err());
     }
 }

@@ -26,7 +26,7 @@ pub(crate) const LATENCY_BUCKETS_S: [f64; 15] = [
 pub struct CameraSetup {
     /// The camera's name.
     pub name: String,
-    /// Zenoh key its frames come on.
+    /// Where its frames come from: a Zenoh key, or the source that the node opens, without credentials.
     pub key: String,
     /// What its policy lets a user turn, if anything.
     pub knob: Option<Knob>,
@@ -149,7 +149,7 @@ impl CameraBoard {
         &self.name
     }
 
-    /// The Zenoh key its frames come on.
+    /// Where its frames come from: a Zenoh key, or the source that the node opens, without credentials.
     pub fn key(&self) -> &str {
         &self.key
     }

@@ -38,7 +38,10 @@ impl BoardSetup {
         let camera = |camera: &CameraConfig| -> Result<CameraSetup, SetupError> {
             Ok(CameraSetup {
                 name: camera.name.clone(),
-                key: config.frame_key(camera)?,
+                key: match &camera.source {
+                    Some(source) => source.to_string(),
+                    None => config.frame_key(camera)?,
+                },
                 knob: policy.knob(),
                 threshold: camera.threshold.or_else(|| policy.knob_value()),
             })

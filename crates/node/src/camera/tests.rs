@@ -5,7 +5,7 @@ use crate::board::{Board, BoardSetup};
 use crate::clip::{ClipConfig, ClipTracker, ClosedClip};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
-use crate::frame::{Frame, FrameLimits, PictureFormat, Pushed, RingSender, frame_ring};
+use crate::frame::{Frame, FrameLimits, FrameOrder, PictureFormat, Pushed, RingSender, frame_ring};
 use crate::power::sampler::without_a_meter;
 use crate::screen::{CameraScreen, ScreenConfig};
 use albireo_core::geometry::PictureSize;
@@ -88,6 +88,7 @@ impl Bench {
     fn put(&self, index: u64, epoch: u64, received: Instant) {
         let frame = Frame {
             sequence: index,
+            order: FrameOrder::default(),
             time_ns: 0,
             clip: Some("drive".into()),
             picture: self.picture.clone(),

@@ -109,8 +109,9 @@ fn the_keys_shown_as_comments_can_be_used_as_they_stand() {
     let text: String = std::fs::read_to_string(shipped())
         .unwrap()
         .lines()
-        // A token and a token file exclude each other.
+        // A token and a token file exclude each other, and so do a key and a source.
         .filter(|line| key_of(line) != Some("token_file"))
+        .filter(|line| key_of(line) != Some("key"))
         .map(|line| match key_of(line) {
             Some(_) => format!("{}\n", line.trim_start_matches("# ")),
             None => format!("{line}\n"),
@@ -119,8 +120,8 @@ fn the_keys_shown_as_comments_can_be_used_as_they_stand() {
     let config = load(&text).unwrap();
     assert_eq!(config.http.token.unwrap().secret(), "a-long-random-secret");
     assert_eq!(
-        config.cameras[0].key.as_deref(),
-        Some("vehicle/camera/front")
+        config.cameras[0].source.as_ref().unwrap().to_string(),
+        "rtsp://192.168.0.20/stream"
     );
     // The settings shown are those of the default profile.
     assert_eq!(
@@ -209,6 +210,38 @@ fn an_impossible_value_is_refused_with_its_key() {
         ("[[camera]]\nname = \"a\"\nkey = \"x/**\"", "camera[0].key"),
         ("[[camera]]\nname = \"a\"\nkey = \"/x\"", "camera[0].key"),
         ("[[camera]]\nname = \"a\"\nring = 0", "camera[0].ring"),
+        (
+            "[[camera]]\nname = \"a\"\nsource = \"\"",
+            "camera[0].source",
+        ),
+        (
+            "[[camera]]\nname = \"a\"\nsource = \"rtsp://${NOBODY_SETS_THIS}@b\"",
+            "camera[0].source",
+        ),
+        (
+            "[[camera]]\nname = \"a\"\nsource = \"b.mp4\"\nkey = \"c\"",
+            "camera[0].key",
+        ),
+        (
+            "[[camera]]\nname = \"a\"\nsource = \"b.mp4\"\ndelivery = \"every\"",
+            "camera[0].delivery",
+        ),
+        (
+            "[[camera]]\nname = \"a\"\nsource = \"b ! jpegenc\"\nhardware = \"cuda\"",
+            "camera[0].hardware",
+        ),
+        (
+            "[[camera]]\nname = \"a\"\nmax_rate = 5",
+            "camera[0].max_rate",
+        ),
+        (
+            "[[camera]]\nname = \"a\"\nsource = \"b.mp4\"\nmax_rate = 0",
+            "camera[0].max_rate",
+        ),
+        (
+            "[[camera]]\nname = \"a\"\nsource = \"b.mp4\"\nrtsp_transport = \"sctp\"",
+            "camera[0].rtsp_transport",
+        ),
         (
             "[[camera]]\nname = \"a\"\nthreshold = 0",
             "camera[0].threshold",

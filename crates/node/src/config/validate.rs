@@ -2,6 +2,8 @@
 
 use super::{CameraConfig, NodeConfig};
 use crate::detector::ClassNames;
+use crate::frame::Delivery;
+use crate::source::SourceKind;
 use albireo_core::policy::Knob;
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
 use std::collections::HashSet;
@@ -183,4 +185,62 @@ fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
         }
     }
     findings.count(&key("ring"), camera.ring as u64, 1, 1024);
+    check_source(camera, key, findings);
+}
+
+fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &mut Findings) {
+    if let Some(rate) = camera.max_rate {
+        findings.above_zero(&key("max_rate"), rate, 1000.0);
+    }
+    findings.above_zero(&key("source_timeout_s"), camera.source_timeout_s, DAY_S);
+    if camera.hardware.as_ref().is_some_and(String::is_empty) {
+        findings.add(key("hardware"), "is empty; leave the key out instead");
+    }
+    let Some(source) = &camera.source else {
+        let plain = CameraConfig::named(camera.name.clone());
+        for (name, given) in [
+            ("max_rate", camera.max_rate.is_some()),
+            (
+                "rtsp_transport",
+                camera.rtsp_transport != plain.rtsp_transport,
+            ),
+            ("hardware", camera.hardware.is_some()),
+            ("source_options", !camera.source_options.is_empty()),
+        ] {
+            if given {
+                findings.add(
+                    key(name),
+                    "is of a camera with a source, and this one has none",
+                );
+            }
+        }
+        return;
+    };
+    if let Err(error) = source.check() {
+        findings.add(key("source"), error.to_string());
+    }
+    if camera.key.is_some() {
+        findings.add(
+            key("key"),
+            "is there beside source: frames come from the one or the other",
+        );
+    }
+    if camera.delivery == Delivery::Every {
+        findings.add(
+            key("delivery"),
+            "`every` needs a sender that waits, and a source does not: use `albireo replay --every`",
+        );
+    }
+    let is_pipeline = source.kind() == SourceKind::Pipeline;
+    if is_pipeline && (camera.hardware.is_some() || !camera.source_options.is_empty()) {
+        let name = if camera.hardware.is_some() {
+            "hardware"
+        } else {
+            "source_options"
+        };
+        findings.add(
+            key(name),
+            "is for ffmpeg; in a GStreamer pipeline name the decoder as one of its elements",
+        );
+    }
 }

@@ -14,6 +14,7 @@ const MAX_CLIP_BYTES: usize = 200;
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Said {
     pub sequence: Option<u64>,
+    pub stream: Option<u64>,
     pub time_ns: Option<u64>,
     pub clip: Option<Arc<str>>,
     pub size: Option<PictureSize>,
@@ -62,6 +63,7 @@ fn read_json(bytes: &[u8]) -> Result<Said, FrameFault> {
     };
     Ok(Said {
         sequence: said.seq,
+        stream: said.stream,
         time_ns: said.t_ns,
         clip: said.clip.map(Arc::from),
         size,
@@ -85,8 +87,14 @@ fn read_rmw_zenoh(bytes: &[u8]) -> Option<Said> {
     if !matches!(sender.len(), 16 | 17) {
         return None;
     }
+    // A publisher that starts anew has another id, and numbers from the start.
+    let stream = sender.last_chunk::<16>().map(|id| {
+        let id = u128::from_le_bytes(*id);
+        (id >> 64) as u64 ^ id as u64
+    });
     Some(Said {
         sequence: Some(u64::try_from(sequence).ok()?),
+        stream,
         time_ns: u64::try_from(time_ns).ok().filter(|time| *time > 0),
         ..Said::default()
     })
@@ -134,6 +142,7 @@ mod tests {
                 let said = read_attachment(Some(&bytes), format).unwrap();
                 assert_eq!(said.sequence, Some(41), "{named} {length_byte}");
                 assert_eq!(said.time_ns, Some(1_700_000_000_123_456_789));
+                assert!(said.stream.is_some(), "a publisher's id");
             }
         }
     }
@@ -162,6 +171,7 @@ mod tests {
             said,
             Said {
                 sequence: Some(9),
+                stream: None,
                 time_ns: Some(5),
                 clip: Some("a".into()),
                 size: Some(PictureSize::new(4, 2)),

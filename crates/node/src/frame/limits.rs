@@ -18,7 +18,7 @@ pub(super) fn check_payload(bytes: usize, limits: &FrameLimits) -> Result<(), Fr
 }
 
 /// Checks a picture's size, and that it fits `max_decoded_bytes` when decoded to RGB.
-pub(super) fn check_picture(size: PictureSize, limits: &FrameLimits) -> Result<(), FrameFault> {
+pub(crate) fn check_picture(size: PictureSize, limits: &FrameLimits) -> Result<(), FrameFault> {
     if size.width == 0 || size.height == 0 {
         return Err(FrameFault::undecodable(format!(
             "a picture of {size} has no pixels"

@@ -32,11 +32,26 @@ pub struct RawSample<'a> {
     pub received: Instant,
 }
 
+/// What tells the place of a frame in its camera's stream, beside its number.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameOrder {
+    /// Whether the camera sent a number.
+    pub numbered: bool,
+    /// Which numbering the number belongs to, where the camera says so.
+    pub stream: Option<u64>,
+    /// Capture time, where the camera says it.
+    pub time_ns: Option<u64>,
+    /// When the frame was received.
+    pub received: Option<Instant>,
+}
+
 /// A frame, still encoded.
 #[derive(Clone, Debug)]
 pub struct Frame {
     /// The camera's sequence number; by arrival when it sends none.
     pub sequence: u64,
+    /// What else tells its place.
+    pub order: FrameOrder,
     /// Capture time, nanoseconds since the Unix epoch: the camera's, else the sample's timestamp, else
     /// this machine's clock.
     pub time_ns: u64,
@@ -55,8 +70,10 @@ pub struct Frame {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{fault}")]
 pub struct RejectedFrame {
-    /// Its sequence number, where it could be read.
+    /// Its sequence number, where it has one that could be read.
     pub sequence: Option<u64>,
+    /// What else tells its place.
+    pub order: FrameOrder,
     /// Its clip, where it could be read.
     pub clip: Option<Arc<str>>,
     /// What was wrong.
@@ -176,15 +193,26 @@ fn read_checked(
 ) -> Result<Frame, RejectedFrame> {
     let said = read_attachment(raw.attachment, format).map_err(|fault| RejectedFrame {
         sequence: None,
+        order: FrameOrder::default(),
         clip: None,
         fault,
     })?;
     let sequence = said.sequence.unwrap_or(raw.arrival);
+    let mut order = FrameOrder {
+        numbered: said.sequence.is_some(),
+        stream: said.stream,
+        time_ns: said.time_ns,
+        received: Some(raw.received),
+    };
     let read = check_payload(payload_bytes, limits)
         .and_then(|()| read_picture(&raw, &said, format, limits));
     match read {
         Ok((picture, stamp)) => Ok(Frame {
             sequence,
+            order: {
+                order.time_ns = order.time_ns.or(stamp);
+                order
+            },
             // A ROS header's stamp is when the picture was taken, the attachment's when it was sent.
             time_ns: stamp
                 .or(said.time_ns)
@@ -196,7 +224,8 @@ fn read_checked(
             payload_bytes,
         }),
         Err(fault) => Err(RejectedFrame {
-            sequence: Some(sequence),
+            sequence: said.sequence,
+            order,
             clip: said.clip,
             fault,
         }),
@@ -283,6 +312,19 @@ const ENCODINGS: &str =
 fn unknown_encoding(encoding: &str) -> FrameFault {
     let start: String = encoding.chars().take(64).collect();
     FrameFault::unknown_format(format!("encoding {start:?} is not known; {ENCODINGS}"))
+}
+
+/// A JPEG or PNG file as a picture: its header is read and its size checked.
+///
+/// # Errors
+/// When it is neither, or above a limit.
+pub fn picture_of_file(bytes: Bytes, limits: &FrameLimits) -> Result<EncodedPicture, FrameFault> {
+    check_payload(bytes.len(), limits)?;
+    let Some(format) = format_of(&bytes) else {
+        let reason = "a picture is neither a JPEG nor a PNG file";
+        return Err(FrameFault::unknown_format(reason));
+    };
+    file_picture(format, bytes, limits)
 }
 
 fn file_picture(

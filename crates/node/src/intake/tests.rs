@@ -4,7 +4,9 @@ use super::*;
 use crate::board::{Board, BoardSetup};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::DetectorStatus;
-use crate::frame::{EncodedPicture, FrameFault, PictureFormat, RingReceiver, frame_ring};
+use crate::frame::{
+    EncodedPicture, FrameFault, FrameOrder, PictureFormat, RingReceiver, frame_ring,
+};
 use albireo_core::geometry::PictureSize;
 use std::thread;
 use tokio::sync::watch;
@@ -28,6 +30,10 @@ fn intake(capacity: usize) -> (Arc<Intake>, RingReceiver<Incoming>) {
 fn frame(sequence: u64) -> Frame {
     Frame {
         sequence,
+        order: FrameOrder {
+            numbered: true,
+            ..FrameOrder::default()
+        },
         time_ns: 0,
         clip: None,
         picture: EncodedPicture {
@@ -43,6 +49,7 @@ fn frame(sequence: u64) -> Frame {
 fn rejected(sequence: Option<u64>) -> RejectedFrame {
     RejectedFrame {
         sequence,
+        order: FrameOrder::default(),
         clip: None,
         fault: FrameFault::Undecodable {
             reason: "half a picture".to_owned(),

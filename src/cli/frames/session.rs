@@ -1,6 +1,8 @@
 //! The Zenoh session of a command that talks to a node.
 
-use anyhow::{Context, anyhow, bail};
+use anyhow::anyhow;
+#[cfg(feature = "eval")]
+use anyhow::{Context, bail};
 use std::time::Duration;
 use zenoh::Config;
 use zenoh::session::Session;
@@ -53,13 +55,14 @@ pub async fn open_session(
     }
     zenoh::open(config).await.map_err(|error| {
         anyhow!(
-            "no Zenoh session with {}: {error}; is the node running, and does it listen there?",
+            "no Zenoh session with {}: {}; is the node running, and does it listen there?",
             connect
                 .iter()
                 .chain(listen)
                 .cloned()
                 .collect::<Vec<_>>()
-                .join(", ")
+                .join(", "),
+            albireo_service::session::plain(&error)
         )
     })
 }
@@ -70,6 +73,7 @@ pub async fn open_session(
 ///
 /// # Errors
 /// When that takes longer than `patience`.
+#[cfg(feature = "eval")]
 pub async fn flush(session: &Session, key: &str, patience: Duration) -> anyhow::Result<()> {
     // No one answers on this key; the query's end is what is waited for.
     let replies = session

@@ -1,10 +1,11 @@
 //! Sends frames to a node: as a camera does, or so that none is missed.
 
-use super::OutgoingFrame;
-use albireo_node::frame::PictureFormat;
-use albireo_wire::{FrameAnswer, read};
+use albireo_node::frame::{EncodedPicture, PictureFormat};
+use albireo_wire::{FrameAnswer, FrameAttachment, read};
 use anyhow::{Context, anyhow, bail};
+use parking_lot::Mutex;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::time::Instant;
 use zenoh::Wait;
@@ -30,9 +31,18 @@ pub enum Haste {
     WaitForNode,
 }
 
+/// A frame to be sent.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OutgoingFrame {
+    /// The picture.
+    pub picture: EncodedPicture,
+    /// What is said beside it.
+    pub attachment: FrameAttachment,
+}
+
 /// What became of a frame that was sent.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) enum SentFrame {
+pub(crate) enum SentFrame {
     /// It went out, or was taken.
     Gone,
     /// The node does not process it, and says why.
@@ -120,11 +130,74 @@ impl FrameSender {
         })?
     }
 
+    /// Tells `changed` whether somebody takes what is sent: now, and at every change as long as the session is open.
+    ///
+    /// # Errors
+    /// When the session is closed.
+    pub(crate) async fn watch_receivers(
+        &self,
+        changed: impl FnMut(bool) + Send + 'static,
+    ) -> anyhow::Result<()> {
+        let zenoh = |error: zenoh::Error| anyhow!("looking for a receiver: {error}");
+        let Way::Put(publisher) = &self.0 else {
+            bail!("only who puts frames does not hear whether they are taken");
+        };
+        let told = Arc::new(Mutex::new((changed, None)));
+        let tell = move |taken: bool| {
+            let (changed, last) = &mut *told.lock();
+            if last.replace(taken) != Some(taken) {
+                changed(taken);
+            }
+        };
+        // Listening comes before looking, so that none is missed in between.
+        let heard = tell.clone();
+        publisher
+            .matching_listener()
+            .callback(move |status| heard(status.matching()))
+            .background()
+            .await
+            .map_err(zenoh)?;
+        tell(publisher.matching_status().await.map_err(zenoh)?.matching());
+        Ok(())
+    }
+
+    /// Whether somebody takes, or has taken since this call, what is sent.
+    ///
+    /// # Errors
+    /// When the session is closed.
+    #[cfg_attr(not(feature = "eval"), allow(dead_code))]
+    pub(crate) async fn heard(&self) -> anyhow::Result<Arc<AtomicBool>> {
+        let heard = Arc::new(AtomicBool::new(false));
+        if let Way::Ask(_) = &self.0 {
+            // Each frame is answered.
+            heard.store(true, Ordering::Relaxed);
+            return Ok(heard);
+        }
+        let noted = Arc::clone(&heard);
+        self.watch_receivers(move |taken| {
+            noted.fetch_or(taken, Ordering::Relaxed);
+        })
+        .await?;
+        Ok(heard)
+    }
+
+    /// Puts one frame; blocks where the network does.
+    ///
+    /// # Errors
+    /// When Zenoh refuses it, or the frames of this sender are asked for.
+    pub(crate) fn put(&self, frame: &OutgoingFrame) -> anyhow::Result<()> {
+        match &self.0 {
+            Way::Put(publisher) => put(publisher, frame),
+            Way::Ask(_) => bail!("this sender's frames wait to be taken"),
+        }
+    }
+
     /// Sends one frame.
     ///
     /// # Errors
     /// When Zenoh refuses it, or no node takes it.
-    pub(super) async fn send(&self, frame: OutgoingFrame) -> anyhow::Result<SentFrame> {
+    #[cfg_attr(not(feature = "eval"), allow(dead_code))]
+    pub(crate) async fn send(&self, frame: OutgoingFrame) -> anyhow::Result<SentFrame> {
         match &self.0 {
             Way::Put(publisher) => {
                 let publisher = Arc::clone(publisher);

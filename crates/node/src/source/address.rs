@@ -1,0 +1,420 @@
+//! What a source is called. An address may hold a password, or the name of an environment variable that does: it is shown
+//! without them, and what a program says of it is cleaned of them.
+
+use serde::{Deserialize, Serialize, Serializer};
+use std::fmt;
+
+/// A source as a user names it, with `${NAME}` for environment variables. Shown (and serialised) without credentials.
+#[derive(Clone, PartialEq, Eq, Deserialize)]
+#[serde(transparent)]
+pub struct SourceAddress(String);
+
+/// What opens a source.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum SourceKind {
+    /// A GStreamer pipeline: elements with `!` between them.
+    Pipeline,
+    /// A camera of this machine: `/dev/video0`.
+    Device,
+    /// An address with this scheme: `rtsp`, `http`.
+    Network(String),
+    /// A video file.
+    File,
+}
+
+/// Why an address cannot be used. Never tells the address itself.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum AddressError {
+    /// There is nothing in it.
+    #[error("is empty")]
+    Empty,
+    /// It has a line break or the like.
+    #[error("has a control character in it")]
+    Control,
+    /// A variable is begun and not ended.
+    #[error("has `${{` without `}}` behind the variable's name")]
+    Open,
+    /// A variable is not set.
+    #[error("wants the environment variable `{0}`, which is not set")]
+    Unset(String),
+    /// A quotation mark is not closed.
+    #[error("has a quotation mark that is not closed")]
+    Quote,
+}
+
+/// An address with its variables filled in.
+#[derive(Clone)]
+pub(super) struct Resolved {
+    pub kind: SourceKind,
+    /// The address, or the words of a pipeline.
+    pub words: Vec<String>,
+    pub secrets: Secrets,
+    /// Names of the variables: a child process has no use for them.
+    pub variables: Vec<String>,
+}
+
+impl Resolved {
+    /// The address where it is one word.
+    pub(super) fn text(&self) -> &str {
+        self.words.first().map_or("", String::as_str)
+    }
+}
+
+/// What must not be told, longest first.
+#[derive(Clone, Default)]
+pub(super) struct Secrets(Vec<String>);
+
+impl Secrets {
+    fn add(&mut self, secret: &str) {
+        for form in [secret.to_owned(), percent_decoded(secret), encoded(secret)] {
+            if !form.is_empty() && !self.0.contains(&form) {
+                self.0.push(form);
+            }
+        }
+        self.0.sort_by_key(|secret| std::cmp::Reverse(secret.len()));
+    }
+
+    /// User and password of an address; a name of one or two letters would be hidden everywhere.
+    fn add_login(&mut self, login: Option<&str>) {
+        let Some(login) = login else { return };
+        let (user, password) = login.split_once(':').unwrap_or((login, ""));
+        self.add(login);
+        self.add(password);
+        if user.len() > 2 {
+            self.add(user);
+        }
+    }
+
+    /// What follows the `?` of an address.
+    fn add_query(&mut self, query: Option<&str>) {
+        let Some(query) = query else { return };
+        self.add(query);
+        let values = query.split('&').filter_map(|pair| pair.split_once('='));
+        for (_, value) in values.filter(|(_, value)| value.len() > 2) {
+            self.add(value);
+        }
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// `text` without them.
+    pub(super) fn redact(&self, text: &str) -> String {
+        let hidden = |text: String, secret: &String| text.replace(secret.as_str(), "***");
+        self.0.iter().fold(text.to_owned(), hidden)
+    }
+}
+
+impl SourceAddress {
+    /// The source of that name.
+    pub fn new(text: impl Into<String>) -> Self {
+        Self(text.into())
+    }
+
+    /// What opens it.
+    pub fn kind(&self) -> SourceKind {
+        if self.0.contains(" ! ") {
+            return SourceKind::Pipeline;
+        }
+        if self.0.starts_with("/dev/video") {
+            return SourceKind::Device;
+        }
+        match self.0.split_once("://") {
+            Some((scheme, _)) if !scheme.eq_ignore_ascii_case("file") => {
+                SourceKind::Network(scheme.to_ascii_lowercase())
+            }
+            _ => SourceKind::File,
+        }
+    }
+
+    /// Whether the address itself, and not a variable, holds a password.
+    pub fn holds_password(&self) -> bool {
+        self.userinfo()
+            .and_then(|login| login.split_once(':'))
+            .is_some_and(|(_, password)| !password.is_empty() && !password.starts_with("${"))
+    }
+
+    /// Checks the address and that its variables are set.
+    ///
+    /// # Errors
+    /// What is wrong with it.
+    pub fn check(&self) -> Result<(), AddressError> {
+        self.resolve(&environment).map(|_| ())
+    }
+
+    /// Fills in the variables: percent-encoded where user and password stand, and as they are elsewhere.
+    pub(super) fn resolved(&self) -> Result<Resolved, AddressError> {
+        self.resolve(&environment)
+    }
+
+    fn resolve(&self, variable: &dyn Fn(&str) -> Option<String>) -> Result<Resolved, AddressError> {
+        if self.0.trim().is_empty() {
+            return Err(AddressError::Empty);
+        }
+        if self.0.chars().any(char::is_control) {
+            return Err(AddressError::Control);
+        }
+        let kind = self.kind();
+        let mut secrets = Secrets::default();
+        let mut variables = Vec::new();
+        let mut fill = |text: &str, encode: bool| {
+            let mut filled = String::new();
+            let mut rest = text;
+            while let Some((before, after)) = rest.split_once("${") {
+                let (name, after) = after.split_once('}').ok_or(AddressError::Open)?;
+                let value = variable(name).ok_or_else(|| AddressError::Unset(name.to_owned()))?;
+                if kind != SourceKind::File && kind != SourceKind::Device {
+                    secrets.add(&value);
+                }
+                variables.push(name.to_owned());
+                filled.push_str(before);
+                filled.push_str(&if encode { encoded(&value) } else { value });
+                rest = after;
+            }
+            filled.push_str(rest);
+            Ok(filled)
+        };
+        let words = if kind == SourceKind::Pipeline {
+            let words = words(&self.0).ok_or(AddressError::Quote)?;
+            let filled = words.iter().map(|word| fill(word, false));
+            filled.collect::<Result<_, _>>()?
+        } else {
+            let login = self.login_end();
+            let (login, rest) = self.0.split_at(login);
+            vec![fill(login, true)? + &fill(rest, false)?]
+        };
+        for word in &words {
+            // A pipeline's locations, and properties such as user-pw=…
+            let value = word
+                .split_once('=')
+                .map_or(word.as_str(), |(_, value)| value);
+            let address = Self::new(if kind == SourceKind::Pipeline {
+                value
+            } else {
+                word
+            });
+            secrets.add_login(address.userinfo());
+            secrets.add_query(address.query());
+            if let Some((name, value)) = word.split_once('=')
+                && ["user-id", "user-pw", "proxy-pw"].contains(&name)
+            {
+                secrets.add(value);
+            }
+        }
+        Ok(Resolved {
+            kind,
+            words,
+            secrets,
+            variables,
+        })
+    }
+
+    /// Where the part with user and password ends: behind the last `@` before the query, so that a password with a `/` in
+    /// it is hidden too.
+    fn login_end(&self) -> usize {
+        let end = self.0.find('?').unwrap_or(self.0.len());
+        let (Some(_), Some(at)) = (self.0.find("://"), self.0[..end].rfind('@')) else {
+            return 0;
+        };
+        at + 1
+    }
+
+    fn userinfo(&self) -> Option<&str> {
+        let begin = self.0.find("://")? + 3;
+        self.0.get(begin..self.login_end().checked_sub(1)?)
+    }
+
+    fn query(&self) -> Option<&str> {
+        self.0.find("://")?;
+        self.0.split_once('?').map(|(_, query)| query)
+    }
+}
+
+impl fmt::Display for SourceAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.kind() {
+            SourceKind::Pipeline => {
+                // The elements' names: a property may be a password.
+                for (place, element) in self.0.split(" ! ").enumerate() {
+                    let name = element.split_whitespace().next().unwrap_or_default();
+                    let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+                    let name = if name.chars().all(plain) { name } else { "…" };
+                    let between = if place > 0 { " ! " } else { "" };
+                    write!(f, "{between}{name}")?;
+                }
+                Ok(())
+            }
+            SourceKind::Network(scheme) => {
+                let begin = self.login_end().max(scheme.len() + 3);
+                let rest = self.0.get(begin..).unwrap_or_default();
+                match rest.split_once('?') {
+                    Some((place, _)) => write!(f, "{scheme}://{place}?…"),
+                    None => write!(f, "{scheme}://{rest}"),
+                }
+            }
+            SourceKind::Device | SourceKind::File => f.write_str(&self.0),
+        }
+    }
+}
+
+impl fmt::Debug for SourceAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "SourceAddress({self})")
+    }
+}
+
+impl Serialize for SourceAddress {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl std::str::FromStr for SourceAddress {
+    type Err = AddressError;
+
+    fn from_str(text: &str) -> Result<Self, AddressError> {
+        Ok(Self::new(text))
+    }
+}
+
+fn environment(name: &str) -> Option<String> {
+    std::env::var(name).ok().filter(|value| !value.is_empty())
+}
+
+/// `text` as it may stand between `://` and `@` (RFC 3986, section 2.3: unreserved characters stay).
+fn encoded(text: &str) -> String {
+    text.bytes().fold(String::new(), |mut encoded, byte| {
+        if byte.is_ascii_alphanumeric() || b"-._~".contains(&byte) {
+            encoded.push(char::from(byte));
+        } else {
+            encoded.push_str(&format!("%{byte:02X}"));
+        }
+        encoded
+    })
+}
+
+fn percent_decoded(text: &str) -> String {
+    let bytes = text.as_bytes();
+    let mut decoded = Vec::new();
+    let mut at = 0;
+    while let Some(&byte) = bytes.get(at) {
+        let hex = (byte == b'%').then(|| text.get(at + 1..at + 3)).flatten();
+        match hex.and_then(|hex| u8::from_str_radix(hex, 16).ok()) {
+            Some(value) => {
+                decoded.push(value);
+                at += 3;
+            }
+            None => {
+                decoded.push(byte);
+                at += 1;
+            }
+        }
+    }
+    String::from_utf8_lossy(&decoded).into_owned()
+}
+
+/// The words of a pipeline as a shell would cut them; `None` when a quotation mark is not closed.
+fn words(text: &str) -> Option<Vec<String>> {
+    let mut words = Vec::new();
+    let mut word: Option<String> = None;
+    let mut quote = None;
+    for c in text.chars() {
+        match (quote, c) {
+            (None, '"' | '\'') => {
+                quote = Some(c);
+                word.get_or_insert_default();
+            }
+            (Some(open), c) if c == open => quote = None,
+            (None, c) if c.is_whitespace() => words.extend(word.take()),
+            (_, c) => word.get_or_insert_default().push(c),
+        }
+    }
+    words.extend(word);
+    quote.is_none().then_some(words)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn resolve(text: &str) -> Result<Resolved, AddressError> {
+        SourceAddress::new(text).resolve(&|name| match name {
+            "USER" => Some("viewer".to_owned()),
+            "PASSWORD" => Some("p@ss/w:rd".to_owned()),
+            _ => None,
+        })
+    }
+
+    #[test]
+    fn a_source_s_kind_is_told_by_its_name() {
+        let kind = |text: &str| SourceAddress::new(text).kind();
+        assert_eq!(kind("rtsp://a/b"), SourceKind::Network("rtsp".to_owned()));
+        assert_eq!(kind("HTTP://a/b"), SourceKind::Network("http".to_owned()));
+        assert_eq!(kind("/dev/video2"), SourceKind::Device);
+        assert_eq!(kind("drive 1.mp4"), SourceKind::File);
+        assert_eq!(kind("file:///a.mp4"), SourceKind::File);
+        assert_eq!(kind("v4l2src ! jpegenc"), SourceKind::Pipeline);
+    }
+
+    #[test]
+    fn what_is_shown_has_no_credentials() {
+        for (text, shown) in [
+            ("rtsp://u:pw@cam:554/s", "rtsp://cam:554/s"),
+            ("rtsp://u:p/w@cam/s", "rtsp://cam/s"),
+            ("rtsp://${U}:${P}@cam/s", "rtsp://cam/s"),
+            ("http://cam/v.mjpg?token=secret", "http://cam/v.mjpg?…"),
+            ("http://cam/v.mjpg?mail=a@b", "http://cam/v.mjpg?…"),
+            ("/dev/video0", "/dev/video0"),
+            (
+                "rtspsrc location=rtsp://u:pw@cam/s user-pw=x ! rtph264depay ! jpegenc",
+                "rtspsrc ! rtph264depay ! jpegenc",
+            ),
+        ] {
+            let address = SourceAddress::new(text);
+            assert_eq!(address.to_string(), shown);
+            assert_eq!(serde_json::to_value(&address).unwrap(), shown);
+            assert_eq!(format!("{address:?}"), format!("SourceAddress({shown})"));
+        }
+        assert!(SourceAddress::new("rtsp://u:pw@cam/s").holds_password());
+        assert!(!SourceAddress::new("rtsp://u:${P}@cam/s").holds_password());
+        assert!(!SourceAddress::new("rtsp://cam/s").holds_password());
+    }
+
+    #[test]
+    fn variables_are_filled_in_and_what_programs_say_is_cleaned_of_them() {
+        let resolved = resolve("rtsp://${USER}:${PASSWORD}@cam/s").unwrap();
+        assert_eq!(resolved.text(), "rtsp://viewer:p%40ss%2Fw%3Ard@cam/s");
+        assert_eq!(resolved.variables, ["USER", "PASSWORD"]);
+        let said = format!("{}: 401, password p@ss/w:rd of viewer", resolved.text());
+        let told = resolved.secrets.redact(&said);
+        for secret in ["viewer", "p@ss", "p%40ss", "w%3A"] {
+            assert!(!told.contains(secret), "{told}");
+        }
+        assert!(told.contains("@cam/s: 401"), "{told}");
+
+        let resolved = resolve("http://cam/v?size=full&token=abcdef").unwrap();
+        let told = resolved.secrets.redact("GET /v?size=full&token=abcdef");
+        assert!(!told.contains("abcdef"), "{told}");
+
+        let resolved = resolve("rtspsrc user-pw=${PASSWORD} caps=\"a, b\" ! jpegenc").unwrap();
+        let words = ["rtspsrc", "user-pw=p@ss/w:rd", "caps=a, b", "!", "jpegenc"];
+        assert_eq!(resolved.words, words);
+    }
+
+    #[test]
+    fn an_address_that_cannot_be_used_says_why_without_telling_it() {
+        for (text, error) in [
+            ("", AddressError::Empty),
+            ("rtsp://a\nfile x", AddressError::Control),
+            ("rtsp://${USER@cam", AddressError::Open),
+            (
+                "rtsp://${NOBODY}@cam",
+                AddressError::Unset("NOBODY".to_owned()),
+            ),
+            ("a caps=\"b ! c", AddressError::Quote),
+        ] {
+            assert_eq!(resolve(text).err(), Some(error), "{text}");
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! Frames on their way to a node: the Zenoh session of a sender, and how each frame goes out.
+
+mod sender;
+mod session;
+
+#[cfg(feature = "eval")]
+pub(crate) use sender::SentFrame;
+pub use sender::{FrameSender, Haste, OutgoingFrame};
+#[cfg(feature = "eval")]
+pub use session::flush;
+pub use session::{DEFAULT_ENDPOINT, open_session};
+
+use albireo_wire::NodeKeys;
+
+/// Where a sender's frames go.
+#[derive(clap::Args, Clone, Debug)]
+pub struct FrameTarget {
+    /// First part of the key PREFIX/NODE/CAMERA/frame
+    #[arg(long, default_value = "albireo")]
+    pub prefix: String,
+    /// Node the frames are for
+    #[arg(long, default_value = "node")]
+    pub node: String,
+    /// Camera to play
+    #[arg(long, default_value = "front")]
+    pub camera: String,
+    /// Publish on this key instead
+    #[arg(long, conflicts_with_all = ["prefix", "node", "camera"])]
+    pub key: Option<String>,
+
+    /// Zenoh endpoint to connect to, may be given again [default: tcp/127.0.0.1:7447]
+    #[arg(long, value_name = "ENDPOINT")]
+    pub connect: Vec<String>,
+    /// Zenoh endpoint to listen on, may be given again
+    #[arg(long, value_name = "ENDPOINT")]
+    pub listen: Vec<String>,
+}
+
+impl FrameTarget {
+    /// The key to publish on.
+    ///
+    /// # Errors
+    /// When a name cannot stand in a key.
+    pub fn frame_key(&self) -> anyhow::Result<String> {
+        match &self.key {
+            Some(key) => Ok(key.clone()),
+            None => Ok(NodeKeys::new(&self.prefix, &self.node)?
+                .camera(&self.camera)?
+                .frame()),
+        }
+    }
+}
+
+/// What to do about a key on which nobody listens.
+pub(crate) const NOBODY: &str =
+    "is the node running, and does one of its cameras have this name (or this key)?";

@@ -1,0 +1,212 @@
+//! `albireo publish`: a live camera's frames for a node on another machine.
+
+use super::block_on;
+use super::frames::{FrameSender, FrameTarget, Haste, NOBODY, OutgoingFrame, open_session};
+use albireo_node::frame::{EncodedPicture, FrameFault, FrameLimits};
+use albireo_node::source::{
+    Handover, LiveSource, RtspTransport, SourceAddress, SourceSettings, SourceSink,
+};
+use albireo_service::clock::unix_nanoseconds;
+use albireo_service::config::LogConfig;
+use albireo_service::{logging, signals};
+use albireo_wire::{FrameAttachment, VERSION};
+use anyhow::{Context, anyhow, bail};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tokio_util::sync::CancellationToken;
+use zenoh::session::Session;
+
+const EXAMPLES: &str = "\
+Examples:
+  albireo publish rtsp://192.168.0.20/stream --node car-7 --connect tcp/192.168.0.5:7447
+      a network camera, to the camera `front` of a node on another machine
+  albireo publish 'rtsp://${CAMERA_USER}:${CAMERA_PASSWORD}@192.168.0.20/stream'
+      credentials from the environment: the quotation marks keep them from the shell
+  albireo publish /dev/video0 --rate 10 --camera cabin
+      a camera of this machine, at most ten frames a second
+  albireo publish 'v4l2src device=/dev/video0 ! image/jpeg,width=1280 ! jpegparse'
+      a GStreamer pipeline that makes JPEG files
+
+A camera on the node's own machine needs no publisher: [[camera]] source in its configuration.
+Runs until stopped: camera and node may go away and come back.";
+
+/// JPEG quality of what is not motion JPEG already (`-q:v`, 2 is the best).
+const QUALITY: u8 = 3;
+
+/// Pauses between two attempts to reach the node the first time; later Zenoh tries by itself.
+const FIRST_PAUSE: Duration = Duration::from_millis(500);
+const LONGEST_PAUSE: Duration = Duration::from_secs(10);
+
+/// Arguments of `albireo publish`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// A camera (rtsp://, http://), a device, a video file, or a GStreamer pipeline; ${NAME} stands for an environment
+    /// variable
+    source: SourceAddress,
+    /// Where the frames go.
+    #[command(flatten)]
+    target: FrameTarget,
+    /// Frames per second, at most
+    #[arg(long, value_name = "FPS", value_parser = parse_rate)]
+    rate: Option<f64>,
+    /// How an RTSP camera sends its packets
+    #[arg(long, value_enum, default_value_t)]
+    rtsp_transport: RtspTransport,
+    /// Decode with this acceleration (`ffmpeg -hwaccels`: cuda, vaapi) or decoder (`ffmpeg -decoders`: h264_v4l2m2m)
+    #[arg(long, value_name = "NAME")]
+    hardware: Option<String>,
+    /// An option of ffmpeg put before the source, may be given again: --source-option=-video_size
+    /// --source-option=1280x720
+    #[arg(long, value_name = "OPTION", allow_hyphen_values = true)]
+    source_option: Vec<String>,
+    /// Open the camera anew after so long without a picture
+    #[arg(long, value_name = "SECONDS", default_value_t = 15)]
+    source_timeout: u64,
+}
+
+fn parse_rate(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(rate) if rate > 0.0 && rate <= 1000.0 => Ok(rate),
+        _ => Err("must be a number above 0, at most 1000".to_owned()),
+    }
+}
+
+pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
+    logging::start(&LogConfig {
+        // That nobody can be reached is told here, and once.
+        level: "info,zenoh=error".to_owned(),
+        ..LogConfig::default()
+    })?;
+    if arguments.source.holds_password() {
+        tracing::warn!(
+            "the password in the address stands in the list of processes, for every user of this machine: give \
+             ${{NAME}} in its place and set that variable"
+        );
+    }
+    block_on(async {
+        let shutdown = signals::shutdown().context(signals::CONTEXT)?;
+        publish(arguments, shutdown).await
+    })
+}
+
+async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::Result<()> {
+    let key = arguments.target.frame_key()?;
+    let settings = SourceSettings {
+        address: arguments.source.clone(),
+        max_rate: arguments.rate,
+        transport: arguments.rtsp_transport,
+        hardware: arguments.hardware.clone(),
+        options: arguments.source_option.clone(),
+        silence: Duration::from_secs(arguments.source_timeout.max(1)),
+        // The network between costs more than the coding.
+        decoded: Handover::Jpeg(QUALITY),
+        limits: FrameLimits::default(),
+    };
+    let source = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await??;
+    let source = Arc::new(source);
+    let Some(session) = connected(&arguments.target, &shutdown).await else {
+        return Ok(());
+    };
+    let sender = FrameSender::declare(&session, &key, Haste::Drop).await?;
+    tracing::info!(source = source.name(), key, "publishing");
+    let told = key.clone();
+    sender
+        .watch_receivers(move |taken| {
+            if taken {
+                tracing::info!(key = told, "a node takes the frames");
+            } else {
+                tracing::warn!(
+                    key = told,
+                    "nobody listens, so frames go to nobody: {NOBODY}"
+                );
+            }
+        })
+        .await?;
+    let sent = Arc::new(AtomicU64::new(0));
+    let sink = Outlet {
+        sender,
+        stream: 0,
+        seq: 0,
+        sent: Arc::clone(&sent),
+        failed: false,
+    };
+    let ended = source.run(sink, shutdown).await;
+    session
+        .close()
+        .await
+        .map_err(|error| anyhow!("closing the Zenoh session: {error}"))?;
+    println!("sent {} frames on {key}", sent.load(Ordering::Relaxed));
+    ended.map_err(|reason| anyhow!("reading the camera failed: {reason}"))
+}
+
+/// A session with the node, however long that takes; none when it is told to stop before.
+async fn connected(target: &FrameTarget, shutdown: &CancellationToken) -> Option<Session> {
+    let mut pause = FIRST_PAUSE;
+    loop {
+        let opened = tokio::select! {
+            opened = open_session(&target.connect, &target.listen, Duration::ZERO) => opened,
+            () = shutdown.cancelled() => return None,
+        };
+        match opened {
+            Ok(session) => return Some(session),
+            Err(error) => tracing::warn!(again_in_s = pause.as_secs_f64(), "{error:#}"),
+        }
+        tokio::select! {
+            () = tokio::time::sleep(pause) => {}
+            () = shutdown.cancelled() => return None,
+        }
+        pause = (pause * 2).min(LONGEST_PAUSE);
+    }
+}
+
+/// Sends a source's pictures.
+struct Outlet {
+    sender: FrameSender,
+    /// The numbering: begins with each opening of the source, for nobody knows what was missed in between.
+    stream: u64,
+    seq: u64,
+    sent: Arc<AtomicU64>,
+    failed: bool,
+}
+
+impl Outlet {
+    fn send(&mut self, picture: Result<EncodedPicture, FrameFault>) -> anyhow::Result<()> {
+        let seq = self.seq;
+        self.seq += 1;
+        let picture = match picture {
+            Ok(picture) => picture,
+            Err(fault) => bail!("a picture cannot be sent: {fault}"),
+        };
+        self.sender.put(&OutgoingFrame {
+            picture,
+            attachment: FrameAttachment {
+                v: VERSION,
+                seq: Some(seq),
+                stream: Some(self.stream),
+                t_ns: Some(unix_nanoseconds()),
+                ..FrameAttachment::default()
+            },
+        })
+    }
+}
+
+impl SourceSink for Outlet {
+    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, anew: bool) {
+        if anew {
+            (self.stream, self.seq) = (unix_nanoseconds(), 0);
+        }
+        match self.send(picture) {
+            Ok(()) => {
+                self.sent.fetch_add(1, Ordering::Relaxed);
+                self.failed = false;
+            }
+            // Once for as long as it lasts.
+            Err(error) if !std::mem::replace(&mut self.failed, true) => {
+                tracing::warn!("a frame was not sent: {error:#}");
+            }
+            Err(_) => {}
+        }
+    }
+}
