@@ -63,9 +63,6 @@ const METHOD: &[&str] = &[
     "unicode-ident",
 ];
 
-/// Dependencies laid for work under way, which the sources do not use yet: crate and dependency.
-const LAID: &[(&str, &str)] = &[("service", "tempfile"), ("service", "toml")];
-
 /// Pages that tell where things are.
 const PAGES: &[&str] = &["ARCHITECTURE.md", "CONTRIBUTING.md", "README.md"];
 
@@ -247,6 +244,18 @@ fn says(text: &str, name: &str) -> bool {
 }
 
 #[test]
+fn the_errors_of_libraries_are_typed() {
+    let untyped: Vec<String> = (members().iter())
+        .filter(|member| member.name != "the program")
+        .filter(|member| {
+            (member.dependencies.iter()).any(|dependency| dependency.package == "anyhow")
+        })
+        .map(|member| member.name.clone())
+        .collect();
+    assert!(untyped.is_empty(), "anyhow in libraries: {untyped:?}");
+}
+
+#[test]
 fn every_dependency_is_used() {
     let mut unused = Vec::new();
     for member in members() {
@@ -273,8 +282,7 @@ fn every_dependency_is_used() {
             let again = dependency.only_for_tests
                 && (member.dependencies.iter())
                     .any(|other| !other.only_for_tests && other.package == dependency.package);
-            let laid = LAID.contains(&(member.name.as_str(), dependency.package.as_str()));
-            if !again && !laid && !where_used.iter().any(|text| says(text, &dependency.name)) {
+            if !again && !where_used.iter().any(|text| says(text, &dependency.name)) {
                 unused.push(format!("{}: {}", member.name, dependency.package));
             }
         }

@@ -3,7 +3,7 @@
 use super::{albireo, by_hand, fixture_detector, model, write_pictures};
 use albireo_core::geometry::PictureSize;
 use albireo_eval::data::LoadReport;
-use albireo_eval::footage::FrameSource;
+use albireo_eval::footage::{FootageError, FrameSource};
 use albireo_eval::pictures::{GroundTruth, Observer, PassSettings, TruthFormat, collect};
 use albireo_node::frame::EncodedPicture;
 use albireo_node::screen::ScreenConfig;
@@ -114,10 +114,10 @@ impl FrameSource for Nothing {
     fn frames(&self) -> Option<u64> {
         None
     }
-    fn next(&mut self) -> anyhow::Result<Option<EncodedPicture>> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
         Ok(None)
     }
-    fn rewind(&mut self) -> anyhow::Result<()> {
+    fn rewind(&mut self) -> Result<(), FootageError> {
         Ok(())
     }
 }

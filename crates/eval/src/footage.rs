@@ -1,12 +1,14 @@
 //! Footage: a video, a folder of pictures or the synthetic dashcam as a sequence of encoded pictures, the
 //! form in which a camera sends them. `replay` publishes it; `eval` looks at it.
 
+mod error;
 mod folder;
 mod open;
 mod source;
 mod synthetic;
 mod video;
 
+pub use error::FootageError;
 pub use folder::PictureFolder;
 pub use open::SourceName;
 pub use source::{FrameSource, Stopper, clip_name};

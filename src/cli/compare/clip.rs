@@ -1,7 +1,7 @@
 //! A clip in memory: read and encoded once, so that no run pays for it.
 
 use albireo_core::geometry::PictureSize;
-use albireo_eval::footage::FrameSource;
+use albireo_eval::footage::{FootageError, FrameSource};
 use albireo_node::frame::EncodedPicture;
 use anyhow::{Context, bail};
 use std::sync::Arc;
@@ -103,13 +103,13 @@ impl FrameSource for InMemory {
         Some(self.clip.pictures.len() as u64)
     }
 
-    fn next(&mut self) -> anyhow::Result<Option<EncodedPicture>> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
         let picture = self.clip.pictures.get(self.next).cloned();
         self.next += 1;
         Ok(picture)
     }
 
-    fn rewind(&mut self) -> anyhow::Result<()> {
+    fn rewind(&mut self) -> Result<(), FootageError> {
         self.next = 0;
         Ok(())
     }

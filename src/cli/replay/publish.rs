@@ -113,7 +113,7 @@ fn prepare(mut source: Box<dyn FrameSource>, repeat: bool) -> mpsc::Receiver<Pre
                     }
                     Ok(None) => break,
                     Err(error) => {
-                        let _ = sender.blocking_send(Err(error));
+                        let _ = sender.blocking_send(Err(error.into()));
                         return;
                     }
                 }
@@ -124,7 +124,7 @@ fn prepare(mut source: Box<dyn FrameSource>, repeat: bool) -> mpsc::Receiver<Pre
             let again = if frames == 0 {
                 Err(anyhow!("{}: there are no frames in it", source.name()))
             } else {
-                source.rewind()
+                source.rewind().map_err(anyhow::Error::from)
             };
             if let Err(error) = again {
                 let _ = sender.blocking_send(Err(error));

@@ -1,5 +1,6 @@
 //! A folder of pictures as a source of frames.
 
+use super::error::FootageError;
 use super::source::{FrameSource, clip_name};
 use albireo_node::frame::{EncodedPicture, picture_files, read_picture_file};
 use std::path::{Path, PathBuf};
@@ -21,7 +22,7 @@ impl PictureFolder {
     ///
     /// # Errors
     /// When the folder cannot be read or has no pictures.
-    pub fn open(path: &Path, rate: f64) -> anyhow::Result<Self> {
+    pub fn open(path: &Path, rate: f64) -> Result<Self, FootageError> {
         Ok(Self {
             name: clip_name(path),
             files: picture_files(path)?,
@@ -44,7 +45,7 @@ impl FrameSource for PictureFolder {
         Some(self.files.len() as u64)
     }
 
-    fn next(&mut self) -> anyhow::Result<Option<EncodedPicture>> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
         let Some(file) = self.files.get(self.at) else {
             return Ok(None);
         };
@@ -52,7 +53,7 @@ impl FrameSource for PictureFolder {
         Ok(Some(read_picture_file(file)?))
     }
 
-    fn rewind(&mut self) -> anyhow::Result<()> {
+    fn rewind(&mut self) -> Result<(), FootageError> {
         self.at = 0;
         Ok(())
     }

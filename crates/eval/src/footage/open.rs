@@ -1,11 +1,11 @@
 //! Opens the footage that a name on the command line means.
 
+use super::error::FootageError;
 use super::folder::PictureFolder;
 use super::source::FrameSource;
 use super::synthetic::Synthetic;
 use super::video::{Ffmpeg, Video, VideoEncoding};
 use albireo_node::frame::is_picture_file;
-use anyhow::{Context, bail};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -53,7 +53,7 @@ impl SourceName {
         &self,
         rate: Option<f64>,
         encoding: VideoEncoding,
-    ) -> anyhow::Result<Box<dyn FrameSource>> {
+    ) -> Result<Box<dyn FrameSource>, FootageError> {
         match self {
             Self::Synthetic { seed } => {
                 let source = Synthetic::open(*seed, rate.unwrap_or(Synthetic::RATE))?;
@@ -65,15 +65,14 @@ impl SourceName {
             }
             Self::Video(input) => {
                 if !input.contains("://") && !Path::new(input).exists() {
-                    bail!("{input}: no such file or folder");
+                    return Err(FootageError::Missing(input.clone()));
                 }
                 let input = input.clone();
                 // ffprobe reads the file first; an address may take its time.
                 let video = tokio::task::spawn_blocking(move || {
                     Video::open(&input, rate, encoding, Ffmpeg::default())
                 })
-                .await
-                .context("opening the video")??;
+                .await??;
                 Ok(Box::new(video))
             }
         }

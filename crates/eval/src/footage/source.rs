@@ -1,5 +1,6 @@
 //! Where replayed frames come from.
 
+use super::error::FootageError;
 use albireo_node::frame::EncodedPicture;
 use std::path::Path;
 
@@ -26,13 +27,13 @@ pub trait FrameSource: Send {
     ///
     /// # Errors
     /// When the source fails. Nothing more can be had from it then.
-    fn next(&mut self) -> anyhow::Result<Option<EncodedPicture>>;
+    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError>;
 
     /// Goes back to the first picture.
     ///
     /// # Errors
     /// When the source cannot be opened again.
-    fn rewind(&mut self) -> anyhow::Result<()>;
+    fn rewind(&mut self) -> Result<(), FootageError>;
 
     /// Whether its pictures come when they are made, and not when they are asked for.
     fn is_live(&self) -> bool {

@@ -1,9 +1,9 @@
 //! The synthetic dashcam as a source of frames.
 
+use super::error::FootageError;
 use super::source::FrameSource;
 use albireo_node::frame::{EncodedPicture, PictureFormat};
 use albireo_synth::{Dashcam, DashcamSettings};
-use anyhow::Context;
 use bytes::Bytes;
 
 /// The dashcam's pictures as JPEG, without end.
@@ -23,13 +23,12 @@ impl Synthetic {
     ///
     /// # Errors
     /// When the rate is not usable.
-    pub fn open(seed: u64, rate: f64) -> anyhow::Result<Self> {
+    pub fn open(seed: u64, rate: f64) -> Result<Self, FootageError> {
         let dashcam = Dashcam::new(DashcamSettings {
             seed,
             frame_rate: rate,
             ..DashcamSettings::default()
-        })
-        .context("the synthetic dashcam")?;
+        })?;
         Ok(Self {
             dashcam,
             name: format!("synth-{seed}"),
@@ -55,7 +54,7 @@ impl FrameSource for Synthetic {
         Some(self.dashcam.settings().clip_seconds)
     }
 
-    fn next(&mut self) -> anyhow::Result<Option<EncodedPicture>> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
         let frame = self.dashcam.next_frame();
         Ok(Some(EncodedPicture {
             format: PictureFormat::Jpeg,
@@ -64,7 +63,7 @@ impl FrameSource for Synthetic {
         }))
     }
 
-    fn rewind(&mut self) -> anyhow::Result<()> {
+    fn rewind(&mut self) -> Result<(), FootageError> {
         self.dashcam = Dashcam::new(self.dashcam.settings().clone())?;
         Ok(())
     }

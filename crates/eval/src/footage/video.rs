@@ -1,11 +1,11 @@
 //! A video file as a source of frames, decoded by the `ffmpeg` program; or an address, which is opened once.
 
+use super::error::FootageError;
 use super::source::{FrameSource, Stopper, clip_name};
 use albireo_node::frame::{EncodedPicture, FrameLimits, picture_of_file};
 use albireo_node::source::{
     FfmpegInput, Handover, Running, SourceAddress, SourceKind, Stop, read_part, read_png,
 };
-use anyhow::{Context, bail};
 use bytes::Bytes;
 use parking_lot::Mutex;
 use serde::Deserialize;
@@ -96,14 +96,12 @@ impl Video {
         wanted_rate: Option<f64>,
         encoding: VideoEncoding,
         programs: Ffmpeg,
-    ) -> anyhow::Result<Self> {
+    ) -> Result<Self, FootageError> {
         let address = SourceAddress::new(input);
         let is_live = match address.kind() {
             SourceKind::File => false,
             SourceKind::Network(_) | SourceKind::Device => true,
-            SourceKind::Pipeline => {
-                bail!("a GStreamer pipeline is not replayed: `albireo publish` sends it to a node")
-            }
+            SourceKind::Pipeline => return Err(FootageError::Pipeline),
         };
         let (rate, frames) = if is_live {
             (wanted_rate.unwrap_or(LIVE_RATE), None)
@@ -132,9 +130,12 @@ impl Video {
     }
 
     /// The pass is over: an error if `ffmpeg` failed.
-    fn ended(&mut self) -> anyhow::Result<()> {
+    fn ended(&mut self) -> Result<(), FootageError> {
         match self.running.take().map(Running::ended) {
-            Some(Err(reason)) => bail!("{}: ffmpeg failed: {reason}", self.address),
+            Some(Err(reason)) => Err(FootageError::Failed {
+                input: self.address.to_string(),
+                reason: reason.to_string(),
+            }),
             _ => Ok(()),
         }
     }
@@ -145,19 +146,21 @@ fn probed(
     input: &str,
     fallback: Option<f64>,
     programs: &Ffmpeg,
-) -> anyhow::Result<(f64, Option<u64>)> {
+) -> Result<(f64, Option<u64>), FootageError> {
     let said = programs.probe(&PROBE, input)?;
-    let probed: Probed = serde_json::from_slice(&said)
-        .with_context(|| format!("{input}: ffprobe's answer is not understood"))?;
+    let probed: Probed = serde_json::from_slice(&said).map_err(|source| FootageError::Probe {
+        input: input.to_owned(),
+        source,
+    })?;
     let Some(stream) = probed.streams.first() else {
-        bail!("{input}: there is no video in it");
+        return Err(FootageError::NoVideo(input.to_owned()));
     };
     let rate = [&stream.avg_frame_rate, &stream.r_frame_rate]
         .into_iter()
         .flatten()
         .find_map(|text| rate(text))
         .or(fallback)
-        .with_context(|| format!("{input}: ffprobe tells no frame rate; give one with --rate"))?;
+        .ok_or_else(|| FootageError::NoRate(input.to_owned()))?;
     let frames = stream.nb_frames.as_ref().and_then(|text| text.parse().ok());
     Ok((rate, frames))
 }
@@ -179,7 +182,7 @@ impl FrameSource for Video {
         self.is_live
     }
 
-    fn next(&mut self) -> anyhow::Result<Option<EncodedPicture>> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
         let Some(running) = &mut self.running else {
             return Ok(None);
         };
@@ -190,20 +193,26 @@ impl FrameSource for Video {
         match file {
             Ok(Some(file)) => picture_of_file(Bytes::from(file), &FrameLimits::default())
                 .map(Some)
-                .with_context(|| format!("{}: a frame cannot be sent", self.address)),
+                .map_err(|source| FootageError::Frame {
+                    input: self.address.to_string(),
+                    source,
+                }),
             Ok(None) => self.ended().map(|()| None),
-            Err(error) => {
+            Err(source) => {
                 // A failed ffmpeg explains a cut stream better than the cut does.
                 self.ended()?;
                 if self.stopping.lock().stopped {
                     return Ok(None);
                 }
-                Err(error).with_context(|| format!("{}: ffmpeg's output is cut", self.address))
+                Err(FootageError::Cut {
+                    input: self.address.to_string(),
+                    source,
+                })
             }
         }
     }
 
-    fn rewind(&mut self) -> anyhow::Result<()> {
+    fn rewind(&mut self) -> Result<(), FootageError> {
         self.running = None;
         let mut stopping = self.stopping.lock();
         if stopping.stopped {

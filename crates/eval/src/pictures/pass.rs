@@ -2,7 +2,7 @@
 
 use super::observer::{Observation, ObserveError, Observer};
 use crate::data::{Clip, LoadReport, StoredDetection};
-use crate::footage::FrameSource;
+use crate::footage::{FootageError, FrameSource};
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_node::frame::Picture;
 use albireo_node::screen::Thumbnail;
@@ -49,11 +49,8 @@ pub struct PicturedClip {
 #[derive(Debug, thiserror::Error)]
 pub enum PassError {
     /// The source of pictures failed.
-    #[error("{reason}")]
-    Source {
-        /// Everything that is known of it.
-        reason: String,
-    },
+    #[error(transparent)]
+    Source(#[from] FootageError),
     /// One picture could not be looked at.
     #[error("{clip}, frame {frame}: {source}")]
     Frame {
@@ -105,9 +102,7 @@ pub fn collect(
     let mut verdicts = Vec::new();
     let (mut grey, mut thumbnails, mut times) = (Vec::new(), Vec::new(), Vec::new());
     while settings.most_frames.is_none_or(|most| times.len() < most) {
-        let next = source.next().map_err(|error| PassError::Source {
-            reason: format!("{error:#}"),
-        })?;
+        let next = source.next()?;
         let Some(encoded) = next else { break };
         let frame = times.len();
         let first = *size.get_or_insert(encoded.size);

@@ -2,7 +2,7 @@
 
 use crate::average_precision::TruthBox;
 use crate::data::classes::{Meaning, from_name};
-use crate::footage::{FrameSource, Synthetic};
+use crate::footage::{FootageError, FrameSource, Synthetic};
 use albireo_core::detection::BDD100K_CLASSES;
 use albireo_node::frame::{EncodedPicture, PictureFormat};
 use albireo_synth::{Dashcam, DashcamSettings, SynthError};
@@ -56,7 +56,7 @@ impl FrameSource for DashcamClip {
         Some(self.frames)
     }
 
-    fn next(&mut self) -> anyhow::Result<Option<EncodedPicture>> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
         if self.at == self.frames {
             return Ok(None);
         }
@@ -81,7 +81,7 @@ impl FrameSource for DashcamClip {
         }))
     }
 
-    fn rewind(&mut self) -> anyhow::Result<()> {
+    fn rewind(&mut self) -> Result<(), FootageError> {
         self.at = 0;
         self.truth.clear();
         Ok(())

@@ -2,6 +2,7 @@
 
 use super::*;
 use albireo_core::geometry::PictureSize;
+use albireo_eval::footage::FootageError;
 use bytes::Bytes;
 use std::sync::Mutex;
 
@@ -21,7 +22,7 @@ impl FrameSource for Numbers {
     fn frames(&self) -> Option<u64> {
         Some(u64::from(self.length))
     }
-    fn next(&mut self) -> anyhow::Result<Option<EncodedPicture>> {
+    fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
         if self.at == self.length {
             return Ok(None);
         }
@@ -32,7 +33,7 @@ impl FrameSource for Numbers {
             size: PictureSize::new(1, 1),
         }))
     }
-    fn rewind(&mut self) -> anyhow::Result<()> {
+    fn rewind(&mut self) -> Result<(), FootageError> {
         self.at = 0;
         Ok(())
     }

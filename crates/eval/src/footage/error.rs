@@ -1,0 +1,67 @@
+//! Why footage cannot be had.
+
+use albireo_node::frame::{FrameFault, PictureFileError};
+use albireo_node::source::{CutError, SourceError};
+use albireo_synth::SynthError;
+
+/// Why footage cannot be opened or read on.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum FootageError {
+    /// There is nothing of that name.
+    #[error("{0}: no such file or folder")]
+    Missing(String),
+    /// A pipeline is no footage.
+    #[error("a GStreamer pipeline is not replayed: `albireo publish` sends it to a node")]
+    Pipeline,
+    /// The program that reads it cannot be started, or says why it cannot read it.
+    #[error(transparent)]
+    Source(#[from] SourceError),
+    /// `ffprobe` says something else than expected.
+    #[error("{input}: ffprobe's answer is not understood: {source}")]
+    Probe {
+        /// The file.
+        input: String,
+        /// What is wrong with the answer.
+        source: serde_json::Error,
+    },
+    /// The file has no video.
+    #[error("{0}: there is no video in it")]
+    NoVideo(String),
+    /// Nobody says how fast it is.
+    #[error("{0}: ffprobe tells no frame rate; give one with --rate")]
+    NoRate(String),
+    /// `ffmpeg` ended with an error.
+    #[error("{input}: ffmpeg failed: {reason}")]
+    Failed {
+        /// The source.
+        input: String,
+        /// What ffmpeg said.
+        reason: String,
+    },
+    /// What came out ends within a picture.
+    #[error("{input}: ffmpeg's output is cut: {source}")]
+    Cut {
+        /// The source.
+        input: String,
+        /// Where.
+        source: CutError,
+    },
+    /// A picture that no node would take.
+    #[error("{input}: a frame cannot be sent: {source}")]
+    Frame {
+        /// The source.
+        input: String,
+        /// Why.
+        source: FrameFault,
+    },
+    /// A picture of a folder cannot be read.
+    #[error(transparent)]
+    Picture(#[from] PictureFileError),
+    /// The synthetic dashcam cannot be filmed so.
+    #[error("the synthetic dashcam: {0}")]
+    Synthetic(#[from] SynthError),
+    /// Opening it was given up.
+    #[error("opening the video: {0}")]
+    Task(#[from] tokio::task::JoinError),
+}
