@@ -197,7 +197,7 @@ async fn what_cannot_be_compared_is_refused_with_what_to_do() {
         (&["--repeat", "0"], "--repeat"),
         (
             &["--model", "no/such.onnx"],
-            "--model no/such.onnx: no such file",
+            "--detector no/such.onnx: no such file",
         ),
         (&["--speed", "0"], "must be a number above 0"),
         (&["--config", "no/node.toml"], "no/node.toml"),

@@ -18,6 +18,10 @@ use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
+/// Headings of the help.
+const WHERE: &str = "Where to";
+const CLIPS: &str = "Clips";
+
 /// Arguments of `albireo replay`.
 #[derive(Args, Clone, Debug)]
 #[command(
@@ -39,23 +43,23 @@ pub struct ReplayArguments {
     pub source: SourceName,
 
     /// First part of the key PREFIX/NODE/CAMERA/frame
-    #[arg(long, default_value = "albireo")]
+    #[arg(long, help_heading = WHERE, default_value = "albireo")]
     pub prefix: String,
     /// Node the frames are for
-    #[arg(long, default_value = "node")]
+    #[arg(long, help_heading = WHERE, default_value = "node")]
     pub node: String,
     /// Camera to play
-    #[arg(long, default_value = "front")]
+    #[arg(long, help_heading = WHERE, default_value = "front")]
     pub camera: String,
     /// Publish on this key instead
-    #[arg(long, conflicts_with_all = ["prefix", "node", "camera"])]
+    #[arg(long, help_heading = WHERE, conflicts_with_all = ["prefix", "node", "camera"])]
     pub key: Option<String>,
 
     /// Zenoh endpoint to connect to, may be given again [default: tcp/127.0.0.1:7447]
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, help_heading = WHERE, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Zenoh endpoint to listen on, may be given again
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, help_heading = WHERE, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
     /// Wait for a subscriber before the first frame, at most SECONDS (60 when not said)
     #[arg(long, value_name = "SECONDS", num_args = 0..=1, require_equals = true, default_missing_value = "60")]
@@ -75,13 +79,13 @@ pub struct ReplayArguments {
     #[arg(long, value_name = "COUNT")]
     pub frames: Option<u64>,
     /// Clip id; numbered when there is more than one clip [default: the source's name]
-    #[arg(long, value_name = "ID")]
+    #[arg(long = "clip-id", alias = "clip", help_heading = CLIPS, value_name = "ID")]
     pub clip: Option<String>,
     /// Begin a new clip after this many seconds [default: one clip a pass; 20 s for the synthetic dashcam]
-    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
+    #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = parse_seconds)]
     pub clip_seconds: Option<f64>,
     /// Name no clips: the node cuts by its own time window
-    #[arg(long, conflicts_with_all = ["clip", "clip_seconds"])]
+    #[arg(long, help_heading = CLIPS, conflicts_with_all = ["clip", "clip_seconds"])]
     pub no_clip: bool,
     /// How a video's frames are encoded
     #[arg(long, value_enum, default_value_t)]
