@@ -69,6 +69,10 @@ fn fold(line: &str, lines: &mut Vec<String>) {
     }
     let start = line.len() - line.trim_start().len();
     let (indent, content) = line.split_at(start);
+    // Deeper than a command stands what is said of the one above.
+    if start > 4 {
+        return lines.extend(filled(content.split_whitespace(), indent, indent));
+    }
     let explained = content
         .find("   ")
         .map(|at| (content[..at].trim_end(), content[at..].trim()));
@@ -109,7 +113,8 @@ mod tests {
         fn look(mut command: Command, path: &str, seen: &mut usize) {
             *seen += 1;
             let help = command.render_long_help().to_string();
-            for line in help.lines() {
+            // The line of the usage is never broken.
+            for line in help.lines().filter(|line| !line.starts_with("Usage:")) {
                 assert!(line.chars().count() <= WIDTH, "{path}: {line}");
             }
             let closing = command.get_after_help().map(ToString::to_string);
@@ -135,7 +140,7 @@ mod tests {
         assert_eq!(
             fit(text),
             "A first line of a paragraph.\n\nExamples:\n  albireo short        says little\n  albireo rollout start 5e-4 \
-             --select all --stages 1,10%,50%,100% \\\n      --soak 30m --gate 'joules<=+5%'\n      as far as it is good"
+             --select all --stages 1,10%,50%,100% --soak 30m \\\n      --gate 'joules<=+5%'\n      as far as it is good"
         );
     }
 }

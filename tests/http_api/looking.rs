@@ -212,9 +212,9 @@ async fn errors_of_the_framework_are_problem_documents_too() {
     let node = Served::start().await;
     for path in [
         "/nothing",
-        "/api/v1",
+        "/api/v2",
         "/api/v2/threshold",
-        "/api/v1/cameras/front",
+        "/api/v1/cameras/front/nothing",
     ] {
         problem(node.get(path).await, 404).await;
     }

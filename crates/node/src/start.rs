@@ -423,7 +423,10 @@ impl Node {
         if tokio::time::timeout_at(until, closing).await.is_err() {
             tracing::error!("the detector or the Zenoh session did not end in time: given up");
         }
-        tracing::info!(seconds = start.elapsed().as_secs_f64(), "stopped");
+        tracing::info!(
+            seconds = albireo_service::clock::seconds(start.elapsed()),
+            "stopped"
+        );
         Ok(watched?)
     }
 }

@@ -262,7 +262,7 @@ impl Told {
             accuracy,
             tests: (summaries.iter())
                 .filter_map(ap50)
-                .any(|found| found.t.is_some() || found.wilcoxon.is_some()),
+                .any(|found| found.clips > 1 && (found.t.is_some() || found.wilcoxon.is_some())),
             several: accuracy && summaries.iter().any(|summary| summary.clips > 1),
         }
     }

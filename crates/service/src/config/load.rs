@@ -63,10 +63,14 @@ pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding
     findings.extend(malformed);
     if let Some(config) = &config {
         let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
-        // What was left out because of its form has its default here, and is spoken of already.
-        findings.extend(
-            (config.findings().into_iter()).filter(|finding| !known.contains(&finding.key)),
-        );
+        // What was left out because of its form has its default here, or is a shorter list, and is spoken of already.
+        let told = |key: &str| {
+            known.iter().any(|known| {
+                let rest = known.strip_prefix(key);
+                rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
+            })
+        };
+        findings.extend((config.findings().into_iter()).filter(|finding| !told(&finding.key)));
     }
     for finding in &mut findings {
         if finding.source.is_none() {
