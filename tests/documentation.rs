@@ -412,10 +412,14 @@ fn workshop() -> tempfile::TempDir {
 fn shell(folder: &Path, line: &str, settings: &[(&str, String)]) -> Child {
     let programs = Path::new(env!("CARGO_BIN_EXE_albireo")).parent().unwrap();
     let path = std::env::var("PATH").unwrap_or_default();
+    // As the README has it, from a folder that is not the checkout.
+    let library = std::env::var_os("ORT_DYLIB_PATH")
+        .unwrap_or_else(|| root().join(".cache/onnxruntime").into_os_string());
     Command::new("sh")
         .args(["-c", &format!("exec {line}")])
         .current_dir(folder)
         .env("PATH", format!("{}:{path}", programs.display()))
+        .env("ORT_DYLIB_PATH", library)
         .envs(settings.iter().map(|(name, value)| (*name, value)))
         .kill_on_drop(true)
         .stdin(Stdio::null())
