@@ -212,8 +212,9 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> 
         config.screen.model = Some(screen.clone());
     }
     if config.log.level == albireo_service::config::LogConfig::default().level {
-        // Dropped frames are told in the table.
-        config.log.level = "warn,albireo::node::intake=error".to_owned();
+        // Dropped frames are told in the table; a node that forgets its reports and is not ready at once is meant so.
+        config.log.level = "warn,albireo_node::intake=error,albireo_node::outbox=error,albireo_service::readiness=error"
+                .to_owned();
     }
     let variants = variants(&arguments.policy, &arguments.u, &config.policy)?;
     Ok((config, variants))
