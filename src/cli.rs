@@ -11,6 +11,7 @@ pub mod eval;
 #[cfg(feature = "hub")]
 mod fleet;
 pub mod frames;
+mod help;
 #[cfg(feature = "hub")]
 mod hub;
 mod node;
@@ -23,10 +24,12 @@ mod simulate;
 mod size;
 #[cfg(feature = "synth")]
 pub mod synth;
+#[cfg(feature = "eval")]
+mod text;
 
 use albireo_node::detector::end_all_sessions;
 use anyhow::Context;
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;
 use std::time::Duration;
 
@@ -62,7 +65,10 @@ built with it, which can play a camera to this node from another machine.";
 
 /// An adaptive efficiency layer around an unchanged video object detector, for nodes on the edge.
 #[derive(Debug, Parser)]
-#[command(version, about, after_help = EXAMPLES, subcommand_required = true, arg_required_else_help = true)]
+#[command(
+    version, about, after_help = EXAMPLES, subcommand_required = true, arg_required_else_help = true,
+    max_term_width = 80
+)]
 pub struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -107,6 +113,17 @@ enum Command {
 }
 
 impl Arguments {
+    /// The command line with its help, made to fit a terminal.
+    pub fn fitted_command() -> clap::Command {
+        help::fitted(Self::command())
+    }
+
+    /// The arguments of this process. Ends it with a message when they make no sense.
+    pub fn from_process() -> Self {
+        let matches = Self::fitted_command().get_matches();
+        Self::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
+    }
+
     /// Does what was asked. Says on standard error what went wrong.
     pub fn run(self) -> ExitCode {
         let ended = match self.command {
@@ -146,7 +163,8 @@ impl Arguments {
     }
 }
 
-/// An error and its causes in one line. A cause that the text before it already tells is not told again.
+/// An error and its causes in one line, without the places in Zenoh's sources. A cause that the text before it already
+/// tells is not told again.
 fn in_words(error: &anyhow::Error) -> String {
     let mut text = error.to_string();
     for cause in error.chain().skip(1) {
@@ -156,7 +174,7 @@ fn in_words(error: &anyhow::Error) -> String {
             text.push_str(&cause);
         }
     }
-    text
+    albireo_service::session::without_places(&text)
 }
 
 /// Runs a subcommand that waits for things.

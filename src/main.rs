@@ -2,8 +2,6 @@
 
 #![forbid(unsafe_code)]
 
-use clap::Parser;
-
 fn main() -> std::process::ExitCode {
-    albireo::cli::Arguments::parse().run()
+    albireo::cli::Arguments::from_process().run()
 }

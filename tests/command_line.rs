@@ -4,6 +4,9 @@
 
 use std::process::{Command, Output};
 
+/// The shipped configuration, whatever this machine has.
+const CHECK: [&str; 3] = ["check", "--file-only", "config/node.toml"];
+
 fn albireo(arguments: &[&str], environment: &[(&str, &str)]) -> Output {
     Command::new(env!("CARGO_BIN_EXE_albireo"))
         .args(arguments)
@@ -19,28 +22,61 @@ fn text(bytes: &[u8]) -> String {
 
 #[test]
 fn check_accepts_the_shipped_configuration() {
-    let output = albireo(&["check", "config/node.toml"], &[]);
+    let output = albireo(&CHECK, &[]);
     assert!(output.status.success(), "{}", text(&output.stderr));
     assert!(text(&output.stdout).contains("1 camera\n"));
 }
 
 #[test]
-fn check_says_what_it_did_not_look_at() {
-    let output = albireo(
-        &["check", "config/node.toml"],
-        &[("ALBIREO_DETECTOR__MODEL", "/nowhere/model.onnx")],
-    );
+fn check_looks_at_the_machine_unless_told_not_to() {
+    let missing = [
+        ("ALBIREO_DETECTOR__MODEL", "/nowhere/model.onnx"),
+        ("ALBIREO_NODE__STATE_DIR", "Cargo.toml"),
+        ("ALBIREO_CLIP__WINDOW_S", "soon"),
+    ];
+    let output = albireo(&["check", "config/node.toml"], &missing);
+    assert_eq!(output.status.code(), Some(1));
+    let said = text(&output.stderr);
+    for part in [
+        "clip.window_s: must be a number, not string \"soon\" (from environment variable ALBIREO_CLIP__WINDOW_S)",
+        "detector.model: /nowhere/model.onnx cannot be read: No such file",
+        "node.state_dir: Cargo.toml is a file; name a folder",
+    ] {
+        assert!(said.contains(part), "{part} in {said}");
+    }
+    let output = albireo(&CHECK, &missing[..2]);
     assert!(output.status.success(), "{}", text(&output.stderr));
-    let said = text(&output.stdout);
-    assert!(said.contains("Not looked at: whether models"), "{said}");
+}
+
+#[test]
+fn cameras_that_would_hear_each_other_or_the_node_are_refused() {
+    let cameras = "[{name=\"a\",key=\"x/y\"},{name=\"b\",key=\"x/y\"},{name=\"c\",key=\"albireo/node/a/detections\"}]";
+    let output = albireo(&CHECK, &[("ALBIREO_CAMERA", cameras)]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = text(&output.stderr);
+    for part in [
+        "camera[1].key: `x/y` is the key of camera `a` too",
+        "camera[2].key: `albireo/node/a/detections` is what this node writes",
+    ] {
+        assert!(said.contains(part), "{part} in {said}");
+    }
+}
+
+#[test]
+fn rust_log_is_obeyed_and_named_when_it_is_wrong() {
+    let start = ["node", "--config", "config/node.toml"];
+    let output = albireo(&start, &[("RUST_LOG", "loud")]);
+    assert_eq!(output.status.code(), Some(1));
+    let said = text(&output.stderr);
+    assert!(
+        said.contains("environment variable RUST_LOG: `loud`"),
+        "{said}"
+    );
 }
 
 #[test]
 fn a_token_that_can_be_guessed_is_refused_in_words_by_check_and_at_the_start() {
-    for arguments in [
-        ["check", "config/node.toml"].as_slice(),
-        &["node", "--config", "config/node.toml"],
-    ] {
+    for arguments in [CHECK.as_slice(), &["node", "--config", "config/node.toml"]] {
         let output = albireo(arguments, &[("ALBIREO_HTTP__TOKEN", "secret")]);
         assert_eq!(output.status.code(), Some(1));
         let said = text(&output.stderr);
@@ -81,7 +117,7 @@ fn the_node_does_not_start_on_a_configuration_that_check_refuses() {
 
 #[test]
 fn environment_variables_override_the_file_and_are_named_when_wrong() {
-    let check = ["check", "config/node.toml"];
+    let check = CHECK;
     let output = albireo(&check, &[("ALBIREO_NODE__NAME", "car-7")]);
     assert!(
         text(&output.stdout).contains("node `car-7`"),
@@ -103,7 +139,7 @@ fn environment_variables_override_the_file_and_are_named_when_wrong() {
         (
             "ALBIREO_CLIP__WINDOW_S",
             "-1",
-            "(from `ALBIREO_` environment variable(s))",
+            "(from environment variable ALBIREO_CLIP__WINDOW_S)",
         ),
         ("ALBIREO_CLIP__WINDOW", "1", "clip.window: unknown key"),
         ("ALBIREO_CLIP_WINDOW_S", "1", "ALBIREO_CLIP__WINDOW_S"),
@@ -133,6 +169,8 @@ fn every_subcommand_has_help_with_examples() {
         .skip_while(|line| *line != "Commands:")
         .skip(1)
         .take_while(|line| !line.is_empty())
+        // What is said of a command goes on further to the right.
+        .filter(|line| !line.starts_with("   "))
         .filter_map(|line| line.split_whitespace().next())
         .filter(|command| *command != "help")
         .collect();

@@ -1,7 +1,7 @@
 //! `albireo compare`, as a user runs it: the node's own code with the demonstration detector, a clip of a few
 //! seconds, and what is told of it.
 
-#![allow(clippy::unwrap_used)]
+#![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::support::{PATIENCE, albireo, fake_nvpmodel};
 use serde_json::{Value, json};
@@ -77,6 +77,10 @@ async fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_
     let config = configuration(folder.path(), "source = \"estimate\"");
     let out = folder.path().join("out");
     let output = compare(&[
+        "--policy",
+        "vanilla",
+        "--policy",
+        "albireo",
         "--config",
         config.to_str().unwrap(),
         "--out",
@@ -86,6 +90,20 @@ async fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_
     let found = written(&out, &output);
     let said = text(&output.stdout);
     assert!(said.contains("There is no power meter here"), "{said}");
+    let words = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(
+        words.contains("% fewer detector calls than vanilla, AP@50"),
+        "{said}"
+    );
+    let verdict = &found["verdicts"][0];
+    assert!(
+        number(&verdict["detector_calls_percent"]) < 0.0,
+        "{verdict}"
+    );
+    assert_eq!(verdict["energy"], "estimated", "{verdict}");
+    // Where there is no terminal for a bar, a line a run says how far it is.
+    let progress = text(&output.stderr);
+    assert!(progress.contains("run 4 of 4, vanilla …"), "{progress}");
     assert!(said.contains("ESTIMATED"), "{said}");
 
     let runs = found["comparison"]["runs"].as_array().unwrap();
@@ -154,6 +172,10 @@ async fn the_boards_own_meter_is_read_in_every_run() {
     let config = configuration(folder.path(), &power);
     let out = folder.path().join("out");
     let output = compare(&[
+        "--policy",
+        "vanilla",
+        "--policy",
+        "albireo",
         "--config",
         config.to_str().unwrap(),
         "--unpaced",
@@ -186,6 +208,42 @@ async fn the_boards_own_meter_is_read_in_every_run() {
 }
 
 #[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn a_policy_that_skips_nothing_is_told_what_to_try() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = configuration(folder.path(), "source = \"estimate\"");
+    let arguments = ["--config", config.to_str().unwrap(), "--unpaced"];
+    let output = compare(
+        &[
+            &arguments[..],
+            &[
+                "--policy",
+                "vanilla",
+                "--policy",
+                "albireo:1e-5",
+                "--policy",
+                "albireo",
+            ],
+        ]
+        .concat(),
+    )
+    .await;
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let said = text(&output.stdout);
+    let words = said.split_whitespace().collect::<Vec<_>>().join(" ");
+    let told = "albireo u=1e-5: no frame was skipped, so nothing was saved; try u = ";
+    let rest = words.split_once(told).unwrap_or_else(|| panic!("{said}")).1;
+    let attempt: f64 = rest
+        .split_whitespace()
+        .next()
+        .unwrap()
+        .trim_end_matches('.')
+        .parse()
+        .unwrap();
+    assert!((1e-4..2e-3).contains(&attempt), "{attempt}");
+}
+
+#[tokio::test]
 async fn what_cannot_be_compared_is_refused_with_what_to_do() {
     for (arguments, expected) in [
         (&["--policy", "vanila"][..], "the policies are `albireo`"),
@@ -197,7 +255,7 @@ async fn what_cannot_be_compared_is_refused_with_what_to_do() {
         (&["--repeat", "0"], "--repeat"),
         (
             &["--model", "no/such.onnx"],
-            "--model no/such.onnx: no such file",
+            "--detector no/such.onnx: no such file",
         ),
         (&["--speed", "0"], "must be a number above 0"),
         (&["--config", "no/node.toml"], "no/node.toml"),

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::process::Stdio;
 use tokio::time::timeout;
 
-/// A node with YOLOX-Nano. The clip has 720x576 pixels, where the default threshold skips nothing.
+/// A node with YOLOX-Nano.
 fn yolox_settings(policy: &str) -> String {
     format!(
         r#"

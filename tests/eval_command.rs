@@ -135,7 +135,17 @@ fn one_command_compares_sweeps_traces_and_reports() {
         assert!(png.starts_with(b"\x89PNG"), "{name}");
     }
     let page = std::fs::read_to_string(out.join("report.html")).expect("the page");
-    assert_eq!(page.matches("<svg").count(), 5);
+    assert_eq!(page.matches("<figure class=\"plot\"").count(), 5);
+    // The conclusion first, then figures, then tables.
+    let places = [
+        "class=\"conclusion\"",
+        "class=\"plot\"",
+        "<h2>Policies</h2>",
+    ]
+    .map(|part| page.find(part).unwrap_or_else(|| panic!("{part}")));
+    assert!(places.is_sorted(), "{places:?}");
+    // One clip has ground truth: p-values of it would say nothing.
+    assert!(!page.contains("p (t)"), "a column that says nothing");
     assert!(page.contains("<small>projected</small>"));
     for outside in ["src=", "<link", "@import", "url("] {
         assert!(

@@ -11,3 +11,8 @@ mod looking;
 mod metrics;
 mod served;
 mod threshold;
+
+/// A detections message as a node sends it.
+pub(crate) fn sample_detections() -> std::sync::Arc<albireo_wire::DetectionsMessage> {
+    served::frame(7, albireo_core::policy::FrameState::I)
+}

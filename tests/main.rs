@@ -14,6 +14,7 @@ mod detector_models;
 mod detector_quantised;
 mod detector_resources;
 mod detector_session;
+mod documentation;
 mod end_to_end;
 mod eval_agreement;
 mod eval_coco;

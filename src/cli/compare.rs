@@ -38,13 +38,17 @@ and marked so. `albireo power` says which meter works here.
 
 Examples:
   albireo compare
-      vanilla and albireo on the synthetic dashcam, 5 rounds of 20 s: about five minutes
+      vanilla, albireo and expected-loss on the synthetic dashcam, 5 rounds of 20 s: about eight minutes
   albireo compare --policy vanilla --policy albireo --u 3e-4 --u 1e-3 --clip drive.mp4
       two thresholds on a recording of one's own (needs ffmpeg)
   albireo compare --config /etc/albireo/node.toml --clip drive.mp4 --out results
       with this board's detector and meter; every run as JSON and CSV
-  albireo compare --model yolox_nano_416.onnx --head yolox --u 5e-4 --clip drive.mp4
+  albireo compare --detector yolox_nano_416.onnx --head yolox --u 5e-4 --clip drive.mp4
       another model without a configuration file";
+
+/// Headings of the help.
+const PLAYING: &str = "How it is played";
+const NODE: &str = "The node";
 
 /// How long a node may take to load its model, and the camera to find it.
 const PATIENCE: Duration = Duration::from_secs(120);
@@ -54,7 +58,7 @@ const PATIENCE: Duration = Duration::from_secs(120);
 #[command(after_help = EXAMPLES)]
 pub(super) struct Arguments {
     /// A policy, as NAME or NAME:SETTING; give it again for each. The others are compared with the first
-    #[arg(long, value_name = "NAME[:SETTING]", default_values = [BASELINE, "albireo"])]
+    #[arg(long, value_name = "NAME[:SETTING]", default_values = [BASELINE, "albireo", "expected-loss"])]
     policy: Vec<String>,
     /// Threshold of the policies that have one; give it again to try several [default: the configuration's]
     #[arg(long, value_name = "U", value_delimiter = ',')]
@@ -63,38 +67,38 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FILE|synth", default_value = "synth")]
     clip: SourceName,
     /// Rounds; each plays every policy once
-    #[arg(long, value_name = "COUNT", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
+    #[arg(long, help_heading = PLAYING, value_name = "COUNT", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
     repeat: u32,
     /// Play this much of the clip at most, in its own time
-    #[arg(long, default_value_t = 20.0, value_parser = above_zero)]
+    #[arg(long, help_heading = PLAYING, default_value_t = 20.0, value_parser = above_zero)]
     seconds: f64,
     /// Frames per second of a source that has none of its own
-    #[arg(long, value_name = "FPS", value_parser = above_zero)]
+    #[arg(long, help_heading = PLAYING, value_name = "FPS", value_parser = above_zero)]
     rate: Option<f64>,
     /// Play so many times as fast as the clip's own rate
-    #[arg(long, value_name = "FACTOR", default_value_t = 1.0, value_parser = above_zero, conflicts_with = "unpaced")]
+    #[arg(long, help_heading = PLAYING, value_name = "FACTOR", default_value_t = 1.0, value_parser = above_zero, conflicts_with = "unpaced")]
     speed: f64,
     /// Play as fast as the node takes the frames; none is dropped then
-    #[arg(long)]
+    #[arg(long, help_heading = PLAYING)]
     unpaced: bool,
     /// Warm-up before each run, seconds of the clip
-    #[arg(long, value_name = "SECONDS", default_value_t = 2.0, value_parser = not_negative)]
+    #[arg(long, help_heading = PLAYING, value_name = "SECONDS", default_value_t = 2.0, value_parser = not_negative)]
     warm_up: f64,
     /// Rest before each run, seconds
-    #[arg(long, value_name = "SECONDS", default_value_t = 3.0, value_parser = not_negative)]
+    #[arg(long, help_heading = PLAYING, value_name = "SECONDS", default_value_t = 3.0, value_parser = not_negative)]
     cool_down: f64,
     /// Configuration of the node: detector, screen, policy settings and meter are taken from it
-    #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
+    #[arg(long, short, help_heading = NODE, env = "ALBIREO_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
     /// The detector, an ONNX file [default: the configuration's, else the demonstration model with its
     /// screen]
-    #[arg(long, value_name = "FILE")]
-    model: Option<PathBuf>,
+    #[arg(long, alias = "model", help_heading = NODE, value_name = "FILE")]
+    detector: Option<PathBuf>,
     /// How the detector's output is read
-    #[arg(long, value_enum, requires = "model")]
+    #[arg(long, value_enum, help_heading = NODE, requires = "detector")]
     head: Option<HeadName>,
     /// The empty-scene screen, an ONNX file
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = NODE, value_name = "FILE")]
     screen_model: Option<PathBuf>,
     /// Write compare.json, runs.csv and compare.txt here
     #[arg(long, value_name = "DIR")]
@@ -184,19 +188,19 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 /// The node's configuration and what is compared, checked before anything starts.
 fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> {
     let mut config: NodeConfig = albireo_service::config::load(arguments.config.as_deref())?;
-    if let Some(model) = &arguments.model {
+    if let Some(model) = &arguments.detector {
         config.detector.model.clone_from(model);
         config.screen.model = None;
         ensure!(
             model.is_file(),
-            "--model {}: no such file; name the ONNX file of a detector",
+            "--detector {}: no such file; name the ONNX file of a detector",
             model.display()
         );
     } else if arguments.config.is_none() {
         let demonstration = &config.detector.model;
         ensure!(
             demonstration.is_file(),
-            "{} is not there: run it in the project's folder, or name a detector with --model or --config",
+            "{} is not there: run it in the project's folder, or name a detector with --detector or --config",
             demonstration.display()
         );
         config.screen.model = Some(demonstration.with_file_name("screen.onnx"));
@@ -208,8 +212,9 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> 
         config.screen.model = Some(screen.clone());
     }
     if config.log.level == albireo_service::config::LogConfig::default().level {
-        // Dropped frames are told in the table.
-        config.log.level = "warn,albireo::node::intake=error".to_owned();
+        // Dropped frames are told in the table; a node that forgets its reports and is not ready at once is meant so.
+        config.log.level = "warn,albireo_node::intake=error,albireo_node::outbox=error,albireo_service::readiness=error"
+                .to_owned();
     }
     let variants = variants(&arguments.policy, &arguments.u, &config.policy)?;
     Ok((config, variants))
@@ -276,6 +281,10 @@ async fn play_all(
         };
         let name = format!("run {} of {}, {}", number + 1, turns.len(), variant.label);
         let before = frames * number as u64;
+        // Where there is no terminal for a bar, a line a run says how far it is.
+        if bar.is_hidden() {
+            eprintln!("{name} …");
+        }
         let tell = |sent: u64, step: &str| {
             bar.set_position(before + sent);
             bar.set_message(format!("{name}: {step}"));
@@ -326,10 +335,17 @@ fn judge(player: &Player, variants: &[Variant], done: Vec<Done>) -> anyhow::Resu
     let provider = done
         .first()
         .map_or_else(String::new, |done| done.played.report.provider.clone());
+    let knobs: Vec<_> = variants
+        .iter()
+        .map(|variant| variant.config.build().ok().and_then(|policy| policy.knob()))
+        .collect();
     let runs = done
         .into_iter()
         .zip(&boxes)
         .map(|(done, boxes)| Run {
+            advice: knobs
+                .get(done.turn.variant)
+                .and_then(|knob| done.played.advice(*knob)),
             round: done.turn.round,
             variant: done.turn.variant,
             cpu_s: done.played.cpu.as_secs_f64(),

@@ -28,7 +28,7 @@ Examples:
 While it runs, in another terminal:
   curl localhost:8080/api/v1/frame-states
   albireo fleet ls                  the hub's view; also: show demo, energy, set-u 5e-4 --select all
-  curl -X PUT localhost:8080/api/v1/threshold -H 'content-type: application/json' -d '{\"u\":7e-4}'";
+  curl -X PUT localhost:8080/api/v1/threshold -d '{\"u\":7e-4}'";
 
 /// The camera of the demonstration.
 const CAMERA: &str = "dashcam";
@@ -50,7 +50,12 @@ pub(super) struct Arguments {
     #[arg(long, value_name = "FPS", default_value_t = 10.0)]
     rate: f64,
     /// Play a video or a folder of pictures in place of the synthetic dashcam
-    #[arg(long, value_name = "FILE", conflicts_with = "seed")]
+    #[arg(
+        long = "clip",
+        alias = "source",
+        value_name = "FILE",
+        conflicts_with = "seed"
+    )]
     source: Option<SourceName>,
     /// Policy that decides, with the value of its knob if it should not be the default
     #[arg(long, value_name = "NAME[:VALUE]", default_value = "albireo")]

@@ -3,9 +3,11 @@
 mod frontier;
 mod pictures;
 
+use super::text::wrapped;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::Profile;
 use albireo_eval::average_precision::{Classes, Interpolation};
+use albireo_eval::conclusion::conclusion;
 use albireo_eval::data::{Clips, bdd100k, coco, kitti, mot_challenge, recorded};
 use albireo_eval::energy_model::EnergyModel;
 use albireo_eval::replay::Scoring;
@@ -135,6 +137,11 @@ fn picture_size(text: &str) -> Result<PictureSize, String> {
         .ok_or_else(|| "write the size in pixels as WIDTHxHEIGHT, for instance 1280x720".to_owned())
 }
 
+/// Headings of the help.
+const JUDGED: &str = "How it is judged";
+const WRITTEN: &str = "What is written";
+const LOOKED: &str = "What looks at the pictures";
+
 /// What every comparison of policies takes.
 #[derive(Clone, Debug, Args)]
 struct RunArguments {
@@ -152,29 +159,30 @@ struct RunArguments {
     #[arg(long, value_name = "NAME=VALUE,…")]
     sweep: Vec<Sweep>,
     /// What the empty-scene screen says: never "empty", or "empty" exactly when nothing is detected.
-    #[arg(long, value_enum, default_value_t = ScreenRule::Nonempty)]
+    #[arg(long, help_heading = JUDGED, value_enum, default_value_t = ScreenRule::Nonempty)]
     screen: ScreenRule,
     /// Frames in a row that a real screen may call empty before the detector looks anyway, as
     /// `screen.longest_empty_run` of a node; 0 for any number.
-    #[arg(long, value_name = "COUNT", default_value_t = 100)]
+    #[arg(long, help_heading = JUDGED, value_name = "COUNT", default_value_t = 100)]
     longest_empty_run: u32,
     /// Detections below this confidence are not used.
-    #[arg(long, default_value_t = 0.5, allow_negative_numbers = true)]
+    #[arg(long, help_heading = JUDGED, default_value_t = 0.5, allow_negative_numbers = true)]
     confidence: f64,
     /// Judge every class by itself instead of all as one.
-    #[arg(long)]
+    #[arg(long, help_heading = JUDGED)]
     per_class: bool,
     /// Area under the precision-recall curve at COCO's 101 recall levels instead of all points.
-    #[arg(long)]
+    #[arg(long, help_heading = JUDGED)]
     coco_interpolation: bool,
-    /// Project energy and frame time with this model where none is measured.
-    #[arg(long, value_name = "FILE")]
+    /// Project energy and frame time with this model where none is measured; `none` for no energy [default: a
+    /// Jetson AGX Thor with YOLO26x].
+    #[arg(long, help_heading = WRITTEN, value_name = "FILE")]
     energy_model: Option<PathBuf>,
     /// Write what each policy did, frame by frame, to DIR/POLICY/SEQUENCE.jsonl.gz.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = WRITTEN, value_name = "DIR")]
     traces: Option<PathBuf>,
     /// Write summary.csv, report.json, plots and report.html here.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = WRITTEN, value_name = "DIR")]
     out: Option<PathBuf>,
     /// Threads; 0 for as many as the machine has.
     #[arg(long, default_value_t = 0)]
@@ -285,11 +293,20 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
         power,
     };
     print!("{}", table::render(&report.policies));
+    print_conclusion(&report.policies);
     if let Some(folder) = &arguments.out {
         report.write(folder)?;
         eprintln!("Written to {}", folder.display());
     }
     Ok(())
+}
+
+/// What the table comes to, below it.
+fn print_conclusion(policies: &[summary::PolicySummary]) {
+    println!();
+    for sentence in conclusion(policies) {
+        println!("{}", wrapped(&sentence, 100));
+    }
 }
 
 /// Power over the longest clip under the baseline and the first two other policies.
@@ -339,11 +356,11 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
         std::fs::create_dir_all(folder)
             .with_context(|| format!("cannot write to {}", folder.display()))?;
     }
-    let energy_model = arguments
-        .energy_model
-        .as_deref()
-        .map(EnergyModel::load)
-        .transpose()?;
+    let energy_model = match arguments.energy_model.as_deref() {
+        Some(none) if none == Path::new("none") => None,
+        Some(file) => Some(EnergyModel::load(file)?),
+        None => Some(EnergyModel::built_in()?),
+    };
     Ok(Settings {
         scoring: arguments.profile,
         confidence: arguments.confidence,
@@ -360,6 +377,7 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
             Interpolation::AllPoints
         },
         traces: arguments.traces.clone(),
+        keep_worst: arguments.out.is_some(),
         energy_model,
         threads: arguments.threads,
     })
@@ -391,9 +409,16 @@ fn listed(arguments: &RunArguments) -> Vec<(String, String)> {
         ("Classes", classes.to_owned()),
         ("Average precision", area.to_owned()),
     ];
-    if let Some(model) = &arguments.energy_model {
-        listed.push(("Energy", format!("projected with {}", model.display())));
-    }
+    listed.push((
+        "Energy",
+        match &arguments.energy_model {
+            Some(none) if none == Path::new("none") => "none".to_owned(),
+            Some(model) => format!("projected with {}", model.display()),
+            None => "estimated: projected with the built-in model of another board, a Jetson AGX Thor with YOLO26x, \
+                     for --energy-model names none"
+                .to_owned(),
+        },
+    ));
     listed
         .into_iter()
         .map(|(name, value)| (name.to_owned(), value))

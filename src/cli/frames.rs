@@ -12,27 +12,30 @@ pub use session::{DEFAULT_ENDPOINT, open_session};
 
 use albireo_wire::NodeKeys;
 
+/// Heading of the options that say where frames go.
+const WHERE: &str = "Where to";
+
 /// Where a sender's frames go.
 #[derive(clap::Args, Clone, Debug)]
 pub struct FrameTarget {
     /// First part of the key PREFIX/NODE/CAMERA/frame
-    #[arg(long, default_value = "albireo")]
+    #[arg(long, help_heading = WHERE, default_value = "albireo")]
     pub prefix: String,
     /// Node the frames are for
-    #[arg(long, default_value = "node")]
+    #[arg(long, help_heading = WHERE, default_value = "node")]
     pub node: String,
     /// Camera to play
-    #[arg(long, default_value = "front")]
+    #[arg(long, help_heading = WHERE, default_value = "front")]
     pub camera: String,
     /// Publish on this key instead
-    #[arg(long, conflicts_with_all = ["prefix", "node", "camera"])]
+    #[arg(long, help_heading = WHERE, conflicts_with_all = ["prefix", "node", "camera"])]
     pub key: Option<String>,
 
     /// Zenoh endpoint to connect to, may be given again [default: tcp/127.0.0.1:7447]
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, help_heading = WHERE, value_name = "ENDPOINT")]
     pub connect: Vec<String>,
     /// Zenoh endpoint to listen on, may be given again
-    #[arg(long, value_name = "ENDPOINT")]
+    #[arg(long, help_heading = WHERE, value_name = "ENDPOINT")]
     pub listen: Vec<String>,
 }
 

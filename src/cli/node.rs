@@ -9,7 +9,8 @@ use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
 Without --config the built-in defaults hold; config/node.toml shows them all. Environment variables
-override single keys: ALBIREO_ and section and key, with two underscores between them.
+override single keys: ALBIREO_ and section and key, with two underscores between them. RUST_LOG goes
+before log.level.
 Ctrl-C or SIGTERM: the frame in hand is finished and the open clip published.
 
 Examples:
@@ -28,6 +29,15 @@ pub(super) struct Arguments {
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let config: NodeConfig = config::load(arguments.config.as_deref())?;
     logging::start(&config.log)?;
+    let file = arguments.config.as_ref();
+    tracing::info!(
+        version = env!("CARGO_PKG_VERSION"),
+        configuration = file.map_or_else(
+            || "built-in defaults".to_owned(),
+            |file| file.display().to_string()
+        ),
+        "starting"
+    );
     block_on(serve(config))
 }
 

@@ -16,6 +16,9 @@ use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
+/// Heading of the help.
+const CLIPS: &str = "Clips";
+
 /// Arguments of `albireo replay`.
 #[derive(Args, Clone, Debug)]
 #[command(
@@ -57,13 +60,13 @@ pub struct ReplayArguments {
     #[arg(long, value_name = "COUNT")]
     pub frames: Option<u64>,
     /// Clip id; numbered when there is more than one clip [default: the source's name]
-    #[arg(long, value_name = "ID")]
+    #[arg(long = "clip-id", alias = "clip", help_heading = CLIPS, value_name = "ID")]
     pub clip: Option<String>,
     /// Begin a new clip after this many seconds [default: one clip a pass; 20 s for the synthetic dashcam]
-    #[arg(long, value_name = "SECONDS", value_parser = parse_seconds)]
+    #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = parse_seconds)]
     pub clip_seconds: Option<f64>,
     /// Name no clips: the node cuts by its own time window
-    #[arg(long, conflicts_with_all = ["clip", "clip_seconds"])]
+    #[arg(long, help_heading = CLIPS, conflicts_with_all = ["clip", "clip_seconds"])]
     pub no_clip: bool,
     /// How a video's frames are encoded
     #[arg(long, value_enum, default_value_t)]

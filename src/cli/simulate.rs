@@ -13,12 +13,16 @@ of this machine are connected to. Exit code 1 when a report was not acknowledged
 
 Examples:
   albireo simulate                                  100 nodes on 4 sessions for a minute
-  albireo simulate --nodes 10000 --sessions 50 --for 300 --pid hub=4711 --pid router=4712
+  albireo simulate --nodes 10000 --sessions 50 --seconds 300 --pid hub=4711 --pid router=4712
       the load of 10,000 nodes for five minutes, and what hub and router cost meanwhile
-  albireo simulate --nodes 40 --clip-s 1 --status-s 2 --gather 1 --for 600 --spoilt-above 4e-4
+  albireo simulate --nodes 40 --clip-seconds 1 --status-seconds 2 --gather 1 --seconds 600 --spoilt-above 4e-4
       a small fast fleet to which values above 4e-4 do harm: for walking a rollout
-  albireo simulate --nodes 10000 --sessions 50 --backlog 90 --for 60
+  albireo simulate --nodes 10000 --sessions 50 --backlog 90 --seconds 60
       after an hour's outage: every node has 90 reports to deliver";
+
+/// Headings of the help.
+const REPORTS: &str = "Reports";
+const FAULTS: &str = "What goes wrong";
 
 /// Arguments of `albireo simulate`.
 #[derive(Debug, clap::Args)]
@@ -43,22 +47,22 @@ pub(super) struct Arguments {
     #[arg(long, default_value = "sim-")]
     name: String,
     /// How long, seconds, from when all sessions are open.
-    #[arg(long = "for", default_value_t = 60.0, value_name = "SECONDS")]
+    #[arg(long, alias = "for", default_value_t = 60.0, value_name = "SECONDS")]
     seconds: f64,
     /// Seconds between two signs of life.
-    #[arg(long, default_value_t = 30.0)]
+    #[arg(long = "status-seconds", help_heading = REPORTS, alias = "status-s", default_value_t = 30.0)]
     status_s: f64,
     /// Length of a clip, seconds.
-    #[arg(long, default_value_t = 40.0)]
+    #[arg(long = "clip-seconds", help_heading = REPORTS, alias = "clip-s", default_value_t = 40.0)]
     clip_s: f64,
     /// Reports that a node gathers before it sends them.
-    #[arg(long, default_value_t = 8)]
+    #[arg(long, help_heading = REPORTS, default_value_t = 8)]
     gather: u64,
     /// Most reports of a batch, where more wait.
-    #[arg(long, default_value_t = 90)]
+    #[arg(long, help_heading = REPORTS, default_value_t = 90)]
     batch: u64,
     /// Reports that every node has to deliver when it starts.
-    #[arg(long, default_value_t = 0)]
+    #[arg(long, help_heading = REPORTS, default_value_t = 0)]
     backlog: u64,
     /// Give each node a liveliness token (quadratic in the nodes: some 10,000 at most).
     #[arg(long)]
@@ -67,28 +71,28 @@ pub(super) struct Arguments {
     #[arg(long)]
     no_pokes: bool,
     /// Cut all nodes off after so many seconds.
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, help_heading = FAULTS, value_name = "SECONDS")]
     outage_after: Option<f64>,
     /// How long the outage lasts, seconds; clips go on being made.
-    #[arg(long, default_value_t = 60.0, value_name = "SECONDS")]
+    #[arg(long, help_heading = FAULTS, default_value_t = 60.0, value_name = "SECONDS")]
     outage_for: f64,
     /// Share of the nodes whose clock is thirty years ahead.
-    #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
+    #[arg(long, help_heading = FAULTS, default_value_t = 0.0, value_name = "SHARE")]
     wrong_clocks: f64,
     /// Share of the nodes that refuse every value.
-    #[arg(long, default_value_t = 0.0, value_name = "SHARE")]
+    #[arg(long, help_heading = FAULTS, default_value_t = 0.0, value_name = "SHARE")]
     refusing: f64,
     /// Above this threshold clips cost more energy and time.
-    #[arg(long, value_name = "U")]
+    #[arg(long, help_heading = FAULTS, value_name = "U")]
     spoilt_above: Option<f64>,
     /// How many times as much.
-    #[arg(long, default_value_t = 1.3, value_name = "FACTOR")]
+    #[arg(long, help_heading = FAULTS, default_value_t = 1.3, value_name = "FACTOR")]
     spoilt_by: f64,
     /// Call the made-up energy measured, to try gates on measured energy.
-    #[arg(long)]
+    #[arg(long, help_heading = REPORTS)]
     as_measured: bool,
     /// How long to go on in the end until everything is acknowledged, seconds.
-    #[arg(long, default_value_t = 30.0, value_name = "SECONDS")]
+    #[arg(long, help_heading = REPORTS, default_value_t = 30.0, value_name = "SECONDS")]
     drain: f64,
     /// Draws instances, times and figures; by default others each run.
     #[arg(long)]

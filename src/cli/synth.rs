@@ -20,7 +20,7 @@ Examples:
   albireo synth --out pictures                     a minute of world 1, 10 pictures a second
   albireo synth --out train --seeds 1-40 --frames 200 --every 5
       a training set of forty worlds
-  albireo synth --out small --size 640x360 --frame-rate 5";
+  albireo synth --out small --size 640x360 --rate 5";
 
 /// Write pictures of the synthetic dashcam and their ground truth into a folder.
 #[derive(Clone, Debug, clap::Args)]
@@ -45,7 +45,7 @@ pub struct SynthArguments {
     #[arg(long, default_value = "1280x720", value_parser = parse_size)]
     pub size: PictureSize,
     /// Frames a second.
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long = "rate", alias = "frame-rate", default_value_t = 10.0)]
     pub frame_rate: f64,
     /// Length of a clip, seconds.
     #[arg(long, default_value_t = 20.0)]

@@ -9,10 +9,11 @@ use std::collections::BTreeSet;
 use tokio::process::Command;
 
 /// Every route a client may call, as the design lists them.
-const ROUTES: [&str; 16] = [
+const ROUTES: [&str; 19] = [
     "get /healthz",
     "get /readyz",
     "get /metrics",
+    "get /api/v1",
     "get /api/v1/caller",
     "get /api/v1/node",
     "get /api/v1/threshold",
@@ -22,6 +23,8 @@ const ROUTES: [&str; 16] = [
     "get /api/v1/frame-states",
     "get /api/v1/cameras/{camera}/frame-states",
     "get /api/v1/cameras",
+    "get /api/v1/cameras/{camera}",
+    "get /api/v1/cameras/{camera}/detections",
     "get /api/v1/cameras/{camera}/frame.jpg",
     "get /api/v1/clips",
     "get /api/v1/events",

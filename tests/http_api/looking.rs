@@ -212,9 +212,9 @@ async fn errors_of_the_framework_are_problem_documents_too() {
     let node = Served::start().await;
     for path in [
         "/nothing",
-        "/api/v1",
+        "/api/v2",
         "/api/v2/threshold",
-        "/api/v1/cameras/front",
+        "/api/v1/cameras/front/nothing",
     ] {
         problem(node.get(path).await, 404).await;
     }
@@ -274,5 +274,92 @@ async fn the_page_needs_nothing_from_elsewhere() {
     assert!(page.contains("<html lang=\"en\">"));
     for outside in ["http://", "https://", "src=\"//", "href=\"//"] {
         assert!(!page.contains(outside), "{outside}");
+    }
+}
+
+#[tokio::test]
+async fn one_camera_tells_policy_threshold_and_its_newest_detections() {
+    let node = Served::start().await;
+    let missing = problem(node.get("/api/v1/cameras/front/detections").await, 404).await;
+    let detail = missing["detail"].as_str().unwrap();
+    assert!(detail.contains("albireo/car-7/front/frame"), "{detail}");
+    let front = node.board.camera("front").unwrap();
+    front.record_frame(frame(4, FrameState::P));
+    front.record_frame(frame(5, FrameState::I));
+    let told = node.json("/api/v1/cameras/front").await;
+    assert_eq!(told["policy"], "albireo");
+    assert_eq!(told["version"], env!("CARGO_PKG_VERSION"));
+    assert_eq!((&told["u"], &told["frames"]), (&json!(3e-4), &json!(2)));
+    assert_eq!(told["skip_rate"], 0.5);
+    assert_eq!(told["set_by"], "configuration");
+    // Pictures of 320x240: the published code counts its noise in pixels.
+    let published = told["u_as_published"].as_f64().unwrap();
+    assert!(published > 8e-4, "{published}");
+    let detections = node.json("/api/v1/cameras/front/detections").await;
+    assert_eq!(
+        (&detections["seq"], &detections["state"]),
+        (&json!(5), &json!("I"))
+    );
+    problem(node.get("/api/v1/cameras/roof").await, 404).await;
+}
+
+#[tokio::test]
+async fn a_camera_that_skips_nothing_is_told_what_to_try() {
+    let node = Served::start().await;
+    let front = node.board.camera("front").unwrap();
+    for seq in 0..300 {
+        assert_eq!(front.snapshot().advice, None);
+        let mut message = (*frame(seq, FrameState::I)).clone();
+        message.tau_max = Some(3.77e-4);
+        front.record_frame(message.into());
+    }
+    let told = node.json("/api/v1/cameras").await;
+    let advice = &told["cameras"][0]["advice"];
+    assert_eq!(
+        (&advice["try"], &advice["knob"]),
+        (&json!(4e-4), &json!("u"))
+    );
+    assert_eq!(told["cameras"][1]["advice"], json!(null));
+}
+
+#[tokio::test]
+async fn clips_are_read_page_by_page_and_only_the_new_ones() {
+    let node = Served::start().await;
+    for report in 1..=5 {
+        node.board.record_clip(clip("front", report));
+    }
+    let numbers = |answer: &serde_json::Value| -> Vec<u64> {
+        let clips = answer["clips"].as_array().unwrap();
+        clips
+            .iter()
+            .map(|clip| clip["report"].as_u64().unwrap())
+            .collect()
+    };
+    let first = node.json("/api/v1/clips?limit=2").await;
+    assert_eq!((numbers(&first), &first["next"]), (vec![5, 4], &json!(4)));
+    let second = node.json("/api/v1/clips?limit=3&before=4").await;
+    assert_eq!(
+        (numbers(&second), &second["next"]),
+        (vec![3, 2, 1], &json!(null))
+    );
+    assert_eq!(numbers(&node.json("/api/v1/clips?after=3").await), [5, 4]);
+    assert!(numbers(&node.json("/api/v1/clips?after=5").await).is_empty());
+}
+
+#[tokio::test]
+async fn the_index_names_every_route_of_the_description() {
+    let node = Served::start().await;
+    let index = node.json("/api/v1").await;
+    assert_eq!(index["cameras"], json!(["front", "rear"]));
+    let routes = index["routes"].as_array().unwrap();
+    assert!(routes.len() >= 18, "{routes:?}");
+    for route in routes {
+        let summary = route["summary"].as_str().unwrap();
+        assert!(!summary.is_empty(), "{route}");
+    }
+    let described = node.json("/openapi.json").await;
+    let paths = described["paths"].as_object().unwrap().keys();
+    for path in paths {
+        assert!(routes.iter().any(|route| route["path"] == **path), "{path}");
     }
 }

@@ -28,6 +28,8 @@ pub(crate) const KNOB: Knob = Knob {
     minimum: 1e-9,
     maximum: 1.0,
     default: 3e-4,
+    useful_minimum: 1.5e-4,
+    useful_maximum: 1e-1,
 };
 
 /// A served node.
@@ -51,6 +53,7 @@ pub(crate) fn board(
         key: format!("albireo/car-7/{name}/frame"),
         knob,
         threshold: None,
+        sizeless: true,
     };
     let board = Board::new(BoardSetup {
         node: "car-7".to_owned(),

@@ -43,6 +43,7 @@ mod detector_boxes;
 mod erd_only;
 mod expected_loss;
 mod fixed_skip;
+mod published_threshold;
 mod record;
 mod reporting;
 mod statues;
@@ -66,6 +67,7 @@ pub use expected_loss::{CallRule, ExpectedLossAssociation, InTracker, Life, Surp
 pub use fixed_skip::FixedSkip;
 pub use fixed_skip::FixedSkipSettings;
 pub use fixed_skip::SkippedBoxes;
+pub use published_threshold::published_threshold;
 pub use record::ObjectRecord;
 pub use statues::Statues;
 pub use statues::StatuesSettings;
@@ -251,6 +253,10 @@ pub struct Knob {
     pub maximum: f64,
     /// The value without configuration.
     pub default: f64,
+    /// Where a slider begins: below it hardly anything is saved.
+    pub useful_minimum: f64,
+    /// Where a slider ends: above it hardly anything more is saved, at a high price.
+    pub useful_maximum: f64,
 }
 
 /// A value outside a knob's range, or a knob that is not there.

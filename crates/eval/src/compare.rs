@@ -12,6 +12,7 @@ mod schedule;
 mod summary;
 mod table;
 mod variant;
+mod verdict;
 
 pub use agreement::{Agreement, Boxes, ClassNumbers, agreement};
 pub use files::WriteError;
@@ -24,3 +25,4 @@ pub use summary::{Mean, Summary, summarise};
 pub use table::render;
 pub use variant::VariantError;
 pub use variant::{Variant, variants};
+pub use verdict::{Verdict, verdicts};

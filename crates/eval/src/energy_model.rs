@@ -118,15 +118,33 @@ impl EnergyModel {
             path: path.to_owned(),
             reason,
         };
-        let model: Self = toml::from_str(&text).map_err(|error| content(error.to_string()))?;
-        model.energy_j.check("energy_j").map_err(content)?;
-        model.time_ms.check("time_ms").map_err(content)?;
+        Self::read(&text).map_err(content)
+    }
+
+    /// The model that stands in where none is named: an NVIDIA Jetson AGX Thor with YOLO26x, as in `config/energy`.
+    ///
+    /// # Errors
+    /// Never, as long as that file is a model.
+    pub fn built_in() -> Result<Self, EnergyModelError> {
+        let path = "config/energy/agx-thor.toml";
+        Self::read(include_str!("../../../config/energy/agx-thor.toml")).map_err(|reason| {
+            EnergyModelError::Content {
+                path: path.into(),
+                reason,
+            }
+        })
+    }
+
+    fn read(text: &str) -> Result<Self, String> {
+        let model: Self = toml::from_str(text).map_err(|error| error.to_string())?;
+        model.energy_j.check("energy_j")?;
+        model.time_ms.check("time_ms")?;
         if let Some(power) = model.idle_power_w
             && !(power.is_finite() && power >= 0.0)
         {
-            return Err(content(format!(
+            return Err(format!(
                 "`idle_power_w` is {power}; it must be a number, 0 or more"
-            )));
+            ));
         }
         Ok(model)
     }

@@ -5,6 +5,7 @@
 
 pub mod average_precision;
 pub mod compare;
+pub mod conclusion;
 pub mod data;
 pub mod energy_fit;
 pub mod energy_model;
@@ -15,6 +16,7 @@ pub mod paper_text;
 pub mod pareto;
 pub mod pictures;
 pub mod published;
+pub mod recommendation;
 pub mod replay;
 pub mod report;
 pub mod result;
@@ -26,3 +28,4 @@ pub mod statistics;
 pub mod summary;
 pub mod table;
 pub mod trace;
+pub mod worst;

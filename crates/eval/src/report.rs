@@ -4,6 +4,7 @@
 mod html;
 pub mod plot;
 mod summary_csv;
+mod worst;
 
 use crate::data::LoadReport;
 use crate::result::ClipResult;

@@ -3,6 +3,7 @@
 use crate::average_precision::Accuracy;
 use crate::replay::{FrameRecord, Replay};
 use crate::statistics::quantile;
+use crate::worst::WorstFrame;
 use albireo_core::policy::FrameState;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -200,6 +201,9 @@ pub struct ClipResult {
     /// The states frame by frame.
     #[serde(skip)]
     pub sequence: Vec<FrameState>,
+    /// The frames that lost most against the detector, where they were asked for.
+    #[serde(skip)]
+    pub worst: Vec<WorstFrame>,
 }
 
 impl ClipResult {
@@ -244,6 +248,7 @@ impl ClipResult {
             frame_time: None,
             energy: None,
             sequence: replay.frames.iter().map(|frame| frame.state).collect(),
+            worst: Vec::new(),
         }
     }
 }

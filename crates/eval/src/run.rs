@@ -10,6 +10,7 @@ use crate::result::ClipResult;
 use crate::source::{ClipEvidence, ScreenRule, SourceError, StoredEvidence};
 use crate::spec::PolicySpec;
 use crate::trace::{self, TraceError};
+use crate::worst::worst_frames;
 use albireo_core::policy::{ExpectedLoss, PolicyConfigError};
 use albireo_node::screen::ScreenConfig;
 use rayon::iter::{ParallelBridge, ParallelIterator};
@@ -32,6 +33,8 @@ pub struct Settings {
     pub interpolation: Interpolation,
     /// Folder to write traces to.
     pub traces: Option<PathBuf>,
+    /// Whether the frames that lost most are kept, with their boxes.
+    pub keep_worst: bool,
     /// Projects energy and frame time where none is measured.
     pub energy_model: Option<EnergyModel>,
     /// Threads; 0 for as many as the machine has.
@@ -49,6 +52,7 @@ impl Default for Settings {
             classes: Classes::Pooled,
             interpolation: Interpolation::AllPoints,
             traces: None,
+            keep_worst: false,
             energy_model: None,
             threads: 0,
         }
@@ -192,6 +196,9 @@ pub(super) fn run_policy(
                 (name, accuracy)
             })
             .collect();
+    }
+    if settings.keep_worst {
+        result.worst = worst_frames(clip, &replayed, settings.confidence);
     }
     if let Some(model) = &settings.energy_model {
         model.apply(&mut result);

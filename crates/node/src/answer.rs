@@ -3,6 +3,7 @@
 use crate::frame::Frame;
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{Outcome, OutputBox};
+use albireo_service::clock::significant;
 use albireo_wire::{BoxMessage, DetectionsMessage, KnobValue, Latency, VERSION};
 
 /// What the message says about the frame besides the policy's outcome.
@@ -20,7 +21,8 @@ pub struct AnswerContext<'a> {
     pub latency: Latency,
 }
 
-/// The detections message of one frame. Boxes are clipped to the picture; those of which nothing is in
+/// The detections message of one frame, its figures rounded to what they mean: corners to a hundredth of a pixel,
+/// confidence to four digits, τ to six. Boxes are clipped to the picture; those of which nothing is in
 /// the picture are left out.
 pub fn detections_message(outcome: &Outcome, context: &AnswerContext<'_>) -> DetectionsMessage {
     let size = context.frame.picture.size;
@@ -31,7 +33,7 @@ pub fn detections_message(outcome: &Outcome, context: &AnswerContext<'_>) -> Det
         clip: context.clip.to_owned(),
         state: outcome.state,
         degraded: outcome.degraded,
-        tau_max: outcome.tau_max,
+        tau_max: outcome.tau_max.map(|tau| significant(tau, 6)),
         knob: context.knob,
         width: size.width,
         height: size.height,
@@ -52,7 +54,7 @@ fn box_message(output: &OutputBox, size: PictureSize, names: &[String]) -> Optio
     Some(BoxMessage {
         corners: clipped_corners(output.bounding_box, size)?,
         class,
-        confidence: output.confidence as f32,
+        confidence: ((output.confidence * 1e4).round() / 1e4) as f32,
         source: output.source,
         object: output.object,
         confirmed: output.confirmed,

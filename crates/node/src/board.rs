@@ -23,6 +23,7 @@ use albireo_service::supervise::TaskTally;
 use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
 use parking_lot::Mutex;
 use std::collections::{BTreeMap, VecDeque};
+use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
@@ -207,10 +208,21 @@ impl Board {
 
     /// The newest clip reports, newest first: of one camera or of all, at most `limit`.
     pub fn recent_clips(&self, camera: Option<&str>, limit: usize) -> Vec<Arc<ClipReport>> {
+        self.clips_between(camera, 0..u64::MAX, limit)
+    }
+
+    /// The newest clip reports whose numbers are in `numbers`, newest first: of one camera or of all, at most `limit`.
+    pub(crate) fn clips_between(
+        &self,
+        camera: Option<&str>,
+        numbers: Range<u64>,
+        limit: usize,
+    ) -> Vec<Arc<ClipReport>> {
         self.clips
             .lock()
             .iter()
             .rev()
+            .filter(|report| numbers.contains(&report.report))
             .filter(|report| camera.is_none_or(|name| report.camera == name))
             .take(limit)
             .cloned()

@@ -1,6 +1,7 @@
 //! The configuration of a node: one TOML file, overridden by environment variables, checked as a whole
 //! before anything starts. Every key with its default is in `config/node.toml`.
 
+mod machine;
 mod validate;
 
 use crate::clip::ClipConfig;

@@ -44,6 +44,7 @@ impl Counters {
                 .priority(publishing::COUNTERS)
                 .await
                 .map_err(|error| {
+                    let error = albireo_service::session::plain(&error);
                     NodeError::Zenoh(format!("counters cannot be published: {error}"))
                 })?;
             lanes.insert(camera.name().to_owned(), publishing.lane(publisher, 4));

@@ -32,6 +32,7 @@ pub use metadata::Metadata;
 pub(crate) use model::Interrupter;
 pub use model::{CameraSlot, Model};
 pub use network::DetectorNetwork;
+pub(crate) use onnxruntime::find_library;
 pub use preparation::Preparation;
 pub use preparation::PreparedPicture;
 pub(crate) use preparation::prepare_off_thread;

@@ -4,6 +4,7 @@ mod cameras;
 mod clips;
 mod events;
 mod health;
+mod index;
 mod metrics;
 mod node;
 mod picture;
@@ -16,7 +17,10 @@ pub(crate) use health::provider;
 use crate::board::{Board, CameraBoard, FrameEvent, ThresholdEvent};
 use crate::frame::FrameLimits;
 use albireo_service::http::{self, Page, Problem};
-use albireo_wire::{CountersMessage, DetectionsMessage};
+use albireo_wire::{
+    CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment, Poke, PullRequest,
+    ReportAnswer, ReportBatch, StatusMessage,
+};
 use axum::Router;
 use axum::http::StatusCode;
 use axum::routing::get;
@@ -46,6 +50,8 @@ struct RouteState {
     /// Places for event streams.
     streams: Arc<Semaphore>,
     shutdown: CancellationToken,
+    /// For the index.
+    routes: Arc<[index::Route]>,
 }
 
 impl RouteState {
@@ -79,9 +85,18 @@ impl RouteState {
     ),
     components(schemas(
         Problem,
-        // What the events carry: a stream's contents cannot be described, the messages in it can.
+        // What the events carry and what goes over Zenoh: a stream's contents cannot be described, the messages in
+        // it can.
         CountersMessage,
         DetectionsMessage,
+        FrameAttachment,
+        FrameAnswer,
+        ReportBatch,
+        ReportAnswer,
+        StatusMessage,
+        PullRequest,
+        Desired,
+        Poke,
         FrameEvent,
         ThresholdEvent,
         events::DetectorEvent
@@ -114,7 +129,10 @@ fn described() -> OpenApiRouter<RouteState> {
         .routes(routes!(threshold::get_one, threshold::put_one))
         .routes(routes!(states::all))
         .routes(routes!(states::one))
+        .routes(routes!(index::index))
         .routes(routes!(cameras::list))
+        .routes(routes!(cameras::one))
+        .routes(routes!(cameras::detections))
         .routes(routes!(picture::jpeg))
         .routes(routes!(clips::list))
         .routes(routes!(events::stream))
@@ -137,6 +155,7 @@ pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
         utoipa_swagger_ui::SwaggerUi::new("/docs")
             .config(utoipa_swagger_ui::Config::new(["/openapi.json"])),
     );
+    let routes = index::routes(&openapi).into();
     let openapi = Arc::new(openapi);
     Page::Node
         .serve_on(router)
@@ -150,5 +169,6 @@ pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
             pictures,
             streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),
             shutdown,
+            routes,
         })
 }

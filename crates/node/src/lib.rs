@@ -1,6 +1,7 @@
 //! The edge node: frames in, and for each the policy's decision, detections and clip reports out. As a library, with
 //! its HTTP routes; [`run`] is the service.
 
+pub mod advice;
 pub mod answer;
 pub mod board;
 mod camera;

@@ -1,8 +1,11 @@
 //! The service: a node and its HTTP interface, from start to stop.
 
+use crate::board::Board;
 use crate::config::NodeConfig;
 use crate::http::{self, NodeView};
-use crate::{NodeError, PreparedNode};
+use crate::{Node, NodeError, PreparedNode};
+use std::collections::BTreeSet;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -42,6 +45,7 @@ pub async fn run_prepared(
         board: Arc::clone(prepared.board()),
         limits: config.frame,
     };
+    let view_board = Arc::clone(prepared.board());
     // HTTP outlives the node, so that a look at the counters is possible until the end.
     let serving = CancellationToken::new();
     let router = http::router(view, serving.clone());
@@ -74,7 +78,7 @@ pub async fn run_prepared(
             Ok(None) => Ok(()),
             Ok(Some(node)) => {
                 let zenoh = node.endpoints().await;
-                tracing::info!(?zenoh, cameras = config.cameras.len(), "ready");
+                tell_start(config, &view_board, &node, address, &zenoh);
                 node.stopped().await
             }
             Err(error) => Err(error),
@@ -84,4 +88,29 @@ pub async fn run_prepared(
     };
     let (http, node) = tokio::join!(http, node);
     node.and(http)
+}
+
+/// One line with all that somebody asks first who reads a log.
+fn tell_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, zenoh: &[String]) {
+    let keys: Vec<_> = board.cameras().iter().map(|camera| camera.key()).collect();
+    let knobs: BTreeSet<_> = (board.cameras().iter())
+        .filter_map(|camera| Some(camera.knob_value()?.to_string()))
+        .collect();
+    tracing::info!(
+        version = env!("CARGO_PKG_VERSION"),
+        node = config.node.name,
+        policy = board.policy(),
+        knob = knobs.into_iter().collect::<Vec<_>>().join(", "),
+        model = %config.detector.model.display(),
+        provider = node.provider(),
+        cameras = keys.len(),
+        keys = keys.join(" "),
+        http = format!("http://{http}"),
+        zenoh = zenoh.join(" "),
+        state_dir = config.node.state_dir.as_ref().map_or_else(
+            || "none".to_owned(),
+            |folder| folder.display().to_string()
+        ),
+        "ready"
+    );
 }

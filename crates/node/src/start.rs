@@ -353,6 +353,11 @@ impl Node {
         locators.iter().map(ToString::to_string).collect()
     }
 
+    /// The execution provider that really runs the detector, as far as it is known.
+    pub fn provider(&self) -> Option<&'static str> {
+        crate::http::provider(&self.detector.status().borrow())
+    }
+
     /// Runs until the shutdown token is cancelled or a task fails that the node cannot do without. Then lets the
     /// frames in hand and the open clips out, and closes. Takes at most the configured `node.stop_timeout_s`,
     /// whatever hangs: after a quarter of it no detector is waited for, and what has not ended in time is named in
@@ -419,14 +424,17 @@ impl Node {
         if tokio::time::timeout_at(until, closing).await.is_err() {
             tracing::error!("the detector or the Zenoh session did not end in time: given up");
         }
-        tracing::info!(seconds = start.elapsed().as_secs_f64(), "stopped");
+        tracing::info!(
+            seconds = albireo_service::clock::seconds(start.elapsed()),
+            "stopped"
+        );
         Ok(watched?)
     }
 }
 
 /// For what Zenoh refuses.
 fn refused(what: impl fmt::Display) -> impl FnOnce(zenoh::Error) -> NodeError {
-    move |error| NodeError::Zenoh(format!("{what}: {error}"))
+    move |error| NodeError::Zenoh(format!("{what}: {}", session::plain(&error)))
 }
 
 /// Where frames come in.

@@ -1,4 +1,4 @@
-//! The wall clock, and times as messages tell them.
+//! The wall clock, and times and figures as messages tell them.
 
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -18,7 +18,32 @@ fn since_epoch() -> Duration {
         .unwrap_or_default()
 }
 
-/// A length of time in milliseconds.
+/// A length of time in milliseconds, to the microsecond: what is behind that is noise of the clock.
 pub fn milliseconds(duration: Duration) -> f64 {
-    duration.as_secs_f64() * 1e3
+    (duration.as_secs_f64() * 1e6).round() / 1e3
+}
+
+/// A length of time in seconds, to the millisecond, as messages tell ages.
+pub fn seconds(duration: Duration) -> f64 {
+    (duration.as_secs_f64() * 1e3).round() / 1e3
+}
+
+/// A number with as many significant digits, as messages tell figures that have no more meaning than that.
+pub fn significant(value: f64, digits: usize) -> f64 {
+    let rounded = format!("{value:.*e}", digits.saturating_sub(1)).parse();
+    rounded.unwrap_or(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn figures_are_told_with_the_digits_that_mean_something() {
+        assert_eq!(milliseconds(Duration::from_nanos(1_234_567)), 1.235);
+        assert_eq!(seconds(Duration::from_micros(1_234_567)), 1.235);
+        assert_eq!(significant(1.912_345_678e-4, 6), 1.912_35e-4);
+        assert_eq!(significant(0.0, 6), 0.0);
+        assert!(significant(f64::NAN, 6).is_nan());
+    }
 }

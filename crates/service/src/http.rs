@@ -10,7 +10,7 @@ mod problem;
 mod serve;
 mod stalled;
 
-pub use auth::{Caller, TokenError};
+pub use auth::{Caller, TokenError, token_file_fault};
 pub use caller::*;
 pub use error::HttpError;
 pub use page::Page;

@@ -1,6 +1,6 @@
 //! Sets up the log.
 
-use crate::config::{LogConfig, LogFormat};
+use crate::config::{LogConfig, LogFormat, check_level};
 use parking_lot::Mutex;
 use std::collections::VecDeque;
 use std::io::{IsTerminal, Write};
@@ -70,17 +70,27 @@ pub enum LogError {
     /// `log.level` is no list of directives.
     #[error("log.level: {0}")]
     Level(#[from] ParseError),
+    /// `RUST_LOG` is no list of directives.
+    #[error("environment variable RUST_LOG: {0}")]
+    Variable(String),
     /// A log was set up before.
     #[error("the log cannot be set up: {0}")]
     Taken(String),
 }
 
-/// Sends the log to standard error, as the configuration wants it, and panics with it.
+/// Sends the log to standard error, as the configuration wants it, and panics with it. `RUST_LOG`, as other programs
+/// have it, goes before `log.level`.
 ///
 /// # Errors
 /// When the level cannot be read, or a log was set up before.
 pub fn start(config: &LogConfig) -> Result<(), LogError> {
-    let filter = filter(&config.level)?;
+    let asked = std::env::var("RUST_LOG")
+        .ok()
+        .filter(|asked| !asked.is_empty());
+    if let Some(asked) = &asked {
+        check_level(asked).map_err(LogError::Variable)?;
+    }
+    let filter = filter(asked.as_deref().unwrap_or(&config.level))?;
     let subscriber = tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(std::io::stderr.and(|| Keeper));

@@ -169,7 +169,8 @@ pub fn plain(error: &zenoh::Error) -> String {
     without_places(&error.to_string())
 }
 
-fn without_places(text: &str) -> String {
+/// A text of Zenoh's without the places in its sources.
+pub fn without_places(text: &str) -> String {
     let mut rest = text;
     let mut plain = String::new();
     while let Some(found) = rest.find(".rs:") {

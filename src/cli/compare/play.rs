@@ -3,9 +3,10 @@
 use super::PATIENCE;
 use super::clip::LoadedClip;
 use crate::cli::replay::{FrameSender, Haste, PublishOptions, Rate, flush, open_session, publish};
-use albireo_core::policy::PolicyConfig;
+use albireo_core::policy::{Knob, PolicyConfig};
 use albireo_eval::compare::{Boxes, ClassNumbers};
 use albireo_node::PreparedNode;
+use albireo_node::advice::{Advice, SkipWatch};
 use albireo_node::board::{Board, CameraBoard};
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::frame::Delivery;
@@ -54,14 +55,27 @@ pub(super) struct Played {
 }
 
 impl Played {
-    /// The boxes of the clip's frames.
-    pub(super) fn boxes(&self, classes: &mut ClassNumbers) -> Boxes {
+    /// What was published for the clip's frames.
+    fn messages(&self) -> impl Iterator<Item = DetectionsMessage> {
         let messages = self
             .answers
             .iter()
             .filter_map(|answer| read::<DetectionsMessage>(answer).ok());
-        messages
-            .filter(|message| message.clip == MEASURED)
+        messages.filter(|message| message.clip == MEASURED)
+    }
+
+    /// What to try, where no frame was skipped though objects were followed.
+    pub(super) fn advice(&self, knob: Option<Knob>) -> Option<Advice> {
+        let mut watch = SkipWatch::default();
+        for message in self.messages() {
+            watch.count(&message);
+        }
+        watch.advice_so_far(&knob?)
+    }
+
+    /// The boxes of the clip's frames.
+    pub(super) fn boxes(&self, classes: &mut ClassNumbers) -> Boxes {
+        self.messages()
             .filter_map(|message| {
                 let frame = message.seq.checked_sub(self.first)?;
                 Some((frame, classes.boxes(&message)))

@@ -1,7 +1,7 @@
 //! `albireo eval video`, `pictures` and `synth`: a real detector's one pass over the pictures, then every
 //! policy on what it found.
 
-use super::{RunArguments, listed, policies, projected_power, settings};
+use super::{LOOKED, RunArguments, listed, policies, print_conclusion, projected_power, settings};
 use crate::cli::size::parse_size;
 use crate::cli::synth::{Seeds, parse_seeds};
 use albireo_core::geometry::PictureSize;
@@ -54,7 +54,7 @@ pub(super) struct FolderArguments {
     #[arg(required = true)]
     folders: Vec<PathBuf>,
     /// Frames a second.
-    #[arg(long, default_value_t = PictureFolder::RATE)]
+    #[arg(long = "rate", alias = "frame-rate", default_value_t = PictureFolder::RATE)]
     frame_rate: f64,
     #[command(flatten)]
     truth: TruthArguments,
@@ -80,7 +80,7 @@ pub(super) struct SynthArguments {
     #[arg(long, default_value = "1280x720", value_parser = parse_size)]
     size: PictureSize,
     /// Frames a second.
-    #[arg(long, default_value_t = 10.0)]
+    #[arg(long = "rate", alias = "frame-rate", default_value_t = 10.0)]
     frame_rate: f64,
     #[command(flatten)]
     pass: PassArguments,
@@ -104,31 +104,31 @@ struct TruthArguments {
 #[derive(Debug, Args)]
 struct PassArguments {
     /// The detector: an ONNX file.
-    #[arg(long, value_name = "MODEL", default_value = "models/detector.onnx")]
+    #[arg(long, help_heading = LOOKED, value_name = "MODEL", default_value = "models/detector.onnx")]
     detector: PathBuf,
     /// How its output is read.
-    #[arg(long, value_enum, default_value_t = HeadName::Auto)]
+    #[arg(long, help_heading = LOOKED, value_enum, default_value_t = HeadName::Auto)]
     head: HeadName,
     /// Names of its classes, one a line [default: those of its metadata, or the head's own list]
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, help_heading = LOOKED, value_name = "FILE")]
     class_names: Option<PathBuf>,
     /// What runs it.
-    #[arg(long, value_enum, default_value_t = ExecutionProvider::Cpu)]
+    #[arg(long, help_heading = LOOKED, value_enum, default_value_t = ExecutionProvider::Cpu)]
     provider: ExecutionProvider,
     /// The empty-scene screen, an ONNX file. Its verdicts take the place of --screen.
-    #[arg(long, value_name = "MODEL")]
+    #[arg(long, help_heading = LOOKED, value_name = "MODEL")]
     screen_model: Option<PathBuf>,
     /// Order of the screen's colour planes.
-    #[arg(long, value_enum, default_value_t = ColorOrder::Rgb, requires = "screen_model")]
+    #[arg(long, help_heading = LOOKED, value_enum, default_value_t = ColorOrder::Rgb, requires = "screen_model")]
     screen_color_order: ColorOrder,
     /// Which of the screen's outputs means "empty".
-    #[arg(long, default_value_t = 0, requires = "screen_model", value_parser = clap::value_parser!(u8).range(0..=1))]
+    #[arg(long, help_heading = LOOKED, default_value_t = 0, requires = "screen_model", value_parser = clap::value_parser!(u8).range(0..=1))]
     screen_empty_class: u8,
     /// Keep what detector and screen said, with the ground truth, in the layout of `albireo eval recorded`.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, help_heading = LOOKED, value_name = "DIR")]
     save_detections: Option<PathBuf>,
     /// Look at this many frames of each clip at most.
-    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, help_heading = LOOKED, value_name = "COUNT", value_parser = clap::value_parser!(u64).range(1..))]
     frames: Option<u64>,
 }
 
@@ -159,7 +159,7 @@ pub(super) fn folders(arguments: &FolderArguments) -> anyhow::Result<()> {
     let rate = arguments.frame_rate;
     ensure!(
         rate > 0.0 && rate <= 1000.0,
-        "--frame-rate {rate} is not between 0 and 1000"
+        "--rate {rate} is not between 0 and 1000"
     );
     let mut sources = Vec::new();
     for folder in &arguments.folders {
@@ -360,6 +360,13 @@ impl<'a> Evaluation<'a> {
                 .frames
                 .map(|most| usize::try_from(most).unwrap_or(usize::MAX)),
         };
+        if bar.is_hidden() {
+            eprintln!(
+                "{}: looking at {} frames",
+                source.name(),
+                total.map_or_else(|| "its".to_owned(), |total| total.to_string())
+            );
+        }
         let observer = &mut self.observer;
         let pictured = collect(source, observer, &settings, &mut self.report, &mut || {
             bar.inc(1);
@@ -433,6 +440,7 @@ impl<'a> Evaluation<'a> {
                 }
             );
             println!("{}", table::render(&report.policies));
+            print_conclusion(&report.policies);
             for line in screen_lines(&report.clips) {
                 println!("{line}");
             }

@@ -11,9 +11,9 @@ const STEPS = 200;
 /** Values that the paper measured with (its threshold sweep). */
 const PAPER = [3e-4, 5e-4, 7e-4, 1e-3];
 
-/** The slider covers what is of use; the field takes the whole range. */
-export function usefulRange(knob: Pick<Knob, "minimum" | "maximum" | "default">): [number, number] {
-  return [Math.max(knob.minimum, knob.default / 100), Math.min(knob.maximum, knob.default * 100)];
+/** The slider covers what is of use, as the policy says; the field takes the whole range. */
+export function usefulRange(knob: Pick<Knob, "useful_minimum" | "useful_maximum">): [number, number] {
+  return [knob.useful_minimum, knob.useful_maximum];
 }
 
 export function toSlider(value: number, [low, high]: [number, number]): number {
@@ -22,7 +22,7 @@ export function toSlider(value: number, [low, high]: [number, number]): number {
 }
 
 export function fromSlider(place: number, [low, high]: [number, number]): number {
-  return Number((low * (high / low) ** (place / STEPS)).toPrecision(2));
+  return Number((low * (high / low) ** (place / STEPS)).toPrecision(3));
 }
 
 export function KnobPanel() {
@@ -67,6 +67,8 @@ export function KnobPanel() {
   const changed = value !== undefined && inForce !== undefined && value !== inForce;
   const paper = about.name === "u" ? PAPER.filter((mark) => mark >= range[0] && mark <= range[1]) : [];
   const forbidden = whyNot();
+  const camera = cameras.value.find((camera) => camera.camera === opened.value);
+  const advice = camera?.advice;
   return (
     <Section
       id="knob"
@@ -123,6 +125,16 @@ export function KnobPanel() {
             </button>
           )}
         </div>
+        {advice && (
+          <p id="knob-advice" class="row">
+            <span>
+              No frame of {advice.frames} was skipped, though objects were followed in {advice.followed} of them. Try{" "}
+            </span>
+            <button type="button" class="plain" onClick={() => change(typed(advice.try))}>
+              {small(advice.try, 1)}
+            </button>
+          </p>
+        )}
         {paper.length > 0 && (
           <p class="row marks">
             <span class="quiet">measured in the paper:</span>
@@ -138,6 +150,8 @@ export function KnobPanel() {
         </p>
         <p id="knob-range" class="message quiet">
           From {small(about.minimum)} to {small(about.maximum)}; without configuration {small(about.default)}.{" "}
+          {camera?.u_as_published &&
+            `The published code would want ${small(camera.u_as_published, 3)} at ${camera.width}x${camera.height}. `}
           {thresholds.value?.survives_restart
             ? "A change survives a restart of the node."
             : "A change is forgotten when the node restarts: it has no state_dir."}

@@ -55,7 +55,8 @@ impl Albireo {
     pub const NAME: &'static str = "albireo";
 
     /// The threshold. τ is a sum of variances of shares of the picture: at 1 nothing is known of where
-    /// an object is, and below 1e-9 every frame runs the detector.
+    /// an object is, and below 1e-9 every frame runs the detector. Of use is what lies between the smallest τ that a
+    /// predicted frame can have and six frames of prediction after a detection; the paper goes to 1e-3, two frames.
     pub const KNOB: Knob = Knob {
         name: "u",
         meaning: "The detector is skipped while every object's uncertainty is below this: higher saves \
@@ -63,6 +64,8 @@ impl Albireo {
         minimum: 1e-9,
         maximum: 1.0,
         default: 3e-4,
+        useful_minimum: 1.5e-4,
+        useful_maximum: 1e-2,
     };
 
     /// A policy with these settings and threshold.

@@ -3,6 +3,7 @@
 //! The paper's text and the code published with it disagree in places. Each such place is one setting
 //! here, or in the [`LifeCycle`] and [`Association`] it contains; a profile is a value for each.
 
+use super::published_threshold::sizeless;
 use super::tracker::check_ranges;
 use crate::kalman::FilterParameters;
 use crate::objects::{Association, GateOrder, LifeCycle, ObjectSettings};
@@ -100,7 +101,9 @@ impl AlbireoSettings {
         tau < u || (self.skip_at_equality && tau == u)
     }
 
-    /// The paper's text, and the published code where the paper is silent.
+    /// The paper's text, and the published code where the paper is silent. The paper calls the representation
+    /// independent of resolution, so the noise of a measurement is a share of the picture: `u` then means at every
+    /// size what it means at the paper's 1280x720.
     pub fn paper() -> Self {
         let reference = Self::reference();
         Self {
@@ -108,6 +111,7 @@ impl AlbireoSettings {
             periodic_cap_counts: PeriodicCap::SinceDetector,
             detector_frame_boxes: DetectorFrameBoxes::Detector,
             confidence: ReportedConfidence::Last,
+            filter: sizeless(reference.filter),
             association: Association {
                 gate: GateOrder::BeforeAssignment,
                 ..reference.association

@@ -72,6 +72,8 @@ impl Ctd {
         minimum: 1e-9,
         maximum: 1.0 - 1e-9,
         default: 0.30,
+        useful_minimum: 0.05,
+        useful_maximum: 0.99,
     };
 
     pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {

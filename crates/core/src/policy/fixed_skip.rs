@@ -89,6 +89,8 @@ impl FixedSkip {
         minimum: 1.0,
         maximum: 1000.0,
         default: 2.0,
+        useful_minimum: 1.0,
+        useful_maximum: 30.0,
     };
 
     pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {

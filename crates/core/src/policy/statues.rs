@@ -75,6 +75,8 @@ impl Statues {
         minimum: 0.0,
         maximum: 1e9,
         default: 75.0,
+        useful_minimum: 10.0,
+        useful_maximum: 10_000.0,
     };
 
     pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {

@@ -2,6 +2,7 @@
 
 use super::run::{Comparison, Run};
 use super::summary::{Figure, Summary};
+use super::verdict::verdicts;
 use std::path::{Path, PathBuf};
 
 /// A file that cannot be written.
@@ -31,7 +32,10 @@ pub fn write(
     };
     std::fs::create_dir_all(folder).map_err(|error| failed(folder, error.to_string()))?;
     let path = folder.join("compare.json");
-    let json = serde_json::json!({"v": 1, "comparison": comparison, "summary": summary});
+    let verdicts = verdicts(comparison, summary);
+    let json = serde_json::json!({
+        "v": 1, "comparison": comparison, "summary": summary, "verdicts": verdicts
+    });
     let json =
         serde_json::to_vec_pretty(&json).map_err(|error| failed(&path, error.to_string()))?;
     let csv_path = folder.join("runs.csv");

@@ -1,6 +1,7 @@
 //! What is known of a comparison and of each of its runs.
 
 use super::agreement::Agreement;
+use albireo_node::advice::Advice;
 use albireo_wire::ClipReport;
 use serde::Serialize;
 
@@ -43,6 +44,9 @@ pub struct Run {
     pub meter_share_of_core: f64,
     /// Its boxes against the detector's; `None` when the detector found nothing.
     pub agreement: Option<Agreement>,
+    /// What to try, where no frame was skipped though objects were followed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub advice: Option<Advice>,
 }
 
 /// A comparison that was played.

@@ -3,6 +3,7 @@
 use super::run::Comparison;
 use super::schedule::schedule;
 use super::summary::{Basis, Change, Figure, Mean, PolicySummary, Summary};
+use super::verdict::paragraphs;
 use std::fmt::Write;
 
 /// Widest label; what is longer is cut.
@@ -14,7 +15,7 @@ const COLUMN: usize = 15;
 /// Widest line of text.
 const LINE: usize = 100;
 
-/// The comparison as text: what was played, what the energy is worth, and the three tables.
+/// The comparison as text: what was played, what the energy is worth, the three tables, and what they come to.
 pub fn render(comparison: &Comparison, summary: &Summary) -> String {
     let mut text = String::new();
     for paragraph in [heading(comparison, summary), energy(summary)] {
@@ -76,6 +77,9 @@ pub fn render(comparison: &Comparison, summary: &Summary) -> String {
         (Figure::Dropped, ["frames dropped", ""]),
     ];
     table(&mut text, &title, &summary.policies, &columns, means);
+    for paragraph in paragraphs(comparison, summary) {
+        wrap(&mut text, &paragraph);
+    }
     text.truncate(text.trim_end().len());
     text.push('\n');
     text

@@ -2,6 +2,8 @@
 
 use super::Report;
 use super::plot::Figure;
+use super::worst;
+use crate::conclusion::conclusion;
 use crate::result::{ClipResult, Provenance};
 use crate::spec::BASELINE;
 use crate::summary::{Difference, EnergySummary, PolicySummary};
@@ -28,20 +30,25 @@ pub(super) fn render(report: &Report, figures: &[(Figure, String)]) -> String {
                     header {
                         p.kicker { "Albireo evaluation" }
                         h1 { (report.title) }
-                        (settings(report))
+                        (concluded(&report.policies))
                     }
-                    (policies(&report.policies))
                     @for (figure, svg) in figures {
                         section {
                             h2 { (figure.title) }
-                            figure {
+                            figure.plot {
                                 (PreEscaped(svg))
                                 figcaption { (figure.caption) }
                             }
                         }
                     }
+                    (worst::frames(&report.clips))
+                    (policies(&report.policies))
                     (classes(&report.policies))
                     (clips(&report.clips))
+                    section {
+                        h2 { "How it was judged" }
+                        (settings(report))
+                    }
                     footer {
                         p {
                             "Made by albireo " (env!("CARGO_PKG_VERSION")) ". The same figures are in "
@@ -54,6 +61,28 @@ pub(super) fn render(report: &Report, figures: &[(Figure, String)]) -> String {
         }
     };
     page.into_string()
+}
+
+/// The conclusion, before anything else.
+fn concluded(summaries: &[PolicySummary]) -> Markup {
+    html! {
+        div.conclusion {
+            @for sentence in conclusion(summaries) { p { (minus_signs(&sentence)) } }
+        }
+    }
+}
+
+/// With proper minus signs before digits; hyphens of names stay.
+fn minus_signs(text: &str) -> String {
+    let mut signed = String::with_capacity(text.len());
+    let mut before = ' ';
+    let mut rest = text.chars().peekable();
+    while let Some(letter) = rest.next() {
+        let sign = letter == '-' && before == ' ' && rest.peek().is_some_and(char::is_ascii_digit);
+        signed.push(if sign { '−' } else { letter });
+        before = letter;
+    }
+    signed
 }
 
 fn settings(report: &Report) -> Markup {
@@ -118,7 +147,11 @@ fn change(difference: Option<Difference>) -> Markup {
     html! { td class=(class) title=[hint] { (text) } }
 }
 
-fn tests(difference: Option<Difference>) -> Markup {
+/// The cells of both tests, where any policy has one: a single clip has none.
+fn tests(difference: Option<Difference>, shown: bool) -> Markup {
+    if !shown {
+        return Markup::default();
+    }
     let t = difference.and_then(|difference| difference.t);
     let wilcoxon = difference.and_then(|difference| difference.wilcoxon);
     html! {
@@ -162,10 +195,13 @@ fn policies(summaries: &[PolicySummary]) -> Markup {
         .iter()
         .find(|summary| summary.policy == BASELINE)
         .and_then(|summary| summary.energy);
+    let told = Told::of(summaries);
     let head = html! {
-        th { "Policy" } th { "Skipped %" } th { "Detector calls" } th { "AP@50" } th { "Δ pp" }
-        th { "p (t)" } th { "p (W)" } th { "Clips kept" } th { "mAP" } th { "Δ pp" }
-        th { "Precision" } th { "Recall" }
+        th { "Policy" } th { "Skipped %" } th { "Detector calls" }
+        @if told.accuracy { th { "AP@50" } th { "Δ pp" } }
+        @if told.tests { th { "p (t)" } th { "p (W)" } }
+        @if told.several { th { "Clips kept" } }
+        @if told.accuracy { th { "mAP" } th { "Δ pp" } th { "Precision" } th { "Recall" } }
         @if let Some((_, kind)) = time {
             th { "Frame ms" (badge(kind)) }
         }
@@ -178,7 +214,7 @@ fn policies(summaries: &[PolicySummary]) -> Markup {
     let rows = html! {
         @for summary in summaries {
             tr class=[(summary.policy == BASELINE).then_some("baseline")] {
-                (policy_cells(summary))
+                (policy_cells(summary, told))
                 @if time.is_some() {
                     (cell(summary.frame_time_ms.map(|time| time.0), 2))
                 }
@@ -200,16 +236,40 @@ fn policies(summaries: &[PolicySummary]) -> Markup {
             p.legend {
                 "Unweighted means over " (clips) " clip" @if clips != 1 { "s" }
                 @if without > 0 { "; " (without) " without ground truth are not in them" }
-                ". Δ and p against Vanilla, clip by clip: paired t-test and Wilcoxon signed-rank test, \
-                 two-sided. Clips kept: same or better AP@50. ★ no other skips as much and is as accurate. \
-                 Click a column's head to sort."
+                ". "
+                @if told.accuracy { "Δ against Vanilla, clip by clip. " }
+                @if told.tests { "p: paired t-test and Wilcoxon signed-rank test, two-sided. " }
+                @if told.several { "Clips kept: same or better AP@50. " }
+                "★ no other skips as much and is as accurate. Click a column's head to sort."
             }
         }
     }
 }
 
+/// Which columns say anything.
+#[derive(Clone, Copy)]
+struct Told {
+    accuracy: bool,
+    tests: bool,
+    several: bool,
+}
+
+impl Told {
+    fn of(summaries: &[PolicySummary]) -> Self {
+        let ap50 = |summary: &PolicySummary| summary.against_baseline.and_then(|found| found.ap50);
+        let accuracy = summaries.iter().any(|summary| summary.ap50.is_some());
+        Self {
+            accuracy,
+            tests: (summaries.iter())
+                .filter_map(ap50)
+                .any(|found| found.clips > 1 && (found.t.is_some() || found.wilcoxon.is_some())),
+            several: accuracy && summaries.iter().any(|summary| summary.clips > 1),
+        }
+    }
+}
+
 /// The cells that every policy has, measured time and energy or not.
-fn policy_cells(summary: &PolicySummary) -> Markup {
+fn policy_cells(summary: &PolicySummary, told: Told) -> Markup {
     let against = summary.against_baseline;
     let ap50 = against.and_then(|against| against.ap50);
     let kept = against
@@ -224,14 +284,20 @@ fn policy_cells(summary: &PolicySummary) -> Markup {
         }
         (cell(Some(summary.skip_rate * 100.0), 1))
         (cell(Some(summary.detector_frames), 1))
-        (cell(summary.ap50, 4))
-        (change(ap50))
-        (tests(ap50))
-        td { (kept.as_deref().unwrap_or("–")) }
-        (cell(summary.map, 4))
-        (change(against.and_then(|against| against.map)))
-        (cell(summary.precision, 3))
-        (cell(summary.recall, 3))
+        @if told.accuracy {
+            (cell(summary.ap50, 4))
+            (change(ap50))
+        }
+        (tests(ap50, told.tests))
+        @if told.several {
+            td { (kept.as_deref().unwrap_or("–")) }
+        }
+        @if told.accuracy {
+            (cell(summary.map, 4))
+            (change(against.and_then(|against| against.map)))
+            (cell(summary.precision, 3))
+            (cell(summary.recall, 3))
+        }
     }
 }
 

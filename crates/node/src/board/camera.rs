@@ -2,10 +2,12 @@
 
 use super::event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
 use super::thresholds;
+use crate::advice::{Advice, SkipWatch};
 use crate::frame::EncodedPicture;
 use crate::outbox::Outbox;
 use crate::screen::ScreenCounts;
-use albireo_core::policy::{FrameState, Knob, KnobError};
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::{FrameState, Knob, KnobError, published_threshold, short};
 use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, KnobSource, KnobValue};
 use parking_lot::Mutex;
 use prometheus_client::metrics::histogram::Histogram;
@@ -33,6 +35,9 @@ pub struct CameraSetup {
     /// The configured value; the knob's default without one. It must be inside the knob's range; a value
     /// that is not is logged and the default used.
     pub threshold: Option<f64>,
+    /// Whether `u` means the same at every picture size, so that the published code, where it does not, has another
+    /// value for it: the filter of the profile `paper`.
+    pub sizeless: bool,
 }
 
 /// The last picture received, still encoded.
@@ -61,6 +66,8 @@ pub struct CameraSnapshot {
     pub latest: Option<Arc<DetectionsMessage>>,
     /// Time since the newest frame was processed.
     pub last_frame_age: Option<Duration>,
+    /// What to try, when nothing is skipped although objects are followed.
+    pub advice: Option<Advice>,
 }
 
 impl CameraSnapshot {
@@ -79,6 +86,7 @@ struct Counts {
     clips: u64,
     latest: Option<Arc<DetectionsMessage>>,
     last_frame: Option<Instant>,
+    watch: SkipWatch,
 }
 
 /// One camera's part of the live board. The counters are behind one lock, so that any snapshot adds up.
@@ -88,6 +96,7 @@ pub struct CameraBoard {
     key: String,
     policy: &'static str,
     knob: Option<Knob>,
+    sizeless: bool,
     configured: Option<f64>,
     threshold: watch::Sender<Option<f64>>,
     /// Makes changes of the threshold one at a time, so that file, loop and events see the same order.
@@ -131,6 +140,7 @@ impl CameraBoard {
             key: setup.key,
             policy,
             knob: setup.knob,
+            sizeless: setup.sizeless,
             configured,
             threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
             source: Mutex::new(kept.map_or(KnobSource::Configuration, |(_, source)| source)),
@@ -152,6 +162,11 @@ impl CameraBoard {
     /// Where its frames come from: a Zenoh key, or the source that the node opens, without credentials.
     pub fn key(&self) -> &str {
         &self.key
+    }
+
+    /// Name of its policy.
+    pub(crate) fn policy(&self) -> &'static str {
+        self.policy
     }
 
     /// What the policy lets a user turn.
@@ -180,8 +195,16 @@ impl CameraBoard {
         counts.states.count(detections.state);
         counts.degraded_frames += u64::from(detections.degraded);
         counts.last_frame = Some(Instant::now());
-        counts.latest = Some(Arc::clone(&detections));
+        let first = counts.latest.replace(Arc::clone(&detections)).is_none();
+        let clear = counts.watch.count(&detections);
+        let advice = clear.then(|| self.advice(&counts)).flatten();
         drop(counts);
+        if first {
+            self.tell_first_frame(&detections);
+        }
+        if let Some(advice) = advice {
+            tracing::warn!(camera = %self.name, "{advice}");
+        }
         if self.events.receiver_count() > 0 {
             let event = Event::Frame(FrameEvent {
                 camera: Arc::clone(&self.name),
@@ -189,6 +212,35 @@ impl CameraBoard {
             });
             let _ = self.events.send(event.into());
         }
+    }
+
+    fn advice(&self, counts: &Counts) -> Option<Advice> {
+        counts.watch.advice(self.knob.as_ref()?)
+    }
+
+    fn tell_first_frame(&self, first: &DetectionsMessage) {
+        let picture = PictureSize::new(first.width, first.height);
+        let published = self.published_threshold(picture);
+        tracing::info!(
+            camera = %self.name,
+            key = self.key,
+            picture = %picture,
+            knob = first.knob.map(|knob| knob.to_string()),
+            as_published = published.map(short),
+            "first frame"
+        );
+    }
+
+    /// What the published code would want in the place of `u`, in pictures of this size, where that is another
+    /// number, to three digits.
+    pub(crate) fn published_threshold(&self, picture: PictureSize) -> Option<f64> {
+        let knob = self.knob.filter(|knob| self.sizeless && knob.name == "u")?;
+        let in_force = self
+            .threshold()
+            .filter(|value| knob.check(*value).is_ok())?;
+        let published = published_threshold(in_force, picture);
+        let rounded = format!("{published:.2e}").parse().unwrap_or(published);
+        (rounded != in_force).then_some(rounded)
     }
 
     /// Adds frames that were not processed, each kind under its own name.
@@ -211,6 +263,7 @@ impl CameraBoard {
             clips: counts.clips,
             latest: counts.latest.clone(),
             last_frame_age: counts.last_frame.map(|instant| instant.elapsed()),
+            advice: self.advice(&counts),
         }
     }
 

@@ -4,7 +4,7 @@ use super::camera::CameraSetup;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::{DetectorStatus, ExecutionProvider};
 use crate::outbox::{Outbox, OutboxError};
-use albireo_core::policy::PolicyConfigError;
+use albireo_core::policy::{PolicyConfigError, Profile};
 use albireo_wire::KeyError;
 use tokio::sync::watch;
 
@@ -44,6 +44,8 @@ impl BoardSetup {
                 },
                 knob: policy.knob(),
                 threshold: camera.threshold.or_else(|| policy.knob_value()),
+                sizeless: config.policy.profile == Profile::Paper
+                    && !config.policy.albireo.contains_key("filter"),
             })
         };
         let model = &config.detector.model;

@@ -12,6 +12,8 @@ const KNOB: Knob = Knob {
     minimum: 1e-12,
     maximum: 1.0,
     default: 3e-4,
+    useful_minimum: 1.5e-4,
+    useful_maximum: 1e-1,
 };
 
 fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<Board> {
@@ -21,6 +23,7 @@ fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<
         key: format!("albireo/n/{name}/frame"),
         knob: Some(knob),
         threshold,
+        sizeless: true,
     };
     Board::new(BoardSetup {
         node: "n".to_owned(),

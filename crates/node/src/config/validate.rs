@@ -6,7 +6,7 @@ use crate::frame::Delivery;
 use crate::source::SourceKind;
 use albireo_core::policy::Knob;
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
 
 impl Configuration for NodeConfig {
@@ -137,6 +137,47 @@ impl NodeConfig {
                 findings.add(
                     key("name"),
                     format!("two cameras are named `{}`", camera.name),
+                );
+            }
+        }
+        self.check_keys(findings);
+    }
+
+    /// Two cameras on one key would be one camera twice, and a camera on a key that a node writes would hear itself.
+    fn check_keys(&self, findings: &mut Findings) {
+        let mut seen: HashMap<String, &str> = HashMap::new();
+        for (index, camera) in self.cameras.iter().enumerate() {
+            let at = format!("camera[{index}].key");
+            let Ok(key) = self.frame_key(camera) else {
+                continue;
+            };
+            let written = self.keys().and_then(|keys| {
+                let names = self.cameras.iter().map(|camera| keys.camera(&camera.name));
+                names.collect::<Result<Vec<_>, _>>()
+            });
+            for keys in written.into_iter().flatten() {
+                let outputs = [
+                    keys.detections(),
+                    keys.clip(),
+                    keys.counters(),
+                    keys.threshold(),
+                ];
+                if outputs.contains(&key) {
+                    findings.add(
+                        at.clone(),
+                        format!("`{key}` is what this node writes or answers itself; frames need a key of their own"),
+                    );
+                }
+            }
+            // Cameras of one name are told already.
+            if let Some(other) = seen.insert(key.clone(), &camera.name)
+                && other != camera.name
+            {
+                findings.add(
+                    at,
+                    format!(
+                        "`{key}` is the key of camera `{other}` too; each camera needs its own"
+                    ),
                 );
             }
         }

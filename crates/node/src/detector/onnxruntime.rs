@@ -44,6 +44,14 @@ pub(super) fn environment(configured: Option<&Path>) -> Result<Environment, Star
     Ok(environment)
 }
 
+/// Where the library is that [`environment`] would load.
+///
+/// # Errors
+/// When there is none, with where it was looked for.
+pub(crate) fn find_library(configured: Option<&Path>) -> Result<PathBuf, StartError> {
+    Search::here(configured).find()
+}
+
 /// ONNX Runtime's own messages, warnings and worse; the rest would flood the log.
 fn log(level: LogLevel, category: &str, _id: &str, location: &str, message: &str) {
     match level {

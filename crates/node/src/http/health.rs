@@ -49,7 +49,7 @@ impl From<PartFault> for Reason {
             subject: (!fault.subject.is_empty()).then(|| fault.subject.into_owned()),
             effect: fault.fault.effect.as_str(),
             reason: fault.fault.reason,
-            since_s: fault.lasted.as_secs_f64(),
+            since_s: albireo_service::clock::seconds(fault.lasted),
         }
     }
 }
@@ -121,7 +121,7 @@ pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
         status: "ok",
         node: board.node().to_owned(),
         version: env!("CARGO_PKG_VERSION"),
-        uptime_s: board.uptime().as_secs_f64(),
+        uptime_s: albireo_service::clock::seconds(board.uptime()),
     })
 }
 

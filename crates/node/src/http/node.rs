@@ -2,6 +2,7 @@
 
 use super::RouteState;
 use super::health::{Readiness, readiness};
+use albireo_service::clock::seconds;
 use albireo_wire::{EnergyQuality, OutboxStatus};
 use axum::Json;
 use axum::extract::State;
@@ -47,7 +48,7 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
     let power = board.power();
     Json(NodeOverview {
         version: env!("CARGO_PKG_VERSION"),
-        uptime_s: board.uptime().as_secs_f64(),
+        uptime_s: seconds(board.uptime()),
         readiness: readiness(board),
         outbox: board.outbox().counts().status(),
         energy: EnergySinceStart {

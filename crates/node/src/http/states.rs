@@ -2,6 +2,7 @@
 
 use super::RouteState;
 use crate::board::CameraBoard;
+use albireo_service::clock::{seconds, significant};
 use albireo_service::http::Problem;
 use albireo_wire::{DroppedFrames, FrameStates, KnobValue};
 use axum::Json;
@@ -61,12 +62,12 @@ fn of(camera: &CameraBoard) -> CameraStates {
         camera: camera.name().to_owned(),
         frames: snapshot.states.frames(),
         states: snapshot.states,
-        skip_rate: snapshot.skip_rate(),
+        skip_rate: significant(snapshot.skip_rate(), 4),
         degraded_frames: snapshot.degraded_frames,
         dropped: snapshot.dropped,
         tau_max: snapshot.latest.and_then(|latest| latest.tau_max),
         knob: camera.knob_value(),
-        last_frame_age_s: snapshot.last_frame_age.map(|age| age.as_secs_f64()),
+        last_frame_age_s: snapshot.last_frame_age.map(seconds),
     }
 }
 
@@ -84,10 +85,10 @@ pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
     let degraded_frames = cameras.iter().map(|camera| camera.degraded_frames).sum();
     Json(NodeStates {
         node: board.node().to_owned(),
-        uptime_s: board.uptime().as_secs_f64(),
+        uptime_s: seconds(board.uptime()),
         frames: states.frames(),
         states,
-        skip_rate: states.skip_rate(degraded_frames),
+        skip_rate: significant(states.skip_rate(degraded_frames), 4),
         degraded_frames,
         cameras,
     })

@@ -96,11 +96,19 @@ fn value(
         .and_then(|name| name.split(';').next())
         .unwrap_or_default()
         .trim();
-    if !media_type.eq_ignore_ascii_case("application/json") {
+    // None at all, and the one that curl sends by itself, are taken too: no page of another origin can send a PUT without
+    // being asked for leave first, whatever its content type.
+    let taken = ["", "application/json", "application/x-www-form-urlencoded"];
+    if !taken
+        .iter()
+        .any(|taken| media_type.eq_ignore_ascii_case(taken))
+    {
         let sent = name.map_or_else(|| "none".to_owned(), |name| format!("`{name}`"));
         return Err(Problem::new(
             StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            format!("the content type must be `application/json`, and is {sent}"),
+            format!(
+                "the content type must be `application/json`, and is {sent}; with curl: -H 'content-type: application/json'"
+            ),
         )
         .allowing(["application/json"])
         .with_knob(knob));
@@ -185,7 +193,7 @@ pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds
 ///
 /// It holds from each camera's next frame. A policy's knob goes by its own name: `u`, or `lambda` under
 /// expected-loss.
-/// `curl -X PUT -H 'Content-Type: application/json' -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
+/// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
 #[utoipa::path(
     put, path = "/api/v1/threshold", tag = "threshold", request_body = ThresholdMessage,
     responses(
@@ -233,7 +241,7 @@ pub(super) async fn get_one(
 /// Changes a camera's threshold
 ///
 /// It holds from the camera's next frame.
-/// `curl -X PUT -H 'Content-Type: application/json' -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
+/// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
 #[utoipa::path(
     put, path = "/api/v1/cameras/{camera}/threshold", tag = "threshold", request_body = ThresholdMessage,
     params(("camera" = String, Path, description = "The camera's name.")),

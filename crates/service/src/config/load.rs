@@ -1,13 +1,17 @@
 //! Reads a configuration from its file and the environment.
 
 use super::{ConfigError, Finding};
-use figment::providers::{Env, Format, Toml};
+use figment::providers::{Env, Format, Serialized, Toml};
+use figment::value::{Dict, Value};
 use figment::{Figment, Source};
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
 /// What environment variables begin with. `ALBIREO_HTTP__LISTEN` overrides `listen` in `[http]`.
 const PREFIX: &str = "ALBIREO_";
+
+/// Most things that are told to be wrong with the form of a configuration.
+const MOST_FINDINGS: usize = 100;
 
 /// A configuration that [`load`] can read: all settings of one service.
 pub trait Configuration: DeserializeOwned {
@@ -24,45 +28,159 @@ pub trait Configuration: DeserializeOwned {
 /// # Errors
 /// [`ConfigError`] with all unknown keys and impossible values found.
 pub fn load<C: Configuration>(file: Option<&Path>) -> Result<C, ConfigError> {
-    let name = file.map_or_else(
-        || "built-in defaults".to_owned(),
-        |file| file.display().to_string(),
-    );
-    let fail = |findings| ConfigError {
-        file: name.clone(),
-        findings,
-    };
+    let (config, findings) = examine(file);
+    match config {
+        Some(config) if findings.is_empty() => Ok(config),
+        _ => Err(ConfigError {
+            file: file.map_or_else(
+                || "built-in defaults".to_owned(),
+                |file| file.display().to_string(),
+            ),
+            findings,
+        }),
+    }
+}
+
+/// As [`load`]: what could be read of a configuration, with defaults in the place of what could not, and everything that
+/// is wrong with it.
+pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding>) {
     let mut figment = Figment::new();
     if let Some(file) = file {
         // Figment takes a missing file for an empty one.
         if let Err(error) = std::fs::metadata(file) {
-            return Err(fail(vec![Finding::new("", error.to_string())]));
+            return (None, vec![Finding::new("", error.to_string())]);
         }
         figment = figment.merge(Toml::file_exact(file));
     }
     let variables = std::env::vars_os().filter_map(|(k, _)| k.into_string().ok());
-    let misspelt = misspelt_variables(variables, C::SECTIONS);
-    if !misspelt.is_empty() {
-        return Err(fail(misspelt));
-    }
+    let mut findings = misspelt_variables(variables, C::SECTIONS);
     let figment = figment.merge(
         Env::prefixed(PREFIX)
             .filter(|key| key.as_str().contains("__") || key == "camera")
             .split("__"),
     );
-    let config: C = figment
-        .extract()
-        .map_err(|error| fail(error.into_iter().map(finding).collect()))?;
-    let mut findings = config.findings();
-    if findings.is_empty() {
-        return Ok(config);
+    let (config, malformed) = read::<C>(&figment);
+    findings.extend(malformed);
+    if let Some(config) = &config {
+        let known: Vec<_> = findings.iter().map(|finding| finding.key.clone()).collect();
+        // What was left out because of its form has its default here, or is a shorter list, and is spoken of already.
+        let told = |key: &str| {
+            known.iter().any(|known| {
+                let rest = known.strip_prefix(key);
+                rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '[']))
+            })
+        };
+        findings.extend((config.findings().into_iter()).filter(|finding| !told(&finding.key)));
     }
     for finding in &mut findings {
         if finding.source.is_none() {
             finding.source = source(&figment, &finding.key);
         }
     }
-    Err(fail(findings))
+    (config, findings)
+}
+
+/// Reads the configuration. What cannot be read, an unknown key or a value of another type, is noted and left out, and
+/// the rest is read again: so everything is found in one go. `None` when the rest cannot be read either.
+fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
+    let mut findings: Vec<Finding> = Vec::new();
+    let mut values = match figment.extract::<Dict>() {
+        Ok(values) => values,
+        Err(error) => return (None, error.into_iter().map(finding).collect()),
+    };
+    loop {
+        // The first time as it is, for its errors know where they come from.
+        let read = if findings.is_empty() {
+            figment.extract::<C>()
+        } else {
+            Figment::from(Serialized::defaults(&values)).extract::<C>()
+        };
+        let errors = match read {
+            Ok(config) => return (Some(config), findings),
+            Err(errors) => errors,
+        };
+        for error in errors {
+            let mut path = error.path.clone();
+            let mended = match &error.kind {
+                figment::error::Kind::UnknownField(name, _) => {
+                    if path.last() != Some(name) {
+                        path.push(name.clone());
+                    }
+                    left_out(&mut values, &path)
+                }
+                figment::error::Kind::MissingField(name) => {
+                    path.push(name.to_string());
+                    named(&mut values, &path)
+                }
+                _ => left_out(&mut values, &path),
+            };
+            let mut noted = finding(error);
+            if noted.source.is_none() {
+                noted.source = source(figment, &path.join("."));
+            }
+            findings.push(noted);
+            if !mended || findings.len() >= MOST_FINDINGS {
+                return (None, findings);
+            }
+        }
+    }
+}
+
+/// Takes the value at `path` out; false when there is none.
+fn left_out(values: &mut Dict, path: &[String]) -> bool {
+    let Some((last, table)) = path.split_last() else {
+        return false;
+    };
+    match inside(values, table) {
+        Some(Inside::Table(table)) => table.remove(last).is_some(),
+        Some(Inside::List(list)) => match last.parse::<usize>() {
+            Ok(index) if index < list.len() => {
+                list.remove(index);
+                true
+            }
+            _ => false,
+        },
+        None => false,
+    }
+}
+
+/// Gives a name where one is missing, so that the rest can be read; false when that cannot be done.
+fn named(values: &mut Dict, path: &[String]) -> bool {
+    let Some((last, table)) = path.split_last() else {
+        return false;
+    };
+    match inside(values, table) {
+        Some(Inside::Table(found)) => {
+            let name = format!("unnamed-{}", table.join("-"));
+            found.insert(last.clone(), Value::from(name)).is_none()
+        }
+        _ => false,
+    }
+}
+
+enum Inside<'a> {
+    Table(&'a mut Dict),
+    List(&'a mut Vec<Value>),
+}
+
+/// The table or list at `path`.
+fn inside<'a>(values: &'a mut Dict, path: &[String]) -> Option<Inside<'a>> {
+    let Some((first, rest)) = path.split_first() else {
+        return Some(Inside::Table(values));
+    };
+    let mut value = values.get_mut(first)?;
+    for part in rest {
+        value = match value {
+            Value::Dict(_, table) => table.get_mut(part)?,
+            Value::Array(_, list) => list.get_mut(part.parse::<usize>().ok()?)?,
+            _ => return None,
+        };
+    }
+    match value {
+        Value::Dict(_, table) => Some(Inside::Table(table)),
+        Value::Array(_, list) => Some(Inside::List(list)),
+        _ => None,
+    }
 }
 
 /// Where the value of `key` comes from, when it is not the file.
@@ -70,7 +188,13 @@ fn source(figment: &Figment, key: &str) -> Option<String> {
     let path = key.replace('[', ".").replace(']', "");
     let metadata = figment.find_metadata(&path)?;
     let from_file = matches!(metadata.source, Some(Source::File(_)));
-    (!from_file).then(|| metadata.name.to_string())
+    (!from_file).then(|| variable(&path))
+}
+
+/// The environment variable that sets the key at `path`.
+fn variable(path: &str) -> String {
+    let name = path.to_ascii_uppercase().replace('.', "__");
+    format!("environment variable {PREFIX}{name}")
 }
 
 /// Variables that look like a key with one underscore where two belong: left alone they would silently
@@ -105,14 +229,10 @@ fn finding(error: figment::Error) -> Finding {
             key.push_str(part);
         }
     }
-    let source = error.metadata.as_ref().and_then(|metadata| {
-        let from_file = matches!(metadata.source, Some(Source::File(_)));
-        (!from_file).then(|| metadata.name.to_string())
-    });
     Finding {
         key,
         reason: reason(&error.kind),
-        source,
+        source: None,
     }
 }
 
@@ -145,6 +265,82 @@ fn reason(kind: &figment::error::Kind) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[derive(serde::Deserialize, Default)]
+    #[serde(deny_unknown_fields, default)]
+    struct Small {
+        http: SmallHttp,
+        camera: Vec<SmallCamera>,
+    }
+
+    #[derive(serde::Deserialize, Default)]
+    #[serde(deny_unknown_fields, default)]
+    struct SmallHttp {
+        timeout: f64,
+        port: u16,
+    }
+
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct SmallCamera {
+        name: String,
+        #[serde(default)]
+        ring: usize,
+    }
+
+    impl Configuration for Small {
+        const SECTIONS: &'static [&'static str] = &["HTTP"];
+
+        fn findings(&self) -> Vec<Finding> {
+            let mut findings = Vec::new();
+            if self.http.port == 0 {
+                findings.push(Finding::new("http.port", "must not be 0"));
+            }
+            for (index, camera) in self.camera.iter().enumerate() {
+                if camera.name.contains(' ') || camera.ring > 9 {
+                    findings.push(Finding::new(
+                        format!("camera[{index}].name"),
+                        "no such name",
+                    ));
+                }
+            }
+            findings
+        }
+    }
+
+    #[test]
+    fn everything_that_is_wrong_is_found_in_one_go_and_in_plain_words() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("small.toml");
+        let text = "[http]\ntimeout = \"long\"\nprot = 8080\n[[camera]]\nring = \"two\"\n\
+                    [[camera]]\nname = \"a b\"\nrung = 3\n";
+        std::fs::write(&file, text).unwrap();
+        let Err(error) = load::<Small>(Some(&file)) else {
+            panic!("it can be used");
+        };
+        let mut told: Vec<_> = error.findings.iter().map(ToString::to_string).collect();
+        told.sort();
+        assert_eq!(
+            told,
+            [
+                "camera[0].ring: must be a whole number, 0 or more, not string \"two\"",
+                "camera[0]: `name` is missing",
+                "camera[1].name: no such name",
+                "camera[1].rung: unknown key `rung`; known are `name` or `ring`",
+                "http.port: must not be 0",
+                "http.prot: unknown key `prot`; known are `timeout` or `port`",
+                "http.timeout: must be a number, not string \"long\"",
+            ]
+        );
+    }
+
+    #[test]
+    fn a_variable_is_named_as_it_is_set() {
+        assert_eq!(
+            variable("http.idle_timeout_ms"),
+            "environment variable ALBIREO_HTTP__IDLE_TIMEOUT_MS"
+        );
+    }
 
     #[test]
     fn a_variable_with_one_underscore_too_few_is_told() {

@@ -43,7 +43,8 @@ impl LogConfig {
     }
 }
 
-fn check_level(level: &str) -> Result<(), String> {
+/// Why a level or filter cannot be used.
+pub(crate) fn check_level(level: &str) -> Result<(), String> {
     let fault = |error: &dyn std::fmt::Display| {
         format!("`{level}` is neither error, warn, info, debug, trace nor a filter: {error}")
     };

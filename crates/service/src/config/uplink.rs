@@ -3,7 +3,7 @@
 use super::Findings;
 use super::zenoh::check_endpoints;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// How a node reaches its hub. Without `connect` the session of `[zenoh]` serves both.
@@ -53,6 +53,18 @@ impl Default for UplinkConfig {
 }
 
 impl UplinkConfig {
+    /// The files that the section names, with their keys.
+    pub fn files(&self) -> impl Iterator<Item = (&'static str, &Path)> {
+        [
+            ("uplink.root_ca_certificate", &self.root_ca_certificate),
+            ("uplink.certificate", &self.certificate),
+            ("uplink.private_key", &self.private_key),
+            ("uplink.password_file", &self.password_file),
+        ]
+        .into_iter()
+        .filter_map(|(key, path)| Some((key, path.as_deref()?)))
+    }
+
     /// Whether there is a session of its own.
     pub fn is_set(&self) -> bool {
         !self.connect.is_empty()

@@ -182,6 +182,11 @@ fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Toke
     Ok(tokens)
 }
 
+/// Why no token can be read from a file, if none can.
+pub fn token_file_fault(file: &Path) -> Option<String> {
+    read(file).err().map(|error| error.to_string())
+}
+
 fn read(file: &Path) -> Result<Token, TokenError> {
     let text = std::fs::read_to_string(file).map_err(|source| TokenError::Unreadable {
         file: file.to_owned(),

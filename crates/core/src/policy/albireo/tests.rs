@@ -334,3 +334,81 @@ fn evidence_of_the_wrong_kind_counts_as_none() {
     );
     assert_eq!(run.outcome.boxes.len(), 1);
 }
+
+/// What was decided on a frame: its state, and the numbers of the objects followed.
+type Decided = (FrameState, Vec<u64>);
+
+/// A minute of a street in pictures of `size`: cars that come, go, jitter and are missed now and then, all at
+/// shares of the picture, given to the policy in pixels as a detector does.
+fn decided_in_pictures_of(size: PictureSize, settings: AlbireoSettings, u: f64) -> Vec<Decided> {
+    let mut policy = Albireo::new(settings, u).unwrap();
+    let mut outcome = Outcome::default();
+    let mut random = 7_u64;
+    let mut next = move || {
+        random = random
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1);
+        (random >> 40) as f64 / (1 << 24) as f64
+    };
+    let frame = |index: u64, next: &mut dyn FnMut() -> f64| -> Vec<Detection> {
+        let mut found = Vec::new();
+        for car in 0..6_u64 {
+            let age = (index + 47 * car) % 120;
+            let missed = next() < 0.1;
+            let mut jitter = || 0.004 * (next() - 0.5);
+            let at = BoundingBox::new(
+                0.1 + 0.007 * age as f64 + jitter(),
+                0.3 + 0.08 * car as f64 + jitter(),
+                0.06 + jitter(),
+                0.08 + jitter(),
+            );
+            if age < 100 && !missed {
+                found.push(Detection {
+                    bounding_box: at.pixel_corners(size).normalise(size),
+                    class: ClassId(0),
+                    confidence: 0.9,
+                });
+            }
+        }
+        found
+    };
+    (0..600)
+        .map(|index| {
+            let found = frame(index, &mut next);
+            let head = FrameHead {
+                index,
+                step: 1,
+                picture: size,
+            };
+            let mut known = FrameEvidence::in_view(&found);
+            let Ok(()) = decide_at_once(&mut policy, head, &mut known, &mut outcome);
+            let mut numbers = Vec::new();
+            policy.objects(&mut |object| numbers.push(object.id.0));
+            (outcome.state, numbers)
+        })
+        .collect()
+}
+
+#[test]
+fn the_same_scene_is_decided_alike_at_every_picture_size() {
+    let sizes = [
+        PictureSize::new(1280, 720),
+        PictureSize::new(640, 480),
+        PictureSize::new(720, 576),
+        PictureSize::new(1920, 1080),
+        PictureSize::new(3840, 2160),
+    ];
+    for u in [3e-4, 5e-4, 7e-4, 1e-3] {
+        let [expected, others @ ..] =
+            sizes.map(|size| decided_in_pictures_of(size, AlbireoSettings::paper(), u));
+        let skipped = (expected.iter())
+            .filter(|(state, _)| state.is_skipped())
+            .count();
+        assert!((60..480).contains(&skipped), "{skipped} of 600 at u = {u}");
+        assert!(others.iter().all(|other| *other == expected), "u = {u}");
+    }
+    // The published code counts pixels, and skips nothing in small pictures.
+    let published =
+        |size| decided_in_pictures_of(size, AlbireoSettings::reference(), Albireo::KNOB.default);
+    assert_ne!(published(sizes[0]), published(sizes[1]));
+}

@@ -32,6 +32,8 @@ impl Trigger {
         minimum: 0.0,
         maximum: 100.0,
         default: 0.3,
+        useful_minimum: 0.02,
+        useful_maximum: 3.0,
     };
 
     const N: Knob = Knob {
@@ -41,6 +43,8 @@ impl Trigger {
         minimum: 1.0,
         maximum: 20.0,
         default: 2.0,
+        useful_minimum: 1.0,
+        useful_maximum: 20.0,
     };
 
     const SKIP_RATE: Knob = Knob {
@@ -50,6 +54,8 @@ impl Trigger {
         minimum: 0.0,
         maximum: 0.95,
         default: 0.5,
+        useful_minimum: 0.05,
+        useful_maximum: 0.95,
     };
 
     /// Name of the policy with this trigger.

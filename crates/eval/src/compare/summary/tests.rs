@@ -23,6 +23,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         cpu_s: calls as f64 / 50.0,
         meter_share_of_core: 0.001,
         agreement: None,
+        advice: None,
         report: ClipReport {
             v: 1,
             node: "compare".to_owned(),

@@ -1,0 +1,169 @@
+//! A threshold in the units of the published code.
+//!
+//! The state is counted in shares of the picture, and so are the process noise Q and the covariance P of a new
+//! object; but the published code counts the noise R of a measured box in pixels of the picture. Multiplying P, Q and R by
+//! one number multiplies τ by it and changes no gain and no decision; changing R alone does neither. So no factor
+//! on `u` makes the published filter at one picture size decide as at another, and the profile `paper` takes R as
+//! a share of the picture too: then nothing in the filter depends on the size. What is left for the published code is an
+//! equivalent: the threshold that lets it predict a steadily seen object for as many frames.
+
+use super::AlbireoSettings;
+use crate::geometry::{BoundingBox, PictureSize};
+use crate::kalman::{Filter, FilterModel, FilterParameters, MeasurementNoise, MeasurementUnit};
+
+/// Frames of prediction that the curve of τ covers: T_max of both profiles.
+const FRAMES: usize = 15;
+
+/// Updates after which P has settled to the last digit that matters.
+const SETTLED: usize = 200;
+
+/// The threshold that the published code wants, in pictures of `picture`, to predict a steadily seen object for as
+/// many frames as the profile `paper` does at `u` in pictures of any size. At 1280x720 it is `u`.
+pub fn published_threshold(u: f64, picture: PictureSize) -> f64 {
+    let published = FilterModel::new(&AlbireoSettings::reference().filter, picture);
+    let paper = FilterModel::new(&AlbireoSettings::paper().filter, picture);
+    if published == paper {
+        return u;
+    }
+    let (from, to) = (curve(&paper), curve(&published));
+    let mut before = (0.0, 0.0);
+    for (&at, &then) in from.iter().zip(&to) {
+        if u <= at {
+            let share = (u - before.0) / (at - before.0);
+            return before.1 + share * (then - before.1);
+        }
+        before = (at, then);
+    }
+    u / before.0 * before.1
+}
+
+/// τ of a steadily seen object after its update, and after each frame of prediction.
+fn curve(model: &FilterModel) -> [f64; FRAMES + 1] {
+    let anywhere = BoundingBox::new(0.5, 0.5, 0.1, 0.1);
+    let mut filter = Filter::new(model, anywhere);
+    for _ in 0..SETTLED {
+        filter.predict(model);
+        filter.update(model, anywhere);
+    }
+    let mut taus = [filter.tau(); FRAMES + 1];
+    for tau in &mut taus[1..] {
+        filter.predict(model);
+        *tau = filter.tau();
+    }
+    taus
+}
+
+/// The filter of the profile `paper`: the published one, with the measurement's deviation as a share of the
+/// picture, which at 1280x720 is the same 5 of 1280 pixels to the last bit.
+pub(super) fn sizeless(published: FilterParameters) -> FilterParameters {
+    FilterParameters {
+        measurement: MeasurementNoise {
+            deviation: 5.0 / 1280.0,
+            unit: MeasurementUnit::Normalised,
+        },
+        ..published
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::policy::Albireo;
+
+    const SIZES: [PictureSize; 5] = [
+        PictureSize::new(640, 480),
+        PictureSize::new(720, 576),
+        PictureSize::new(1242, 375),
+        PictureSize::new(1280, 720),
+        PictureSize::new(1920, 1080),
+    ];
+
+    #[test]
+    fn at_the_papers_size_both_filters_are_the_same_to_the_last_bit() {
+        let picture = PictureSize::new(1280, 720);
+        let published = FilterModel::new(&AlbireoSettings::reference().filter, picture);
+        let paper = FilterModel::new(&AlbireoSettings::paper().filter, picture);
+        assert_eq!(published, paper);
+        for u in [1e-9, 3e-4, 1e-3, 1.0] {
+            assert_eq!(published_threshold(u, picture).to_bits(), u.to_bits());
+        }
+    }
+
+    #[test]
+    fn the_filter_of_the_paper_does_not_know_the_size() {
+        let models = SIZES.map(|size| FilterModel::new(&AlbireoSettings::paper().filter, size));
+        assert!(models.windows(2).all(|pair| pair[0] == pair[1]));
+    }
+
+    /// The derivation: with P, Q and R times one number, τ is times that number and the gains are the same.
+    #[test]
+    fn scaling_all_noise_scales_tau_and_moves_no_box() {
+        let picture = PictureSize::new(1280, 720);
+        let model = FilterModel::new(&FilterParameters::default(), picture);
+        // A power of four: exact in the arithmetic, so that equality can be asked for.
+        let times = |deviations: crate::kalman::Deviations| crate::kalman::Deviations {
+            center: deviations.center * 4.0,
+            size: deviations.size * 4.0,
+            center_velocity: deviations.center_velocity * 4.0,
+            size_velocity: deviations.size_velocity * 4.0,
+            acceleration: deviations.acceleration * 4.0,
+        };
+        let scaled = FilterModel {
+            process: times(model.process),
+            initial: times(model.initial),
+            measurement: model.measurement * 4.0,
+        };
+        let first = BoundingBox::new(0.5, 0.5, 0.1, 0.1);
+        let (mut one, mut other) = (Filter::new(&model, first), Filter::new(&scaled, first));
+        for step in 0..40 {
+            one.predict(&model);
+            other.predict(&scaled);
+            if step % 3 != 0 {
+                let seen = BoundingBox::new(0.5 + 0.01 * f64::from(step), 0.5, 0.1, 0.12);
+                one.update(&model, seen);
+                other.update(&scaled, seen);
+            }
+            assert_eq!(one.bounding_box(), other.bounding_box());
+            assert_eq!((4.0 * one.tau()).to_bits(), other.tau().to_bits());
+        }
+    }
+
+    #[test]
+    fn the_equivalent_lets_the_published_filter_predict_for_as_many_frames() {
+        let frames = |model: &FilterModel, u: f64| {
+            let taus = curve(model);
+            taus[1..].iter().take_while(|tau| **tau < u).count()
+        };
+        for size in SIZES {
+            let published = FilterModel::new(&AlbireoSettings::reference().filter, size);
+            let paper = FilterModel::new(&AlbireoSettings::paper().filter, size);
+            for u in [1e-5, 1e-4, 3e-4, 5e-4, 7e-4, 1e-3, 3e-3, 1e-2] {
+                assert_eq!(
+                    frames(&published, published_threshold(u, size)),
+                    frames(&paper, u),
+                    "u = {u} at {size}"
+                );
+            }
+        }
+        // What the published code needs at 720x576 for what 3e-4 does at 1280x720.
+        let equivalent = published_threshold(3e-4, PictureSize::new(720, 576));
+        assert!((4e-4..6e-4).contains(&equivalent), "{equivalent}");
+    }
+
+    #[test]
+    fn a_slider_of_u_begins_where_it_makes_a_difference_and_ends_where_the_paper_is_left_far_behind()
+     {
+        let model = FilterModel::new(
+            &AlbireoSettings::paper().filter,
+            PictureSize::new(1280, 720),
+        );
+        let taus = curve(&model);
+        let knob = Albireo::KNOB;
+        // Below the first a seen object calls the detector on every frame.
+        assert!(knob.useful_minimum <= taus[1] && taus[1] <= 1.5 * knob.useful_minimum);
+        let predicted = taus[1..]
+            .iter()
+            .take_while(|tau| **tau < knob.useful_maximum);
+        assert_eq!(predicted.count(), 6);
+    }
+}

@@ -1,0 +1,109 @@
+//! What a comparison on recordings comes to, in sentences: the first thing a report says.
+
+use crate::recommendation::RECOMMENDATION;
+use crate::spec::BASELINE;
+use crate::summary::{EnergySummary, PolicySummary};
+use crate::table::{p_value, short};
+
+/// Points of AP@50 that a policy may lose and still count as keeping it.
+const TOLERANCE: f64 = 0.01;
+
+/// The conclusion: who skips most and keeps the accuracy, who does best at half the calls, and which policy to take.
+pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
+    let Some(baseline) = summaries.iter().find(|found| found.policy == BASELINE) else {
+        return Vec::new();
+    };
+    let others: Vec<_> = (summaries.iter())
+        .filter(|found| found.policy != BASELINE)
+        .collect();
+    let mut sentences = Vec::new();
+    if baseline.ap50.is_none() {
+        sentences.push(
+            "There is no ground truth, so nothing can be said of accuracy: only of what was skipped."
+                .to_owned(),
+        );
+    } else {
+        let kept = others.iter().filter(|found| {
+            change(found).is_some_and(|change| change >= -TOLERANCE) && found.skip_rate > 0.0
+        });
+        sentences.push(
+            match kept.max_by(|a, b| a.skip_rate.total_cmp(&b.skip_rate)) {
+                Some(best) => format!(
+                    "Most is saved without losing a point of AP@50 by {}",
+                    told(best, baseline)
+                ),
+                None => "No policy saves detector calls here without losing a point of AP@50."
+                    .to_owned(),
+            },
+        );
+        let half = others.iter().filter(|found| found.skip_rate >= 0.45);
+        let best = half.max_by(|a, b| accuracy(a).total_cmp(&accuracy(b)));
+        if let Some(best) = best.filter(|best| best.ap50.is_some()) {
+            sentences.push(format!(
+                "With about half of the calls or fewer, the most accurate is {}",
+                told(best, baseline)
+            ));
+        }
+    }
+    let idle: Vec<_> = (others.iter())
+        .filter(|found| found.skip_rate == 0.0)
+        .map(|found| short(&found.policy))
+        .collect();
+    if !idle.is_empty() {
+        sentences.push(format!("Nothing was skipped by {}.", idle.join(", ")));
+    }
+    let paper = |found: &&&PolicySummary| {
+        ["albireo-", "expected-loss"]
+            .iter()
+            .any(|name| found.policy.starts_with(name))
+    };
+    if others.iter().any(|found| paper(&found)) {
+        sentences.push(RECOMMENDATION.join(" "));
+    }
+    sentences
+}
+
+fn accuracy(summary: &PolicySummary) -> f64 {
+    summary.ap50.unwrap_or(f64::NEG_INFINITY)
+}
+
+fn change(summary: &PolicySummary) -> Option<f64> {
+    Some(summary.against_baseline?.ap50?.mean)
+}
+
+/// `albireo-u5e-4: 39.8 % of the detector calls skipped, AP@50 −0.4 points (p .612), energy −34 % (projected).`
+fn told(summary: &PolicySummary, baseline: &PolicySummary) -> String {
+    let mut text = format!(
+        "{}: {:.1} % of the frames skip the detector",
+        short(&summary.policy),
+        summary.skip_rate * 100.0
+    );
+    if let Some(ap50) = summary.against_baseline.and_then(|against| against.ap50) {
+        text.push_str(&format!(", AP@50 {:+.1} points", ap50.mean * 100.0));
+        if let Some(t) = ap50.t {
+            text.push_str(&format!(
+                " (p {} over {} clips)",
+                p_value(Some(t.p)),
+                ap50.clips
+            ));
+        }
+    }
+    if let Some((percent, word)) = energy(summary.energy, baseline.energy) {
+        text.push_str(&format!(", energy {percent:+.0} % ({word})"));
+    }
+    text.push('.');
+    text
+}
+
+fn energy(
+    own: Option<EnergySummary>,
+    before: Option<EnergySummary>,
+) -> Option<(f64, &'static str)> {
+    let (own, before) = own
+        .zip(before)
+        .filter(|(own, before)| own.provenance == before.provenance && before.joules > 0.0)?;
+    Some((
+        (own.joules / before.joules - 1.0) * 100.0,
+        own.provenance.as_str(),
+    ))
+}

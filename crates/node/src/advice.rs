@@ -1,0 +1,239 @@
+//! Says when a policy saves nothing although objects are followed, and which value of its knob to try.
+
+use albireo_core::policy::{Knob, short};
+use albireo_wire::{DetectionsMessage, KnobValue};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// Frames after which a policy that has skipped none is spoken of.
+const FRAMES: u64 = 300;
+
+/// Frames with objects among them that it takes: without objects nothing can be said of the threshold.
+const FOLLOWED: u64 = 100;
+
+/// Uncertainties that are kept for the suggestion.
+const KEPT: usize = 512;
+
+/// A policy that has skipped nothing, and what to try.
+#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+pub struct Advice {
+    /// Frames since the knob was turned last; the detector ran on every one.
+    pub frames: u64,
+    /// Frames of those with objects.
+    pub followed: u64,
+    /// The knob's name.
+    pub knob: &'static str,
+    /// Its value.
+    pub value: f64,
+    /// A value under which about half of those frames would have been predicted.
+    #[serde(rename = "try")]
+    pub attempt: f64,
+}
+
+impl std::fmt::Display for Advice {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(
+            f,
+            "no frame of {} was skipped, though objects were followed in {} of them; try {} = {} (it is {})",
+            self.frames,
+            self.followed,
+            self.knob,
+            short(self.attempt),
+            short(self.value)
+        )
+    }
+}
+
+/// Counts frames until it is clear whether a policy skips any.
+#[derive(Clone, Debug, Default)]
+pub struct SkipWatch {
+    knob: Option<KnobValue>,
+    frames: u64,
+    followed: u64,
+    skipped: bool,
+    told: bool,
+    taus: Vec<f64>,
+}
+
+impl SkipWatch {
+    /// Counts an answered frame; true when exactly now it has become clear that nothing is skipped. A knob that was
+    /// turned begins anew. Degraded frames say nothing.
+    pub fn count(&mut self, message: &DetectionsMessage) -> bool {
+        if message.knob != self.knob {
+            *self = Self {
+                knob: message.knob,
+                ..Self::default()
+            };
+        }
+        if message.degraded || self.skipped {
+            return false;
+        }
+        self.skipped = message.state.is_skipped();
+        self.frames += 1;
+        if message.tau_max.is_some() || !message.boxes.is_empty() {
+            self.followed += 1;
+        }
+        if let Some(tau) = message.tau_max
+            && self.taus.len() < KEPT
+        {
+            self.taus.push(tau);
+        }
+        let clear = self.is_clear();
+        clear && !std::mem::replace(&mut self.told, clear)
+    }
+
+    fn is_clear(&self) -> bool {
+        !self.skipped && self.frames >= FRAMES && self.followed >= FOLLOWED
+    }
+
+    /// What to try, when it is clear that nothing is skipped and `knob` can change that.
+    pub fn advice(&self, knob: &Knob) -> Option<Advice> {
+        self.is_clear().then(|| self.attempt(knob)).flatten()
+    }
+
+    /// As [`Self::advice`], of however few frames: for a clip that is over.
+    pub fn advice_so_far(&self, knob: &Knob) -> Option<Advice> {
+        (!self.skipped && self.followed > 0)
+            .then(|| self.attempt(knob))
+            .flatten()
+    }
+
+    fn attempt(&self, knob: &Knob) -> Option<Advice> {
+        let value = self.knob.filter(|value| value.name == knob.name)?.value;
+        let attempt = match knob.name {
+            "u" => above_the_median(&self.taus)?,
+            "lambda" if value < knob.default => knob.default,
+            "lambda" => one_digit_above(value * 1.5),
+            // Of the others it is plain from the value that they skip nothing.
+            _ => return None,
+        };
+        // Where the threshold is above it already, a cap calls the detector, and no value helps.
+        (attempt > value && attempt <= knob.maximum).then_some(Advice {
+            frames: self.frames,
+            followed: self.followed,
+            knob: knob.name,
+            value,
+            attempt,
+        })
+    }
+}
+
+/// A round number above the median.
+fn above_the_median(values: &[f64]) -> Option<f64> {
+    let mut values = values.to_vec();
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().map(one_digit_above)
+}
+
+/// The smallest number with one significant digit that is greater.
+fn one_digit_above(value: f64) -> f64 {
+    let exponent = value.log10().floor();
+    let unit = 10_f64.powf(exponent);
+    let digit = (value / unit).floor() + 1.0;
+    // By way of text, so that the number is the one that is printed: 4e-4 and not 4.0000000000000003e-4.
+    let round = |digit: f64| format!("{digit}e{exponent}").parse().unwrap_or(value);
+    let above = round(digit);
+    // 3e-4 divided by 1e-4 is a little less than 3.
+    if above > value {
+        above
+    } else {
+        round(digit + 1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_core::policy::{Albireo, ExpectedLoss, FrameState};
+    use albireo_wire::Latency;
+
+    fn message(state: FrameState, knob: KnobValue, tau_max: Option<f64>) -> DetectionsMessage {
+        DetectionsMessage {
+            v: 1,
+            seq: 0,
+            t_ns: 0,
+            clip: String::new(),
+            state,
+            degraded: false,
+            tau_max,
+            knob: Some(knob),
+            width: 720,
+            height: 576,
+            boxes: Vec::new(),
+            latency_ms: Latency::default(),
+        }
+    }
+
+    #[test]
+    fn a_policy_that_skips_nothing_is_told_a_value_under_which_it_would() {
+        let knob = Albireo::KNOB;
+        let value = KnobValue::new(&knob, 1e-4);
+        let mut watch = SkipWatch::default();
+        let mut clear = 0;
+        for frame in 0..400_u32 {
+            let tau = 1.9e-4 + 1e-6 * f64::from(frame % 10);
+            clear += u32::from(watch.count(&message(FrameState::I, value, Some(tau))));
+            assert_eq!(watch.advice(&knob).is_some(), frame >= 299);
+        }
+        assert_eq!(clear, 1, "it is told once");
+        let advice = watch.advice(&knob).unwrap();
+        assert_eq!(advice.attempt, 2e-4);
+        assert_eq!(
+            advice.to_string(),
+            "no frame of 400 was skipped, though objects were followed in 400 of them; try u = 2e-4 (it is 1e-4)"
+        );
+        // Turned, it is another matter; and one skipped frame is enough to be silent.
+        let turned = KnobValue::new(&knob, 2e-4);
+        watch.count(&message(FrameState::P, turned, Some(1.9e-4)));
+        for _ in 0..400 {
+            watch.count(&message(FrameState::I, turned, Some(3e-4)));
+        }
+        assert_eq!(watch.advice(&knob), None);
+        assert_eq!(watch.advice_so_far(&knob), None);
+    }
+
+    #[test]
+    fn an_empty_street_says_nothing_of_the_threshold() {
+        let knob = Albireo::KNOB;
+        let mut watch = SkipWatch::default();
+        for _ in 0..1000 {
+            watch.count(&message(FrameState::EI, KnobValue::new(&knob, 3e-4), None));
+        }
+        assert_eq!(watch.advice(&knob), None);
+    }
+
+    #[test]
+    fn a_cap_that_calls_the_detector_is_not_blamed_on_the_threshold() {
+        let knob = Albireo::KNOB;
+        let mut watch = SkipWatch::default();
+        for _ in 0..400 {
+            watch.count(&message(
+                FrameState::I,
+                KnobValue::new(&knob, 1e-3),
+                Some(2e-4),
+            ));
+        }
+        assert_eq!(watch.advice(&knob), None);
+    }
+
+    #[test]
+    fn a_price_of_nothing_is_told_the_default() {
+        let knob = ExpectedLoss::KNOB;
+        let mut watch = SkipWatch::default();
+        for _ in 0..400 {
+            watch.count(&message(
+                FrameState::I,
+                KnobValue::new(&knob, 0.0),
+                Some(0.1),
+            ));
+        }
+        assert_eq!(watch.advice(&knob).unwrap().attempt, knob.default);
+    }
+
+    #[test]
+    fn the_next_round_number_is_greater_and_prints_short() {
+        for (value, next) in [(1.91e-4, 2e-4), (3e-4, 4e-4), (9.5e-4, 1e-3), (0.45, 0.5)] {
+            assert_eq!(one_digit_above(value), next);
+        }
+    }
+}

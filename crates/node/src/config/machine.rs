@@ -1,0 +1,215 @@
+//! What a configuration needs of the machine it is to run on: files, folders, libraries, ports. Looked at by
+//! `albireo check` only; a node finds out when it opens them.
+
+use super::NodeConfig;
+use crate::detector::{ClassNames, ExecutionProvider, find_library};
+use albireo_service::config::{Finding, Findings};
+use albireo_service::http::token_file_fault;
+use std::net::TcpListener;
+use std::path::Path;
+
+impl NodeConfig {
+    /// What is missing on this machine: a node would not start. Everything at once.
+    pub fn missing_here(&self) -> Vec<Finding> {
+        let mut findings = Findings::default();
+        let detector = &self.detector;
+        file("detector.model", Some(&detector.model), &mut findings);
+        if let Some(ClassNames::File(names)) = &detector.class_names {
+            file("detector.class_names", Some(names), &mut findings);
+        }
+        file("screen.model", self.screen.model.as_deref(), &mut findings);
+        self.check_library(&mut findings);
+        if let Some(fault) = self.http.token_file.as_deref().and_then(token_file_fault) {
+            findings.add("http.token_file", fault);
+        }
+        let zenoh = self.zenoh.config_file.as_deref();
+        file("zenoh.config_file", zenoh, &mut findings);
+        for (key, path) in self.uplink.files() {
+            file(key, Some(path), &mut findings);
+        }
+        if let Some(folder) = &self.node.state_dir {
+            state_dir(folder, &mut findings);
+        }
+        findings.into_vec()
+    }
+
+    /// What stands in the way now and may not later: ports that are taken, perhaps by this very node.
+    pub fn in_the_way(&self) -> Vec<Finding> {
+        let mut findings = Findings::default();
+        let port = self.http.listen;
+        if port.port() != 0
+            && let Err(error) = TcpListener::bind(port)
+        {
+            findings.add("http.listen", format!("{port} cannot be had now: {error}"));
+        }
+        if self.zenoh.config_file.is_none() {
+            for endpoint in &self.zenoh.listen {
+                let Some(address) = endpoint.strip_prefix("tcp/") else {
+                    continue;
+                };
+                let address = address.split(['?', '#']).next().unwrap_or(address);
+                if let Err(error) = TcpListener::bind(address) {
+                    findings.add(
+                        "zenoh.listen",
+                        format!("{endpoint} cannot be had now: {error}"),
+                    );
+                }
+            }
+        }
+        findings.into_vec()
+    }
+
+    fn check_library(&self, findings: &mut Findings) {
+        let library = match find_library(self.detector.onnxruntime.as_deref()) {
+            Ok(library) => library,
+            Err(error) => return findings.add("detector.onnxruntime", error.to_string()),
+        };
+        let wanted = &self.detector.providers;
+        let tried = if self.detector.may_fall_back {
+            &[]
+        } else {
+            &wanted[..wanted.len().min(1)]
+        };
+        for provider in tried {
+            let name = match provider {
+                ExecutionProvider::Cpu => continue,
+                ExecutionProvider::Cuda => "cuda",
+                ExecutionProvider::TensorRt => "tensorrt",
+            };
+            let file = format!(
+                "{}onnxruntime_providers_{name}{}",
+                std::env::consts::DLL_PREFIX,
+                std::env::consts::DLL_SUFFIX
+            );
+            if !library.with_file_name(&file).exists() {
+                findings.add(
+                    "detector.providers",
+                    format!(
+                        "`{name}` is not in this ONNX Runtime: there is no {file} beside {}; install a build with it, \
+                         or list \"cpu\" first",
+                        library.display()
+                    ),
+                );
+            }
+        }
+    }
+}
+
+/// Wants a file that can be read, where one is named.
+fn file(key: &str, path: Option<&Path>, findings: &mut Findings) {
+    let Some(path) = path else { return };
+    let shown = path.display();
+    if path.is_dir() {
+        findings.add(key, format!("{shown} is a folder, not a file"));
+    } else if let Err(error) = std::fs::File::open(path) {
+        findings.add(key, format!("{shown} cannot be read: {error}"));
+    }
+}
+
+/// Wants a folder, or a place where one can be made.
+fn state_dir(folder: &Path, findings: &mut Findings) {
+    let shown = folder.display();
+    if folder.exists() && !folder.is_dir() {
+        return findings.add(
+            "node.state_dir",
+            format!("{shown} is a file; name a folder"),
+        );
+    }
+    // The nearest that is there: the rest is made at the start.
+    let Some(there) = folder.ancestors().find(|folder| folder.exists()) else {
+        return;
+    };
+    if !there.is_dir() {
+        findings.add(
+            "node.state_dir",
+            format!("{shown} cannot be made: {} is a file", there.display()),
+        );
+    } else if refuses_files(there) {
+        findings.add(
+            "node.state_dir",
+            format!("{} cannot be written to", there.display()),
+        );
+    }
+}
+
+/// Whether nothing can be written to a folder: by trying, for permissions are not the only reason.
+fn refuses_files(folder: &Path) -> bool {
+    let probe = folder.join(format!(".albireo-check-{}", std::process::id()));
+    let written = std::fs::write(&probe, []);
+    let _ = std::fs::remove_file(&probe);
+    written.is_err()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::path::PathBuf;
+
+    #[test]
+    fn everything_that_is_missing_is_told_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let taken = folder.path().join("taken");
+        std::fs::write(&taken, "short").unwrap();
+        let mut config = NodeConfig::default();
+        config.detector.model = PathBuf::from("/nowhere/detector.onnx");
+        config.detector.class_names = Some(ClassNames::File("/nowhere/classes.txt".into()));
+        config.detector.onnxruntime = Some("/nowhere/libonnxruntime.so".into());
+        config.screen.model = Some(folder.path().to_owned());
+        config.http.token_file = Some(taken.clone());
+        config.node.state_dir = Some(taken);
+        config.uplink.root_ca_certificate = Some("/nowhere/ca.pem".into());
+        let found: Vec<_> = (config.missing_here().into_iter())
+            .map(|finding| finding.key)
+            .collect();
+        assert_eq!(
+            found,
+            [
+                "detector.model",
+                "detector.class_names",
+                "screen.model",
+                "detector.onnxruntime",
+                "http.token_file",
+                "uplink.root_ca_certificate",
+                "node.state_dir",
+            ]
+        );
+    }
+
+    #[test]
+    fn a_provider_that_the_library_does_not_have_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        let library = folder.path().join("libonnxruntime.so");
+        std::fs::write(&library, []).unwrap();
+        let mut config = NodeConfig::default();
+        config.detector.onnxruntime = Some(library);
+        config.detector.providers = vec![ExecutionProvider::Cuda];
+        let about = |config: &NodeConfig| {
+            let found = config.missing_here();
+            found
+                .into_iter()
+                .find(|finding| finding.key == "detector.providers")
+        };
+        let finding = about(&config).unwrap();
+        assert!(
+            finding
+                .reason
+                .contains("`cuda` is not in this ONNX Runtime"),
+            "{finding}"
+        );
+        std::fs::write(folder.path().join("libonnxruntime_providers_cuda.so"), []).unwrap();
+        assert_eq!(about(&config), None);
+    }
+
+    #[test]
+    fn a_port_that_is_taken_is_in_the_way() {
+        let held = TcpListener::bind("127.0.0.1:0").unwrap();
+        let address = held.local_addr().unwrap();
+        let mut config = NodeConfig::default();
+        config.http.listen = address;
+        config.zenoh.listen = vec![format!("tcp/{address}")];
+        let keys: Vec<_> = (config.in_the_way().into_iter())
+            .map(|finding| finding.key)
+            .collect();
+        assert_eq!(keys, ["http.listen", "zenoh.listen"]);
+    }
+}

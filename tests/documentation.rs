@@ -1,0 +1,549 @@
+//! The pages that people read: what they say of messages is what the code says, every command in them is one the program
+//! takes, and those marked `run` are run, in the order in which they stand.
+//!
+//! A block of commands is marked by the line before it: `<!-- run -->`, or `<!-- by hand, DATE -->` where it wants
+//! more than a test has.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::support::{Node, PATIENCE, free_port, python};
+use albireo_eval::recommendation::RECOMMENDATION;
+use serde_json::{Map, Value};
+use std::collections::BTreeSet;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use tokio::io::AsyncReadExt;
+use tokio::process::{Child, Command};
+use tokio::time::timeout;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn page(name: &str) -> String {
+    std::fs::read_to_string(root().join(name)).unwrap_or_else(|error| panic!("{name}: {error}"))
+}
+
+/// A block of commands.
+struct Block {
+    page: &'static str,
+    /// The line before it.
+    mark: String,
+    /// Its lines, those that end with a backslash joined with the next.
+    commands: Vec<String>,
+}
+
+const PAGES: [&str; 9] = [
+    "README.md",
+    "docs/energy.md",
+    "docs/how-it-works.md",
+    "docs/jetson.md",
+    "docs/messages.md",
+    "docs/policies.md",
+    "docs/publishing.md",
+    "docs/threshold.md",
+    "docs/troubleshooting.md",
+];
+
+fn blocks() -> Vec<Block> {
+    let mut blocks = Vec::new();
+    for name in PAGES {
+        let text = page(name);
+        let mut before = String::new();
+        let mut lines = text.lines();
+        while let Some(line) = lines.next() {
+            if line == "```sh" {
+                let block: Vec<_> = lines.by_ref().take_while(|line| *line != "```").collect();
+                blocks.push(Block {
+                    page: name,
+                    mark: before.clone(),
+                    commands: (block.join("\n").replace("\\\n", " ").lines())
+                        .map(|line| uncommented(line).trim().to_owned())
+                        .filter(|line| !line.is_empty())
+                        .collect(),
+                });
+            }
+            line.clone_into(&mut before);
+        }
+    }
+    blocks
+}
+
+/// A command without the comment behind it.
+fn uncommented(line: &str) -> &str {
+    line.find(" # ")
+        .or_else(|| line.starts_with("# ").then_some(0))
+        .map_or(line, |at| &line[..at])
+}
+
+#[test]
+fn every_block_of_commands_is_run_or_says_when_it_was_run_by_hand() {
+    let blocks = blocks();
+    assert!(blocks.len() >= 10, "{}", blocks.len());
+    for block in blocks {
+        let dated = block
+            .mark
+            .strip_prefix("<!-- by hand, ")
+            .and_then(|rest| rest.strip_suffix(" -->"))
+            .is_some_and(|date| date.len() == 10 && date.starts_with("20"));
+        assert!(
+            dated || block.mark == "<!-- run -->",
+            "{}: `{}` is marked `{}`",
+            block.page,
+            block.commands.join("; "),
+            block.mark
+        );
+    }
+}
+
+#[test]
+fn every_command_that_is_printed_is_one_the_program_takes() {
+    let mut seen = 0;
+    for block in blocks() {
+        for command in &block.commands {
+            let command = command.trim_end_matches('&').trim();
+            let Some(arguments) = command.strip_prefix("albireo ") else {
+                continue;
+            };
+            seen += 1;
+            let words = arguments.replace('\'', "");
+            let words = std::iter::once("albireo").chain(words.split_whitespace());
+            if let Err(error) =
+                albireo::cli::Arguments::fitted_command().try_get_matches_from(words)
+            {
+                panic!("{}: {command}\n{error}", block.page);
+            }
+        }
+    }
+    assert!(seen >= 10, "{seen}");
+}
+
+#[test]
+fn the_readme_is_short_and_goes_from_the_camera_to_the_limits() {
+    let text = page("README.md");
+    assert!(text.lines().count() <= 150, "{}", text.lines().count());
+    let headings: Vec<_> = text
+        .lines()
+        .filter(|line| line.starts_with("## "))
+        .collect();
+    let expected = [
+        "## Install",
+        "## Your camera",
+        "## What you see",
+        "## Does it save on my board?",
+        "## Your own detector",
+        "## Tune",
+        "## A fleet",
+        "## Evaluate",
+        "## Limits",
+    ];
+    assert_eq!(headings, expected);
+}
+
+#[test]
+fn there_is_one_recommendation_and_it_is_the_same_everywhere() {
+    let plain = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let recommendation = plain(&RECOMMENDATION.join(" "));
+    for name in ["README.md", "docs/policies.md"] {
+        assert!(plain(&page(name)).contains(&recommendation), "{name}");
+    }
+}
+
+/// The words of a schema's type.
+fn type_of(schema: &Value) -> String {
+    if let Some(reference) = schema["$ref"].as_str() {
+        let name = reference.rsplit('/').next().unwrap_or(reference);
+        return format!("[{name}](#{})", name.to_lowercase());
+    }
+    for one_of in ["oneOf", "anyOf", "allOf"] {
+        if let Some(options) = schema[one_of].as_array() {
+            let words: Vec<_> = (options.iter())
+                .filter(|option| option["type"] != "null")
+                .map(type_of)
+                .collect();
+            return words.join(" or ");
+        }
+    }
+    let name = match &schema["type"] {
+        Value::Array(names) => names
+            .iter()
+            .filter_map(Value::as_str)
+            .find(|name| *name != "null")
+            .unwrap_or_default()
+            .to_owned(),
+        Value::String(name) => name.clone(),
+        _ => String::new(),
+    };
+    match name.as_str() {
+        "array" => format!("list of {}", type_of(&schema["items"])),
+        "object" if schema["additionalProperties"].is_object() => {
+            format!("names to {}", type_of(&schema["additionalProperties"]))
+        }
+        "integer" => "whole number".to_owned(),
+        "boolean" => "true or false".to_owned(),
+        "string" if schema["enum"].is_array() => {
+            let names = schema["enum"].as_array().unwrap();
+            let names: Vec<_> = (names.iter().filter_map(Value::as_str))
+                .map(|name| format!("`{name}`"))
+                .collect();
+            names.join(", ")
+        }
+        "string" => "text".to_owned(),
+        other => other.to_owned(),
+    }
+}
+
+/// What a schema says of itself, in one line.
+fn description(schema: &Value) -> String {
+    let text = schema["description"].as_str().unwrap_or_default();
+    let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
+    // Links of the code's own documentation lead nowhere here.
+    text.replace("[`", "`")
+        .replace("`]", "`")
+        .replace('|', "\\|")
+}
+
+/// The fields of a schema, with whether each must be there; parts that are flattened into it among them.
+fn fields<'a>(schemas: &'a Value, schema: &'a Value, into: &mut Vec<(String, &'a Value, bool)>) {
+    for part in schema["allOf"].as_array().into_iter().flatten() {
+        let part = match part["$ref"].as_str() {
+            Some(reference) => &schemas[reference.rsplit('/').next().unwrap()],
+            None => part,
+        };
+        fields(schemas, part, into);
+    }
+    let required: BTreeSet<_> = (schema["required"].as_array().into_iter().flatten())
+        .filter_map(Value::as_str)
+        .collect();
+    for (name, field) in schema["properties"].as_object().into_iter().flatten() {
+        into.push((format!("`{name}`"), field, required.contains(name.as_str())));
+    }
+    if schema["additionalProperties"].is_object() {
+        into.push(("`u`, `lambda`, …".to_owned(), schema, false));
+    }
+}
+
+fn references(value: &Value, found: &mut Vec<String>) {
+    match value {
+        Value::Object(map) => {
+            if let Some(reference) = map.get("$ref").and_then(Value::as_str) {
+                found.push(reference.rsplit('/').next().unwrap().to_owned());
+            }
+            map.values().for_each(|value| references(value, found));
+        }
+        Value::Array(list) => list.iter().for_each(|value| references(value, found)),
+        _ => {}
+    }
+}
+
+/// What goes over Zenoh: key, who writes it, message.
+const MESSAGES: [(&str, &str, &str); 14] = [
+    (
+        "…/{camera}/frame",
+        "in",
+        "the picture; its attachment, which may be missing: FrameAttachment",
+    ),
+    (
+        "…/{camera}/frame",
+        "answer, where the camera has `delivery = \"every\"`",
+        "FrameAnswer",
+    ),
+    ("…/{camera}/detections", "out, a frame", "DetectionsMessage"),
+    ("…/{camera}/clip", "out, a clip", "ClipReport"),
+    ("…/{camera}/counters", "out, a second", "CountersMessage"),
+    (
+        "…/{camera}/threshold",
+        "in by put; in and out by query",
+        "ThresholdMessage",
+    ),
+    (
+        "{prefix}/@report/{node}",
+        "query to the hub, compressed",
+        "ReportBatch",
+    ),
+    (
+        "{prefix}/@report/{node}",
+        "the hub's answer",
+        "ReportAnswer",
+    ),
+    (
+        "{prefix}/@status/{node}",
+        "out, at a change and as a sign of life",
+        "StatusMessage",
+    ),
+    ("{prefix}/@pull/{node}", "query to the hub", "PullRequest"),
+    ("{prefix}/@pull/{node}", "the hub's answer", "Desired"),
+    ("{prefix}/@poke/{node}", "put by the hub", "Poke"),
+    ("HTTP `/api/v1/events`", "event `frame`", "FrameEvent"),
+    (
+        "HTTP `/api/v1/events`",
+        "event `threshold`",
+        "ThresholdEvent",
+    ),
+];
+
+fn message_reference() -> String {
+    let document = serde_json::to_value(albireo_node::http::openapi()).unwrap();
+    let schemas = &document["components"]["schemas"];
+    let mut text = "# Messages\n\nWhat goes over Zenoh, and the events of HTTP, as the code has them; a test holds this page to it \
+        (`ALBIREO_UPDATE=1` writes it). All are JSON. `…` is `{prefix}/{node}`, by default `albireo/node`. Every message carries \
+        its version as `v`; another version is refused, counted and logged. A field in *italics* may be missing. Routes are \
+        described by a node itself, at `/api/v1` and `/openapi.json`.\n\n| key | direction | message |\n| --- | --- | --- |\n"
+        .to_owned();
+    let mut wanted: Vec<String> = Vec::new();
+    for (key, direction, message) in MESSAGES {
+        let name = message.rsplit(' ').next().unwrap();
+        let linked = message.replace(name, &format!("[{name}](#{})", name.to_lowercase()));
+        let key = if key.starts_with("HTTP") {
+            key.to_owned()
+        } else {
+            format!("`{key}`")
+        };
+        writeln!(text, "| {key} | {direction} | {linked} |").unwrap();
+        wanted.push(name.to_owned());
+    }
+    let mut done: BTreeSet<String> = BTreeSet::new();
+    let mut next = 0;
+    while let Some(name) = wanted.get(next).cloned() {
+        next += 1;
+        if !done.insert(name.clone()) {
+            continue;
+        }
+        let schema = &schemas[&name];
+        assert!(schema.is_object(), "{name} is not described");
+        writeln!(text, "\n## {name}\n\n{}", description(schema)).unwrap();
+        let mut found = Vec::new();
+        fields(schemas, schema, &mut found);
+        if found.is_empty() {
+            writeln!(text, "\nOne of {}.", values(schema)).unwrap();
+        } else {
+            text.push_str("\n| field | type | what |\n| --- | --- | --- |\n");
+            for (field, schema, required) in found {
+                let shown = if required {
+                    field
+                } else {
+                    format!("*{field}*")
+                };
+                if schema["additionalProperties"].is_object() && schema["properties"].is_object() {
+                    let said = "The value of the policy's knob, under the knob's own name; absent without one.";
+                    writeln!(text, "| {shown} | number | {said} |").unwrap();
+                    continue;
+                }
+                writeln!(
+                    text,
+                    "| {shown} | {} | {} |",
+                    type_of(schema),
+                    description(schema)
+                )
+                .unwrap();
+            }
+        }
+        references(schema, &mut wanted);
+    }
+    text
+}
+
+/// The values of an enumeration, with what each means.
+fn values(schema: &Value) -> String {
+    if let Some(options) = schema["oneOf"].as_array() {
+        let words: Vec<_> = (options.iter())
+            .map(|option| {
+                let said = description(option);
+                let said = if said.is_empty() {
+                    said
+                } else {
+                    format!(" ({said})")
+                };
+                type_of(option) + &said
+            })
+            .collect();
+        return words.join("; ");
+    }
+    type_of(schema)
+}
+
+#[test]
+fn the_message_reference_is_what_the_code_says() {
+    let now = message_reference();
+    let path = root().join("docs/messages.md");
+    if std::env::var_os("ALBIREO_UPDATE").is_some() {
+        std::fs::write(&path, &now).unwrap();
+    }
+    let kept = std::fs::read_to_string(&path).unwrap_or_default();
+    assert!(
+        kept == now,
+        "docs/messages.md is not what the program says: run this test with ALBIREO_UPDATE=1"
+    );
+}
+
+/// A message as it is sent has no field that the reference does not name.
+#[test]
+fn a_real_message_has_the_fields_of_the_reference() {
+    let message = crate::http_api::sample_detections();
+    let sent: Map<String, Value> =
+        serde_json::from_value(serde_json::to_value(message).unwrap()).unwrap();
+    let document = serde_json::to_value(albireo_node::http::openapi()).unwrap();
+    let schemas = &document["components"]["schemas"];
+    let mut found = Vec::new();
+    fields(schemas, &schemas["DetectionsMessage"], &mut found);
+    let known: BTreeSet<_> = found
+        .iter()
+        .map(|(name, ..)| name.trim_matches('`'))
+        .collect();
+    for name in sent.keys().filter(|name| *name != "u") {
+        assert!(known.contains(name.as_str()), "{name} is not in {known:?}");
+    }
+    assert!(known.len() > 9, "{known:?}");
+}
+
+/// A folder with what the commands want of a checkout: models and pages.
+fn workshop() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["models", "docs"] {
+        std::os::unix::fs::symlink(root().join(name), folder.path().join(name)).unwrap();
+    }
+    let config = "[[camera]]\nname = \"front\"\n";
+    std::fs::write(folder.path().join("node.toml"), config).unwrap();
+    folder
+}
+
+/// Runs a line of a page in `folder`.
+fn shell(folder: &Path, line: &str, settings: &[(&str, String)]) -> Child {
+    let programs = Path::new(env!("CARGO_BIN_EXE_albireo")).parent().unwrap();
+    let path = std::env::var("PATH").unwrap_or_default();
+    // As the README has it, from a folder that is not the checkout.
+    let library = std::env::var_os("ORT_DYLIB_PATH")
+        .unwrap_or_else(|| root().join(".cache/onnxruntime").into_os_string());
+    Command::new("sh")
+        .args(["-c", &format!("exec {line}")])
+        .current_dir(folder)
+        .env("PATH", format!("{}:{path}", programs.display()))
+        .env("ORT_DYLIB_PATH", library)
+        .envs(settings.iter().map(|(name, value)| (*name, value)))
+        .kill_on_drop(true)
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+async fn run_line(folder: &Path, line: &str, settings: &[(&str, String)]) -> String {
+    let child = shell(folder, line, settings);
+    let output = timeout(4 * PATIENCE, child.wait_with_output())
+        .await
+        .unwrap_or_else(|_| panic!("{line} does not end"))
+        .unwrap();
+    let (said, failed) = (
+        String::from_utf8_lossy(&output.stdout).into_owned(),
+        String::from_utf8_lossy(&output.stderr).into_owned(),
+    );
+    println!("$ {line}\n{said}\n{failed}");
+    assert!(output.status.success(), "{line}\n{said}\n{failed}");
+    said
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime and curl"]
+async fn the_commands_of_the_readme_run_in_their_order() {
+    let folder = workshop();
+    let (http, zenoh) = (free_port(), free_port());
+    let settings = [
+        ("ALBIREO_HTTP__LISTEN", format!("127.0.0.1:{http}")),
+        (
+            "ALBIREO_ZENOH__LISTEN",
+            format!("[\"tcp/127.0.0.1:{zenoh}\"]"),
+        ),
+    ];
+    // As the page says before: a node runs in another terminal.
+    let mut node = shell(folder.path(), "albireo node --config node.toml", &settings);
+    let ready = format!("http://127.0.0.1:{http}/readyz");
+    let waiting = async {
+        while !reqwest::get(&ready)
+            .await
+            .is_ok_and(|said| said.status().is_success())
+        {
+            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+        }
+    };
+    timeout(PATIENCE, waiting)
+        .await
+        .expect("the node gets ready");
+    let mut ran = 0;
+    for block in blocks() {
+        if block.page != "README.md" || block.mark != "<!-- run -->" {
+            continue;
+        }
+        for command in &block.commands {
+            let mut line = command.replace("localhost:8080", &format!("127.0.0.1:{http}"));
+            if let Some(rest) = line.strip_prefix("curl ") {
+                line = format!("curl -sSf {rest}");
+            }
+            if line.starts_with("albireo replay ") {
+                line = format!("{line} --connect tcp/127.0.0.1:{zenoh}");
+            }
+            let said = run_line(folder.path(), &line, &[]).await;
+            if line.starts_with("albireo compare ") {
+                assert!(said.contains("detector calls than vanilla"), "{said}");
+            }
+            ran += 1;
+        }
+    }
+    assert!(ran >= 9, "{ran}");
+    assert!(folder.path().join("results/report.html").is_file());
+    node.kill().await.unwrap();
+    let mut log = String::new();
+    let mut stderr = node.stderr.take().unwrap();
+    stderr.read_to_string(&mut log).await.unwrap();
+    assert!(log.contains("first frame"), "{log}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime and Python"]
+async fn the_python_examples_publish_and_listen() {
+    let folder = workshop();
+    run_line(
+        folder.path(),
+        "albireo synth --out drive --frames 20 --size 640x360",
+        &[],
+    )
+    .await;
+    let models = root().join("models");
+    let node = Node::start(&format!(
+        "[detector]\nmodel = \"{}\"\n[[camera]]\nname = \"front\"\n",
+        models.join("detector.onnx").display()
+    ))
+    .await;
+    let example = |name: &str| -> PathBuf { root().join("docs/examples").join(name) };
+    let listen = format!(
+        "{} {} 'albireo/*/*/detections' {} 10",
+        python(),
+        example("listen.py").display(),
+        node.zenoh
+    );
+    let listening = shell(folder.path(), &listen, &[]);
+    let publish = format!(
+        "{} {} drive albireo/node/front/frame {}",
+        python(),
+        example("publish.py").display(),
+        node.zenoh
+    );
+    // The listener may come late: play until it has heard enough.
+    let heard = tokio::spawn(listening.wait_with_output());
+    while !heard.is_finished() {
+        let said = run_line(folder.path(), &publish, &[]).await;
+        assert!(
+            said.contains("20 frames sent on albireo/node/front/frame"),
+            "{said}"
+        );
+    }
+    let output = timeout(PATIENCE, heard).await.unwrap().unwrap().unwrap();
+    let said = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        output.status.success(),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    assert_eq!(said.lines().count(), 10, "{said}");
+}
