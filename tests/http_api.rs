@@ -9,5 +9,6 @@ mod events;
 mod exposition;
 mod looking;
 mod metrics;
+mod past;
 mod served;
 mod threshold;

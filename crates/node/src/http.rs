@@ -2,8 +2,11 @@
 
 mod cameras;
 mod clips;
+mod diag;
 mod events;
 mod health;
+mod history;
+mod log;
 mod metrics;
 mod node;
 mod picture;
@@ -35,6 +38,8 @@ pub struct NodeView {
     pub board: Arc<Board>,
     /// Limits for decoding the latest picture of a camera that does not send JPEG.
     pub limits: FrameLimits,
+    /// The configuration as it may be shown: without its secrets.
+    pub config: Arc<serde_json::Value>,
 }
 
 /// What every handler gets.
@@ -115,9 +120,14 @@ fn described() -> OpenApiRouter<RouteState> {
         .routes(routes!(states::all))
         .routes(routes!(states::one))
         .routes(routes!(cameras::list))
+        .routes(routes!(history::camera))
+        .routes(routes!(history::skip_estimate))
+        .routes(routes!(history::power))
         .routes(routes!(picture::jpeg))
         .routes(routes!(clips::list))
         .routes(routes!(events::stream))
+        .routes(routes!(log::tail))
+        .routes(routes!(diag::archive))
         .routes(routes!(metrics::text))
 }
 

@@ -3,6 +3,7 @@
 use crate::config::NodeConfig;
 use crate::http::{self, NodeView};
 use crate::{NodeError, PreparedNode};
+use albireo_service::config::without_secrets;
 use std::sync::Arc;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -41,6 +42,7 @@ pub async fn run_prepared(
     let view = NodeView {
         board: Arc::clone(prepared.board()),
         limits: config.frame,
+        config: Arc::new(without_secrets(config)),
     };
     // HTTP outlives the node, so that a look at the counters is possible until the end.
     let serving = CancellationToken::new();

@@ -58,3 +58,23 @@ fn a_report_that_cannot_be_read_does_not_make_its_batch_unreadable() {
     assert_eq!(batch.reports.len(), 2);
     assert!(read::<ClipReport>(batch.reports[1].get().as_bytes()).is_err());
 }
+
+#[test]
+fn calls_by_cause_are_named_as_in_the_message_of_a_frame_and_survive_a_later_version() {
+    let mut calls = DetectorCalls::default();
+    for cause in CallCause::ALL {
+        assert_eq!(CallCause::ALL[cause as usize], cause);
+        assert_eq!(calls.get(cause), 0);
+        calls.count(cause);
+        assert_eq!(calls.get(cause), 1);
+        assert_eq!(
+            serde_json::to_value(cause).unwrap(),
+            serde_json::Value::from(cause.as_str())
+        );
+    }
+    let json = serde_json::to_string(&calls).unwrap();
+    assert_eq!(serde_json::from_str::<DetectorCalls>(&json).unwrap(), calls);
+    let later: DetectorCalls =
+        serde_json::from_str(r#"{"uncertain":3,"of_a_later_version":4}"#).unwrap();
+    assert_eq!((later.get(CallCause::Uncertain), later.total()), (3, 3));
+}

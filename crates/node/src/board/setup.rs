@@ -41,6 +41,7 @@ impl BoardSetup {
                 key: config.frame_key(camera)?,
                 knob: policy.knob(),
                 threshold: camera.threshold.or_else(|| policy.knob_value()),
+                longest_pause: policy.longest_pause(),
             })
         };
         let model = &config.detector.model;

@@ -3,7 +3,7 @@
 use super::RouteState;
 use crate::board::CameraBoard;
 use albireo_service::http::Problem;
-use albireo_wire::{DroppedFrames, FrameStates, KnobValue};
+use albireo_wire::{DetectorCalls, DroppedFrames, FrameStates, KnobValue};
 use axum::Json;
 use axum::extract::{Path, State};
 use serde::Serialize;
@@ -22,6 +22,9 @@ pub(super) struct CameraStates {
     skip_rate: f64,
     /// Frames answered from prediction because the detector could not be had.
     degraded_frames: u64,
+    /// Frames that the detector was called for, by cause; degraded ones are among them.
+    #[schema(value_type = std::collections::BTreeMap<String, u64>)]
+    calls: DetectorCalls,
     /// Frames not processed, by kind.
     dropped: DroppedFrames,
     /// Largest uncertainty of the newest frame; absent without objects.
@@ -51,6 +54,9 @@ pub(super) struct NodeStates {
     skip_rate: f64,
     /// Frames answered from prediction because the detector could not be had, all cameras together.
     degraded_frames: u64,
+    /// Frames that the detector was called for, by cause, all cameras together.
+    #[schema(value_type = std::collections::BTreeMap<String, u64>)]
+    calls: DetectorCalls,
     /// Each camera's.
     cameras: Vec<CameraStates>,
 }
@@ -63,6 +69,7 @@ fn of(camera: &CameraBoard) -> CameraStates {
         states: snapshot.states,
         skip_rate: snapshot.skip_rate(),
         degraded_frames: snapshot.degraded_frames,
+        calls: snapshot.calls,
         dropped: snapshot.dropped,
         tau_max: snapshot.latest.and_then(|latest| latest.tau_max),
         knob: camera.knob_value(),
@@ -73,13 +80,15 @@ fn of(camera: &CameraBoard) -> CameraStates {
 /// The frame-state counters of all cameras
 ///
 /// `curl http://127.0.0.1:8080/api/v1/frame-states`
-#[utoipa::path(get, path = "/api/v1/frame-states", tag = "frames", responses((status = 200, body = NodeStates)))]
+#[utoipa::path(get, operation_id = "frame_states", path = "/api/v1/frame-states", tag = "frames", responses((status = 200, body = NodeStates)))]
 pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
     let board = shared.board();
     let cameras: Vec<_> = board.cameras().iter().map(|camera| of(camera)).collect();
     let mut states = FrameStates::default();
+    let mut calls = DetectorCalls::default();
     for camera in &cameras {
         states += camera.states;
+        calls += &camera.calls;
     }
     let degraded_frames = cameras.iter().map(|camera| camera.degraded_frames).sum();
     Json(NodeStates {
@@ -89,6 +98,7 @@ pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
         states,
         skip_rate: states.skip_rate(degraded_frames),
         degraded_frames,
+        calls,
         cameras,
     })
 }
@@ -97,7 +107,7 @@ pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
 ///
 /// `curl http://127.0.0.1:8080/api/v1/cameras/front/frame-states`
 #[utoipa::path(
-    get, path = "/api/v1/cameras/{camera}/frame-states", tag = "frames",
+    get, operation_id = "camera_frame_states", path = "/api/v1/cameras/{camera}/frame-states", tag = "frames",
     params(("camera" = String, Path, description = "The camera's name.")),
     responses(
         (status = 200, body = CameraStates),
