@@ -100,7 +100,7 @@ async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
     for seq in 0..300 {
         let age = seq % 3;
         let mut message = (*frame(seq, FrameState::P)).clone();
-        message.tau_max = Some(1e-4 * (age + 1) as f64);
+        message.tau_max = Some(1.1e-4 * (age + 1) as f64);
         if age == 2 {
             message.state = FrameState::I;
             message.cause = Some(CallCause::Uncertain);

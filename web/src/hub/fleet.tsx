@@ -2,7 +2,7 @@
 
 import { signal } from "@preact/signals";
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import { ago, count, dateTime, plural, small } from "../shared/format";
+import { ago, count, dateTime, joules, plural, small } from "../shared/format";
 import { Section } from "../shared/parts";
 import { Fault, Presence } from "./parts";
 import { href, refine, route } from "./route";
@@ -39,6 +39,7 @@ const COLUMNS: { id: string; head: string; sort?: string; class: string }[] = [
   { id: "heard", head: "heard", sort: "heard", class: "c-heard" },
   { id: "knob", head: "threshold", class: "c-knob" },
   { id: "provider", head: "runs on", class: "c-provider" },
+  { id: "joules", head: "energy today", sort: "joules", class: "c-joules" },
   { id: "waiting", head: "waiting", sort: "waiting", class: "c-waiting" },
   { id: "labels", head: "labels", class: "c-labels" },
 ];
@@ -217,6 +218,9 @@ function Row(props: {
       <span role="cell" class="c-provider">
         {node.status?.provider ?? "–"}
       </span>
+      <span role="cell" class="c-joules">
+        <Today energy={node.today} />
+      </span>
       <span role="cell" class="c-waiting">
         {count(node.waiting)}
       </span>
@@ -224,6 +228,19 @@ function Row(props: {
         {labels}
       </span>
     </div>
+  );
+}
+
+/** What a node used today; measured and estimated are never added. */
+function Today({ energy }: { energy: NodeView["today"] }) {
+  const { measured_joules: measured, estimated_joules: estimated } = energy;
+  if (measured === 0 && estimated === 0) return <>–</>;
+  return (
+    <>
+      {measured > 0 && joules(measured)}
+      {measured > 0 && estimated > 0 && ", "}
+      {estimated > 0 && <span title="estimated, not measured">≈ {joules(estimated)}</span>}
+    </>
   );
 }
 

@@ -11,10 +11,11 @@ import { Clips } from "./clips";
 import { Header, Headline } from "./header";
 import { Health } from "./health";
 import { KnobPanel } from "./knob";
+import { Log } from "./log";
 import { Picture } from "./picture";
 import { Ribbon } from "./ribbon";
 import { States } from "./states";
-import { cameras, lost, opened, watchFrames, watchNode } from "./store";
+import { cameras, lost, opened, overview, watchFrames, watchNode } from "./store";
 
 function Page() {
   const who = caller.value;
@@ -61,6 +62,7 @@ function Page() {
             <Health />
           </div>
           <Clips />
+          <Log name={overview.value?.node} />
         </main>
       )}
     </>

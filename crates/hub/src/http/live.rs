@@ -18,6 +18,7 @@ use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio::time::{Interval, MissedTickBehavior};
 use zenoh::Session;
 use zenoh::pubsub::Subscriber;
+use zenoh::qos::{CongestionControl, Priority};
 
 /// Watched nodes at a time, each with a connection.
 pub(super) const MOST_LIVE: usize = 64;
@@ -176,12 +177,15 @@ pub(super) async fn picture(
                 .session
                 .get(&key)
                 .timeout(PICTURE_WITHIN)
+                // The reply has the same: a picture must not stand in the way of reports.
+                .priority(Priority::DataLow)
+                .congestion_control(CongestionControl::Drop)
                 .await
                 .map_err(|error| {
                     Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
                 })?;
             if let Ok(reply) = replies.recv_async().await {
-                return Ok(reply);
+                return Ok::<_, Problem>(reply);
             }
             // Nobody answers this key yet: the node declares it once it has heard that it is watched.
             tokio::time::sleep(Duration::from_millis(200)).await;

@@ -10,7 +10,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 use zenoh::bytes::Encoding;
 use zenoh::pubsub::Publisher;
-use zenoh::qos::{CongestionControl, Priority};
+use zenoh::qos::CongestionControl;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
@@ -155,8 +155,6 @@ impl Watched {
                         .reply(query.key_expr().clone(), file.to_vec())
                         .encoding(Encoding::IMAGE_JPEG)
                         .attachment(seq.to_string())
-                        .priority(Priority::DataLow)
-                        .congestion_control(CongestionControl::Drop)
                         .wait(),
                     Err(fault) => query.reply_err(fault.to_string()).wait(),
                 }
