@@ -179,6 +179,124 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/cameras/{camera}/history": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * A camera's last minutes frame by frame, and its last hour in pieces
+         * @description The node keeps the newest 8192 frames and 360 pieces of ten seconds in memory, whoever looks.
+         *     `curl 'http://127.0.0.1:8080/api/v1/cameras/front/history?frames=100'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description At most so many of the last frames, 0 to 8192; 3000 by default. */
+                    frames?: number;
+                };
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["CameraHistory"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/cameras/{camera}/skip-estimate": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * What other thresholds would have skipped over the last minutes
+         * @description An estimate from the uncertainties that were recorded frame by frame, for the threshold `u`.
+         *     `curl 'http://127.0.0.1:8080/api/v1/cameras/front/skip-estimate?values=1e-4,3e-4,1e-3'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /**
+                     * @description Values of the threshold, separated by commas, at most 64; without it, 41 from a hundredth of the default to a hundred
+                     *     times it.
+                     */
+                    values?: string;
+                };
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["SkipEstimates"];
+                    };
+                };
+                /** @description The policy is not turned by u, or has no record to estimate from yet. */
+                409: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/cameras/{camera}/threshold": {
         parameters: {
             query?: never;
@@ -318,6 +436,53 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/diag": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * One archive (tar) of what helps to find a fault
+         * @description Versions, the configuration with its secrets masked, readiness with reasons, cameras, frame-state counters, metrics, the
+         *     last clips, and the last lines of the log. `curl -O -J http://127.0.0.1:8080/api/v1/diag`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/x-tar": number[];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/events": {
         parameters: {
             query?: never;
@@ -422,6 +587,58 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/log": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The last lines of the log
+         * @description The node keeps the newest 1000 in memory, from level `info` on whatever standard error is to hear. No configured secret
+         *     is in them. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Only lines after that number. */
+                    after?: number;
+                    /** @description At most so many, the newest, 1 to 1000; 200 by default. */
+                    limit?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Log"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/node": {
         parameters: {
             query?: never;
@@ -449,6 +666,44 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["NodeOverview"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/power": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The node's power over the last hour, in pieces
+         * @description `curl http://127.0.0.1:8080/api/v1/power`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["PowerHistory"];
                     };
                 };
             };
@@ -664,6 +919,31 @@ export interface paths {
 export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
+        /** @description What was saved over a time. */
+        Balance: {
+            /**
+             * Format: int64
+             * @description Detector calls avoided: frames answered without it, degraded ones not among them.
+             */
+            avoided_calls: number;
+            /**
+             * Format: int64
+             * @description Frames answered from prediction because the detector could not be had.
+             */
+            degraded_frames: number;
+            /** @description Energy of the clips that ended in this time, by quality; a quality without clips is left out. */
+            energy: components["schemas"]["SavedEnergy"][];
+            /**
+             * Format: int64
+             * @description Frames processed.
+             */
+            frames: number;
+            /**
+             * Format: int64
+             * @description From when on, milliseconds since the Unix epoch: the node's start, or midnight UTC where that is later.
+             */
+            since_ms: number;
+        };
         /**
          * @description The state of the board during a clip, as far as the board tells: the same clip costs differently in
          *     each.
@@ -726,6 +1006,12 @@ export interface components {
          * @enum {string}
          */
         BoxSource: "detected" | "predicted" | "rescued";
+        /**
+         * @description Why the detector was called for a frame, whether or not it answered. Where several things call it at once, the one
+         *     named first here is said.
+         * @enum {string}
+         */
+        CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame";
         /** @description A camera. */
         CameraEntry: {
             /** @description Its name. */
@@ -758,8 +1044,69 @@ export interface components {
              */
             width?: number | null;
         };
+        /** @description What became of a camera's frames lately. */
+        CameraHistory: {
+            /** @description Camera. */
+            camera: string;
+            /** @description The last frames. */
+            frames: components["schemas"]["PastFrames"];
+            /**
+             * Format: int64
+             * @description The node's clock now, milliseconds since the Unix epoch.
+             */
+            now_ms: number;
+            /**
+             * Format: int64
+             * @description Length of a piece of the hour, seconds.
+             */
+            slot_s: number;
+            /** @description The last hour in pieces, the oldest first, the last one still open; those without a frame are left out. */
+            slots: components["schemas"]["CameraSlot"][];
+        };
+        /** @description A piece of the last hour. */
+        CameraSlot: {
+            /**
+             * Format: int64
+             * @description When it began, milliseconds since the Unix epoch.
+             */
+            at_ms: number;
+            /**
+             * Format: int32
+             * @description Frames that the detector was called for.
+             */
+            calls: number;
+            /**
+             * Format: int32
+             * @description Of these, answered from prediction because the detector could not be had.
+             */
+            degraded: number;
+            /**
+             * Format: float
+             * @description Median time of the detector, milliseconds; absent where it did not run.
+             */
+            detector_p50_ms?: number | null;
+            /**
+             * Format: float
+             * @description 99th percentile of it.
+             */
+            detector_p99_ms?: number | null;
+            /**
+             * Format: int32
+             * @description Frames processed.
+             */
+            frames: number;
+            /**
+             * Format: int32
+             * @description Of these, without the detector: state E or P and not degraded.
+             */
+            skipped: number;
+        };
         /** @description What became of a camera's frames since the node started. The five states add up to `frames`. */
         CameraStates: {
+            /** @description Frames that the detector was called for, by cause; degraded ones are among them. */
+            calls: {
+                [key: string]: number;
+            };
             /** @description Camera. */
             camera: string;
             /**
@@ -929,6 +1276,10 @@ export interface components {
         };
         /** @description Where a camera stands, once a second. */
         CountersMessage: {
+            /** @description Frames that the detector was called for since the node started, by cause; degraded ones are among them. */
+            calls?: {
+                [key: string]: number;
+            };
             /** @description Camera. */
             camera: string;
             /**
@@ -969,6 +1320,7 @@ export interface components {
         DetectionsMessage: {
             /** @description What is in view. */
             boxes: components["schemas"]["BoxMessage"][];
+            cause?: components["schemas"]["CallCause"] | null;
             /** @description Clip the frame belongs to. */
             clip: string;
             /** @description The detector was needed but could not be had; the boxes are predictions. */
@@ -1240,12 +1592,40 @@ export interface components {
              */
             waiting: number;
         };
+        /** @description Lines of the log. */
+        Log: {
+            /** @description The oldest first. */
+            lines: components["schemas"]["LogLine"][];
+        };
+        /** @description One line of the log. */
+        LogLine: {
+            /**
+             * Format: int64
+             * @description When, milliseconds since the Unix epoch.
+             */
+            at_ms: number;
+            /** @description `ERROR`, `WARN`, `INFO`, `DEBUG` or `TRACE`. */
+            level: string;
+            /**
+             * Format: int64
+             * @description Its number since the start, from 1.
+             */
+            number: number;
+            /** @description Part of the program that says it. */
+            target: string;
+            /** @description What it says, with what it says of it and where. */
+            text: string;
+        };
         /** @description A node: how it is, since when it runs, and what it has used since. */
         NodeOverview: components["schemas"]["Readiness"] & {
             /** @description Energy since the start. */
             energy: components["schemas"]["EnergySinceStart"];
             /** @description Reports that wait for a hub. */
             outbox: components["schemas"]["OutboxStatus"];
+            /** @description What was saved since the start. */
+            since_start: components["schemas"]["Balance"];
+            /** @description What was saved today: since midnight UTC, or since the start where that is later. */
+            today: components["schemas"]["Balance"];
             /**
              * Format: double
              * @description Seconds since it started.
@@ -1256,6 +1636,10 @@ export interface components {
         };
         /** @description What became of all frames since the node started. */
         NodeStates: {
+            /** @description Frames that the detector was called for, by cause, all cameras together. */
+            calls: {
+                [key: string]: number;
+            };
             /** @description Each camera's. */
             cameras: components["schemas"]["CameraStates"][];
             /**
@@ -1310,6 +1694,29 @@ export interface components {
              */
             waiting: number;
         };
+        /** @description The last frames, column by column: the n-th entry of each is of the n-th frame, the oldest first. */
+        PastFrames: {
+            /** @description Milliseconds before `now_ms` that it was answered. */
+            age_ms: number[];
+            /** @description Boxes reported. */
+            boxes: number[];
+            /** @description Why the detector was called; null where it was not. */
+            cause: (components["schemas"]["CallCause"] | null)[];
+            /** @description Whether the detector was needed and could not be had. */
+            degraded: boolean[];
+            /** @description Milliseconds of the detector; null where it did not run. */
+            detector_ms: (number | null)[];
+            /** @description Threshold in force; null where the policy has none. */
+            knob: (number | null)[];
+            /** @description Sequence number. */
+            seq: number[];
+            /** @description Frame state. */
+            state: components["schemas"]["FrameState"][];
+            /** @description Largest uncertainty before the decision; null without objects. */
+            tau_max: (number | null)[];
+            /** @description Milliseconds from reception to publication. */
+            total_ms: (number | null)[];
+        };
         /** @description Middle and tail of a set of durations, milliseconds. */
         Percentiles: {
             /**
@@ -1337,6 +1744,30 @@ export interface components {
              * @description 99th percentile.
              */
             p99: number;
+        };
+        /** @description Power over the last hour. */
+        PowerHistory: {
+            /**
+             * Format: int64
+             * @description Length of a piece, seconds.
+             */
+            slot_s: number;
+            /** @description The pieces, the oldest first, the last one still open; those without a figure are left out. */
+            slots: components["schemas"]["PowerPiece"][];
+        };
+        /** @description Power of a piece of the last hour. */
+        PowerPiece: {
+            /**
+             * Format: int64
+             * @description When it began, milliseconds since the Unix epoch.
+             */
+            at_ms: number;
+            /** @description How far to trust it: the worst during the piece. */
+            quality: components["schemas"]["EnergyQuality"];
+            /** @description Mean power over the time that samples cover, watts, by domain. */
+            watts: {
+                [key: string]: number;
+            };
         };
         /** @description What went wrong with a request, and what would do. */
         Problem: {
@@ -1390,6 +1821,63 @@ export interface components {
             /** @description Which of several: the name of a camera or a task. Absent where it is the part itself. */
             subject?: string | null;
         };
+        /** @description Energy of the clips of one quality; sums of different qualities are never added. */
+        SavedEnergy: {
+            /**
+             * Format: int64
+             * @description Clips whose energy is known in whole.
+             */
+            clips: number;
+            /**
+             * Format: double
+             * @description Their time, seconds.
+             */
+            duration_s: number;
+            /**
+             * Format: double
+             * @description What they used.
+             */
+            joules: number;
+            /** @description How far to trust the joules. */
+            quality: components["schemas"]["EnergyQuality"];
+            /**
+             * Format: int64
+             * @description Avoided calls without a price, because their clip had no call: they are in neither sum.
+             */
+            unpriced_calls: number;
+            /**
+             * Format: double
+             * @description What they would have used with a detector call on every frame: an avoided call is priced at its clip's own mean
+             *     power times its own mean detector time. Always an estimate.
+             */
+            vanilla_joules_estimated: number;
+        };
+        /** @description What other thresholds would have skipped over the last minutes. */
+        SkipEstimates: {
+            /** @description Camera. */
+            camera: string;
+            /**
+             * Format: double
+             * @description Time they took, seconds.
+             */
+            duration_s: number;
+            /**
+             * @description Always true: under another value other frames would have been matched, so objects would have evolved differently.
+             *     Recorded uncertainties are scaled by how they grew with the time since a call.
+             */
+            estimated: boolean;
+            /** @description Frames looked at. */
+            frames: number;
+            /**
+             * Format: double
+             * @description Share of the frames, really.
+             */
+            skip_rate: number;
+            /** @description Frames that really were answered without the detector. */
+            skipped: number;
+            /** @description What each value would have skipped, in the order asked for. */
+            values: components["schemas"]["ValueEstimate"][];
+        };
         /** @description A threshold changed; it holds from the camera's next frame. */
         ThresholdEvent: {
             /** @description Camera. */
@@ -1415,6 +1903,21 @@ export interface components {
              *     written to.
              */
             survives_restart: boolean;
+        };
+        /** @description What one value would have skipped. */
+        ValueEstimate: {
+            /**
+             * Format: double
+             * @description Share of the frames.
+             */
+            skip_rate: number;
+            /** @description Frames without the detector. */
+            skipped: number;
+            /**
+             * Format: double
+             * @description The value.
+             */
+            value: number;
         };
         /** @description Who asks. */
         WhoAsks: {
