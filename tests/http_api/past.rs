@@ -277,6 +277,35 @@ async fn one_archive_has_what_helps_to_find_a_fault_and_no_secret() {
     assert!(files["configuration.json"].contains("(secret)"));
     assert!(files["metrics.txt"].contains("albireo_frames_total"));
     assert!(files["clips.json"].contains("window-0"));
+    #[cfg(feature = "hub")]
+    the_command_fetches_it(&format!("http://{}", node.address), secret).await;
+}
+
+/// `albireo diag` writes the same archive, and says why it cannot.
+#[cfg(feature = "hub")]
+async fn the_command_fetches_it(node: &str, secret: &str) {
+    let folder = tempfile::tempdir().unwrap();
+    let fetch = |token: &str| {
+        let mut command = crate::support::albireo();
+        command
+            .args(["diag", node, "--output", "node.tar"])
+            .env("ALBIREO_HTTP__TOKEN", token)
+            .current_dir(folder.path());
+        command
+    };
+    let refused = fetch("not-the-token-of-it").output().await.unwrap();
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(
+        String::from_utf8_lossy(&refused.stderr).contains("token"),
+        "{refused:?}"
+    );
+    let fetched = fetch(secret).output().await.unwrap();
+    assert!(fetched.status.success(), "{fetched:?}");
+    let files = untar(&std::fs::read(folder.path().join("node.tar")).unwrap());
+    assert!(files.contains_key("log.txt") && files.len() == 8);
+    // What is there is left alone.
+    let again = fetch(secret).output().await.unwrap();
+    assert_eq!(again.status.code(), Some(1));
 }
 
 #[tokio::test]

@@ -92,7 +92,7 @@ export function Headline() {
   // A node that began today has no other day to tell from.
   const days: [string, Balance][] = !now || !whole ? [] : now.today.since_ms > whole.since_ms
     ? [["since the start", whole], ["today", now.today]]
-    : [["since the start, today", whole]];
+    : [["since the start (today)", whole]];
   return (
     <section class="wide headline" aria-label="What was saved">
       <dl class="figures">

@@ -46,6 +46,7 @@ function Page() {
           <Tiles />
           <div class="stack">
             <Picture />
+            <Uncertainty />
           </div>
           <div class="stack">
             <States />
@@ -53,13 +54,12 @@ function Page() {
           </div>
           <Ribbon />
           <div class="stack">
-            <Uncertainty />
             <Rates />
+            <Health />
           </div>
           <div class="stack">
             <Power />
             <DetectorTime />
-            <Health />
           </div>
           <Clips />
           <Log name={overview.value?.node} />
