@@ -366,6 +366,7 @@ fn every_call_of_the_detector_says_its_cause_and_no_other_frame_does() {
     );
     let no_age = AlbireoSettings {
         t_max: 1000,
+        periodic_cap: 10,
         ..AlbireoSettings::paper()
     };
     let periodic = causes(no_age, 1.0);
