@@ -6,6 +6,8 @@ mod compare;
 #[cfg(feature = "eval")]
 mod demo;
 mod detect;
+#[cfg(feature = "hub")]
+mod diag;
 #[cfg(feature = "eval")]
 pub mod eval;
 #[cfg(feature = "hub")]
@@ -46,6 +48,7 @@ Examples:
   albireo compare                        see what each policy costs and finds here
   albireo node --config config/node.toml run a node
   albireo hub --config config/hub.toml   run the hub of a fleet
+  albireo diag                           fetch what a node or a hub tells of itself
   albireo replay drive.mp4               play a video to it as a camera
   albireo publish /dev/video0            send a camera's frames to a node elsewhere
   ALBIREO_NODE__NAME=car-7 albireo node  run a node on the defaults under another name";
@@ -84,6 +87,9 @@ enum Command {
     #[cfg(feature = "hub")]
     /// See and tune a fleet through its hub, from the terminal.
     Fleet(Box<fleet::Arguments>),
+    #[cfg(feature = "hub")]
+    /// Fetch what a node or a hub tells of itself, as one archive for whoever looks for a fault.
+    Diag(diag::Arguments),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
     /// Say what a detector is, and run it on pictures.
@@ -132,6 +138,8 @@ impl Arguments {
             Command::Hub(arguments) => hub::run(&arguments),
             #[cfg(feature = "hub")]
             Command::Fleet(arguments) => return fleet::run(*arguments),
+            #[cfg(feature = "hub")]
+            Command::Diag(arguments) => diag::run(&arguments),
             Command::Check(arguments) => check::run(&arguments),
             Command::Detect(arguments) => detect::run(&arguments),
             Command::Power(arguments) => power::run(&arguments),

@@ -4,7 +4,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use crate::support::camera::Camera;
-use crate::support::fleet::{HubProcess, Router, Settings, behind, from_environment, sqlite};
+use crate::support::fleet::{
+    HubProcess, Router, Settings, behind, from_environment, settings, sqlite,
+};
 use crate::support::postgres::Postgres;
 use crate::support::{Node, PATIENCE, free_port};
 use rand_core::{RngCore, SeedableRng};
@@ -204,6 +206,57 @@ async fn three_nodes_a_router_and_a_hub_lose_nothing_when_a_node_is_killed_and_r
     assert!(stored >= 3 * 7, "{stored}");
     hub.kill().await;
     router.kill().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_watches() {
+    let folder = tempfile::tempdir().unwrap();
+    let (endpoint, configured) = settings(&sqlite(folder.path()));
+    let hub = HubProcess::start(&configured);
+    hub.until("/readyz", |answer| answer["ready"] == true).await;
+    let mut car = Car::new("car-1", &endpoint);
+    car.start().await;
+    car.drive(2).await;
+    hub.until("/api/v1/nodes/car-1", |node| {
+        node["status"]["cameras"][0]["name"] == "front"
+    })
+    .await;
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{endpoint}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    let listener = zenoh::open(config).await.unwrap();
+    let counters = listener
+        .declare_subscriber("albireo/car-1/*/counters")
+        .await
+        .unwrap();
+    // Nobody watches: no picture can be had, and three looks of the uplink's thread have sent no counters.
+    let nothing = listener.get("albireo/car-1/front/picture").await.unwrap();
+    assert!(nothing.recv_async().await.is_err());
+    let silence = tokio::time::timeout(Duration::from_secs(3), counters.recv_async()).await;
+    assert!(silence.is_err(), "{silence:?}");
+
+    let live = reqwest::get(format!("{}/api/v1/nodes/car-1/live", hub.http));
+    let mut live = live.await.unwrap();
+    let mut text = String::new();
+    while !text.contains("\"camera\":\"front\"") {
+        let chunk = tokio::time::timeout(PATIENCE, live.chunk()).await.unwrap();
+        text.push_str(&String::from_utf8_lossy(&chunk.unwrap().unwrap()));
+    }
+    assert!(text.contains("event: counters"), "{text}");
+    counters.recv_async().await.unwrap();
+    let picture = format!("{}/api/v1/nodes/car-1/cameras/front/frame.jpg", hub.http);
+    let picture = reqwest::get(picture).await.unwrap();
+    assert_eq!(picture.status(), 200);
+    assert!(picture.headers().contains_key("albireo-frame"));
+    assert!(picture.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
+    car.end().await;
+    hub.kill().await;
 }
 
 /// What can be killed.

@@ -9,6 +9,7 @@ mod events;
 mod exposition;
 mod looking;
 mod metrics;
+mod past;
 mod served;
 mod threshold;
 

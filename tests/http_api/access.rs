@@ -94,6 +94,7 @@ async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
     let view = NodeView {
         board,
         limits: FrameLimits::default(),
+        config: std::sync::Arc::new(serde_json::Value::Null),
     };
     let shutdown = CancellationToken::new();
     // Already over: a service that is not refused ends at once.
@@ -190,6 +191,9 @@ async fn other_web_origins_are_let_in_only_when_named() {
         response.headers()["access-control-allow-origin"],
         "https://fleet.example"
     );
+    // As the node has them, and no other.
+    let methods = response.headers()["access-control-allow-methods"].to_str();
+    assert_eq!(methods.unwrap(), "GET,PUT");
     let response = preflight(&open, "https://evil.example").await.unwrap();
     assert!(
         !response

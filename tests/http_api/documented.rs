@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use tokio::process::Command;
 
 /// Every route a client may call, as the design lists them.
-const ROUTES: [&str; 19] = [
+const ROUTES: [&str; 24] = [
     "get /healthz",
     "get /readyz",
     "get /metrics",
@@ -25,6 +25,11 @@ const ROUTES: [&str; 19] = [
     "get /api/v1/cameras",
     "get /api/v1/cameras/{camera}",
     "get /api/v1/cameras/{camera}/detections",
+    "get /api/v1/cameras/{camera}/history",
+    "get /api/v1/cameras/{camera}/skip-estimate",
+    "get /api/v1/power",
+    "get /api/v1/log",
+    "get /api/v1/diag",
     "get /api/v1/cameras/{camera}/frame.jpg",
     "get /api/v1/clips",
     "get /api/v1/events",
@@ -36,6 +41,7 @@ async fn filled() -> Served {
     node.ready();
     let front = node.board.camera("front").unwrap();
     front.record_frame(frame(0, FrameState::I));
+    front.record_frame(frame(1, FrameState::P));
     front.set_latest_frame(LatestFrame {
         seq: 0,
         picture: EncodedPicture {
@@ -81,6 +87,24 @@ async fn the_document_has_every_route_and_each_is_there() {
         document,
         serde_json::to_value(albireo_node::http::openapi()).unwrap()
     );
+}
+
+#[test]
+fn every_operation_has_a_name_of_its_own() {
+    let mut documents = vec![serde_json::to_value(albireo_node::http::openapi()).unwrap()];
+    #[cfg(feature = "hub")]
+    documents.push(serde_json::to_value(albireo_hub::http::openapi()).unwrap());
+    for document in documents {
+        let all = operations(&document);
+        let names: BTreeSet<_> = (all.iter())
+            .map(|(name, operation)| {
+                let id = operation["operationId"].as_str();
+                id.unwrap_or_else(|| panic!("{name} has no operationId"))
+            })
+            .collect();
+        assert!(all.len() > 15);
+        assert_eq!(names.len(), all.len(), "{names:?}");
+    }
 }
 
 #[tokio::test]

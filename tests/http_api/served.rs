@@ -9,8 +9,8 @@ use albireo_node::http::{NodeView, router};
 use albireo_service::config::HttpConfig;
 use albireo_service::http::{self, HttpError};
 use albireo_wire::{
-    BoxMessage, ClipEnd, ClipEnergy, ClipReport, DetectionsMessage, DomainEnergy, DroppedFrames,
-    EnergyQuality, FrameStates, KnobChange, KnobValue, Latency, Percentiles,
+    BoxMessage, CallCause, ClipEnd, ClipEnergy, ClipReport, DetectionsMessage, DomainEnergy,
+    DroppedFrames, EnergyQuality, FrameStates, KnobChange, KnobValue, Latency, Percentiles,
 };
 use reqwest::{Client, Method, RequestBuilder, Response, StatusCode};
 use serde_json::Value;
@@ -54,6 +54,7 @@ pub(crate) fn board(
         knob,
         threshold: None,
         sizeless: true,
+        longest_pause: None,
     };
     let board = Board::new(BoardSetup {
         node: "car-7".to_owned(),
@@ -87,6 +88,7 @@ impl Served {
         let view = NodeView {
             board: Arc::clone(&board),
             limits: FrameLimits::default(),
+            config: Arc::new(Value::Null),
         };
         let stop = shutdown.clone();
         let task = tokio::spawn(async move {
@@ -172,6 +174,7 @@ pub(crate) fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
         clip: "window-0".to_owned(),
         state,
         degraded: false,
+        cause: (!state.is_skipped()).then_some(CallCause::Uncertain),
         tau_max: Some(1.5e-4),
         knob: Some(KnobValue::new(&KNOB, 3e-4)),
         width: 320,

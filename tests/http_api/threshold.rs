@@ -184,6 +184,7 @@ async fn a_change_that_is_kept_is_said_to_survive() {
     let view = albireo_node::http::NodeView {
         board,
         limits: albireo_node::frame::FrameLimits::default(),
+        config: std::sync::Arc::new(serde_json::Value::Null),
     };
     let stop = node.shutdown.clone();
     tokio::spawn(async move {

@@ -1,7 +1,6 @@
 import { describe as group, expect, test } from "vitest";
-import { FrameLog, describe, percentile, skipped, why, type Seen } from "../src/node/frames";
-import { avoided, saved } from "../src/node/energy";
-import type { ClipReport, Detections } from "../src/node/types";
+import { CAUSES, FrameLog, describe, past, percentile, skipped, why, type Seen } from "../src/node/frames";
+import type { CameraHistory, Detections } from "../src/node/types";
 
 function frame(seq: number, state: Detections["state"], more: Partial<Detections> & { u?: number } = {}): Seen {
   return {
@@ -11,25 +10,59 @@ function frame(seq: number, state: Detections["state"], more: Partial<Detections
 }
 
 group("why the detector ran", () => {
-  test("is told from the frame's own figures", () => {
-    expect(why(frame(1, "I", { tau_max: 5e-4, u: 3e-4 }), "u")).toContain("uncertain: τ 5.0×10⁻⁴ ≥ u 3.0×10⁻⁴");
-    expect(why(frame(1, "AI", { tau_max: 3e-4, u: 3e-4 }), "u")).toContain("uncertain");
-    expect(why(frame(1, "I", { tau_max: 1e-4, u: 3e-4 }), "u")).toContain("a cap or an audit");
-    expect(why(frame(1, "I", { u: 3e-4 }), "u")).toBe("no object was followed yet");
-    expect(why(frame(1, "E+I", { tau_max: 5e-4, u: 3e-4 }), "u")).toBe("the screen saw something");
+  test("is what the node says, with the figures where they tell more", () => {
+    expect(why(frame(1, "I", { cause: "uncertain", tau_max: 5e-4, u: 3e-4 }), "u")).toBe("an object became too uncertain: τ 5.0×10⁻⁴ ≥ u 3.0×10⁻⁴");
+    expect(why(frame(1, "I", { cause: "periodic_cap", tau_max: 1e-4, u: 3e-4 }), "u")).toBe(CAUSES.periodic_cap.meaning);
+    expect(why(frame(1, "E+I", { cause: "audit", u: 3e-4 }), "u")).toContain("checks the screen");
+    expect(why(frame(1, "I", { cause: "expected_loss", tau_max: 5e-4 }), "lambda")).toBe(CAUSES.expected_loss.meaning);
   });
 
-  test("is not made up for another policy, nor for frames that skipped it", () => {
-    expect(why(frame(1, "I", { tau_max: 5e-4 }), "lambda")).toBe("the policy asked for it");
+  test("is not made up for a node that does not say it, nor for frames that skipped it", () => {
+    expect(why(frame(1, "I", { tau_max: 5e-4, u: 3e-4 }), "u")).toBe("the policy asked for it");
     expect(why(frame(1, "P", { tau_max: 1e-4, u: 3e-4 }), "u")).toBe("");
+    expect(why(frame(1, "I", { cause: "of_a_later_version" as never }), "u")).toBe("of_a_later_version");
   });
 
-  test("a degraded frame is no skipped one", () => {
-    const degraded = frame(1, "P", { degraded: true, tau_max: 5e-4, u: 3e-4 });
+  test("a degraded frame is no skipped one, and keeps its cause", () => {
+    const degraded = frame(1, "P", { degraded: true, cause: "new_object", tau_max: 5e-4, u: 3e-4 });
     expect(skipped(degraded)).toBe(false);
     expect(skipped(frame(1, "P"))).toBe(true);
-    expect(why(degraded, "u")).toContain("could not be had");
+    expect(why(degraded, "u")).toContain("could not be had: a new object");
     expect(describe(degraded, "u", 1)).toContain("P, degraded");
+  });
+});
+
+group("the past", () => {
+  const history = {
+    camera: "front", now_ms: 0, slot_s: 10, slots: [],
+    frames: {
+      seq: [7, 8, 9], age_ms: [3000, 2000, 1000], state: ["I", "P", "P"], cause: ["uncertain", null, "uncertain"],
+      degraded: [false, false, true], boxes: [2, 1, 0], tau_max: [5e-4, null, 4e-4], knob: [3e-4, 3e-4, 3e-4],
+      detector_ms: [20, null, null], total_ms: [22, 0.3, 0.4],
+    },
+  } as CameraHistory;
+
+  test("is told as frames of the same kind, with boxes that are counted and not shown", () => {
+    const [first, second, third] = past(history, "u", 100);
+    expect(describe(first!, "u", 100)).toBe("frame 7 · 3.0 s ago · I, detector · an object became too uncertain: τ 5.0×10⁻⁴ ≥ u 3.0×10⁻⁴ · 2 boxes · 22.0 ms");
+    expect(describe(second!, "u", 100)).toBe("frame 8 · 2.0 s ago · P, predicted · 1 box · 0.3 ms");
+    expect(second!.tau_max).toBeUndefined();
+    expect(second!.latency_ms.detector).toBeUndefined();
+    expect(skipped(third!)).toBe(false);
+  });
+
+  test("comes before what was heard meanwhile, and no frame twice", () => {
+    const log = new FrameLog(100);
+    log.push(frame(9, "P"));
+    log.push(frame(10, "I"));
+    log.unshift(past(history, "u", 100));
+    expect(log.last(10).map((kept) => kept.seq)).toEqual([7, 8, 9, 10]);
+    expect(log.bySeq(9)?.pastBoxes).toBeUndefined();
+    expect(log.indexOf(10)).toBe(3);
+    const small = new FrameLog(2);
+    small.push(frame(9, "P"));
+    small.unshift(past(history, "u", 100));
+    expect(small.last(10).map((kept) => kept.seq)).toEqual([8, 9]);
   });
 });
 
@@ -61,38 +94,4 @@ test("percentiles are values that were there", () => {
   const values = Array.from({ length: 100 }, (_, index) => 100 - index);
   expect(percentile(values, 0.5)).toBe(50);
   expect(percentile(values, 0.99)).toBe(99);
-});
-
-function clip(quality: string, joules: number | undefined, more: Partial<ClipReport> = {}): ClipReport {
-  return {
-    states: { E: 10, P: 50, "E+I": 0, I: 40, AI: 0 }, degraded_frames: 5, duration_s: 10,
-    detector_latency_ms: { count: 40, mean: 20, p50: 20, p95: 20, p99: 20 },
-    energy: { quality, joules, coverage: 1, source: "x", total_from: "x", samples: 1, domains: [] },
-    ...more,
-  } as unknown as ClipReport;
-}
-
-group("what was saved", () => {
-  test("degraded frames are not among the avoided calls", () => {
-    expect(avoided(clip("measured", 100))).toBe(55);
-  });
-
-  test("an avoided call is priced at the clip's own power and detector time", () => {
-    const [sum] = saved([clip("measured", 100)]);
-    // 10 W for 20 ms, 55 times.
-    expect(sum?.vanilla).toBeCloseTo(100 + 55 * 0.2, 9);
-  });
-
-  test("measured and estimated are never added", () => {
-    const sums = saved([clip("measured", 100), clip("estimated", 50), clip("measured", 1)]);
-    expect(sums.map((sum) => [sum.quality, sum.joules])).toEqual([["measured", 101], ["estimated", 50]]);
-  });
-
-  test("joules of a part of the time are left out, and calls without a price are named", () => {
-    const part = clip("partial", 100);
-    part.energy.coverage = 0.9;
-    expect(saved([part, clip("unavailable", undefined)])).toEqual([]);
-    const none = clip("measured", 100, { detector_latency_ms: { count: 0, mean: 0, p50: 0, p95: 0, p99: 0 } });
-    expect(saved([none])[0]).toMatchObject({ vanilla: 100, unpriced: 55 });
-  });
 });

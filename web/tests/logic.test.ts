@@ -16,7 +16,8 @@ vi.stubGlobal("document", { hidden: false });
 const { EventParser, follow } = await import("../src/shared/api");
 const { knobValue } = await import("../src/shared/knob");
 const { frameAt, placeOf } = await import("../src/node/ribbon");
-const { fromSlider, toSlider, usefulRange } = await import("../src/node/knob");
+const { estimated, fromSlider, toSlider, usefulRange } = await import("../src/node/knob");
+const { graver } = await import("../src/node/log");
 const { cameraState } = await import("../src/node/cameras");
 const { href, parseRoute } = await import("../src/hub/route");
 const { Rows, PAGE, path } = await import("../src/hub/rows");
@@ -107,6 +108,24 @@ describe("the slider", () => {
     expect(toSlider(1e-9, range)).toBe(0);
     expect(toSlider(1, range)).toBe(200);
   });
+});
+
+test("what a value would have skipped is read between the values that the node computed", () => {
+  const curve = [{ value: 1e-4, skip_rate: 0.2 }, { value: 1e-3, skip_rate: 0.6 }, { value: 1e-2, skip_rate: 0.7 }];
+  expect(estimated(curve, 1e-4)).toBeCloseTo(0.2, 12);
+  expect(estimated(curve, 10 ** -3.5)).toBeCloseTo(0.4, 12);
+  expect(estimated(curve, 1e-9)).toBe(0.2);
+  expect(estimated(curve, 1)).toBe(0.7);
+  expect(estimated([], 1e-3)).toBeUndefined();
+  expect(estimated(curve, 0)).toBeUndefined();
+});
+
+test("lines of the log are chosen by how grave they are", () => {
+  const lines = ["INFO", "WARN", "DEBUG", "ERROR"].map((level, number) => ({ number, level, at_ms: 0, target: "t", text: "" }));
+  const levels = (least: string) => graver(lines, least).map((line) => line.level);
+  expect(levels("all")).toEqual(["INFO", "WARN", "DEBUG", "ERROR"]);
+  expect(levels("INFO")).toEqual(["INFO", "WARN", "ERROR"]);
+  expect(levels("WARN")).toEqual(["WARN", "ERROR"]);
 });
 
 test("a camera is stale after two and a half seconds, or three of its own gaps", () => {

@@ -35,6 +35,7 @@ use serde::{Deserialize, Serialize};
 mod ablation;
 mod albireo;
 mod albireo_settings;
+mod cause;
 mod changed_region;
 mod config;
 mod ctd;
@@ -57,6 +58,7 @@ mod vanilla;
 pub use albireo::Albireo;
 pub use albireo_settings::{AlbireoSettings, Profile};
 pub use albireo_settings::{DetectorFrameBoxes, PeriodicCap, ReportedConfidence};
+pub use cause::CallCause;
 pub use config::{KNOB_NAMES, PolicyConfig, PolicyConfigError};
 pub use ctd::Ctd;
 pub use ctd::CtdSettings;
@@ -212,6 +214,8 @@ pub struct Outcome {
     pub active: usize,
     /// The detector was needed but could not be had; the boxes are predictions.
     pub degraded: bool,
+    /// Why the detector was called; `None` on a frame that did without it.
+    pub cause: Option<CallCause>,
     /// The boxes to report.
     pub boxes: Vec<OutputBox>,
 }
@@ -223,6 +227,7 @@ impl Default for Outcome {
             tau_max: None,
             active: 0,
             degraded: false,
+            cause: None,
             boxes: Vec::new(),
         }
     }
@@ -235,6 +240,7 @@ impl Outcome {
         self.tau_max = None;
         self.active = 0;
         self.degraded = degraded;
+        self.cause = None;
         self.boxes.clear();
     }
 }
@@ -358,6 +364,12 @@ pub trait Policy: Send + Sync {
     fn foresee(&self, next: FrameHead) -> Need {
         let _ = next;
         Need::Nothing
+    }
+
+    /// Most frames that may follow each other without the detector while objects are followed, where the policy limits
+    /// them.
+    fn longest_pause(&self) -> Option<u32> {
+        None
     }
 
     /// Ends the frame: writes its state and boxes over `outcome`.

@@ -7,6 +7,7 @@ mod diag;
 mod energy;
 mod events;
 mod health;
+mod live;
 mod metrics;
 mod nodes;
 mod page_rows;
@@ -16,12 +17,13 @@ use crate::config::HubConfig;
 use crate::desired::Desires;
 use crate::events::Events;
 use crate::ingest::IngestCounters;
-use crate::presence::{Fleet, ListenCounters};
+use crate::presence::{Fleet, ListenCounters, Pokes};
 use crate::readiness::Readiness;
 use crate::store::{EnergyBy, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::rollout::Command;
 use albireo_service::http::{self, Page, Problem};
+use albireo_wire::CountersMessage;
 use axum::Router;
 use axum::extract::Query;
 use axum::extract::rejection::QueryRejection;
@@ -29,6 +31,7 @@ use axum::http::StatusCode;
 use axum::routing::get;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use utoipa::openapi::OpenApi;
 use utoipa::{Modify, OpenApi as _};
@@ -55,7 +58,11 @@ pub struct HubView {
     pub shutdown: CancellationToken,
     store: Arc<OnceLock<Store>>,
     tuner: Arc<OnceLock<Arc<Tuner>>>,
-    session: Arc<OnceLock<Session>>,
+    reach: Arc<OnceLock<live::Reach>>,
+    /// Beginning of all keys.
+    prefix: Arc<str>,
+    /// Places for who watches a node.
+    live: Arc<Semaphore>,
     /// The configuration without its secrets.
     config: Arc<serde_json::Value>,
     /// After what time a request is answered with an error.
@@ -76,7 +83,9 @@ impl HubView {
             shutdown,
             store: Arc::default(),
             tuner: Arc::default(),
-            session: Arc::default(),
+            reach: Arc::default(),
+            prefix: config.hub.prefix.as_str().into(),
+            live: Arc::new(Semaphore::new(live::MOST_LIVE)),
             config: Arc::new(diag::without_secrets(config)),
             timeout: Duration::from_millis(config.http.timeout_ms),
             started: Instant::now(),
@@ -95,16 +104,29 @@ impl HubView {
         let _ = self.tuner.set(tuner);
     }
 
-    /// Gives the routes the Zenoh session, once it is open.
-    pub(crate) fn attach_session(&self, session: Session) {
+    /// Gives the routes the Zenoh session and the way to poke nodes, once there are.
+    pub(crate) fn attach_session(&self, session: Session, pokes: Pokes) {
         // It is opened once.
-        let _ = self.session.set(session);
+        let _ = self.reach.set(live::Reach { session, pokes });
+    }
+
+    /// The way to the nodes.
+    ///
+    /// # Errors
+    /// A problem document while the session is not open yet.
+    fn reach(&self) -> Result<&live::Reach, Problem> {
+        self.reach.get().ok_or_else(|| {
+            Problem::new(
+                StatusCode::SERVICE_UNAVAILABLE,
+                "the Zenoh session is not open yet; /readyz says why",
+            )
+        })
     }
 
     /// How many Zenoh sessions there are to others; `None` before the hub's own is open.
     pub(crate) async fn sessions(&self) -> Option<usize> {
-        let session = self.session.get()?;
-        Some(session.info().transports().await.count())
+        let reach = self.reach.get()?;
+        Some(reach.session.info().transports().await.count())
     }
 
     /// What tunes the fleet.
@@ -160,10 +182,11 @@ fn unavailable(error: &StoreError) -> Problem {
                        set, everything but `/` and what it loads, `/api/v1/caller`, `/healthz` and `/readyz` needs one; what changes something needs one \
                        with the role `tune`.",
     ),
-    // Events carry it: a stream's contents cannot be described, the messages in it can.
+    // Events carry them: a stream's contents cannot be described, the messages in it can.
     components(schemas(
         Problem,
         StoredEvent,
+        CountersMessage,
         // Of parameters, which do not bring theirs.
         EnergyBy,
         energy::Sort,
@@ -195,6 +218,8 @@ fn described() -> OpenApiRouter<HubView> {
         .routes(routes!(metrics::text))
         .routes(routes!(nodes::list))
         .routes(routes!(nodes::one))
+        .routes(routes!(live::live))
+        .routes(routes!(live::picture))
         .routes(routes!(page_rows::rows))
         .routes(routes!(clips::list))
         .routes(routes!(clips::csv))

@@ -8,9 +8,12 @@ mod news;
 mod state;
 #[cfg(test)]
 mod tests;
+mod today;
 
 pub(crate) use fleet::Remembered;
 pub use fleet::{Fleet, NodeView, Order};
 pub use listen::ListenCounters;
 pub(crate) use listen::{ListenSetup, Pokes, listen};
 pub use state::{Facts, Limits, PresenceState, Token, judge};
+pub use today::TodaysEnergy;
+pub(crate) use today::{Used, day_of};

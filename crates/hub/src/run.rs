@@ -5,12 +5,14 @@ use crate::error::HubError;
 use crate::events::EventsChanged;
 use crate::http::{self, HubView};
 use crate::ingest::{IngestWriter, Intake, Replies, WriterSetup};
-use crate::presence::{ListenSetup, Remembered, listen};
+use crate::presence::{ListenSetup, Remembered, Used, day_of, listen};
 use crate::readiness::Readiness;
-use crate::store::{Store, StoreError};
+use crate::store::{EnergyBy, EnergyQuery, Resolution, Store, StoreError};
 use crate::tuning::{self, Tuner};
-use albireo_service::session;
+use albireo_service::clock::unix_milliseconds;
 use albireo_service::supervise::TaskFailed;
+use albireo_service::{logging, session};
+use axum::http::Method;
 use std::collections::HashMap;
 use std::future::Future;
 use std::sync::Arc;
@@ -53,6 +55,7 @@ pub async fn run(
     let address = listener
         .local_addr()
         .map_err(HubError::system("the listener has no address"))?;
+    config.database.passwords().for_each(logging::conceal);
     let readiness = Arc::new(Readiness::default());
     readiness.hold("zenoh", "the session is not open yet");
     readiness.hold("database", "it is not open yet");
@@ -62,6 +65,7 @@ pub async fn run(
     let http = albireo_service::http::run_with_tokens(
         &config.http,
         &config.tokens,
+        &[Method::GET, Method::PUT, Method::POST],
         http::router(view.clone()),
         listener,
         serving.clone(),
@@ -96,7 +100,7 @@ async fn parts(
 ) -> Result<(), HubError> {
     let readiness = &view.readiness;
     // A database may go away again at any moment, also between two questions of the start.
-    let (store, nodes) = loop {
+    let (store, nodes, used) = loop {
         match remembered(config).await {
             Ok(opened) => break opened,
             Err(error) => {
@@ -112,6 +116,9 @@ async fn parts(
         "history is open"
     );
     view.fleet.remember(nodes, Instant::now());
+    for (node, at_ms, one) in used {
+        view.fleet.used(&node, at_ms, one);
+    }
     view.attach(store.clone());
     readiness.release("database");
     let Some(session) = open_session(config, readiness, shutdown).await? else {
@@ -119,7 +126,6 @@ async fn parts(
         return Ok(());
     };
 
-    view.attach_session(session.clone());
     let (replies, replier) = Replies::start(Arc::clone(&view.ingest))
         .map_err(HubError::system("the answering thread cannot be started"))?;
     let (intake, queue) = Intake::new(&config.ingest, replies.clone(), Arc::clone(&view.ingest));
@@ -155,6 +161,7 @@ async fn parts(
     })
     .await?;
     tasks.spawn("presence", hearing);
+    view.attach_session(session.clone(), listening.pokes.clone());
     let reports = session
         .declare_queryable(config.keys()?.report())
         .complete(true)
@@ -267,11 +274,32 @@ impl Tasks {
     }
 }
 
+/// Nodes with what they used, and a time of the day on which they did.
+type UsedToday = Vec<(String, i64, Used)>;
+
 /// The database and what it knows of the nodes.
-async fn remembered(config: &HubConfig) -> Result<(Store, Vec<Remembered>), StoreError> {
+async fn remembered(config: &HubConfig) -> Result<(Store, Vec<Remembered>, UsedToday), StoreError> {
     let store = Store::open(&config.database).await?;
     let nodes = store.remembered().await?;
-    Ok((store, nodes))
+    let since_s = day_of(unix_milliseconds()) * 86_400;
+    let today = EnergyQuery {
+        by: EnergyBy::Node,
+        resolution: Resolution::Day,
+        since_s,
+        until_s: since_s + 86_400,
+        node: None,
+        largest_first: false,
+        limit: i64::MAX,
+    };
+    let used = store.energy(&today).await?.into_iter().map(|group| {
+        let used = Used {
+            uj: (group.joules * 1e6).round() as i64,
+            estimated: group.quality == "estimated",
+        };
+        (group.group, since_s * 1000, used)
+    });
+    let used = used.collect();
+    Ok((store, nodes, used))
 }
 
 /// Waits before the database is tried again, where that may help; false when the hub is being stopped.

@@ -6,5 +6,6 @@ mod support;
 
 mod history;
 mod ingest;
+mod live;
 mod presence;
 mod tuning;

@@ -155,6 +155,7 @@ mod tests {
             clip: String::new(),
             state,
             degraded: false,
+            cause: None,
             tau_max,
             knob: Some(knob),
             width: 720,

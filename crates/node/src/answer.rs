@@ -33,6 +33,7 @@ pub fn detections_message(outcome: &Outcome, context: &AnswerContext<'_>) -> Det
         clip: context.clip.to_owned(),
         state: outcome.state,
         degraded: outcome.degraded,
+        cause: outcome.cause,
         tau_max: outcome.tau_max.map(|tau| significant(tau, 6)),
         knob: context.knob,
         width: size.width,

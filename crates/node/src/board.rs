@@ -1,14 +1,20 @@
 //! The live board: what the camera loops write while they run, and what HTTP, metrics and the counter
 //! messages read. Nothing here decides anything.
 
+mod balance;
 mod camera;
 mod event;
+mod history;
+mod power_past;
 mod setup;
 mod thresholds;
 
+pub(crate) use balance::Balance;
 pub use camera::CameraSnapshot;
 pub use camera::{CameraBoard, CameraSetup, LatestFrame};
 pub use event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
+pub(crate) use history::{Estimate, FRAMES, PastFrame, PastSlot, SLOT_S};
+pub(crate) use power_past::PowerSlot;
 pub use setup::SetupError;
 pub use setup::{BoardSetup, DetectorFacts};
 
@@ -18,10 +24,13 @@ use crate::outbox::Outbox;
 use crate::power::MeterCost;
 use crate::readiness;
 use albireo_core::policy::KnobError;
+use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskTally;
 use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
+use balance::Balances;
 use parking_lot::Mutex;
+use power_past::PowerPast;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
@@ -82,6 +91,8 @@ pub struct Board {
     detector_meter: OnceLock<DetectorMeter>,
     screen_meter: OnceLock<TaskMeter>,
     power: Mutex<PowerSnapshot>,
+    power_past: Mutex<PowerPast>,
+    balances: Mutex<Balances>,
     readiness: Readiness,
     tasks: TaskTally,
     outbox: Outbox,
@@ -94,6 +105,7 @@ impl Board {
     /// you like.
     pub fn new(setup: BoardSetup) -> Arc<Self> {
         let (events, _) = broadcast::channel(EVENT_BACKLOG);
+        let started = Instant::now();
         let cameras = setup
             .cameras
             .into_iter()
@@ -101,6 +113,7 @@ impl Board {
                 Arc::new(CameraBoard::new(
                     camera,
                     setup.policy,
+                    started,
                     events.clone(),
                     setup.outbox.clone(),
                 ))
@@ -118,7 +131,7 @@ impl Board {
         Arc::new(Self {
             node: setup.node,
             policy: setup.policy,
-            started: Instant::now(),
+            started,
             cameras,
             clips: Mutex::default(),
             events,
@@ -127,6 +140,8 @@ impl Board {
             detector_meter: OnceLock::new(),
             screen_meter: OnceLock::new(),
             power: Mutex::default(),
+            power_past: Mutex::default(),
+            balances: Mutex::new(Balances::new()),
             readiness,
             tasks: TaskTally::default(),
             outbox: setup.outbox,
@@ -195,6 +210,7 @@ impl Board {
         if let Some(camera) = self.camera(&report.camera) {
             camera.count_clip();
         }
+        (self.balances.lock()).add(&report, &self.cameras, unix_milliseconds());
         let report = Arc::new(report);
         let mut clips = self.clips.lock();
         if clips.len() == RECENT_CLIPS {
@@ -232,6 +248,7 @@ impl Board {
     /// The counter messages of all cameras as they stand now, told to subscribers too. To be called
     /// once a second; `t_ns` is the wall clock, nanoseconds since the Unix epoch.
     pub fn publish_counters(&self, t_ns: u64) -> Vec<Arc<CountersMessage>> {
+        (self.balances.lock()).turn(&self.cameras, unix_milliseconds());
         self.cameras
             .iter()
             .map(|camera| {
@@ -263,6 +280,7 @@ impl Board {
             states: snapshot.states,
             skip_rate: snapshot.skip_rate(),
             degraded_frames: snapshot.degraded_frames,
+            calls: snapshot.calls,
             dropped: snapshot.dropped,
             knob: camera.knob_value(),
             watts: power.watts,
@@ -312,7 +330,19 @@ impl Board {
 
     /// Writes the power figures; to be called by the sampling task.
     pub fn set_power(&self, power: PowerSnapshot) {
+        self.power_past.lock().add(&power, self.uptime());
         *self.power.lock() = power;
+    }
+
+    /// Power over the last hour, oldest first, and the node's age to tell times by.
+    pub(crate) fn power_past(&self) -> (Vec<PowerSlot>, Duration) {
+        let now = self.uptime();
+        (self.power_past.lock().slots(now), now)
+    }
+
+    /// What was saved since the start, and today.
+    pub(crate) fn balances(&self) -> (Balance, Balance) {
+        (self.balances.lock()).read(&self.cameras, unix_milliseconds())
     }
 
     /// The power figures as last written.

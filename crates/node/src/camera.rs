@@ -9,7 +9,9 @@ use super::report::ClipAccounts;
 use crate::clip::{FrameArrival, FrameResult};
 use crate::frame::{EncodedPicture, FrameFault, RingReceiver};
 use crate::publishing::Detections;
-use albireo_core::policy::{Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, decide};
+use albireo_core::policy::{
+    CallCause, Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, decide,
+};
 use albireo_service::clock::milliseconds;
 use albireo_wire::{KnobValue, Latency};
 use std::future::Future;
@@ -147,6 +149,12 @@ impl Camera {
             return self.ledger.count(DropKind::from(&fault), 1, &fault);
         }
 
+        // The policy is told that the scene is not empty; that the screen was overruled is known here.
+        if stream.outcome.cause == Some(CallCause::Screen)
+            && let Some(cause) = self.evidence.overruled()
+        {
+            stream.outcome.cause = Some(cause);
+        }
         let times = self.evidence.times();
         let message = detections_message(
             &stream.outcome,

@@ -9,7 +9,7 @@ mod tests;
 use crate::detector::{CameraSlot, Detected, DetectorHandle};
 use crate::frame::{EncodedPicture, FrameFault, FrameLimits};
 use crate::screen::{CameraScreen, ScreenCounts};
-use albireo_core::policy::{Evidence, GreyPicture, Need};
+use albireo_core::policy::{CallCause, Evidence, GreyPicture, Need};
 use picture_worker::{PictureWorker, Prefetch, PreparedFrame, Stage};
 use std::future::Future;
 use std::time::Duration;
@@ -228,6 +228,11 @@ impl LiveEvidence {
                 .detected(&self.frame.picture, !detected.detections.is_empty());
         }
         Ok(answer)
+    }
+
+    /// Why the detector looks at the frame in hand although the screen would say "empty".
+    pub(crate) fn overruled(&self) -> Option<CallCause> {
+        self.screen.overruled()
     }
 
     /// What the screen has counted.

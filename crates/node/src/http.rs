@@ -2,9 +2,12 @@
 
 mod cameras;
 mod clips;
+mod diag;
 mod events;
 mod health;
+mod history;
 mod index;
+mod log;
 mod metrics;
 mod node;
 mod picture;
@@ -39,6 +42,8 @@ pub struct NodeView {
     pub board: Arc<Board>,
     /// Limits for decoding the latest picture of a camera that does not send JPEG.
     pub limits: FrameLimits,
+    /// The configuration as it may be shown: without its secrets.
+    pub config: Arc<serde_json::Value>,
 }
 
 /// What every handler gets.
@@ -133,9 +138,14 @@ fn described() -> OpenApiRouter<RouteState> {
         .routes(routes!(cameras::list))
         .routes(routes!(cameras::one))
         .routes(routes!(cameras::detections))
+        .routes(routes!(history::camera))
+        .routes(routes!(history::skip_estimate))
+        .routes(routes!(history::power))
         .routes(routes!(picture::jpeg))
         .routes(routes!(clips::list))
         .routes(routes!(events::stream))
+        .routes(routes!(log::tail))
+        .routes(routes!(diag::archive))
         .routes(routes!(metrics::text))
 }
 

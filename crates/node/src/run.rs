@@ -4,6 +4,7 @@ use crate::board::Board;
 use crate::config::NodeConfig;
 use crate::http::{self, NodeView};
 use crate::{Node, NodeError, PreparedNode};
+use albireo_service::config::without_secrets;
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -44,6 +45,7 @@ pub async fn run_prepared(
     let view = NodeView {
         board: Arc::clone(prepared.board()),
         limits: config.frame,
+        config: Arc::new(without_secrets(config)),
     };
     let view_board = Arc::clone(prepared.board());
     // HTTP outlives the node, so that a look at the counters is possible until the end.

@@ -317,6 +317,7 @@ impl PreparedNode {
             keys: keys.fleet(),
             labels: config.node.labels.clone(),
             desired: DesiredKeeper::open(board.outbox(), config.node.hub_wins),
+            limits: config.frame,
             way: if config.uplink.is_set() {
                 Way::Own(config.uplink.clone())
             } else {

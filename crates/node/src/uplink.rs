@@ -7,12 +7,13 @@
 mod desired;
 mod query;
 mod status;
+mod watched;
 
 pub(crate) use desired::DesiredKeeper;
 
 use crate::board::Board;
+use crate::frame::FrameLimits;
 use crate::outbox::{Acknowledged, Outbox, OutboxConfig};
-use albireo_service::clock::unix_nanoseconds;
 use albireo_service::config::UplinkConfig;
 use albireo_service::session;
 use albireo_wire::{Desired, FleetKeys, PullRequest, RefusalReason, ReportAnswer, VERSION};
@@ -23,6 +24,7 @@ use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
+use watched::Watched;
 use zenoh::Session;
 use zenoh::Wait;
 use zenoh::qos::{CongestionControl, Priority};
@@ -48,6 +50,8 @@ pub(crate) struct UplinkSetup {
     pub labels: BTreeMap<String, String>,
     /// What the hub desires, and what is in force.
     pub desired: DesiredKeeper,
+    /// Limits for decoding pictures that are asked for.
+    pub limits: FrameLimits,
     /// Where the hub is found.
     pub way: Way,
 }
@@ -77,6 +81,7 @@ impl Uplink {
         let outbox = setup.outbox.clone();
         let mut worker = Worker {
             teller: StatusTeller::new(setup.labels.clone()),
+            watched: Watched::new(setup.limits),
             setup,
             stop: Arc::clone(&stop),
             poked: Arc::new(AtomicU64::new(0)),
@@ -84,8 +89,6 @@ impl Uplink {
             failures: 0,
             retry_at: Instant::now(),
             last_answer: Instant::now(),
-            watched_until: None,
-            counted_at: None,
         };
         let thread = std::thread::Builder::new()
             .name("uplink".to_owned())
@@ -129,8 +132,7 @@ struct Worker {
     failures: u32,
     retry_at: Instant,
     last_answer: Instant,
-    watched_until: Option<Instant>,
-    counted_at: Option<Instant>,
+    watched: Watched,
 }
 
 enum Served {
@@ -241,7 +243,7 @@ impl Worker {
                 bell.wake();
             })
             .wait()?;
-        let counters = self.counters(session)?;
+        let mut shown = None;
         let _alive = match &self.setup.way {
             Way::Own(uplink) if uplink.liveliness => {
                 Some(session.liveliness().declare_token(keys.alive()).wait()?)
@@ -260,7 +262,7 @@ impl Worker {
             }
             if !stopping {
                 self.tell_status(&status)?;
-                self.tell_counters(&counters)?;
+                self.watched.serve(session, &self.setup, &mut shown)?;
                 if self.pull_due && pulls.matching_status().wait()?.matching() {
                     self.pull(&pulls);
                 }
@@ -412,8 +414,7 @@ impl Worker {
             self.teller.full_is_due();
         }
         if let Some(seconds) = desired.watched_for_s {
-            let until = Instant::now() + Duration::from_secs(seconds.min(3600).into());
-            self.watched_until = Some(until);
+            self.watched.extend(seconds);
         }
     }
 
@@ -429,54 +430,5 @@ impl Worker {
             Some(Ok(json)) => status.put(json).wait(),
             _ => Ok(()),
         }
-    }
-
-    /// Publishers of counters on the uplink; none where the local session carries them anyway.
-    fn counters(
-        &self,
-        session: &Session,
-    ) -> zenoh::Result<Vec<(String, zenoh::pubsub::Publisher<'static>)>> {
-        if matches!(self.setup.way, Way::Local(_)) {
-            return Ok(Vec::new());
-        }
-        let mut publishers = Vec::new();
-        for camera in self.setup.board.cameras() {
-            let Ok(keys) = self.setup.keys.camera(camera.name()) else {
-                continue;
-            };
-            let publisher = session
-                .declare_publisher(keys.counters())
-                .congestion_control(CongestionControl::Drop)
-                .priority(crate::publishing::COUNTERS)
-                .wait()?;
-            publishers.push((camera.name().to_owned(), publisher));
-        }
-        Ok(publishers)
-    }
-
-    /// Once a second while somebody watches.
-    fn tell_counters(
-        &mut self,
-        publishers: &[(String, zenoh::pubsub::Publisher<'static>)],
-    ) -> zenoh::Result<()> {
-        let now = Instant::now();
-        let due = self.watched_until.is_some_and(|until| now < until)
-            && self
-                .counted_at
-                .is_none_or(|at| now.duration_since(at) >= Duration::from_millis(950));
-        if !due {
-            return Ok(());
-        }
-        self.counted_at = Some(now);
-        for (camera, publisher) in publishers {
-            let Some(camera) = self.setup.board.camera(camera) else {
-                continue;
-            };
-            let message = (self.setup.board).counters(camera, unix_nanoseconds());
-            if let Ok(json) = serde_json::to_vec(&message) {
-                publisher.put(json).wait()?;
-            }
-        }
-        Ok(())
     }
 }

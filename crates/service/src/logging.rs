@@ -1,57 +1,16 @@
-//! Sets up the log.
+//! Sets up the log: to standard error, and the last lines of it in memory.
+
+mod tail;
+
+pub use tail::{LogLine, conceal, last_lines, lines_after};
 
 use crate::config::{LogConfig, LogFormat, check_level};
-use parking_lot::Mutex;
-use std::collections::VecDeque;
-use std::io::{IsTerminal, Write};
-use tracing_subscriber::EnvFilter;
+use std::io::IsTerminal;
+use tail::Tail;
 use tracing_subscriber::filter::ParseError;
-use tracing_subscriber::fmt::writer::MakeWriterExt;
-
-/// Lines of the log that are kept, and the most bytes of one.
-const KEPT: usize = 1000;
-const LONGEST: usize = 4096;
-
-/// The last lines of the log.
-static LAST: Mutex<VecDeque<String>> = Mutex::new(VecDeque::new());
-
-/// The last lines of the log, the oldest first: what a service can tell of its past when it is asked.
-pub fn last_lines() -> Vec<String> {
-    LAST.lock().iter().cloned().collect()
-}
-
-/// Keeps what is written to it; each write is a line.
-struct Keeper;
-
-impl Write for Keeper {
-    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
-        keep(&mut LAST.lock(), bytes);
-        Ok(bytes.len())
-    }
-
-    fn flush(&mut self) -> std::io::Result<()> {
-        Ok(())
-    }
-}
-
-fn keep(lines: &mut VecDeque<String>, bytes: &[u8]) {
-    let text = String::from_utf8_lossy(&bytes[..bytes.len().min(LONGEST)]);
-    let line = without_colours(text.trim_end());
-    if lines.len() == KEPT {
-        lines.pop_front();
-    }
-    lines.push_back(line);
-}
-
-/// The text without the sequences that colour it on a terminal.
-fn without_colours(text: &str) -> String {
-    let mut parts = text.split('\x1b');
-    let mut plain = parts.next().unwrap_or_default().to_owned();
-    for part in parts {
-        plain.push_str(part.split_once('m').map_or("", |(_, rest)| rest));
-    }
-    plain
-}
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer};
 
 /// What libraries say at a level where it concerns only who debugs them: ONNX Runtime lists every node of
 /// a model at INFO, Zenoh every session and link. A directive of the user's own for the same target wins.
@@ -79,7 +38,8 @@ pub enum LogError {
 }
 
 /// Sends the log to standard error, as the configuration wants it, and panics with it. `RUST_LOG`, as other programs
-/// have it, goes before `log.level`.
+/// have it, goes before `log.level`. The last lines are kept in memory from level `info` on, also where standard error is
+/// to hear less.
 ///
 /// # Errors
 /// When the level cannot be read, or a log was set up before.
@@ -90,19 +50,35 @@ pub fn start(config: &LogConfig) -> Result<(), LogError> {
     if let Some(asked) = &asked {
         check_level(asked).map_err(LogError::Variable)?;
     }
-    let filter = filter(asked.as_deref().unwrap_or(&config.level))?;
-    let subscriber = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr.and(|| Keeper));
-    let started = match config.format {
-        LogFormat::Human => subscriber
+    let level = asked.as_deref().unwrap_or(&config.level);
+    let written = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
+    let written = match config.format {
+        LogFormat::Human => written
             .with_ansi(std::io::stderr().is_terminal())
-            .try_init(),
-        LogFormat::Json => subscriber.json().flatten_event(true).try_init(),
+            .with_filter(filter(level)?)
+            .boxed(),
+        LogFormat::Json => written
+            .json()
+            .flatten_event(true)
+            .with_filter(filter(level)?)
+            .boxed(),
     };
-    started.map_err(|error| LogError::Taken(error.to_string()))?;
+    tracing_subscriber::registry()
+        .with(written)
+        .with(Tail.with_filter(filter(tail_level(level))?))
+        .try_init()
+        .map_err(|error| LogError::Taken(error.to_string()))?;
     crate::panics::log_panics();
     Ok(())
+}
+
+/// The level of the lines that are kept: what a person who opens the page wants to read is there even where the log is
+/// to say less.
+fn tail_level(level: &str) -> &str {
+    match level.trim() {
+        "off" | "error" | "warn" => "info",
+        other => other,
+    }
 }
 
 fn filter(level: &str) -> Result<EnvFilter, ParseError> {
@@ -113,20 +89,16 @@ fn filter(level: &str) -> Result<EnvFilter, ParseError> {
 
 #[cfg(test)]
 mod tests {
-    use super::{KEPT, filter, keep};
-    use std::collections::VecDeque;
+    use super::{filter, tail_level};
 
     #[test]
-    fn the_last_lines_are_kept_without_their_colours() {
-        let mut lines = VecDeque::new();
-        for number in 0..KEPT + 3 {
-            keep(
-                &mut lines,
-                format!("\x1b[2m{number}\x1b[0m \x1b[32m INFO\x1b[0m ready\n").as_bytes(),
-            );
-        }
-        assert_eq!(lines.len(), KEPT);
-        assert_eq!(lines.front().map(String::as_str), Some("3  INFO ready"));
+    fn what_is_kept_is_never_less_than_info() {
+        assert_eq!(tail_level(" warn"), "info");
+        assert_eq!(tail_level("debug"), "debug");
+        assert_eq!(
+            tail_level("warn,albireo_node=debug"),
+            "warn,albireo_node=debug"
+        );
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Where a camera stands, once a second.
 
-use crate::{DroppedFrames, EnergyQuality, FrameStates, KnobValue};
+use crate::{DetectorCalls, DroppedFrames, EnergyQuality, FrameStates, KnobValue};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -21,6 +21,10 @@ pub struct CountersMessage {
     pub skip_rate: f64,
     /// Frames answered from prediction because the detector could not be had: state P, and not skipped.
     pub degraded_frames: u64,
+    /// Frames that the detector was called for since the node started, by cause; degraded ones are among them.
+    #[serde(default, skip_serializing_if = "DetectorCalls::is_empty")]
+    #[schema(value_type = std::collections::BTreeMap<String, u64>)]
+    pub calls: DetectorCalls,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
     /// Threshold in force, under the knob's name; absent when the policy has none.

@@ -2,7 +2,7 @@
 
 use crate::KnobValue;
 use albireo_core::detection::ObjectId;
-use albireo_core::policy::{BoxSource, FrameState};
+use albireo_core::policy::{BoxSource, CallCause, FrameState};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -98,6 +98,9 @@ pub struct DetectionsMessage {
     /// The detector was needed but could not be had; the boxes are predictions.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub degraded: bool,
+    /// Why the detector was called, also where it could not be had; absent on a frame that did without it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub cause: Option<CallCause>,
     /// Largest uncertainty τ before the decision; absent without objects.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tau_max: Option<f64>,

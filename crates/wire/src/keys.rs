@@ -142,6 +142,11 @@ impl FleetKeys {
         self.key("@alive")
     }
 
+    /// The counters of all cameras of the node, as who watches it subscribes to them.
+    pub fn all_counters(&self) -> String {
+        format!("{}/{}/*/counters", self.prefix, self.node)
+    }
+
     /// The keys of the node's camera.
     ///
     /// # Errors
@@ -189,6 +194,12 @@ impl CameraKeys {
         format!("{}/counters", self.root)
     }
 
+    /// The newest picture as JPEG, by query; answered while somebody watches the node. The attachment is its sequence
+    /// number in decimal digits.
+    pub fn picture(&self) -> String {
+        format!("{}/picture", self.root)
+    }
+
     /// [`ThresholdMessage`](super::ThresholdMessage)s in by put, in and out by query.
     pub fn threshold(&self) -> String {
         format!("{}/threshold", self.root)
@@ -217,6 +228,9 @@ mod tests {
         assert_eq!(camera.clip(), "albireo/car-7/front/clip");
         assert_eq!(camera.counters(), "albireo/car-7/front/counters");
         assert_eq!(camera.threshold(), "albireo/car-7/front/threshold");
+        assert_eq!(camera.picture(), "albireo/car-7/front/picture");
+        let every = FleetKeys::new("albireo", "car-7").unwrap().all_counters();
+        assert_eq!(every, "albireo/car-7/*/counters");
     }
 
     #[test]

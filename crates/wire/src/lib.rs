@@ -18,7 +18,7 @@ mod status;
 mod tests;
 mod version;
 
-pub use albireo_core::policy::{Knob, KnobError};
+pub use albireo_core::policy::{CallCause, Knob, KnobError};
 pub use clip::{
     BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, FULL_COVERAGE,
     Percentiles,
@@ -32,7 +32,7 @@ pub use report::{
     BatchError, LARGEST_BATCH_BYTES, ReceivedBatch, RefusalReason, ReportAnswer, ReportBatch,
     ReportRefusal,
 };
-pub use states::{DroppedFrames, FrameStates};
+pub use states::{DetectorCalls, DroppedFrames, FrameStates};
 pub use status::{
     CameraState, CameraStatus, HealthState, HealthStatus, KnobSource, NodeStatus, OutboxStatus,
     RefusedDesired, StatusMessage,

@@ -1,7 +1,8 @@
 //! Counts of frames: by frame state, and of those that were not processed.
 
-use albireo_core::policy::FrameState;
-use serde::{Deserialize, Serialize};
+use albireo_core::policy::{CallCause, FrameState};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// How many frames had each state.
@@ -74,6 +75,66 @@ impl std::ops::AddAssign for FrameStates {
         self.ei += more.ei;
         self.i += more.i;
         self.ai += more.ai;
+    }
+}
+
+/// Frames that the detector was called for, by cause. As JSON, the causes that there were with their numbers; a cause of a
+/// later version is left out when read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DetectorCalls([u64; CallCause::ALL.len()]);
+
+impl DetectorCalls {
+    /// Counts one call.
+    pub fn count(&mut self, cause: CallCause) {
+        if let Some(count) = self.0.get_mut(cause as usize) {
+            *count += 1;
+        }
+    }
+
+    /// The calls of that cause.
+    pub fn get(&self, cause: CallCause) -> u64 {
+        self.0.get(cause as usize).copied().unwrap_or_default()
+    }
+
+    /// All calls.
+    pub fn total(&self) -> u64 {
+        self.0.iter().sum()
+    }
+
+    /// Whether there was none.
+    pub fn is_empty(&self) -> bool {
+        self.total() == 0
+    }
+
+    /// Causes and numbers, in the order of [`CallCause::ALL`].
+    pub fn by_cause(&self) -> impl Iterator<Item = (CallCause, u64)> + '_ {
+        CallCause::ALL.into_iter().zip(self.0)
+    }
+}
+
+impl Serialize for DetectorCalls {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let some = self.by_cause().filter(|(_, count)| *count > 0);
+        serializer.collect_map(some.map(|(cause, count)| (cause.as_str(), count)))
+    }
+}
+
+impl<'de> Deserialize<'de> for DetectorCalls {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let counts = BTreeMap::<String, u64>::deserialize(deserializer)?;
+        let mut calls = Self::default();
+        for (place, cause) in calls.0.iter_mut().zip(CallCause::ALL) {
+            *place = counts.get(cause.as_str()).copied().unwrap_or_default();
+        }
+        Ok(calls)
+    }
+}
+
+impl std::ops::AddAssign<&Self> for DetectorCalls {
+    fn add_assign(&mut self, more: &Self) {
+        for (place, more) in self.0.iter_mut().zip(more.0) {
+            *place += more;
+        }
     }
 }
 

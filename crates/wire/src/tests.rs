@@ -87,3 +87,23 @@ fn a_batch_over_all_numbers_there_are_does_not_overflow() {
     gzip.write_all(json.as_bytes()).unwrap();
     assert!(ReceivedBatch::from_payload(&gzip.finish().unwrap()).is_ok());
 }
+
+#[test]
+fn calls_by_cause_are_named_as_in_the_message_of_a_frame_and_survive_a_later_version() {
+    let mut calls = DetectorCalls::default();
+    for cause in CallCause::ALL {
+        assert_eq!(CallCause::ALL[cause as usize], cause);
+        assert_eq!(calls.get(cause), 0);
+        calls.count(cause);
+        assert_eq!(calls.get(cause), 1);
+        assert_eq!(
+            serde_json::to_value(cause).unwrap(),
+            serde_json::Value::from(cause.as_str())
+        );
+    }
+    let json = serde_json::to_string(&calls).unwrap();
+    assert_eq!(serde_json::from_str::<DetectorCalls>(&json).unwrap(), calls);
+    let later: DetectorCalls =
+        serde_json::from_str(r#"{"uncertain":3,"of_a_later_version":4}"#).unwrap();
+    assert_eq!((later.get(CallCause::Uncertain), later.total()), (3, 3));
+}

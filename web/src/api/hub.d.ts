@@ -501,7 +501,7 @@ export interface paths {
                     /** @description Chosen by names, globs and labels, separated by commas: `cam-*,region=north`. */
                     select?: string;
                     /** @description What they are sorted by. */
-                    sort?: "name" | "state" | "since" | "heard" | "waiting";
+                    sort?: "name" | "state" | "since" | "heard" | "waiting" | "joules";
                     /** @description The other way round. */
                     down?: boolean;
                     /** @description Rows left out before the first one. */
@@ -561,7 +561,7 @@ export interface paths {
                     search?: string;
                     /**
                      * @description `name`, or: `state` (offline first), `heard` (the last heard first), `-heard` (the longest not heard first),
-                     *     `waiting` (the most waiting reports first).
+                     *     `waiting` (the most waiting reports first), `joules` (the most energy of today first).
                      */
                     sort?: string;
                     /** @description `next` of the page before. */
@@ -630,6 +630,135 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["NodeDetail"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/nodes/{node}/cameras/{camera}/frame.jpg": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The newest picture of a node's camera
+         * @description The node sends it because it is asked for, and sends none otherwise. The header `albireo-frame` has the sequence number
+         *     of the frame. `curl -o frame.jpg http://127.0.0.1:8090/api/v1/nodes/car-7/cameras/front/frame.jpg`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description Its name */
+                    node: string;
+                    /** @description The camera's name */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        /** @description Sequence number of the frame. */
+                        "albireo-frame"?: number;
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "image/jpeg": number[];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                /** @description The node did not answer. */
+                504: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/nodes/{node}/live": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The counters of one node's cameras, once a second, as server-sent events
+         * @description The node sends them only while this is read, and for half a minute after. Event `counters`, one a camera and second.
+         *     `curl -N http://127.0.0.1:8090/api/v1/nodes/car-7/live`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description Its name */
+                    node: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "text/event-stream": string;
                     };
                 };
                 503: {
@@ -1402,6 +1531,48 @@ export interface components {
          * @enum {string}
          */
         Command: "pause" | "resume" | "next" | "return" | "stop";
+        /** @description Where a camera stands, once a second. */
+        CountersMessage: {
+            /** @description Frames that the detector was called for since the node started, by cause; degraded ones are among them. */
+            calls?: {
+                [key: string]: number;
+            };
+            /** @description Camera. */
+            camera: string;
+            /**
+             * Format: int64
+             * @description Frames answered from prediction because the detector could not be had: state P, and not skipped.
+             */
+            degraded_frames: number;
+            /** @description Frames not processed, by kind. */
+            dropped: components["schemas"]["DroppedFrames"];
+            /**
+             * Format: int64
+             * @description Frames processed since the node started.
+             */
+            frames: number;
+            /** @description How far to trust the watts. */
+            power_quality: components["schemas"]["EnergyQuality"];
+            /**
+             * Format: double
+             * @description Share of frames that skipped the detector since the node started: state E or P and not degraded.
+             */
+            skip_rate: number;
+            /** @description Frame states since the node started. */
+            states: components["schemas"]["FrameStates"];
+            /**
+             * Format: int64
+             * @description When, nanoseconds since the Unix epoch.
+             */
+            t_ns: number;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+            /** @description Power now by domain, watts; empty without a source. */
+            watts: components["schemas"]["DomainWatts"][];
+        };
         /** @description Nodes by state. */
         Counts: {
             /** Format: int64 */
@@ -1412,6 +1583,16 @@ export interface components {
             online: number;
             /** Format: int64 */
             silent: number;
+        };
+        /** @description Power of one domain now. */
+        DomainWatts: {
+            /** @description `total`, `gpu`, `cpu`, `io_mem`. */
+            domain: string;
+            /**
+             * Format: double
+             * @description Watts.
+             */
+            watts: number;
         };
         /** @description A node whose value in force is not the desired one, although it had taken it. */
         Drift: {
@@ -1432,6 +1613,58 @@ export interface components {
             set_back: number;
             /** @description Since when the hub knows, milliseconds since the Unix epoch. */
             since_ms: components["schemas"]["i64"];
+        };
+        /** @description Frames that were not processed, each kind under its own name. */
+        DroppedFrames: {
+            /**
+             * Format: int64
+             * @description Arrived again with the same sequence number.
+             * @default 0
+             */
+            duplicate: number;
+            /**
+             * Format: int64
+             * @description Arrived after a later frame (it had been counted as lost when the later one came), or with a number
+             *     far from all others.
+             * @default 0
+             */
+            late: number;
+            /**
+             * Format: int64
+             * @description Never arrived: numbers missing in the sequence.
+             * @default 0
+             */
+            lost: number;
+            /**
+             * Format: int64
+             * @description Pushed out of the ring by a newer one before its turn.
+             * @default 0
+             */
+            overrun: number;
+            /**
+             * Format: int64
+             * @description Payload, picture or decompressed size above the limit.
+             * @default 0
+             */
+            oversized: number;
+            /**
+             * Format: int64
+             * @description Arrived, or waited in the ring, while the camera's loop did not run: it had failed, or the node stopped.
+             * @default 0
+             */
+            stopped: number;
+            /**
+             * Format: int64
+             * @description The picture could not be decoded, or contradicts its own header.
+             * @default 0
+             */
+            undecodable: number;
+            /**
+             * Format: int64
+             * @description A payload encoding that is not known, or an attachment that cannot be read.
+             * @default 0
+             */
+            unknown_format: number;
         };
         /** @description Sums by group and quality. */
         Energy: {
@@ -1566,6 +1799,34 @@ export interface components {
              * @description Reports that wait in the outboxes of the whole fleet.
              */
             waiting: number;
+        };
+        /** @description How many frames had each state. */
+        FrameStates: {
+            /**
+             * Format: int64
+             * @description Detector with at least one rescue.
+             */
+            AI: number;
+            /**
+             * Format: int64
+             * @description Screen says empty, detector skipped.
+             */
+            E: number;
+            /**
+             * Format: int64
+             * @description Screen, then detector.
+             */
+            "E+I": number;
+            /**
+             * Format: int64
+             * @description Detector.
+             */
+            I: number;
+            /**
+             * Format: int64
+             * @description Predicted boxes, detector skipped.
+             */
+            P: number;
         };
         /** @description A gate's verdict on one figure, with its numbers. */
         GateResult: {
@@ -1820,6 +2081,8 @@ export interface components {
             /** @description How it is. */
             state: components["schemas"]["PresenceState"];
             status?: components["schemas"]["NodeStatus"] | null;
+            /** @description Energy of its clips of today (UTC). */
+            today: components["schemas"]["TodaysEnergy"];
             /**
              * Format: int64
              * @description Reports that wait in its outbox.
@@ -2341,6 +2604,19 @@ export interface components {
             wait_s?: number | null;
             /** @description Why; stands in the history. */
             why?: string;
+        };
+        /** @description What a node's clips of today used. Measured and estimated energy are never added. */
+        TodaysEnergy: {
+            /**
+             * Format: double
+             * @description Joules computed from utilisation.
+             */
+            estimated_joules: number;
+            /**
+             * Format: double
+             * @description Joules read from a meter, also where it was read for a part of the time.
+             */
+            measured_joules: number;
         };
         /** @description Where a trial is. */
         TrialPhase: {

@@ -1,44 +1,6 @@
 // Made by `npm run types` from api/node.json. Do not edit.
 
 export interface paths {
-    "/api/v1": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Who answers here, and what can be asked
-         * @description `curl http://127.0.0.1:8080/api/v1`
-         */
-        get: {
-            parameters: {
-                query?: never;
-                header?: never;
-                path?: never;
-                cookie?: never;
-            };
-            requestBody?: never;
-            responses: {
-                200: {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/json": components["schemas"]["Index"];
-                    };
-                };
-            };
-        };
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
     "/api/v1/caller": {
         parameters: {
             query?: never;
@@ -104,106 +66,6 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["Cameras"];
-                    };
-                };
-            };
-        };
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/cameras/{camera}": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * Where a camera stands: policy, threshold, frame states, what to try
-         * @description `curl http://127.0.0.1:8080/api/v1/cameras/front`
-         */
-        get: {
-            parameters: {
-                query?: never;
-                header?: never;
-                path: {
-                    /** @description The camera's name. */
-                    camera: string;
-                };
-                cookie?: never;
-            };
-            requestBody?: never;
-            responses: {
-                200: {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/json": components["schemas"]["CameraDetail"];
-                    };
-                };
-                404: {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/problem+json": components["schemas"]["Problem"];
-                    };
-                };
-            };
-        };
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/cameras/{camera}/detections": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * What was found in a camera's newest frame
-         * @description The message that was published on Zenoh for it.
-         *     `curl http://127.0.0.1:8080/api/v1/cameras/front/detections`
-         */
-        get: {
-            parameters: {
-                query?: never;
-                header?: never;
-                path: {
-                    /** @description The camera's name. */
-                    camera: string;
-                };
-                cookie?: never;
-            };
-            requestBody?: never;
-            responses: {
-                200: {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/json": components["schemas"]["DetectionsMessage"];
-                    };
-                };
-                /** @description There is no such camera, or it has had no frame yet. */
-                404: {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
             };
@@ -317,6 +179,124 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/cameras/{camera}/history": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * A camera's last minutes frame by frame, and its last hour in pieces
+         * @description The node keeps the newest 8192 frames and 360 pieces of ten seconds in memory, whoever looks.
+         *     `curl 'http://127.0.0.1:8080/api/v1/cameras/front/history?frames=100'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description At most so many of the last frames, 0 to 8192; 3000 by default. */
+                    frames?: number;
+                };
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["CameraHistory"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/cameras/{camera}/skip-estimate": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * What other thresholds would have skipped over the last minutes
+         * @description An estimate from the uncertainties that were recorded frame by frame, for the threshold `u`.
+         *     `curl 'http://127.0.0.1:8080/api/v1/cameras/front/skip-estimate?values=1e-4,3e-4,1e-3'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /**
+                     * @description Values of the threshold, separated by commas, at most 64; without it, 41 from a hundredth of the default to a hundred
+                     *     times it.
+                     */
+                    values?: string;
+                };
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["SkipEstimates"];
+                    };
+                };
+                /** @description The policy is not turned by u, or has no record to estimate from yet. */
+                409: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/cameras/{camera}/threshold": {
         parameters: {
             query?: never;
@@ -361,7 +341,7 @@ export interface paths {
         /**
          * Changes a camera's threshold
          * @description It holds from the camera's next frame.
-         *     `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
+         *     `curl -X PUT -H 'Content-Type: application/json' -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
          */
         put: {
             parameters: {
@@ -413,7 +393,7 @@ export interface paths {
         };
         /**
          * Recent clip reports, newest first
-         * @description The node keeps the newest 256 in memory. `before` and `after` take the numbers of reports (`report`), which grow.
+         * @description The node keeps the newest 256 in memory.
          *     `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
          */
         get: {
@@ -421,12 +401,8 @@ export interface paths {
                 query?: {
                     /** @description Of this camera only. */
                     camera?: string;
-                    /** @description At most this many; 50 without it. */
+                    /** @description At most this many, 1 to 256; 50 by default. */
                     limit?: number;
-                    /** @description Reports with a lower number only: `next` of an answer, for the clips before those. */
-                    before?: number;
-                    /** @description Reports with a higher number only: the highest number seen, for the clips since. */
-                    after?: number;
                 };
                 header?: never;
                 path?: never;
@@ -440,6 +416,53 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["Clips"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/diag": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * One archive (tar) of what helps to find a fault
+         * @description Versions, the configuration with its secrets masked, readiness with reasons, cameras, frame-state counters, metrics, the
+         *     last clips, and the last lines of the log. `curl -O -J http://127.0.0.1:8080/api/v1/diag`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/x-tar": number[];
                     };
                 };
                 "4XX": {
@@ -564,6 +587,58 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/log": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The last lines of the log
+         * @description The node keeps the newest 1000 in memory, from level `info` on whatever standard error is to hear. No configured secret
+         *     is in them. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
+         */
+        get: {
+            parameters: {
+                query?: {
+                    /** @description Only lines after that number. */
+                    after?: number;
+                    /** @description At most so many, the newest, 1 to 1000; 200 by default. */
+                    limit?: number;
+                };
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Log"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/node": {
         parameters: {
             query?: never;
@@ -591,6 +666,44 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["NodeOverview"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/power": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The node's power over the last hour, in pieces
+         * @description `curl http://127.0.0.1:8080/api/v1/power`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["PowerHistory"];
                     };
                 };
             };
@@ -637,7 +750,7 @@ export interface paths {
          * Changes the threshold of all cameras, or of none
          * @description It holds from each camera's next frame. A policy's knob goes by its own name: `u`, or `lambda` under
          *     expected-loss.
-         *     `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
+         *     `curl -X PUT -H 'Content-Type: application/json' -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
          */
         put: {
             parameters: {
@@ -806,30 +919,30 @@ export interface paths {
 export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
-        /** @description A policy that has skipped nothing, and what to try. */
-        Advice: {
+        /** @description What was saved over a time. */
+        Balance: {
             /**
              * Format: int64
-             * @description Frames of those with objects.
+             * @description Detector calls avoided: frames answered without it, degraded ones not among them.
              */
-            followed: number;
+            avoided_calls: number;
             /**
              * Format: int64
-             * @description Frames since the knob was turned last; the detector ran on every one.
+             * @description Frames answered from prediction because the detector could not be had.
+             */
+            degraded_frames: number;
+            /** @description Energy of the clips that ended in this time, by quality; a quality without clips is left out. */
+            energy: components["schemas"]["SavedEnergy"][];
+            /**
+             * Format: int64
+             * @description Frames processed.
              */
             frames: number;
-            /** @description The knob's name. */
-            knob: string;
             /**
-             * Format: double
-             * @description A value under which about half of those frames would have been predicted.
+             * Format: int64
+             * @description From when on, milliseconds since the Unix epoch: the node's start, or midnight UTC where that is later.
              */
-            try: number;
-            /**
-             * Format: double
-             * @description Its value.
-             */
-            value: number;
+            since_ms: number;
         };
         /**
          * @description The state of the board during a clip, as far as the board tells: the same clip costs differently in
@@ -893,32 +1006,14 @@ export interface components {
          * @enum {string}
          */
         BoxSource: "detected" | "predicted" | "rescued";
-        /** @description Where one camera stands. */
-        CameraDetail: components["schemas"]["CameraEntry"] & {
-            /**
-             * Format: int64
-             * @description Frames answered from prediction because the detector could not be had.
-             */
-            degraded_frames: number;
-            /** @description Frames not processed, by kind. */
-            dropped: components["schemas"]["DroppedFrames"];
-            knob?: components["schemas"]["Knob"] | null;
-            /** @description The policy that decides its frames. */
-            policy: string;
-            set_by?: components["schemas"]["KnobSource"] | null;
-            /**
-             * Format: double
-             * @description Share of frames that skipped the detector: state E or P and not degraded.
-             */
-            skip_rate: number;
-            /** @description How many frames had each state; they add up to `frames`. */
-            states: components["schemas"]["FrameStates"];
-            /** @description The program's version. */
-            version: string;
-        };
+        /**
+         * @description Why the detector was called for a frame, whether or not it answered. Where several things call it at once, the one
+         *     named first here is said.
+         * @enum {string}
+         */
+        CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame";
         /** @description A camera. */
         CameraEntry: {
-            advice?: components["schemas"]["Advice"] | null;
             /** @description Its name. */
             camera: string;
             /**
@@ -944,24 +1039,74 @@ export interface components {
              */
             last_frame_age_s?: number | null;
             /**
-             * Format: double
-             * @description What the published code would want in the place of `u` in pictures of this size; absent where that is the same
-             *     number, before the first frame, and under other policies.
-             */
-            u_as_published?: number | null;
-            /**
              * Format: int32
              * @description Columns of its newest frame.
              */
             width?: number | null;
         };
-        /**
-         * @description Whether frames come from a camera.
-         * @enum {string}
-         */
-        CameraState: "live" | "stale" | "never_seen";
+        /** @description What became of a camera's frames lately. */
+        CameraHistory: {
+            /** @description Camera. */
+            camera: string;
+            /** @description The last frames. */
+            frames: components["schemas"]["PastFrames"];
+            /**
+             * Format: int64
+             * @description The node's clock now, milliseconds since the Unix epoch.
+             */
+            now_ms: number;
+            /**
+             * Format: int64
+             * @description Length of a piece of the hour, seconds.
+             */
+            slot_s: number;
+            /** @description The last hour in pieces, the oldest first, the last one still open; those without a frame are left out. */
+            slots: components["schemas"]["CameraSlot"][];
+        };
+        /** @description A piece of the last hour. */
+        CameraSlot: {
+            /**
+             * Format: int64
+             * @description When it began, milliseconds since the Unix epoch.
+             */
+            at_ms: number;
+            /**
+             * Format: int32
+             * @description Frames that the detector was called for.
+             */
+            calls: number;
+            /**
+             * Format: int32
+             * @description Of these, answered from prediction because the detector could not be had.
+             */
+            degraded: number;
+            /**
+             * Format: float
+             * @description Median time of the detector, milliseconds; absent where it did not run.
+             */
+            detector_p50_ms?: number | null;
+            /**
+             * Format: float
+             * @description 99th percentile of it.
+             */
+            detector_p99_ms?: number | null;
+            /**
+             * Format: int32
+             * @description Frames processed.
+             */
+            frames: number;
+            /**
+             * Format: int32
+             * @description Of these, without the detector: state E or P and not degraded.
+             */
+            skipped: number;
+        };
         /** @description What became of a camera's frames since the node started. The five states add up to `frames`. */
         CameraStates: {
+            /** @description Frames that the detector was called for, by cause; degraded ones are among them. */
+            calls: {
+                [key: string]: number;
+            };
             /** @description Camera. */
             camera: string;
             /**
@@ -993,15 +1138,6 @@ export interface components {
              * @description Largest uncertainty of the newest frame; absent without objects.
              */
             tau_max?: number | null;
-        };
-        /** @description One camera of a [`NodeStatus`]. */
-        CameraStatus: {
-            /** @description Who set it. */
-            knob_source: components["schemas"]["KnobSource"];
-            /** @description Its name. */
-            name: string;
-            /** @description Whether frames come. */
-            state: components["schemas"]["CameraState"];
         };
         /** @description One camera's threshold. */
         CameraThreshold: {
@@ -1137,14 +1273,13 @@ export interface components {
         Clips: {
             /** @description The reports, as published on Zenoh. */
             clips: components["schemas"]["ClipReport"][];
-            /**
-             * Format: int64
-             * @description To be given as `before` for the clips before these; absent when there are none in memory.
-             */
-            next?: number | null;
         };
         /** @description Where a camera stands, once a second. */
         CountersMessage: {
+            /** @description Frames that the detector was called for since the node started, by cause; degraded ones are among them. */
+            calls?: {
+                [key: string]: number;
+            };
             /** @description Camera. */
             camera: string;
             /**
@@ -1181,35 +1316,11 @@ export interface components {
             /** @description Power now by domain, watts; empty without a source. */
             watts: components["schemas"]["DomainWatts"][];
         };
-        /** @description What is desired of a node. */
-        Desired: {
-            /**
-             * Format: int64
-             * @description Number of this desired value; a lower one never replaces a higher. 0 when nothing was ever desired.
-             */
-            generation: number;
-            /** @description The knob's value; absent when nothing is desired of it. */
-            knob?: {
-                [key: string]: number;
-            } | null;
-            /** @description The hub missed a status: send the full one. */
-            send_full_status?: boolean;
-            /**
-             * Format: int32
-             * @description Version.
-             */
-            v: number;
-            /**
-             * Format: int32
-             * @description How much longer somebody watches the node, seconds: so long it sends counters at 1 Hz. Absent when nobody
-             *     does.
-             */
-            watched_for_s?: number | null;
-        };
         /** @description What was found in one frame. */
         DetectionsMessage: {
             /** @description What is in view. */
             boxes: components["schemas"]["BoxMessage"][];
+            cause?: components["schemas"]["CallCause"] | null;
             /** @description Clip the frame belongs to. */
             clip: string;
             /** @description The detector was needed but could not be had; the boxes are predictions. */
@@ -1361,49 +1472,6 @@ export interface components {
             /** @description Where the figures come from: `rapl`, `estimate`, …; `none` without a source. */
             source: string;
         };
-        /**
-         * @description What a node answers to a frame that came as a query, once the frame's turn has come: the sender of a camera with
-         *     `delivery = "every"` sends its next frame then. A query that ends without an answer was not taken.
-         */
-        FrameAnswer: {
-            /** @description Why the frame will not be processed; absent when it will be. */
-            refused?: string | null;
-            /**
-             * Format: int32
-             * @description Version.
-             */
-            v: number;
-        };
-        /** @description What a camera may say about a frame, in the attachment of its sample. */
-        FrameAttachment: {
-            /** @description Clip the frame belongs to. Without it clips are fixed time windows. */
-            clip?: string | null;
-            /**
-             * Format: int32
-             * @description Rows of a raw picture.
-             */
-            height?: number | null;
-            /**
-             * Format: int64
-             * @description Sequence number, one more for each frame. Without it frames are numbered by arrival.
-             */
-            seq?: number | null;
-            /**
-             * Format: int64
-             * @description Capture time, nanoseconds since the Unix epoch. Without it the sample's timestamp counts.
-             */
-            t_ns?: number | null;
-            /**
-             * Format: int32
-             * @description Version.
-             */
-            v: number;
-            /**
-             * Format: int32
-             * @description Columns of a raw picture.
-             */
-            width?: number | null;
-        };
         /** @description A frame was processed: its detections message and whose it is. */
         FrameEvent: components["schemas"]["DetectionsMessage"] & {
             /** @description Camera. */
@@ -1461,30 +1529,6 @@ export interface components {
          * @enum {string}
          */
         HealthState: "ready" | "degraded" | "not_ready";
-        /** @description Health with its reasons. */
-        HealthStatus: {
-            /** @description What is wrong, by part; empty when ready. */
-            reasons: {
-                [key: string]: string;
-            };
-            /** @description Whether it works as it should. */
-            state: components["schemas"]["HealthState"];
-        };
-        /** @description Who answers here, and what can be asked. */
-        Index: {
-            /** @description Names of the cameras. */
-            cameras: string[];
-            /** @description The node's name. */
-            node: string;
-            /** @description The interface described in full. */
-            openapi: string;
-            /** @description The policy that decides the frames. */
-            policy: string;
-            /** @description What can be asked. */
-            routes: components["schemas"]["Route"][];
-            /** @description The program's version. */
-            version: string;
-        };
         /** @description The one number of a policy that a user turns while it runs, as the policy declares it. */
         Knob: {
             /**
@@ -1506,16 +1550,6 @@ export interface components {
             minimum: number;
             /** @description Its name in configuration, messages and reports: `u`, `lambda`, … */
             name: string;
-            /**
-             * Format: double
-             * @description Where a slider ends: above it hardly anything more is saved, at a high price.
-             */
-            useful_maximum: number;
-            /**
-             * Format: double
-             * @description Where a slider begins: below it hardly anything is saved.
-             */
-            useful_minimum: number;
         };
         /** @description A change of the knob during a clip. */
         KnobChange: {
@@ -1525,11 +1559,6 @@ export interface components {
              */
             seq: number;
         };
-        /**
-         * @description Who set the knob's value in force.
-         * @enum {string}
-         */
-        KnobSource: "configuration" | "local" | "hub";
         /** @description Where the time of one frame went, milliseconds. A step that did not happen is absent. */
         Latency: {
             /**
@@ -1563,12 +1592,40 @@ export interface components {
              */
             waiting: number;
         };
+        /** @description Lines of the log. */
+        Log: {
+            /** @description The oldest first. */
+            lines: components["schemas"]["LogLine"][];
+        };
+        /** @description One line of the log. */
+        LogLine: {
+            /**
+             * Format: int64
+             * @description When, milliseconds since the Unix epoch.
+             */
+            at_ms: number;
+            /** @description `ERROR`, `WARN`, `INFO`, `DEBUG` or `TRACE`. */
+            level: string;
+            /**
+             * Format: int64
+             * @description Its number since the start, from 1.
+             */
+            number: number;
+            /** @description Part of the program that says it. */
+            target: string;
+            /** @description What it says, with what it says of it and where. */
+            text: string;
+        };
         /** @description A node: how it is, since when it runs, and what it has used since. */
         NodeOverview: components["schemas"]["Readiness"] & {
             /** @description Energy since the start. */
             energy: components["schemas"]["EnergySinceStart"];
             /** @description Reports that wait for a hub. */
             outbox: components["schemas"]["OutboxStatus"];
+            /** @description What was saved since the start. */
+            since_start: components["schemas"]["Balance"];
+            /** @description What was saved today: since midnight UTC, or since the start where that is later. */
+            today: components["schemas"]["Balance"];
             /**
              * Format: double
              * @description Seconds since it started.
@@ -1579,6 +1636,10 @@ export interface components {
         };
         /** @description What became of all frames since the node started. */
         NodeStates: {
+            /** @description Frames that the detector was called for, by cause, all cameras together. */
+            calls: {
+                [key: string]: number;
+            };
             /** @description Each camera's. */
             cameras: components["schemas"]["CameraStates"][];
             /**
@@ -1606,32 +1667,6 @@ export interface components {
              */
             uptime_s: number;
         };
-        /** @description Everything a hub shows of a node between reports. */
-        NodeStatus: {
-            /** @description Cameras. */
-            cameras: components["schemas"]["CameraStatus"][];
-            /** @description Health with its reasons. */
-            health: components["schemas"]["HealthStatus"];
-            /** @description Labels of its configuration, for selecting nodes: `region = "north"`. */
-            labels?: {
-                [key: string]: string;
-            };
-            /** @description Detector model: file name. */
-            model: string;
-            /** @description The outbox. */
-            outbox: components["schemas"]["OutboxStatus"];
-            /** @description Policy. */
-            policy: string;
-            /** @description How far they can be trusted. */
-            power_quality: components["schemas"]["EnergyQuality"];
-            /** @description Where power figures come from: `rapl`, `estimate`, … */
-            power_source: string;
-            /** @description Execution provider that really runs it; absent until the model is loaded. */
-            provider?: string | null;
-            refused?: components["schemas"]["RefusedDesired"] | null;
-            /** @description Version of the program. */
-            version: string;
-        };
         /** @description [`Readiness`] as a problem document. */
         NotReady: components["schemas"]["Problem"] & components["schemas"]["Readiness"];
         /**
@@ -1658,6 +1693,29 @@ export interface components {
              * @description Reports that wait.
              */
             waiting: number;
+        };
+        /** @description The last frames, column by column: the n-th entry of each is of the n-th frame, the oldest first. */
+        PastFrames: {
+            /** @description Milliseconds before `now_ms` that it was answered. */
+            age_ms: number[];
+            /** @description Boxes reported. */
+            boxes: number[];
+            /** @description Why the detector was called; null where it was not. */
+            cause: (components["schemas"]["CallCause"] | null)[];
+            /** @description Whether the detector was needed and could not be had. */
+            degraded: boolean[];
+            /** @description Milliseconds of the detector; null where it did not run. */
+            detector_ms: (number | null)[];
+            /** @description Threshold in force; null where the policy has none. */
+            knob: (number | null)[];
+            /** @description Sequence number. */
+            seq: number[];
+            /** @description Frame state. */
+            state: components["schemas"]["FrameState"][];
+            /** @description Largest uncertainty before the decision; null without objects. */
+            tau_max: (number | null)[];
+            /** @description Milliseconds from reception to publication. */
+            total_ms: (number | null)[];
         };
         /** @description Middle and tail of a set of durations, milliseconds. */
         Percentiles: {
@@ -1687,18 +1745,29 @@ export interface components {
              */
             p99: number;
         };
-        /** @description Says that there is something to pull. */
-        Poke: {
+        /** @description Power over the last hour. */
+        PowerHistory: {
             /**
              * Format: int64
-             * @description Generation of what is desired.
+             * @description Length of a piece, seconds.
              */
-            generation: number;
+            slot_s: number;
+            /** @description The pieces, the oldest first, the last one still open; those without a figure are left out. */
+            slots: components["schemas"]["PowerPiece"][];
+        };
+        /** @description Power of a piece of the last hour. */
+        PowerPiece: {
             /**
-             * Format: int32
-             * @description Version.
+             * Format: int64
+             * @description When it began, milliseconds since the Unix epoch.
              */
-            v: number;
+            at_ms: number;
+            /** @description How far to trust it: the worst during the piece. */
+            quality: components["schemas"]["EnergyQuality"];
+            /** @description Mean power over the time that samples cover, watts, by domain. */
+            watts: {
+                [key: string]: number;
+            };
         };
         /** @description What went wrong with a request, and what would do. */
         Problem: {
@@ -1716,21 +1785,6 @@ export interface components {
             title: string;
             /** @description Always `about:blank`: the title is that of the status. */
             type: string;
-        };
-        /** @description A node asks what is desired. */
-        PullRequest: {
-            /**
-             * Format: int64
-             * @description Generation it has, 0 for none.
-             */
-            generation: number;
-            /** @description Instance of the node. */
-            instance: string;
-            /**
-             * Format: int32
-             * @description Version.
-             */
-            v: number;
         };
         /** @description Whether frames are processed as the configuration wants it, and by what. */
         Readiness: {
@@ -1767,118 +1821,62 @@ export interface components {
             /** @description Which of several: the name of a camera or a task. Absent where it is the part itself. */
             subject?: string | null;
         };
-        /** @description A desired value that a node did not take. */
-        RefusedDesired: {
+        /** @description Energy of the clips of one quality; sums of different qualities are never added. */
+        SavedEnergy: {
             /**
              * Format: int64
-             * @description Its generation: greater than the one in force.
+             * @description Clips whose energy is known in whole.
              */
-            generation: number;
-            /** @description Why, in words: the policy has another knob, or the value is outside of its range. */
-            reason: string;
+            clips: number;
+            /**
+             * Format: double
+             * @description Their time, seconds.
+             */
+            duration_s: number;
+            /**
+             * Format: double
+             * @description What they used.
+             */
+            joules: number;
+            /** @description How far to trust the joules. */
+            quality: components["schemas"]["EnergyQuality"];
+            /**
+             * Format: int64
+             * @description Avoided calls without a price, because their clip had no call: they are in neither sum.
+             */
+            unpriced_calls: number;
+            /**
+             * Format: double
+             * @description What they would have used with a detector call on every frame: an avoided call is priced at its clip's own mean
+             *     power times its own mean detector time. Always an estimate.
+             */
+            vanilla_joules_estimated: number;
         };
-        /** @description The acknowledgement of a batch, sent after the hub's commit. */
-        ReportAnswer: {
-            desired?: components["schemas"]["Desired"] | null;
+        /** @description What other thresholds would have skipped over the last minutes. */
+        SkipEstimates: {
+            /** @description Camera. */
+            camera: string;
             /**
-             * Format: int64
-             * @description Every report of the instance up to this number is stored and may be removed: the batch's last number, or a lower
-             *     one where the rest must be sent again. Numbers begin at 1, so that 0 says that nothing is stored. Above the
-             *     node's own last number it says that the node's state went back in time.
+             * Format: double
+             * @description Time they took, seconds.
              */
-            stored: number;
+            duration_s: number;
             /**
-             * Format: int32
-             * @description Version.
+             * @description Always true: under another value other frames would have been matched, so objects would have evolved differently.
+             *     Recorded uncertainties are scaled by how they grew with the time since a call.
              */
-            v: number;
-        };
-        /** @description Reports of one node, in the order of their numbers. On the wire it is JSON compressed with gzip. */
-        ReportBatch: {
+            estimated: boolean;
+            /** @description Frames looked at. */
+            frames: number;
             /**
-             * Format: int64
-             * @description Number of the first report.
+             * Format: double
+             * @description Share of the frames, really.
              */
-            first: number;
-            /**
-             * @description Instance of the node, 32 hexadecimal digits: made at its first start, and anew when its state directory is found
-             *     on another machine or went back in time. Numbers count within it.
-             */
-            instance: string;
-            /**
-             * Format: int64
-             * @description Number of the last report.
-             */
-            last: number;
-            /**
-             * Format: int64
-             * @description Reports that were lost before they could be sent (the outbox was full or its disk broken), since the
-             *     instance began. A hub sees from it that a gap is known to the node.
-             */
-            lost?: number;
-            /**
-             * @description A short digest of the machine's identity, so that one instance on two machines is noticed; absent
-             *     where the machine has none.
-             */
-            machine?: string | null;
-            /** @description Node. */
-            node: string;
-            /** @description The reports: [`ClipReport::report`] is its number. */
-            reports: components["schemas"]["ClipReport"][];
-            /**
-             * Format: int32
-             * @description Version.
-             */
-            v: number;
-        };
-        /** @description A route. */
-        Route: {
-            /** @description `GET` or `PUT`. */
-            method: string;
-            /** @description Its path; `{camera}` stands for a camera's name. */
-            path: string;
-            /** @description What it is for. */
-            summary: string;
-        };
-        /** @description A sign of life, with the full status when it changed or was asked for. */
-        StatusMessage: {
-            full?: components["schemas"]["NodeStatus"] | null;
-            /**
-             * Format: int64
-             * @description Generation of the desired value that is in force; 0 when none is.
-             */
-            generation: number;
-            /** @description Whether it works as it should. */
-            health: components["schemas"]["HealthState"];
-            /** @description Instance of the node. */
-            instance: string;
-            /** @description A short digest of the machine's identity; absent where the machine has none. */
-            machine?: string | null;
-            /**
-             * Format: int64
-             * @description Number of this message within the run, from 0; a gap makes the hub ask for the full status.
-             */
-            seq: number;
-            /**
-             * Format: int64
-             * @description When the process started, nanoseconds since the Unix epoch: tells two runs of one instance apart.
-             */
-            started_ns: number;
-            /**
-             * Format: int64
-             * @description The node's clock, nanoseconds since the Unix epoch.
-             */
-            t_ns: number;
-            /**
-             * Format: int32
-             * @description Version.
-             */
-            v: number;
-            /**
-             * Format: int64
-             * @description Reports that wait in the outbox.
-             */
-            waiting: number;
+            skip_rate: number;
+            /** @description Frames that really were answered without the detector. */
+            skipped: number;
+            /** @description What each value would have skipped, in the order asked for. */
+            values: components["schemas"]["ValueEstimate"][];
         };
         /** @description A threshold changed; it holds from the camera's next frame. */
         ThresholdEvent: {
@@ -1905,6 +1903,21 @@ export interface components {
              *     written to.
              */
             survives_restart: boolean;
+        };
+        /** @description What one value would have skipped. */
+        ValueEstimate: {
+            /**
+             * Format: double
+             * @description Share of the frames.
+             */
+            skip_rate: number;
+            /** @description Frames without the detector. */
+            skipped: number;
+            /**
+             * Format: double
+             * @description The value.
+             */
+            value: number;
         };
         /** @description Who asks. */
         WhoAsks: {

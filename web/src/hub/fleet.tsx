@@ -1,8 +1,9 @@
 // The fleet as a table: as many elements as fit on the screen, filled anew while it is scrolled.
 
 import { signal } from "@preact/signals";
+import type { JSX } from "preact";
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import { ago, count, dateTime, plural, small } from "../shared/format";
+import { ago, count, dateTime, joules, plural, small } from "../shared/format";
 import { Section } from "../shared/parts";
 import { Fault, Presence } from "./parts";
 import { href, refine, route } from "./route";
@@ -39,6 +40,7 @@ const COLUMNS: { id: string; head: string; sort?: string; class: string }[] = [
   { id: "heard", head: "heard", sort: "heard", class: "c-heard" },
   { id: "knob", head: "threshold", class: "c-knob" },
   { id: "provider", head: "runs on", class: "c-provider" },
+  { id: "joules", head: "energy today", sort: "joules", class: "c-joules" },
   { id: "waiting", head: "waiting", sort: "waiting", class: "c-waiting" },
   { id: "labels", head: "labels", class: "c-labels" },
 ];
@@ -60,6 +62,7 @@ export function Fleet() {
   const rows = useMemo(() => new Rows(filter, () => setTurn((turn) => turn + 1)), [key]);
   useEffect(() => () => rows.stop(), [rows]);
   const scroller = useRef<HTMLDivElement>(null);
+  // The row at the top, and not the pixel: what is drawn changes only with it.
   const [top, setTop] = useState(0);
   const [view, setView] = useState(600);
 
@@ -74,7 +77,7 @@ export function Fleet() {
     setTop(0);
   }, [key]);
 
-  const first = Math.max(0, Math.floor(top / HEIGHT) - 2);
+  const first = Math.max(0, top - 2);
   const slots = Math.ceil(view / HEIGHT) + 5;
   const last = Math.min(first + slots, Math.max(rows.total, 1)) - 1;
   useEffect(() => rows.want(first, last), [rows, first, last]);
@@ -95,11 +98,17 @@ export function Fleet() {
   for (let index = first; index <= last && index < rows.total; index += 1) shown.push(index);
   const sort = (id: string) => refine({ sort: id, down: filter.sort === id && !filter.down ? "true" : undefined });
   const picked = selected.value;
-  const pick = (node: string, on: boolean) => {
-    const next = new Set(picked);
-    if (on) next.add(node);
-    else next.delete(node);
-    selected.value = next;
+  // A row that is as it was is the very element that was drawn, and nothing of it is looked at again.
+  const drawn = useRef(new Map<number, { index: number; node: NodeView | undefined; picked: boolean; element: JSX.Element }>());
+  const row = (index: number) => {
+    const [node, slot] = [rows.at(index), index % slots];
+    const on = node !== undefined && picked.has(node.node);
+    const known = drawn.current.get(slot);
+    if (known && known.index === index && known.node === node && known.picked === on) return known.element;
+    // The element that scrolls out at one end comes in at the other.
+    const element = <Row key={slot} index={index} node={node} picked={on} />;
+    drawn.current.set(slot, { index, node, picked: on, element });
+    return element;
   };
 
   return (
@@ -142,19 +151,10 @@ export function Fleet() {
             role="rowgroup"
             tabIndex={0}
             ref={scroller}
-            onScroll={(event) => setTop(event.currentTarget.scrollTop)}
+            onScroll={(event) => setTop(Math.floor(event.currentTarget.scrollTop / HEIGHT))}
           >
             <div role="presentation" style={{ height: `${Math.max(1, rows.total) * HEIGHT}px` }}>
-              {shown.map((index) => (
-                <Row
-                  // The element that scrolls out at one end comes in at the other.
-                  key={index % slots}
-                  index={index}
-                  node={rows.at(index)}
-                  picked={picked}
-                  pick={pick}
-                />
-              ))}
+              {shown.map((index) => row(index))}
             </div>
           </div>
         </div>
@@ -167,12 +167,14 @@ export function Fleet() {
   );
 }
 
-function Row(props: {
-  index: number;
-  node: NodeView | undefined;
-  picked: ReadonlySet<string>;
-  pick: (node: string, on: boolean) => void;
-}) {
+function pick(node: string, on: boolean): void {
+  const next = new Set(selected.value);
+  if (on) next.add(node);
+  else next.delete(node);
+  selected.value = next;
+}
+
+function Row(props: { index: number; node: NodeView | undefined; picked: boolean }) {
   const { index, node } = props;
   const place = { transform: `translateY(${index * HEIGHT}px)` };
   if (!node) {
@@ -194,8 +196,8 @@ function Row(props: {
         <input
           type="checkbox"
           aria-label={`select ${node.node}`}
-          checked={props.picked.has(node.node)}
-          onChange={(event) => props.pick(node.node, event.currentTarget.checked)}
+          checked={props.picked}
+          onChange={(event) => pick(node.node, event.currentTarget.checked)}
         />
       </span>
       <span role="cell" class="c-name">
@@ -217,6 +219,9 @@ function Row(props: {
       <span role="cell" class="c-provider">
         {node.status?.provider ?? "–"}
       </span>
+      <span role="cell" class="c-joules">
+        <Today energy={node.today} />
+      </span>
       <span role="cell" class="c-waiting">
         {count(node.waiting)}
       </span>
@@ -224,6 +229,19 @@ function Row(props: {
         {labels}
       </span>
     </div>
+  );
+}
+
+/** What a node used today; measured and estimated are never added. */
+function Today({ energy }: { energy: NodeView["today"] }) {
+  const { measured_joules: measured, estimated_joules: estimated } = energy;
+  if (measured === 0 && estimated === 0) return <>–</>;
+  return (
+    <>
+      {measured > 0 && joules(measured)}
+      {measured > 0 && estimated > 0 && ", "}
+      {estimated > 0 && <span title="estimated, not measured">≈ {joules(estimated)}</span>}
+    </>
   );
 }
 

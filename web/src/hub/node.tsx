@@ -3,6 +3,7 @@
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
 import { Pill, Quality, Section } from "../shared/parts";
 import { Download, Fault, Knob, Outcomes, Presence, useLoaded } from "./parts";
+import { Live } from "./live";
 import { href } from "./route";
 import { selected } from "./fleet";
 import { Tune } from "./tune";
@@ -93,6 +94,7 @@ export function Node({ name }: { name: string }) {
           </>
         )}
       </Section>
+      {is && <Live key={name} node={name} />}
       <Section id="node-energy" title="Energy of the last seven days, by policy and value" wide>
         <Fault text={energy.fault} />
         <EnergyTable energy={energy.value} />

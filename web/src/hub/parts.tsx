@@ -2,9 +2,11 @@
 
 import type { ComponentChildren } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import { answer, json } from "../shared/api";
+import { json } from "../shared/api";
 import { small } from "../shared/format";
 import { Pill, type Mood } from "../shared/parts";
+
+export { Download, Fault } from "../shared/parts";
 import { changedSlowly } from "./store";
 import type { Interval, PresenceState } from "./types";
 
@@ -107,40 +109,6 @@ export function useLoaded<T>(path: string | undefined, everyMs = 10_000): Loaded
     };
   }, [path, turn, everyMs < 10_000 ? news : 0, everyMs]);
   return { value, fault, again: () => setTurn((turn) => turn + 1) };
-}
-
-export function Fault({ text }: { text: string }) {
-  return (
-    <p class="message bad" role="alert">
-      {text}
-    </p>
-  );
-}
-
-/** Downloads what a path gives; a link could not carry the token. */
-export function Download({ path, name, children }: { path: string; name: string; children: ComponentChildren }) {
-  const [fault, setFault] = useState("");
-  const load = async () => {
-    setFault("");
-    try {
-      const file = await (await answer(path)).blob();
-      const link = document.createElement("a");
-      link.href = URL.createObjectURL(file);
-      link.download = name;
-      link.click();
-      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
-    } catch (error) {
-      setFault(error instanceof Error ? error.message : String(error));
-    }
-  };
-  return (
-    <>
-      <button type="button" class="plain" onClick={load}>
-        {children}
-      </button>
-      <Fault text={fault} />
-    </>
-  );
 }
 
 export function Field({ label, children, wide }: { label: string; children: ComponentChildren; wide?: boolean }) {

@@ -8,6 +8,7 @@ export type FleetRows = Schemas["FleetRows"];
 export type NodeView = Schemas["NodeView"];
 export type NodeDetail = Schemas["NodeDetail"];
 export type InstanceView = Schemas["InstanceView"];
+export type CountersMessage = Schemas["CountersMessage"];
 export type Counts = Schemas["Counts"];
 export type PresenceState = Schemas["PresenceState"];
 export type Energy = Schemas["Energy"];

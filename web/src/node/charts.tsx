@@ -7,8 +7,10 @@ import { Chart } from "../shared/chart";
 import { milliseconds, percent, small, watts } from "../shared/format";
 import { Quality, Section } from "../shared/parts";
 import { percentile } from "./frames";
-import { clips, counters, knob, log, opened, pointed, power, samples, tick } from "./store";
+import { counters, hour, knob, log, opened, pointed, power, samples, tick } from "./store";
 
+/** Length of a piece of the hour, seconds. */
+const SLOT_S = 10;
 /** Frames that the chart of uncertainties shows. */
 const FRAMES = 600;
 
@@ -63,7 +65,7 @@ const DOMAINS: Record<string, { label: string; colour: string }> = {
   io_mem: { label: "memory and I/O", colour: "--state-ei" },
 };
 
-/** Power by domain since this page was opened. */
+/** Power by domain over the last hour: in pieces of ten seconds before this page was opened. */
 export function Power() {
   const now = tick.value;
   const message = counters.value.get(opened.value ?? "") ?? [...counters.value.values()][0];
@@ -85,7 +87,7 @@ export function Power() {
         <Chart
           key={domains.join()}
           data={data}
-          label={`Power by domain since this page was opened, ${message!.power_quality}`}
+          label={`Power by domain over the last hour, ${message!.power_quality}`}
           lines={domains.map((domain) => DOMAINS[domain] ?? { label: domain, colour: "--state-e" })}
           value={watts}
           range={[0, null]}
@@ -109,6 +111,32 @@ export function DetectorTime() {
     () => log.last(3000).filter((frame) => typeof frame.latency_ms.detector !== "number").map((frame) => frame.latency_ms.total),
     [now, opened.value],
   );
+  const before = hour.value;
+  const byTime = useMemo((): uPlot.AlignedData => {
+    const times: number[] = [];
+    const median: Column = [];
+    const tail: Column = [];
+    for (const slot of before) {
+      times.push(slot.at_ms / 1000 + SLOT_S / 2);
+      median.push(slot.detector_p50_ms ?? null);
+      tail.push(slot.detector_p99_ms ?? null);
+    }
+    // Behind the node's pieces, those that this page makes of the frames it hears.
+    const begin = before.length ? before.at(-1)!.at_ms / 1000 + SLOT_S : 0;
+    const pieces = new Map<number, number[]>();
+    for (const frame of log.last(6000)) {
+      const ms = frame.latency_ms.detector;
+      if (typeof ms !== "number" || frame.at < begin) continue;
+      const piece = Math.floor((frame.at - begin) / SLOT_S);
+      pieces.set(piece, [...(pieces.get(piece) ?? []), ms]);
+    }
+    for (const [piece, list] of [...pieces].sort(([a], [b]) => a - b)) {
+      times.push(begin + piece * SLOT_S + SLOT_S / 2);
+      median.push(percentile(list, 0.5) ?? null);
+      tail.push(percentile(list, 0.99) ?? null);
+    }
+    return [times, median, tail];
+  }, [Math.floor(now / 25), before, opened.value]);
   const figures: [string, number | undefined][] = [
     ["p50", percentile(times, 0.5)],
     ["p99", percentile(times, 0.99)],
@@ -127,46 +155,64 @@ export function DetectorTime() {
           <dd>{milliseconds(percentile(rest, 0.5))}</dd>
         </div>
       </dl>
+      <Chart
+        data={byTime}
+        label="Detector time over the last hour, median and 99th percentile of ten seconds each"
+        lines={[
+          { label: "p50", colour: "--state-i" },
+          { label: "p99", colour: "--state-ai", dash: [4, 3] },
+        ]}
+        value={milliseconds}
+        range={[0, null]}
+        height={110}
+      />
     </Section>
   );
 }
 
-/** Skip rate and frames a second since this page was opened, and before that by the clips that the node remembers. */
+/** Skip rate, frames a second and detector time over the last hour: in pieces of ten seconds as the node remembers them. */
 export function Rates() {
   const now = tick.value;
   const camera = opened.value ?? "";
-  const data = useMemo((): { skip: uPlot.AlignedData; rate: uPlot.AlignedData } => {
+  const before = hour.value;
+  const data = useMemo(() => {
     const times: number[] = [];
     const skip: Column = [];
     const rate: Column = [];
     const list = samples.get(camera) ?? [];
     const begin = list[0]?.at ?? Infinity;
-    // Older clips first, each at its middle.
-    for (const clip of clips.value.filter((clip) => clip.camera === camera).reverse()) {
-      const middle = clip.started_ns / 1e9 + clip.duration_s / 2;
-      if (middle >= begin || middle <= (times.at(-1) ?? 0)) continue;
-      times.push(middle);
-      skip.push(clip.skip_rate);
-      rate.push(clip.duration_s > 0 ? clip.frames / clip.duration_s : null);
-    }
+    before.forEach((slot, index) => {
+      const from = slot.at_ms / 1000;
+      // A piece that is not over yet when the page is opened is shown by what the page sees itself.
+      if (from + SLOT_S > begin || (begin === Infinity && index === before.length - 1)) return;
+      // A gap in time is a gap in the line.
+      if (times.length && from - times.at(-1)! > 2 * SLOT_S) {
+        times.push(from - 1);
+        skip.push(null);
+        rate.push(null);
+      }
+      times.push(from + SLOT_S / 2);
+      skip.push(slot.frames ? slot.skipped / slot.frames : null);
+      rate.push(slot.frames / SLOT_S);
+    });
     // Over ten seconds each, so that a single frame does not show as a jump.
     let from = 0;
     list.forEach((sample, index) => {
-      while (list[from]!.at < sample.at - 10) from += 1;
-      const before = list[from]!;
-      if (index === 0 || sample.at - before.at < 3) return;
-      const frames = sample.frames - before.frames;
+      while (list[from]!.at < sample.at - SLOT_S) from += 1;
+      const first = list[from]!;
+      if (index === 0 || sample.at - first.at < 3) return;
+      const frames = sample.frames - first.frames;
       times.push(sample.at);
-      skip.push(frames ? (sample.skipped - before.skipped) / frames : null);
-      rate.push(frames / (sample.at - before.at));
+      skip.push(frames ? (sample.skipped - first.skipped) / frames : null);
+      rate.push(frames / (sample.at - first.at));
     });
-    return { skip: [times, skip], rate: [times, rate] };
-  }, [now, camera, clips.value]);
+    return { skip: [times, skip] as uPlot.AlignedData, rate: [times, rate] as uPlot.AlignedData };
+  }, [now, camera, before]);
   return (
-    <Section id="rates" title="Skip rate and frame rate" aside={<span class="quiet">by clip, and by ten seconds since this page was opened</span>}>
+    <Section id="rates" title="Skip rate and frame rate" aside={<span class="quiet">over the last hour, by ten seconds</span>}>
       <Chart
         data={data.skip}
-        label="Share of frames that skipped the detector, over time"
+        label="Share of frames that skipped the detector, over the last hour"
         lines={[{ label: "frames that skipped the detector", colour: "--state-p" }]}
         value={(value) => percent(value, 0)}
         range={[0, 1]}
@@ -175,7 +221,7 @@ export function Rates() {
       />
       <Chart
         data={data.rate}
-        label="Frames a second, over time"
+        label="Frames a second, over the last hour"
         lines={[{ label: "frames a second", colour: "--state-e" }]}
         value={(value) => value.toFixed(1)}
         range={[0, null]}

@@ -2,10 +2,13 @@
 
 import { knobValue } from "../shared/knob";
 import { small } from "../shared/format";
-import type { Detections, FrameState } from "./types";
+import type { CallCause, CameraHistory, Detections, FrameState } from "./types";
 
-/** A frame with when this page heard of it, seconds since the Unix epoch: a camera's own clock may be any. */
-export type Seen = Detections & { at: number };
+/**
+ * A frame with when this page heard of it, seconds since the Unix epoch: a camera's own clock may be any. Of one that was
+ * answered before the page was opened the node tells how many boxes it had, and not which.
+ */
+export type Seen = Detections & { at: number; pastBoxes?: number };
 
 export interface StateWords {
   state: FrameState;
@@ -37,21 +40,63 @@ export function skipped(frame: Pick<Detections, "state" | "degraded">): boolean 
   return (frame.state === "E" || frame.state === "P") && !frame.degraded;
 }
 
-/**
- * Why the detector ran on a frame, as far as the frame's own message tells: the state, and whether the largest
- * uncertainty had reached the threshold. Empty when it did not run.
- */
+export interface CauseWords {
+  /** A few words for lists. */
+  name: string;
+  /** A sentence's part. */
+  meaning: string;
+}
+
+/** Why the detector is called, in words: each cause that a node tells. */
+export const CAUSES: Record<CallCause, CauseWords> = {
+  uncertain: { name: "uncertain", meaning: "an object became too uncertain" },
+  new_object: { name: "new object", meaning: "a new object is not certain yet" },
+  expected_loss: { name: "expected loss", meaning: "the boxes expected to be lost were worth a call" },
+  object_cap: { name: "object's cap", meaning: "an object had gone without the detector for as long as one may" },
+  periodic_cap: { name: "periodic cap", meaning: "the camera had gone without the detector for as long as it may" },
+  screen: { name: "screen", meaning: "the screen saw something" },
+  audit: { name: "audit", meaning: "the detector checks the screen by chance" },
+  empty_limit: { name: "empty too long", meaning: "the screen had said “empty” too often in a row" },
+  no_objects: { name: "no objects", meaning: "no object is followed and no screen was asked" },
+  start: { name: "start", meaning: "the stream began" },
+  retry: { name: "retry", meaning: "the detector had failed before" },
+  changed: { name: "changed", meaning: "the picture changed" },
+  schedule: { name: "schedule", meaning: "it was its turn" },
+  every_frame: { name: "every frame", meaning: "the policy asks on every frame" },
+};
+
+/** Why the detector was called on a frame, as its node says; empty when it was not. */
 export function why(frame: Detections, knob: string): string {
-  if (frame.degraded) return "the detector was needed and could not be had";
-  if (!words(frame.state).ran) return "";
-  if (frame.state === "E+I") return "the screen saw something";
+  // A node of an older version says nothing of it.
+  const cause = frame.cause ? (CAUSES[frame.cause]?.meaning ?? frame.cause) : words(frame.state).ran ? "the policy asked for it" : "";
+  if (frame.degraded) return `the detector was needed and could not be had${cause ? `: ${cause}` : ""}`;
+  if (!cause) return "";
   const limit = knob === "u" ? knobValue(frame, knob) : undefined;
-  if (limit === undefined) return "the policy asked for it";
   const tau = frame.tau_max;
-  if (tau === undefined || tau === null) return "no object was followed yet";
-  return tau >= limit
-    ? `uncertain: τ ${small(tau)} ≥ u ${small(limit)}`
-    : `τ ${small(tau)} was below u ${small(limit)}: a cap or an audit asked`;
+  const of_tau = frame.cause === "uncertain" || frame.cause === "new_object";
+  return of_tau && limit !== undefined && tau !== undefined && tau !== null
+    ? `${cause}: τ ${small(tau)} ${tau >= limit ? "≥" : "<"} u ${small(limit)}`
+    : cause;
+}
+
+/** The past of a camera as frames, oldest first. */
+export function past(history: CameraHistory, knob: string | undefined, now: number): Seen[] {
+  const columns = history.frames;
+  return columns.seq.map((seq, index) => {
+    const detector = columns.detector_ms[index];
+    const frame: Record<string, unknown> = {
+      v: 1, seq, t_ns: 0, clip: "", width: 0, height: 0, boxes: [],
+      at: now - columns.age_ms[index]! / 1000,
+      state: columns.state[index]!,
+      degraded: columns.degraded[index]!,
+      cause: columns.cause[index] ?? undefined,
+      tau_max: columns.tau_max[index] ?? undefined,
+      pastBoxes: columns.boxes[index]!,
+      latency_ms: { total: columns.total_ms[index] ?? 0, waiting: 0, policy: 0, ...(typeof detector === "number" ? { detector } : {}) },
+    };
+    if (knob !== undefined && typeof columns.knob[index] === "number") frame[knob] = columns.knob[index];
+    return frame as unknown as Seen;
+  });
 }
 
 /** One line about a frame. */
@@ -59,12 +104,13 @@ export function describe(frame: Seen, knob: string, now: number): string {
   const { state, name } = words(frame.state);
   const age = Math.max(0, now - frame.at);
   const reason = why(frame, knob);
+  const boxes = frame.pastBoxes ?? frame.boxes.length;
   const parts = [
     `frame ${frame.seq}`,
     `${age.toFixed(1)} s ago`,
     frame.degraded ? `${state}, degraded` : `${state}, ${name}`,
     ...(reason ? [reason] : []),
-    `${frame.boxes.length} ${frame.boxes.length === 1 ? "box" : "boxes"}`,
+    boxes === 1 ? "1 box" : `${boxes} boxes`,
     `${frame.latency_ms.total.toFixed(1)} ms`,
   ];
   return parts.join(" · ");
@@ -98,6 +144,14 @@ export class FrameLog {
       }
       this.#gone += over;
     }
+  }
+
+  /** Puts frames before those that are there, as far as they are older and there is room. */
+  unshift(frames: readonly Seen[]): void {
+    const known = new Set(this.#frames.slice(0, 512).map((frame) => frame.seq));
+    const older = frames.filter((frame) => !known.has(frame.seq)).slice(-Math.max(0, this.most - this.#frames.length));
+    for (const frame of older) if (!this.#bySeq.has(frame.seq)) this.#bySeq.set(frame.seq, frame);
+    this.#frames = [...older, ...this.#frames];
   }
 
   clear(): void {

@@ -3,8 +3,8 @@
 import { useComputed } from "@preact/signals";
 import { count, duration, joules, percent, short, small, watts } from "../shared/format";
 import { Figure, Pill, Quality, type Mood } from "../shared/parts";
-import { saved } from "./energy";
-import { clips, counters, detector, knob, knobInForce, lost, missed, overview } from "./store";
+import type { Balance } from "./types";
+import { counters, detector, knob, knobInForce, lost, missed, overview } from "./store";
 
 interface State {
   mood: Mood;
@@ -83,44 +83,52 @@ export function Header() {
   );
 }
 
-/** What the whole node saved: detector calls since the start, energy over the clips it remembers. */
+/** What the whole node saved, since the start and today: sums of the node, measured and estimated apart. */
 export function Headline() {
   const now = overview.value;
   const all = [...counters.value.values()];
-  const frames = all.reduce((sum, camera) => sum + camera.frames, 0);
-  const degraded = all.reduce((sum, camera) => sum + camera.degraded_frames, 0);
-  const avoided = all.reduce((sum, camera) => sum + camera.states.E + camera.states.P, 0) - degraded;
-  const sums = saved(clips.value);
+  const whole = now?.since_start;
   const power = all[0]?.watts.find((entry) => entry.domain === "total") ?? all[0]?.watts[0];
+  // A node that began today has no other day to tell from.
+  const days: [string, Balance][] = !now || !whole ? [] : now.today.since_ms > whole.since_ms
+    ? [["since the start", whole], ["today", now.today]]
+    : [["since the start (today)", whole]];
   return (
     <section class="wide headline" aria-label="What was saved">
       <dl class="figures">
-        <Figure
-          label="detector calls avoided since the start"
-          note={frames ? `${count(avoided)} of ${count(frames)} frames` : "no frame yet"}
-        >
-          <span class="big">{frames ? percent(avoided / frames) : "–"}</span>
-        </Figure>
-        {sums.map((sum) => (
+        {days.map(([words, period]) => (
           <Figure
-            key={sum.quality}
-            label={`energy an hour, over the last ${duration(sum.seconds)} of clips`}
-            note={
-              <>
-                detector on every frame: {joules((sum.vanilla / sum.seconds) * 3600)} an hour <Quality quality="estimated" />
-                {sum.unpriced > 0 && `, without ${short(sum.unpriced)} avoided calls that have no price`}
-              </>
-            }
+            key={words}
+            label={`detector calls avoided ${words}`}
+            note={period.frames ? `${count(period.avoided_calls)} of ${count(period.frames)} frames` : "no frame yet"}
           >
-            <span class="big">{joules((sum.joules / sum.seconds) * 3600)}</span> <Quality quality={sum.quality} />
+            <span class="big">{period.frames ? percent(period.avoided_calls / period.frames) : "–"}</span>
           </Figure>
         ))}
-        {sums.map((sum) => (
-          <Figure key={sum.quality} label="energy saved by it" note={<Quality quality="estimated" />}>
-            <span class="big">{sum.vanilla > 0 ? percent(1 - sum.joules / sum.vanilla) : "–"}</span>
+        {days.length === 0 && (
+          <Figure label="detector calls avoided" note="no frame yet">
+            <span class="big">–</span>
           </Figure>
-        ))}
-        {sums.length === 0 && (
+        )}
+        {days.flatMap(([words, period]) =>
+          period.energy.map((sum) => (
+            <Figure
+              key={`${words} ${sum.quality}`}
+              label={`energy an hour ${words}, over ${duration(sum.duration_s)} of clips`}
+              note={
+                <>
+                  detector on every frame: {joules((sum.vanilla_joules_estimated / sum.duration_s) * 3600)} an hour{" "}
+                  <Quality quality="estimated" />
+                  {sum.vanilla_joules_estimated > 0 && `, ${percent(1 - sum.joules / sum.vanilla_joules_estimated)} less`}
+                  {sum.unpriced_calls > 0 && `, without ${short(sum.unpriced_calls)} avoided calls that have no price`}
+                </>
+              }
+            >
+              <span class="big">{joules((sum.joules / sum.duration_s) * 3600)}</span> <Quality quality={sum.quality} />
+            </Figure>
+          )),
+        )}
+        {whole?.energy.length === 0 && (
           <Figure label="energy an hour" note="comes with the first clip that ends">
             <span class="big">–</span>
           </Figure>
@@ -130,12 +138,13 @@ export function Headline() {
             <span class="big">{watts(power.watts)}</span>
           </Figure>
         )}
-        {degraded > 0 && (
+        {whole && whole.degraded_frames > 0 && (
           <Figure label="answered without the detector it needed" note="degraded frames: not among the avoided">
-            <span class="big bad">{count(degraded)}</span>
+            <span class="big bad">{count(whole.degraded_frames)}</span>
           </Figure>
         )}
       </dl>
+      {now && days.length > 1 && <p class="message quiet">Today is the day of UTC; a clip counts for the day on which it ended.</p>}
       {now && !now.outbox.durable && now.outbox.waiting > 0 && (
         <p class="message quiet">
           {count(now.outbox.waiting)} clip reports wait for a hub in memory: no state_dir is set, so they are gone when the

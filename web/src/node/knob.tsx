@@ -1,11 +1,11 @@
 // The knob: on a logarithmic scale over its useful range, in force from the next frame on.
 
 import { useEffect, useState } from "preact/hooks";
-import { Refused, send } from "../shared/api";
-import { parsed, small, typed } from "../shared/format";
-import { Section, whyNot } from "../shared/parts";
-import { cameras, knob, knobInForce, opened, overview, thresholds } from "./store";
-import type { Knob } from "./types";
+import { every, json, Refused, send } from "../shared/api";
+import { duration, parsed, percent, small, typed } from "../shared/format";
+import { Quality, Section, whyNot } from "../shared/parts";
+import { cameras, counters, knob, knobInForce, opened, overview, thresholds } from "./store";
+import type { Knob, SkipEstimates } from "./types";
 
 const STEPS = 200;
 /** Values that the paper measured with (its threshold sweep). */
@@ -25,6 +25,39 @@ export function fromSlider(place: number, [low, high]: [number, number]): number
   return Number((low * (high / low) ** (place / STEPS)).toPrecision(3));
 }
 
+/** Time between two looks at what other values would have skipped, milliseconds. */
+const ESTIMATE_MS = 5000;
+
+/** Share of frames that a value would have skipped, between the values that the node computed. */
+export function estimated(curve: readonly { value: number; skip_rate: number }[], value: number): number | undefined {
+  const first = curve[0];
+  const last = curve.at(-1);
+  if (!first || !last || !(value > 0)) return undefined;
+  if (value <= first.value) return first.skip_rate;
+  if (value >= last.value) return last.skip_rate;
+  const next = curve.findIndex((point) => point.value >= value);
+  const [low, high] = [curve[next - 1]!, curve[next]!];
+  const share = Math.log(value / low.value) / Math.log(high.value / low.value);
+  return low.skip_rate + share * (high.skip_rate - low.skip_rate);
+}
+
+/** What other values would have skipped over the last minutes, as the node computes it. */
+function useEstimates(camera: string | undefined, name: string | undefined): SkipEstimates | undefined {
+  const [found, setFound] = useState<SkipEstimates | undefined>(undefined);
+  useEffect(() => {
+    setFound(undefined);
+    if (camera === undefined || name !== "u") return;
+    const stop = new AbortController();
+    void every(ESTIMATE_MS, stop.signal, async () => {
+      // Nothing is recorded of a camera without frames: the node would refuse.
+      if (!counters.value.get(camera)?.frames) return;
+      setFound(await json<SkipEstimates>(`/api/v1/cameras/${encodeURIComponent(camera)}/skip-estimate`, { signal: stop.signal }));
+    });
+    return () => stop.abort();
+  }, [camera, name]);
+  return found;
+}
+
 export function KnobPanel() {
   const about = knob.value;
   const inForce = knobInForce.value;
@@ -36,6 +69,8 @@ export function KnobPanel() {
   useEffect(() => {
     if (!edited && inForce !== undefined) setText(typed(inForce));
   }, [inForce, edited, opened.value]);
+
+  const estimates = useEstimates(opened.value, about?.name);
 
   if (!about) {
     return (
@@ -93,6 +128,16 @@ export function KnobPanel() {
             <span>{small(range[1])}: saves most</span>
           </span>
         </div>
+        {estimates && value !== undefined && value > 0 && (
+          <p class="message" id="would-skip">
+            At {small(value)}, <b>≈ {percent(estimated(estimates.values, value), 0)}</b> of the last {duration(estimates.duration_s)} would
+            have skipped the detector{" "}
+            <span class="quiet">
+              (it was {percent(estimates.skip_rate, 0)}). <Quality quality="estimated" /> Other frames would have been matched, so
+              objects would have been followed differently.
+            </span>
+          </p>
+        )}
         <div class="row">
           <label for="u">{about.name}</label>
           <input

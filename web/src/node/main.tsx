@@ -11,10 +11,11 @@ import { Clips } from "./clips";
 import { Header, Headline } from "./header";
 import { Health } from "./health";
 import { KnobPanel } from "./knob";
+import { Log } from "./log";
 import { Picture } from "./picture";
 import { Ribbon } from "./ribbon";
 import { States } from "./states";
-import { cameras, lost, opened, watchFrames, watchNode } from "./store";
+import { cameras, lost, opened, overview, watchFrames, watchNode } from "./store";
 
 function Page() {
   const who = caller.value;
@@ -45,6 +46,7 @@ function Page() {
           <Tiles />
           <div class="stack">
             <Picture />
+            <Uncertainty />
           </div>
           <div class="stack">
             <States />
@@ -52,15 +54,15 @@ function Page() {
           </div>
           <Ribbon />
           <div class="stack">
-            <Uncertainty />
             <Rates />
+            <Health />
           </div>
           <div class="stack">
             <Power />
             <DetectorTime />
-            <Health />
           </div>
           <Clips />
+          <Log name={overview.value?.node} />
         </main>
       )}
     </>

@@ -157,8 +157,9 @@ export function Picture() {
 
 function draw(canvas: HTMLCanvasElement, frame: Seen | undefined, bitmap: ImageBitmap | undefined): void {
   const context = canvas.getContext("2d")!;
-  const width = bitmap?.width ?? frame?.width ?? canvas.width;
-  const height = bitmap?.height ?? frame?.height ?? canvas.height;
+  // Of a frame of the past the node tells no size.
+  const width = bitmap?.width ?? (frame?.width || canvas.width);
+  const height = bitmap?.height ?? (frame?.height || canvas.height);
   if (canvas.width !== width || canvas.height !== height) {
     canvas.width = width;
     canvas.height = height;

@@ -2,7 +2,8 @@
 
 import { count, percent } from "../shared/format";
 import { Section } from "../shared/parts";
-import { STATES } from "./frames";
+import { CAUSES, STATES } from "./frames";
+import type { CallCause } from "./types";
 import { counters, opened, rates, tick } from "./store";
 
 export function States() {
@@ -39,6 +40,32 @@ export function States() {
           );
         })}
       </div>
+      <Causes calls={message?.calls} />
     </Section>
+  );
+}
+
+/** Why the detector was called since the node started, the most frequent cause first. */
+function Causes({ calls }: { calls: Record<string, number> | undefined }) {
+  const known = Object.entries(calls ?? {}).sort(([, a], [, b]) => b - a);
+  const total = known.reduce((sum, [, number]) => sum + number, 0);
+  if (total === 0) return null;
+  return (
+    <>
+      <h3>Why the detector was called</h3>
+      <dl class="causes">
+        {known.map(([cause, number]) => {
+          const words = CAUSES[cause as CallCause];
+          return (
+            <div key={cause} title={words?.meaning}>
+              <dt>{words?.name ?? cause.replaceAll("_", " ")}</dt>
+              <dd>
+                {count(number)} <span class="quiet">· {percent(number / total, 0)}</span>
+              </dd>
+            </div>
+          );
+        })}
+      </dl>
+    </>
   );
 }

@@ -3,9 +3,10 @@
 import { computed, signal } from "@preact/signals";
 import { answer, caller, every, follow, json } from "../shared/api";
 import { knobValue } from "../shared/knob";
-import { FrameLog } from "./frames";
+import { FrameLog, past } from "./frames";
 import type {
-  CameraEntry, ClipReport, Counters, DetectorEvent, Frame, Overview, Threshold, Thresholds,
+  CameraEntry, CameraHistory, CameraSlot, ClipReport, Counters, DetectorEvent, Frame, Overview, PowerHistory, Threshold,
+  Thresholds,
 } from "./types";
 
 /** Frames of the opened camera that are remembered: minutes, and some megabytes at most. */
@@ -14,6 +15,8 @@ export const MOST_FRAMES = 6000;
 const MOST_SAMPLES = 3600;
 /** Clips remembered: as many as the node does. */
 const MOST_CLIPS = 256;
+/** Frames of the past that are asked for. */
+const MOST_PAST = 4000;
 
 export interface Sample {
   /** Seconds since the Unix epoch. */
@@ -58,6 +61,8 @@ export function usualGap(camera: string): number {
 
 export const samples = new Map<string, Sample[]>();
 export const power: PowerSample[] = [];
+/** The last hour of the opened camera in pieces, as the node remembers it; what this page saw itself comes after. */
+export const hour = signal<CameraSlot[]>([]);
 
 export const knob = computed(() => {
   const mine = thresholds.value?.cameras.find((camera) => camera.camera === opened.value);
@@ -138,6 +143,30 @@ async function lookAtAll(): Promise<void> {
   await lookAtNode();
 }
 
+/** What the node's power was before this page was opened. */
+async function lookAtPower(): Promise<void> {
+  const { slots, slot_s } = await json<PowerHistory>("/api/v1/power");
+  const began = power[0]?.at ?? Infinity;
+  const before = slots
+    .map((slot) => ({ at: slot.at_ms / 1000 + slot_s / 2, watts: slot.watts }))
+    .filter((sample) => sample.at < began);
+  power.unshift(...before);
+  dirty = true;
+}
+
+/** What became of a camera's frames before this page was opened. */
+async function lookAtPast(camera: string, signal: AbortSignal): Promise<void> {
+  const history = await json<CameraHistory>(
+    `/api/v1/cameras/${encodeURIComponent(camera)}/history?frames=${MOST_PAST}`,
+    { signal },
+  );
+  if (signal.aborted) return;
+  const name = thresholds.value?.cameras.find((entry) => entry.camera === camera)?.knob?.name;
+  log.unshift(past(history, name, Date.now() / 1000));
+  hour.value = history.slots;
+  dirty = true;
+}
+
 async function lookAtNode(): Promise<void> {
   const before = overview.value?.uptime_s ?? 0;
   const now = await json<Overview>("/api/v1/node");
@@ -147,6 +176,7 @@ async function lookAtNode(): Promise<void> {
     pointed.value = undefined;
     samples.clear();
     power.length = 0;
+    hour.value = [];
   }
   overview.value = now;
 }
@@ -180,6 +210,7 @@ export function watchNode(signal: AbortSignal): void {
     onEvent,
     onOpen: async () => {
       await lookAtAll();
+      if (power.length < 60) await lookAtPower().catch(() => {});
       lost.value = undefined;
     },
     onLost: (reason) => {
@@ -198,6 +229,7 @@ export function watchNode(signal: AbortSignal): void {
 export function watchFrames(camera: string, signal: AbortSignal): void {
   log.clear();
   pointed.value = undefined;
+  hour.value = [];
   dirty = true;
   void follow({
     path: () => `/api/v1/events?camera=${encodeURIComponent(camera)}&types=frame`,
@@ -206,6 +238,10 @@ export function watchFrames(camera: string, signal: AbortSignal): void {
       log.push({ ...(data as Frame), at: Date.now() / 1000 });
       dirty = true;
       for (const listener of frameListeners) listener(data as Frame);
+    },
+    // Once: what came after is known, and a node that began anew has no past.
+    onOpen: () => {
+      if (hour.value.length === 0) void lookAtPast(camera, signal).catch(() => {});
     },
     signal,
   });

@@ -2,7 +2,7 @@
 
 import type { ComponentChildren } from "preact";
 import { useState } from "preact/hooks";
-import { caller, tokenRefused, useToken } from "./api";
+import { answer, caller, tokenRefused, useToken } from "./api";
 
 export type Mood = "good" | "bad" | "wait" | "none";
 
@@ -115,5 +115,39 @@ export function CopyButton({ text }: { text: string }) {
     <button type="button" class="plain" onClick={copy}>
       {done ? "Copied" : "Copy"}
     </button>
+  );
+}
+
+export function Fault({ text }: { text: string }) {
+  return (
+    <p class="message bad" role="alert">
+      {text}
+    </p>
+  );
+}
+
+/** Downloads what a path gives; a link could not carry the token. */
+export function Download({ path, name, children }: { path: string; name: string; children: ComponentChildren }) {
+  const [fault, setFault] = useState("");
+  const load = async () => {
+    setFault("");
+    try {
+      const file = await (await answer(path)).blob();
+      const link = document.createElement("a");
+      link.href = URL.createObjectURL(file);
+      link.download = name;
+      link.click();
+      setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+    } catch (error) {
+      setFault(error instanceof Error ? error.message : String(error));
+    }
+  };
+  return (
+    <>
+      <button type="button" class="plain" onClick={load}>
+        {children}
+      </button>
+      <Fault text={fault} />
+    </>
   );
 }

@@ -1,5 +1,6 @@
 // What it costs a node to be watched: its processor time and the latency of its frames with 0, 1 and 10 pages open.
-// A page is played by what it calls: two event streams, a picture for every frame, the looks once a second. (Browsers
+// A page is played by what it calls: two event streams, a picture for every frame, the looks once a second,
+// the past once, and what other values would have skipped every five seconds. (Browsers
 // would take the processor that is being measured.) `node tests/browser/cost.mjs [SECONDS]`
 
 import { readFileSync } from "node:fs";
@@ -47,8 +48,10 @@ function page(signal) {
     got.bytes += text.length;
     void picture();
   }).catch(quiet);
+  void Promise.all([load("/api/v1/cameras/dashcam/history?frames=4000"), load("/api/v1/power")]).catch(quiet);
+  const estimates = setInterval(() => void load("/api/v1/cameras/dashcam/skip-estimate").catch(quiet), 5000);
   const timer = setInterval(() => void Promise.all([load("/api/v1/cameras"), load("/api/v1/node")]).catch(quiet), 1000);
-  signal.addEventListener("abort", () => clearInterval(timer));
+  signal.addEventListener("abort", () => [timer, estimates].forEach(clearInterval));
   return got;
 }
 

@@ -14,9 +14,9 @@ const pixels = (page) =>
   });
 
 export async function nodeTests(browser) {
-  const port = await freePort();
+  const [port, hubPort] = [await freePort(), await freePort()];
   const address = `http://127.0.0.1:${port}`;
-  const demo = () => start(["demo", "--port", String(port), "--rate", "5"]);
+  const demo = () => start(["demo", "--port", String(port), "--hub-port", String(hubPort), "--rate", "5"]);
   let node = demo();
   await answers(`${address}/readyz`, node);
   const page = await open(browser, address);
@@ -31,6 +31,62 @@ export async function nodeTests(browser) {
     await until("the share of avoided calls", async () => /\d\s?%/.test(await page.textContent(".headline .big")));
     // Looking at the pixels is this test's doing.
     quiet(page, /willReadFrequently/);
+  });
+
+  await test("a page that is opened now shows what happened before, and why the detector ran", async () => {
+    const { frames } = await (await fetch(`${address}/api/v1/cameras/dashcam/history`)).json();
+    assert(frames.seq.length > 10, "the node remembers nothing");
+    const late = await open(browser, address);
+    const first = await until("the past in the ribbon", async () => {
+      const said = (await late.textContent("#ribbon .section-head")).match(/([\d,]+) frames/);
+      return said && Number(said[1].replaceAll(",", "")) >= frames.seq.length;
+    });
+    assert(first, "fewer frames than the node remembers");
+    await late.locator("canvas.ribbon").focus();
+    await until("a frame with its cause", async () => {
+      await late.keyboard.press("ArrowLeft");
+      const told = await late.getAttribute("canvas.ribbon", "aria-valuetext");
+      return /too uncertain|not certain yet|the screen saw|had gone without/.test(told);
+    });
+    assert(/^(uncertain|new object|screen|periodic cap|object's cap|no objects)/.test(await late.textContent(".causes dt")), await late.textContent(".causes"));
+    quiet(late);
+    await late.context().close();
+  });
+
+  await test("the slider says what its value would have skipped, as an estimate", async () => {
+    await until("an estimate", async () => /≈ \d+.%/.test(await page.textContent("#would-skip")));
+    const share = async () => Number((await page.textContent("#would-skip b")).match(/\d+/)[0]);
+    const slider = page.getByRole("slider", { name: /on a logarithmic scale/ });
+    await slider.fill("0");
+    const low = await share();
+    await slider.fill("200");
+    const high = await share();
+    assert(high > low, `${low} % at the least value and ${high} % at the largest`);
+    await page.getByRole("button", { name: /Leave at/ }).click();
+    quiet(page);
+  });
+
+  await test("the log's last lines and the archive for a diagnosis can be had", async () => {
+    await page.getByRole("button", { name: "Show the last lines" }).click();
+    await page.locator("#log").getByText("ready").first().waitFor();
+    const saved = page.waitForEvent("download");
+    await page.getByRole("button", { name: "Download all for a diagnosis" }).click();
+    assert((await saved).suggestedFilename() === "albireo-node-demo.tar", (await saved).suggestedFilename());
+    await accessible(page, "with the log");
+    await page.getByRole("button", { name: "Hide" }).click();
+    quiet(page);
+  });
+
+  await test("the hub's page of a node shows it live, with a picture, while it is open", async () => {
+    const hub = await open(browser, `http://127.0.0.1:${hubPort}/#/nodes/demo`);
+    await until("counters", async () => /frames of dashcam/.test(await hub.textContent("#live")));
+    const count = async () => Number((await hub.locator("#live dd").first().textContent()).replaceAll(",", ""));
+    const before = await count();
+    await until("later counters", async () => (await count()) > before);
+    await hub.getByAltText("Newest picture of camera dashcam").waitFor();
+    await accessible(hub, "a live node");
+    quiet(hub);
+    await hub.context().close();
   });
 
   await test("a node's page calls nobody else", async () => {

@@ -9,8 +9,8 @@ use super::ablation::Ablation;
 use super::albireo_settings::{AlbireoSettings, PeriodicCap};
 use super::reporting::Reporting;
 use super::{
-    Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome, OutputBox,
-    Policy, PolicyConfig, PolicyConfigError,
+    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
+    OutputBox, Policy, PolicyConfig, PolicyConfigError,
 };
 use crate::detection::Detection;
 use crate::geometry::BoundingBox;
@@ -40,6 +40,8 @@ pub struct Albireo {
     u_in_force: f64,
     frame: Option<FrameHead>,
     progress: AlbireoPhase,
+    /// Why the detector is called for the frame in hand.
+    cause: Option<CallCause>,
     tau_max: Option<f64>,
     active: usize,
     /// Frames since the detector last answered.
@@ -89,6 +91,7 @@ impl Albireo {
             u_in_force: u,
             frame: None,
             progress: AlbireoPhase::Decided(FrameState::P),
+            cause: None,
             tau_max: None,
             active: 0,
             since_detector: 0,
@@ -118,10 +121,10 @@ impl Albireo {
         &self.settings
     }
 
-    /// Sums up the active objects, and says whether one of them calls the detector.
-    fn survey(&mut self) -> bool {
+    /// Sums up the active objects, and says why one of them calls the detector.
+    fn survey(&mut self) -> Option<CallCause> {
         let (u, settings) = (self.u_in_force, &self.settings);
-        let mut calls = false;
+        let mut cause = None;
         let mut tau_max = f64::NEG_INFINITY;
         self.active = 0;
         for state in self.objects.states() {
@@ -129,12 +132,18 @@ impl Albireo {
                 continue;
             }
             let tau = state.filter.tau();
-            calls |= !settings.is_certain(tau, u) || state.since_infer >= settings.t_max;
+            let uncertain = !settings.is_certain(tau, u);
+            cause = match (cause, uncertain, state.confirmed) {
+                (_, true, true) | (Some(CallCause::Uncertain), ..) => Some(CallCause::Uncertain),
+                (_, true, false) => Some(CallCause::NewObject),
+                (None, ..) if state.since_infer >= settings.t_max => Some(CallCause::ObjectCap),
+                _ => cause,
+            };
             tau_max = tau_max.max(tau);
             self.active += 1;
         }
         self.tau_max = (self.active > 0).then_some(tau_max);
-        calls
+        cause
     }
 
     fn periodic_cap_is_due(&self, index: u64) -> bool {
@@ -200,9 +209,17 @@ impl Policy for Albireo {
         self.since_detector = self.since_detector.saturating_add(frames);
         self.objects.predict(frame.picture, frames);
         let called = self.survey();
+        self.cause = if self.active == 0 {
+            Some(CallCause::NoObjects)
+        } else {
+            called.or_else(|| {
+                let due = self.periodic_cap_is_due(frame.index);
+                due.then_some(CallCause::PeriodicCap)
+            })
+        };
         let (progress, need) = if self.active == 0 && self.settings.asks_screen {
             (AlbireoPhase::AwaitsScreen, Need::Screen)
-        } else if self.active == 0 || called || self.periodic_cap_is_due(frame.index) {
+        } else if self.cause.is_some() {
             (
                 AlbireoPhase::AwaitsDetections { screened: false },
                 Need::Detections,
@@ -220,10 +237,14 @@ impl Policy for Albireo {
         match (self.progress, evidence) {
             (AlbireoPhase::AwaitsScreen, Evidence::Screen { empty: true }) => {
                 self.progress = AlbireoPhase::Decided(FrameState::E);
+                self.cause = None;
                 Need::Nothing
             }
             (AlbireoPhase::AwaitsScreen, evidence) => {
                 let screened = matches!(evidence, Evidence::Screen { .. });
+                if screened {
+                    self.cause = Some(CallCause::Screen);
+                }
                 self.progress = AlbireoPhase::AwaitsDetections { screened };
                 Need::Detections
             }
@@ -261,6 +282,10 @@ impl Policy for Albireo {
         }
     }
 
+    fn longest_pause(&self) -> Option<u32> {
+        Some(self.settings.t_max.min(self.settings.periodic_cap))
+    }
+
     fn finish(&mut self, outcome: &mut Outcome) {
         let (state, degraded) = match self.progress {
             AlbireoPhase::Decided(state) => (state, false),
@@ -272,6 +297,7 @@ impl Policy for Albireo {
             self.last_complete = Some(frame.index);
         }
         outcome.clear(state, degraded);
+        outcome.cause = self.cause;
         outcome.tau_max = self.tau_max;
         outcome.active = self.active;
         match state {
@@ -290,6 +316,7 @@ impl Policy for Albireo {
         self.objects.clear();
         self.frame = None;
         self.progress = AlbireoPhase::Decided(FrameState::P);
+        self.cause = None;
         self.tau_max = None;
         self.active = 0;
         self.since_detector = 0;

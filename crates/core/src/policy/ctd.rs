@@ -12,8 +12,8 @@
 
 use super::tracker::{Tracker, check_setting};
 use super::{
-    Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome, Policy,
-    PolicyConfig, PolicyConfigError,
+    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
+    Policy, PolicyConfig, PolicyConfigError,
 };
 use crate::objects::{Missed, ObjectState};
 use serde::{Deserialize, Serialize};
@@ -56,6 +56,8 @@ pub struct Ctd {
     largest_distance: f64,
     tracker: Tracker,
     progress: CtdPhase,
+    /// Why the detector is called for the frame in hand.
+    cause: Option<CallCause>,
     /// Frames since the detector last answered.
     since_detector: u32,
 }
@@ -84,11 +86,13 @@ impl Ctd {
             largest_distance: distance_with_confidence(threshold),
             tracker: Tracker::from_config(config)?,
             progress: CtdPhase::Decided(FrameState::P),
+            cause: None,
             since_detector: 0,
         }))
     }
 
-    fn calls_detector(&self) -> bool {
+    /// Why the detector is called, if it is.
+    fn call(&self) -> Option<CallCause> {
         let objects = &self.tracker.objects;
         let strayed = |state: &ObjectState| {
             let distance = state
@@ -96,9 +100,14 @@ impl Ctd {
                 .squared_distance(objects.model(), state.detected);
             distance > self.largest_distance
         };
-        objects.states().is_empty()
-            || self.since_detector > self.settings.longest_skip
-            || objects.states().iter().any(strayed)
+        if objects.states().is_empty() {
+            Some(CallCause::NoObjects)
+        } else if objects.states().iter().any(strayed) {
+            Some(CallCause::Uncertain)
+        } else {
+            let capped = self.since_detector > self.settings.longest_skip;
+            capped.then_some(CallCause::PeriodicCap)
+        }
     }
 }
 
@@ -142,7 +151,8 @@ impl Policy for Ctd {
     fn begin(&mut self, frame: FrameHead) -> Need {
         self.since_detector = self.since_detector.saturating_add(frame.step.max(1));
         self.tracker.begin(frame);
-        if self.calls_detector() {
+        self.cause = self.call();
+        if self.cause.is_some() {
             self.progress = CtdPhase::AwaitsDetections;
             Need::Detections
         } else {
@@ -176,12 +186,14 @@ impl Policy for Ctd {
             CtdPhase::AwaitsDetections => (FrameState::P, true),
         };
         outcome.clear(state, degraded);
+        outcome.cause = self.cause;
         self.tracker.finish(state, outcome);
     }
 
     fn reset(&mut self) {
         self.tracker.clear();
         self.progress = CtdPhase::Decided(FrameState::P);
+        self.cause = None;
         self.since_detector = 0;
     }
 

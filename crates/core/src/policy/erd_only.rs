@@ -3,8 +3,8 @@
 
 use super::detector_boxes::DetectorBoxes;
 use super::{
-    Evidence, FrameHead, FrameState, Knob, KnobError, Need, Outcome, Policy, PolicyConfig,
-    PolicyConfigError,
+    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, Outcome, Policy,
+    PolicyConfig, PolicyConfigError,
 };
 
 /// How far the frame in hand has come.
@@ -23,6 +23,8 @@ enum ErdOnlyPhase {
 pub(crate) struct ErdOnly {
     boxes: DetectorBoxes,
     progress: ErdOnlyPhase,
+    /// Why the detector is called for the frame in hand.
+    cause: Option<CallCause>,
 }
 
 impl ErdOnly {
@@ -54,6 +56,7 @@ impl Policy for ErdOnly {
     fn begin(&mut self, _: FrameHead) -> Need {
         self.boxes.clear();
         self.progress = ErdOnlyPhase::AwaitsScreen;
+        self.cause = Some(CallCause::NoObjects);
         Need::Screen
     }
 
@@ -62,10 +65,14 @@ impl Policy for ErdOnly {
         match (self.progress, evidence) {
             (ErdOnlyPhase::AwaitsScreen, Evidence::Screen { empty: true }) => {
                 self.progress = ErdOnlyPhase::Decided(FrameState::E);
+                self.cause = None;
                 Need::Nothing
             }
             (ErdOnlyPhase::AwaitsScreen, evidence) => {
                 let screened = matches!(evidence, Evidence::Screen { .. });
+                if screened {
+                    self.cause = Some(CallCause::Screen);
+                }
                 self.progress = ErdOnlyPhase::AwaitsDetections { screened };
                 Need::Detections
             }
@@ -94,6 +101,7 @@ impl Policy for ErdOnly {
             }
         };
         outcome.clear(state, degraded);
+        outcome.cause = self.cause;
         self.boxes.report(&mut outcome.boxes);
     }
 
@@ -121,6 +129,7 @@ mod tests {
         for _ in 0..2 {
             assert_eq!(run.see(&found), FrameState::EI);
             assert_eq!(run.needs, [Need::Screen, Need::Detections]);
+            assert_eq!(run.outcome.cause, Some(CallCause::Screen));
             assert_eq!(run.reported(), [(BoxSource::Detected, 0.5, 0.9)]);
             let empty = FrameEvidence {
                 empty: Some(true),
@@ -128,6 +137,7 @@ mod tests {
             };
             assert_eq!(run.frame(1, empty), FrameState::E);
             assert_eq!(run.needs, [Need::Screen]);
+            assert_eq!(run.outcome.cause, None);
             assert!(run.outcome.boxes.is_empty() && !run.outcome.degraded);
         }
     }
@@ -140,6 +150,7 @@ mod tests {
             run.frame(1, FrameEvidence::detections(&found)),
             FrameState::I
         );
+        assert_eq!(run.outcome.cause, Some(CallCause::NoObjects));
         assert_eq!(run.outcome.boxes.len(), 1);
         assert_eq!(run.blind(), FrameState::P);
         assert!(run.outcome.degraded && run.outcome.boxes.is_empty());

@@ -47,8 +47,8 @@ mod trigger;
 mod velocity;
 
 use super::{
-    Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome, Policy,
-    PolicyConfig, PolicyConfigError, config::with_overrides, tracker::check_setting,
+    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
+    Policy, PolicyConfig, PolicyConfigError, config::with_overrides, tracker::check_setting,
 };
 use crate::detection::Detection;
 use birth::BirthRate;
@@ -86,6 +86,8 @@ pub struct ExpectedLoss {
     /// Whether the detector has answered since the stream began.
     started: bool,
     progress: ExpectedLossPhase,
+    /// Why the detector is called for the frame in hand.
+    cause: Option<CallCause>,
     /// L of the frame in hand.
     loss: f64,
     /// g of the frame in hand.
@@ -128,6 +130,7 @@ impl ExpectedLoss {
             pause: Pause::START,
             started: false,
             progress: ExpectedLossPhase::Skipped,
+            cause: None,
             loss: 0.0,
             weight: 0.0,
             tau_max: None,
@@ -234,9 +237,11 @@ impl Policy for ExpectedLoss {
             }
         }
         self.survey();
-        let called =
-            !self.started || (self.pause).is_over(&self.trigger, &self.settings.call, self.weight);
-        let (progress, need) = if !called {
+        self.cause = match self.started {
+            false => Some(CallCause::Start),
+            true => (self.pause).call(&self.trigger, &self.settings.call, self.weight),
+        };
+        let (progress, need) = if self.cause.is_none() {
             (ExpectedLossPhase::Skipped, Need::Nothing)
         } else if self.active == 0 && self.settings.call.ask_screen_when_empty {
             (ExpectedLossPhase::AwaitsScreen, Need::Screen)
@@ -255,10 +260,14 @@ impl Policy for ExpectedLoss {
         match (self.progress, evidence) {
             (ExpectedLossPhase::AwaitsScreen, Evidence::Screen { empty: true }) => {
                 self.progress = ExpectedLossPhase::Empty;
+                self.cause = None;
                 Need::Nothing
             }
             (ExpectedLossPhase::AwaitsScreen, evidence) => {
                 let screened = matches!(evidence, Evidence::Screen { .. });
+                if screened {
+                    self.cause = Some(CallCause::Screen);
+                }
                 self.progress = ExpectedLossPhase::AwaitsDetections { screened };
                 Need::Detections
             }
@@ -294,6 +303,7 @@ impl Policy for ExpectedLoss {
             self.progress,
             ExpectedLossPhase::AwaitsScreen | ExpectedLossPhase::AwaitsDetections { .. }
         );
+        outcome.cause = self.cause;
         outcome.tau_max = self.tau_max;
         outcome.active = self.active;
     }
@@ -305,6 +315,7 @@ impl Policy for ExpectedLoss {
         self.pause = Pause::START;
         self.started = false;
         self.progress = ExpectedLossPhase::Skipped;
+        self.cause = None;
         self.tau_max = None;
         self.active = 0;
     }

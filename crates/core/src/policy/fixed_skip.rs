@@ -7,8 +7,8 @@
 use super::detector_boxes::DetectorBoxes;
 use super::tracker::{Tracker, check_setting};
 use super::{
-    Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome, Policy,
-    PolicyConfig, PolicyConfigError, Profile,
+    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
+    Policy, PolicyConfig, PolicyConfigError, Profile,
 };
 use crate::objects::Missed;
 use serde::{Deserialize, Serialize};
@@ -184,6 +184,8 @@ impl Policy for FixedSkip {
             FixedSkipPhase::AwaitsDetections => (FrameState::P, true),
         };
         outcome.clear(state, degraded);
+        let called = degraded || !state.is_skipped();
+        outcome.cause = called.then_some(CallCause::Schedule);
         match &self.memory {
             Memory::Objects(tracker) => tracker.finish(state, outcome),
             Memory::Boxes(boxes) if state.is_skipped() => boxes.report_again(&mut outcome.boxes),

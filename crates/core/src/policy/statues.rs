@@ -15,8 +15,8 @@ use super::changed_region::ChangedRegion;
 use super::detector_boxes::DetectorBoxes;
 use super::tracker::check_setting;
 use super::{
-    Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, Outcome, Policy,
-    PolicyConfig, PolicyConfigError,
+    CallCause, Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, Outcome,
+    Policy, PolicyConfig, PolicyConfigError,
 };
 use crate::geometry::PictureSize;
 use serde::{Deserialize, Serialize};
@@ -58,6 +58,8 @@ pub struct Statues {
     size: Option<PictureSize>,
     boxes: DetectorBoxes,
     progress: StatuesPhase,
+    /// Why the detector is called for the frame in hand.
+    cause: Option<CallCause>,
     /// The detector was called for and has not answered since.
     detector_owed: bool,
 }
@@ -96,6 +98,7 @@ impl Statues {
             size: None,
             boxes: DetectorBoxes::default(),
             progress: StatuesPhase::Decided(FrameState::P),
+            cause: None,
             detector_owed: true,
         }))
     }
@@ -119,8 +122,9 @@ impl Statues {
         changed
     }
 
-    fn call_detector(&mut self) -> Need {
+    fn call_detector(&mut self, cause: CallCause) -> Need {
         self.progress = StatuesPhase::AwaitsDetections;
+        self.cause = Some(cause);
         self.detector_owed = true;
         Need::Detections
     }
@@ -146,6 +150,7 @@ impl Policy for Statues {
 
     fn begin(&mut self, _: FrameHead) -> Need {
         self.progress = StatuesPhase::AwaitsPicture;
+        self.cause = None;
         Need::GreyPicture
     }
 
@@ -154,14 +159,16 @@ impl Policy for Statues {
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
         match (self.progress, evidence) {
             (StatuesPhase::AwaitsPicture, Evidence::GreyPicture(picture)) => {
-                if self.has_changed(picture) || self.detector_owed {
-                    self.call_detector()
+                if self.has_changed(picture) {
+                    self.call_detector(CallCause::Changed)
+                } else if self.detector_owed {
+                    self.call_detector(CallCause::Retry)
                 } else {
                     self.progress = StatuesPhase::Decided(FrameState::P);
                     Need::Nothing
                 }
             }
-            (StatuesPhase::AwaitsPicture, _) => self.call_detector(),
+            (StatuesPhase::AwaitsPicture, _) => self.call_detector(CallCause::Changed),
             (StatuesPhase::AwaitsDetections, Evidence::Detections(detections)) => {
                 self.boxes.take(detections);
                 self.detector_owed = false;
@@ -182,6 +189,7 @@ impl Policy for Statues {
             StatuesPhase::AwaitsPicture | StatuesPhase::AwaitsDetections => (FrameState::P, true),
         };
         outcome.clear(state, degraded);
+        outcome.cause = self.cause;
         if state.is_skipped() {
             self.boxes.report_again(&mut outcome.boxes);
         } else {
@@ -193,6 +201,7 @@ impl Policy for Statues {
         self.size = None;
         self.boxes.clear();
         self.progress = StatuesPhase::Decided(FrameState::P);
+        self.cause = None;
         self.detector_owed = true;
     }
 

@@ -117,6 +117,14 @@ fn check(name: &str, outcome: &Outcome, answered: usize) {
     let state = outcome.state;
     assert_eq!(state.is_skipped(), answered == 0, "{name}: {state}");
     assert!(answered <= 1, "{name}");
+    // The detector is called for a cause, and for none it is not.
+    let called = answered > 0 || outcome.degraded;
+    assert_eq!(
+        outcome.cause.is_some(),
+        called,
+        "{name}: {state} {:?}",
+        outcome.cause
+    );
     assert!(!outcome.degraded || state == FrameState::P, "{name}");
     for reported in &outcome.boxes {
         assert!(reported.bounding_box.is_finite(), "{name}: {reported:?}");

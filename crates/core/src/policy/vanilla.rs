@@ -2,8 +2,8 @@
 
 use super::detector_boxes::DetectorBoxes;
 use super::{
-    Evidence, FrameHead, FrameState, Knob, KnobError, Need, Outcome, Policy, PolicyConfig,
-    PolicyConfigError,
+    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, Outcome, Policy,
+    PolicyConfig, PolicyConfigError,
 };
 
 /// The vanilla policy. It keeps no objects and has no knob.
@@ -63,6 +63,7 @@ impl Policy for Vanilla {
             false => FrameState::P,
         };
         outcome.clear(state, !self.answered);
+        outcome.cause = Some(CallCause::EveryFrame);
         self.boxes.report(&mut outcome.boxes);
     }
 
@@ -108,6 +109,7 @@ mod tests {
             policy.finish(&mut outcome);
             assert_eq!(outcome.state, FrameState::I);
             assert!(!outcome.degraded);
+            assert_eq!(outcome.cause, Some(CallCause::EveryFrame));
             let widths: Vec<_> = outcome.boxes.iter().map(|b| b.bounding_box.width).collect();
             assert_eq!(widths, [0.1, 0.2]);
             assert!(

@@ -71,6 +71,18 @@ impl DatabaseConfig {
         format!("{scheme}://{place}{parameters}")
     }
 
+    /// The passwords in the URL: that of the user, and one among the parameters.
+    pub fn passwords(&self) -> impl Iterator<Item = &str> {
+        let (place, parameters) = self.url.split_once('?').unwrap_or((&self.url, ""));
+        let user = place
+            .split_once("://")
+            .and_then(|(_, rest)| rest.rsplit_once('@'))
+            .and_then(|(user, _)| user.split_once(':'));
+        let parameters = parameters.split('&').filter_map(|one| one.split_once('='));
+        let named = parameters.filter(|(name, _)| *name == "password");
+        user.into_iter().chain(named).map(|(_, secret)| secret)
+    }
+
     pub(super) fn check(&self, findings: &mut Findings) {
         let file = self.url.strip_prefix("sqlite:");
         let postgres = ["postgres://", "postgresql://"]

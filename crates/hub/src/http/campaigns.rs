@@ -257,7 +257,7 @@ async fn rollout(view: &HubView, id: i64) -> Result<RolloutView, Problem> {
 /// The body is its plan with the new value under its knob's name beside it:
 /// `{"u": 5e-4, "select": ["cam-*"], "stages": ["1", "10%", "50%", "100%"], "soak_s": 1800, "gates": ["joules<=+5%"]}`.
 #[utoipa::path(
-    post, path = "/api/v1/rollouts", tag = "tuning", request_body = RolloutPlan,
+    post, operation_id = "begin_rollout", path = "/api/v1/rollouts", tag = "tuning", request_body = RolloutPlan,
     responses(
         (status = 201, body = RolloutView),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
@@ -284,7 +284,7 @@ pub(super) async fn begin_rollout(
 
 /// Rollouts, the newest first
 #[utoipa::path(
-    get, path = "/api/v1/rollouts", tag = "tuning", params(Which),
+    get, operation_id = "list_rollouts", path = "/api/v1/rollouts", tag = "tuning", params(Which),
     responses((status = 200, body = Rollouts), (status = 503, body = Problem, content_type = "application/problem+json"))
 )]
 pub(super) async fn rollouts(
@@ -306,7 +306,7 @@ pub(super) async fn rollouts(
 
 /// A rollout with its record and its nodes
 #[utoipa::path(
-    get, path = "/api/v1/rollouts/{id}", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
+    get, operation_id = "rollout", path = "/api/v1/rollouts/{id}", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
     responses(
         (status = 200, body = RolloutView),
         (status = 404, body = Problem, content_type = "application/problem+json"),
@@ -321,7 +321,7 @@ pub(super) async fn one_rollout(
 
 /// Pauses, resumes, advances, returns or stops a rollout
 #[utoipa::path(
-    post, path = "/api/v1/rollouts/{id}/{command}", tag = "tuning",
+    post, operation_id = "command_rollout", path = "/api/v1/rollouts/{id}/{command}", tag = "tuning",
     params(
         ("id" = i64, Path, description = "Its number."),
         ("command" = Command, Path, description = "`pause`, `resume`, `next`, `return` or `stop`."),
@@ -354,7 +354,7 @@ pub(super) async fn command_rollout(
 ///
 /// `{"values": [{"u": 1e-4}, {"u": 3e-4}], "select": ["cam-*"], "duration_s": 3600}`
 #[utoipa::path(
-    post, path = "/api/v1/trials", tag = "tuning", request_body = TrialPlan,
+    post, operation_id = "begin_trial", path = "/api/v1/trials", tag = "tuning", request_body = TrialPlan,
     responses(
         (status = 201, body = TrialView),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
@@ -374,7 +374,7 @@ pub(super) async fn begin_trial(
 
 /// Trials, the newest first
 #[utoipa::path(
-    get, path = "/api/v1/trials", tag = "tuning", params(Which),
+    get, operation_id = "list_trials", path = "/api/v1/trials", tag = "tuning", params(Which),
     responses((status = 200, body = Trials), (status = 503, body = Problem, content_type = "application/problem+json"))
 )]
 pub(super) async fn trials(
@@ -403,7 +403,7 @@ async fn trial(view: &HubView, id: i64) -> Result<TrialView, Problem> {
 
 /// A trial with its result and its nodes
 #[utoipa::path(
-    get, path = "/api/v1/trials/{id}", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
+    get, operation_id = "trial", path = "/api/v1/trials/{id}", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
     responses(
         (status = 200, body = TrialView),
         (status = 404, body = Problem, content_type = "application/problem+json"),
@@ -420,7 +420,7 @@ pub(super) async fn one_trial(
 ///
 /// What was measured until now is its result; the old values return.
 #[utoipa::path(
-    post, path = "/api/v1/trials/{id}/end", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
+    post, operation_id = "end_trial", path = "/api/v1/trials/{id}/end", tag = "tuning", params(("id" = i64, Path, description = "Its number.")),
     responses(
         (status = 200, body = TrialView),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),

@@ -67,7 +67,7 @@ pub(super) struct ClipPage {
 ///
 /// `curl 'http://127.0.0.1:8090/api/v1/clips?node=car-7&limit=20'`
 #[utoipa::path(
-    get, path = "/api/v1/clips", tag = "history", params(Selection),
+    get, operation_id = "list_clips", path = "/api/v1/clips", tag = "history", params(Selection),
     responses(
         (status = 200, body = ClipPage),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
@@ -97,7 +97,7 @@ pub(super) async fn list(
 /// They are read and sent in pages: the file may be larger than the memory.
 /// `curl -O 'http://127.0.0.1:8090/api/v1/clips.csv?since_ms=1790000000000'`
 #[utoipa::path(
-    get, path = "/api/v1/clips.csv", tag = "history", params(Selection),
+    get, operation_id = "clips_csv", path = "/api/v1/clips.csv", tag = "history", params(Selection),
     responses(
         (status = 200, content_type = "text/csv", body = String),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
@@ -187,7 +187,7 @@ pub(super) struct AsidePage {
 /// They are acknowledged, so that they do not hold up those behind them, and kept here.
 /// `curl http://127.0.0.1:8090/api/v1/set-aside`
 #[utoipa::path(
-    get, path = "/api/v1/set-aside", tag = "history", params(AsideSelection),
+    get, operation_id = "list_set_aside", path = "/api/v1/set-aside", tag = "history", params(AsideSelection),
     responses(
         (status = 200, body = AsidePage),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),

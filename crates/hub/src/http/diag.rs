@@ -5,14 +5,13 @@ use crate::config::HubConfig;
 use crate::presence::{Order, PresenceState};
 use crate::store::{Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
+use albireo_service::config;
 use albireo_service::{archive, logging};
 use axum::extract::State;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
 
-/// What stands in place of a secret.
-const MASK: &str = "(secret)";
 /// Most nodes that are not well, most events and most changes in the archive.
 const MOST_NODES: usize = 1000;
 const MOST_EVENTS: i64 = 500;
@@ -20,27 +19,9 @@ const MOST_CHANGES: i64 = 100;
 
 /// The configuration with every secret masked.
 pub(super) fn without_secrets(config: &HubConfig) -> Value {
-    let mut shown = serde_json::to_value(config).unwrap_or(Value::Null);
-    mask(&mut shown);
+    let mut shown = config::without_secrets(config);
     shown["database"]["url"] = config.database.shown().into();
     shown
-}
-
-fn mask(value: &mut Value) {
-    match value {
-        Value::Object(members) => {
-            for (name, value) in members {
-                let secret = ["token", "password", "secret"].contains(&name.as_str());
-                if secret && value.is_string() {
-                    *value = MASK.into();
-                } else {
-                    mask(value);
-                }
-            }
-        }
-        Value::Array(values) => values.iter_mut().for_each(mask),
-        _ => {}
-    }
 }
 
 /// One archive (tar) of what helps to find a fault
@@ -49,7 +30,7 @@ fn mask(value: &mut Value) {
 /// changes, the last lines of the log. What cannot be had (a database that is away) is named in its place.
 /// `curl -O -J http://127.0.0.1:8090/api/v1/diag`
 #[utoipa::path(
-    get, path = "/api/v1/diag", tag = "diagnosis",
+    get, operation_id = "download_diagnosis", path = "/api/v1/diag", tag = "diagnosis",
     responses((status = 200, content_type = "application/x-tar", body = Vec<u8>))
 )]
 pub(super) async fn archive(State(view): State<HubView>) -> Response {
@@ -81,7 +62,9 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         "nodes": states,
     });
     let metrics = super::metrics::written(&view, view.sessions().await);
-    let log = logging::last_lines().join("\n") + "\n";
+    let log: String = (logging::last_lines().iter())
+        .map(|line| format!("{line}\n"))
+        .collect();
     let files = [
         ("about.json", text(&about)),
         ("configuration.json", text(&view.config)),
@@ -147,6 +130,8 @@ mod tests {
         }];
         config.database.url =
             "postgres://hub:the-password@db.example/fleet?password=the-other".into();
+        let hidden: Vec<_> = config.database.passwords().collect();
+        assert_eq!(hidden, ["the-password", "the-other"]);
         let shown = without_secrets(&config).to_string();
         for secret in ["the-token", "the-password", "the-other"] {
             assert!(!shown.contains(secret), "{shown}");

@@ -62,7 +62,7 @@ pub(super) struct Energy {
 ///
 /// `curl 'http://127.0.0.1:8090/api/v1/energy?by=policy'`
 #[utoipa::path(
-    get, path = "/api/v1/energy", tag = "history", params(Selection),
+    get, operation_id = "energy_sums", path = "/api/v1/energy", tag = "history", params(Selection),
     responses(
         (status = 200, body = Energy),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),

@@ -102,7 +102,7 @@ impl Reader {
 /// missed than is told again, so look anew at how things stand.
 /// `curl -N http://127.0.0.1:8090/api/v1/events`
 #[utoipa::path(
-    get, path = "/api/v1/events", tag = "events", params(Selection),
+    get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),
     responses(
         (status = 200, content_type = "text/event-stream", body = String),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),

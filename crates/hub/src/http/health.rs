@@ -40,7 +40,7 @@ pub(super) struct HubNotReady {
 /// Whether the process answers
 ///
 /// `curl http://127.0.0.1:8090/healthz`
-#[utoipa::path(get, path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
+#[utoipa::path(get, operation_id = "healthz", path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
 pub(super) async fn healthz() -> Json<Health> {
     Json(Health {
         status: "ok",
@@ -52,7 +52,7 @@ pub(super) async fn healthz() -> Json<Health> {
 ///
 /// `curl http://127.0.0.1:8090/readyz`
 #[utoipa::path(
-    get, path = "/readyz", tag = "health", security(()),
+    get, operation_id = "readyz", path = "/readyz", tag = "health", security(()),
     responses(
         (status = 200, body = HubReadiness),
         (status = 503, body = HubNotReady, content_type = "application/problem+json"),

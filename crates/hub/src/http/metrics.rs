@@ -14,7 +14,7 @@ const PLAIN: &str = "text/plain; version=0.0.4; charset=utf-8";
 ///
 /// `curl http://127.0.0.1:8090/metrics`
 #[utoipa::path(
-    get, path = "/metrics", tag = "metrics",
+    get, operation_id = "metrics", path = "/metrics", tag = "metrics",
     responses((status = 200, content_type = "text/plain", body = String))
 )]
 pub(super) async fn text(State(view): State<HubView>) -> Response {

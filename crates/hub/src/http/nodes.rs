@@ -24,7 +24,7 @@ pub(super) struct Selection {
     /// With this text in the name.
     search: Option<String>,
     /// `name`, or: `state` (offline first), `heard` (the last heard first), `-heard` (the longest not heard first),
-    /// `waiting` (the most waiting reports first).
+    /// `waiting` (the most waiting reports first), `joules` (the most energy of today first).
     sort: Option<String>,
     /// `next` of the page before.
     cursor: Option<String>,
@@ -66,7 +66,7 @@ pub(super) struct NodeDetail {
 ///
 /// `curl 'http://127.0.0.1:8090/api/v1/nodes?state=degraded&limit=20'`
 #[utoipa::path(
-    get, path = "/api/v1/nodes", tag = "nodes", params(Selection),
+    get, operation_id = "list_nodes", path = "/api/v1/nodes", tag = "nodes", params(Selection),
     responses(
         (status = 200, body = NodePage),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
@@ -131,13 +131,14 @@ pub(super) async fn list(
 
 /// The order asked for; `None` is that of the names.
 fn order(sort: Option<&str>) -> Result<Option<Order>, Problem> {
-    const KNOWN: [&str; 5] = ["name", "state", "heard", "-heard", "waiting"];
+    const KNOWN: [&str; 6] = ["name", "state", "heard", "-heard", "waiting", "joules"];
     Ok(match sort {
         None | Some("name") => None,
         Some("state") => Some(Order::WorstFirst),
         Some("heard") => Some(Order::LastHeard),
         Some("-heard") => Some(Order::LongestUnheard),
         Some("waiting") => Some(Order::MostWaiting),
+        Some("joules") => Some(Order::MostJoules),
         Some(other) => {
             let detail = format!(
                 "nodes cannot be sorted by `{other}`, but by: {}",
@@ -163,7 +164,7 @@ fn place(cursor: &str) -> Result<(i64, &str), Problem> {
 ///
 /// `curl http://127.0.0.1:8090/api/v1/nodes/car-7`
 #[utoipa::path(
-    get, path = "/api/v1/nodes/{node}", tag = "nodes", params(("node" = String, Path, description = "Its name")),
+    get, operation_id = "node", path = "/api/v1/nodes/{node}", tag = "nodes", params(("node" = String, Path, description = "Its name")),
     responses(
         (status = 200, body = NodeDetail),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),

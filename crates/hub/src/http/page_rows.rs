@@ -33,6 +33,8 @@ enum Order {
     Heard,
     /// Reports that wait in its outbox, the fewest first.
     Waiting,
+    /// Energy of today (UTC), the least first; by the larger of measured and estimated, which are never added.
+    Joules,
 }
 
 /// Which rows.
@@ -119,7 +121,7 @@ fn selector(text: Option<&str>) -> Result<Option<Selector>, Problem> {
 ///
 /// `curl 'http://127.0.0.1:8090/api/v1/fleet?state=degraded,silent&select=region=north&sort=waiting&down=true'`
 #[utoipa::path(
-    get, path = "/api/v1/fleet", tag = "nodes", params(Selection),
+    get, operation_id = "fleet_rows", path = "/api/v1/fleet", tag = "nodes", params(Selection),
     responses(
         (status = 200, body = FleetRows),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
@@ -153,6 +155,7 @@ pub(super) async fn rows(
                 Order::State => place.map_or(i64::MAX, |place| place as i64),
                 Order::Since => node.since_ms,
                 Order::Heard => node.heard_ms.unwrap_or(i64::MIN),
+                Order::Joules => node.used_uj,
                 Order::Waiting => i64::try_from(node.waiting).unwrap_or(i64::MAX),
             },
             status: selector.as_ref().and(node.status).cloned(),

@@ -81,7 +81,7 @@ pub(super) fn of_store(error: &StoreError) -> Problem {
 /// the answer waits a few seconds for the nodes. Nodes out of reach find the value on their return.
 /// `curl -X PUT -d '{"u": 5e-4, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/threshold`
 #[utoipa::path(
-    put, path = "/api/v1/threshold", tag = "tuning", request_body = ThresholdRequest,
+    put, operation_id = "set_threshold", path = "/api/v1/threshold", tag = "tuning", request_body = ThresholdRequest,
     responses(
         (status = 200, body = ThresholdAnswer),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
@@ -288,7 +288,7 @@ pub(super) struct WhichChanges {
 ///
 /// Who ordered which value for whom, why, and what became of it.
 #[utoipa::path(
-    get, path = "/api/v1/changes", tag = "tuning", params(WhichChanges),
+    get, operation_id = "list_changes", path = "/api/v1/changes", tag = "tuning", params(WhichChanges),
     responses(
         (status = 200, body = Changes),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
@@ -353,7 +353,7 @@ fn change_view(order: OrderRow, counted: &[(i64, String, i64)]) -> Result<Change
 
 /// One change with every node
 #[utoipa::path(
-    get, path = "/api/v1/changes/{change}", tag = "tuning",
+    get, operation_id = "change", path = "/api/v1/changes/{change}", tag = "tuning",
     params(("change" = i64, Path, description = "Its number.")),
     responses(
         (status = 200, body = ChangeDetail),
@@ -405,7 +405,7 @@ pub(super) async fn change(
 /// Nodes whose value is not the desired one
 ///
 /// They had taken it, and it was changed at the node since.
-#[utoipa::path(get, path = "/api/v1/drift", tag = "tuning", responses((status = 200, body = Vec<Drift>)))]
+#[utoipa::path(get, operation_id = "list_drift", path = "/api/v1/drift", tag = "tuning", responses((status = 200, body = Vec<Drift>)))]
 pub(super) async fn drift(State(view): State<HubView>) -> Result<Json<Vec<Drift>>, Problem> {
     Ok(Json(view.tuner()?.drift()))
 }

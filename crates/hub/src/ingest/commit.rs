@@ -4,10 +4,12 @@ use super::clip::{Facts, facts};
 use super::decode::{Batch, Unread, unread};
 use super::plan::{Outcome, Plan, below, plan};
 use crate::config::HistoryConfig;
+use crate::presence::Used;
 use crate::store::rows::text;
 use crate::store::tables::ClipRow;
 use crate::store::tables::{EventRow, GapRow, InstanceRow, SetAsideRow, SumRow};
 use crate::store::{Instance, SetupKey, StoreError, Writing};
+use albireo_wire::EnergyQuality;
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
@@ -48,6 +50,8 @@ pub(crate) struct Committed {
     pub(crate) clock_off: u64,
     /// Whether there are new events.
     pub(crate) events: bool,
+    /// Energy of the clips written, each with its node's place among the batches and the time it is filed under.
+    pub(crate) used: Vec<(usize, i64, Used)>,
 }
 
 impl Numbers {
@@ -124,7 +128,10 @@ pub(crate) async fn write(
 
     let mut group = Group::default();
     let mut committed = Committed::default();
-    for ((batch, instance), (node, _)) in batches.iter().zip(&found).zip(&wanted) {
+    for (place, ((batch, instance), (node, _))) in
+        batches.iter().zip(&found).zip(&wanted).enumerate()
+    {
+        group.place = place;
         let plan = plan(batch, instance, &known, kept_since_ms);
         group.add(batch, instance, *node, &plan, now_ms);
         committed.again += plan.again as u64;
@@ -143,6 +150,7 @@ pub(crate) async fn write(
         .await?;
     writing.add_sums("sums_day", &sums(&clips, DAY)).await?;
     committed.events = !group.events.is_empty();
+    committed.used = std::mem::take(&mut group.used);
     writing.events(&group.events).await?;
     Ok(committed)
 }
@@ -163,6 +171,9 @@ pub(crate) fn sums(clips: &[ClipRow], seconds: i64) -> Vec<SumRow> {
 /// What a group of batches writes.
 #[derive(Default)]
 struct Group {
+    /// Place of the batch that is added.
+    place: usize,
+    used: Vec<(usize, i64, Used)>,
     pending: Vec<Pending>,
     set_aside: Vec<SetAsideRow>,
     gaps: Vec<GapRow>,
@@ -197,6 +208,11 @@ impl Group {
                         latest = latest.max(facts.row.started_ns);
                     } else {
                         off += 1;
+                    }
+                    if let Some(uj) = facts.row.energy_uj {
+                        let estimated = content.energy.quality == EnergyQuality::Estimated;
+                        let used = Used { uj, estimated };
+                        self.used.push((self.place, facts.row.at_ms, used));
                     }
                     self.pending.push(Pending {
                         node,

@@ -251,9 +251,16 @@ impl IngestWriter {
         if committed.events {
             setup.events.tell();
         }
+        for batch in batches {
+            setup.fleet.reported(&batch.node, unix_milliseconds());
+        }
+        for (place, at_ms, used) in committed.used {
+            if let Some(batch) = batches.get(place) {
+                setup.fleet.used(&batch.node, at_ms, used);
+            }
+        }
         for ((waiting, batch), outcome) in waiting.into_iter().zip(batches).zip(committed.outcomes)
         {
-            setup.fleet.reported(&batch.node, unix_milliseconds());
             match outcome {
                 Outcome::Stored(number) => {
                     counters.batches(1);

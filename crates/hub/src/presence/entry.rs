@@ -3,6 +3,7 @@
 use super::fleet::{NodeView, Remembered};
 use super::news::NodeNews;
 use super::state::{PresenceState, Token};
+use super::today::Today;
 use albireo_wire::{HealthState, NodeStatus, StatusMessage};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -44,6 +45,7 @@ pub(super) struct Entry {
     pub(super) reasons: String,
     pub(super) waiting: u64,
     pub(super) generation: u64,
+    pub(super) today: Today,
     /// The last full status as JSON: a third of the size of the same in fields.
     status: Option<Arc<str>>,
     pub(super) needs_full: bool,
@@ -72,6 +74,7 @@ impl Entry {
             reasons: String::new(),
             waiting: 0,
             generation: 0,
+            today: Today::default(),
             status: None,
             needs_full: true,
             poked: None,
@@ -175,7 +178,8 @@ impl Entry {
         self.status.as_ref()
     }
 
-    pub(super) fn view(&self, name: &str) -> NodeView {
+    /// The node as it is shown on `day`.
+    pub(super) fn view(&self, name: &str, day: i64) -> NodeView {
         NodeView {
             node: name.to_owned(),
             state: self.state,
@@ -185,6 +189,7 @@ impl Entry {
             instance: self.run.as_ref().map(|run| run.instance.clone()),
             waiting: self.waiting,
             generation: self.generation,
+            today: self.today.energy(day),
             status: self
                 .status
                 .as_deref()

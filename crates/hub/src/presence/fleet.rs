@@ -3,7 +3,9 @@
 use super::entry::{Entry, Run};
 use super::news::{News, Notice};
 use super::state::{Facts, Limits, PresenceState, Token, judge};
+use super::today::{TodaysEnergy, Used, day_of};
 use crate::config::PresenceConfig;
+use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{NodeStatus, StatusMessage};
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
@@ -42,6 +44,8 @@ pub struct NodeView {
     pub waiting: u64,
     /// Generation of the desired value in force.
     pub generation: u64,
+    /// Energy of its clips of today (UTC).
+    pub today: TodaysEnergy,
     /// The last full status.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<NodeStatus>)]
@@ -56,6 +60,8 @@ pub(crate) struct Glance<'a> {
     pub(crate) since_ms: i64,
     pub(crate) heard_ms: Option<i64>,
     pub(crate) waiting: u64,
+    /// Energy of today, microjoules: the larger of measured and estimated.
+    pub(crate) used_uj: i64,
     /// The last full status as JSON.
     pub(crate) status: Option<&'a Arc<str>>,
 }
@@ -86,10 +92,12 @@ pub enum Order {
     LastHeard,
     /// The most waiting reports first.
     MostWaiting,
+    /// The most energy of today first, by the larger of measured and estimated.
+    MostJoules,
 }
 
 impl Order {
-    fn key(self, entry: &Entry) -> i64 {
+    fn key(self, entry: &Entry, day: i64) -> i64 {
         match self {
             Self::WorstFirst => {
                 let place = PresenceState::ALL.iter().position(|s| *s == entry.state);
@@ -97,6 +105,7 @@ impl Order {
             }
             Self::LongestUnheard => entry.heard_ms.unwrap_or(i64::MIN),
             Self::LastHeard => entry.heard_ms.map_or(i64::MAX, |at| -at),
+            Self::MostJoules => -entry.today.key(day),
             Self::MostWaiting => -i64::try_from(entry.waiting).unwrap_or(i64::MAX),
         }
     }
@@ -219,6 +228,14 @@ impl Fleet {
         nodes
             .entry(node.into())
             .or_insert_with(|| Entry::new(now_ms));
+    }
+
+    /// Adds the energy of a clip filed under `at_ms`, to what its node used that day.
+    pub(crate) fn used(&self, node: &str, at_ms: i64, used: Used) {
+        let mut nodes = self.nodes.write();
+        if let Some(entry) = nodes.get_mut(node) {
+            entry.today.add(day_of(at_ms), used);
+        }
     }
 
     /// Looks at a tenth of the nodes for those that time made silent or offline.
@@ -362,7 +379,8 @@ impl Fleet {
     /// One node.
     pub fn view(&self, node: &str) -> Option<NodeView> {
         let nodes = self.nodes.read();
-        nodes.get(node).map(|entry| entry.view(node))
+        let day = day_of(unix_milliseconds());
+        nodes.get(node).map(|entry| entry.view(node, day))
     }
 
     /// Nodes after `after` in the order of their names, at most `most`, of those that `wanted` chooses by name and
@@ -375,11 +393,12 @@ impl Fleet {
     ) -> Vec<NodeView> {
         let nodes = self.nodes.read();
         let from = after.map_or(Unbounded, Excluded);
+        let day = day_of(unix_milliseconds());
         nodes
             .range::<str, _>((from, Unbounded))
             .filter(|(name, entry)| wanted(name, entry.state))
             .take(most)
-            .map(|(name, entry)| entry.view(name))
+            .map(|(name, entry)| entry.view(name, day))
             .collect()
     }
 
@@ -393,10 +412,11 @@ impl Fleet {
         wanted: impl Fn(&str, PresenceState) -> bool,
     ) -> Vec<(i64, NodeView)> {
         let nodes = self.nodes.read();
+        let day = day_of(unix_milliseconds());
         let mut found: Vec<(i64, &Arc<str>)> = nodes
             .iter()
             .filter(|(name, entry)| wanted(name, entry.state))
-            .map(|(name, entry)| (order.key(entry), name))
+            .map(|(name, entry)| (order.key(entry, day), name))
             .filter(|(key, name)| after.is_none_or(|after| (*key, &***name) > after))
             .collect();
         if found.len() > most {
@@ -406,12 +426,13 @@ impl Fleet {
         found.sort_unstable();
         found
             .into_iter()
-            .filter_map(|(key, name)| Some((key, nodes.get(name)?.view(name))))
+            .filter_map(|(key, name)| Some((key, nodes.get(name)?.view(name, day))))
             .collect()
     }
 
     /// Shows every node to `each`, in the order of their names.
     pub(crate) fn glance(&self, mut each: impl FnMut(Glance<'_>)) {
+        let day = day_of(unix_milliseconds());
         for (name, entry) in self.nodes.read().iter() {
             each(Glance {
                 name,
@@ -419,6 +440,7 @@ impl Fleet {
                 since_ms: entry.since_ms,
                 heard_ms: entry.heard_ms,
                 waiting: entry.waiting,
+                used_uj: entry.today.key(day),
                 status: entry.status(),
             });
         }

@@ -1,6 +1,7 @@
 //! One camera's part of the live board.
 
 use super::event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
+use super::history::{History, PastFrame, PastSlot, SkipEstimate};
 use super::thresholds;
 use crate::advice::{Advice, SkipWatch};
 use crate::frame::EncodedPicture;
@@ -8,7 +9,9 @@ use crate::outbox::Outbox;
 use crate::screen::ScreenCounts;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{FrameState, Knob, KnobError, published_threshold, short};
-use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, KnobSource, KnobValue};
+use albireo_wire::{
+    DetectionsMessage, DetectorCalls, DroppedFrames, FrameStates, KnobSource, KnobValue,
+};
 use parking_lot::Mutex;
 use prometheus_client::metrics::histogram::Histogram;
 use std::sync::Arc;
@@ -38,6 +41,8 @@ pub struct CameraSetup {
     /// Whether `u` means the same at every picture size, so that the published code, where it does not, has another
     /// value for it: the filter of the profile `paper`.
     pub sizeless: bool,
+    /// Most frames that its policy lets pass without the detector while objects are followed.
+    pub longest_pause: Option<u32>,
 }
 
 /// The last picture received, still encoded.
@@ -56,6 +61,8 @@ pub struct CameraSnapshot {
     pub states: FrameStates,
     /// Frames answered from prediction because the detector could not be had.
     pub degraded_frames: u64,
+    /// Frames that the detector was called for, by cause.
+    pub calls: DetectorCalls,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
     /// What the empty-scene screen has counted.
@@ -81,6 +88,7 @@ impl CameraSnapshot {
 struct Counts {
     states: FrameStates,
     degraded_frames: u64,
+    calls: DetectorCalls,
     dropped: DroppedFrames,
     screen: ScreenCounts,
     clips: u64,
@@ -102,6 +110,10 @@ pub struct CameraBoard {
     /// Makes changes of the threshold one at a time, so that file, loop and events see the same order.
     changing: Mutex<()>,
     counts: Mutex<Counts>,
+    /// The node's start: times of the past are counted from there.
+    started: Instant,
+    longest_pause: Option<u32>,
+    history: Mutex<History>,
     latest_frame: Mutex<Option<LatestFrame>>,
     total_latency: [Histogram; 5],
     detector_latency: Histogram,
@@ -114,6 +126,7 @@ impl CameraBoard {
     pub(super) fn new(
         setup: CameraSetup,
         policy: &'static str,
+        started: Instant,
         events: broadcast::Sender<SharedEvent>,
         outbox: Outbox,
     ) -> Self {
@@ -146,6 +159,9 @@ impl CameraBoard {
             source: Mutex::new(kept.map_or(KnobSource::Configuration, |(_, source)| source)),
             changing: Mutex::default(),
             counts: Mutex::default(),
+            started,
+            longest_pause: setup.longest_pause,
+            history: Mutex::default(),
             latest_frame: Mutex::default(),
             total_latency: std::array::from_fn(|_| Histogram::new(LATENCY_BUCKETS_S)),
             detector_latency: Histogram::new(LATENCY_BUCKETS_S),
@@ -194,11 +210,17 @@ impl CameraBoard {
         let mut counts = self.counts.lock();
         counts.states.count(detections.state);
         counts.degraded_frames += u64::from(detections.degraded);
-        counts.last_frame = Some(Instant::now());
+        if let Some(cause) = detections.cause {
+            counts.calls.count(cause);
+        }
+        let now = Instant::now();
+        counts.last_frame = Some(now);
         let first = counts.latest.replace(Arc::clone(&detections)).is_none();
         let clear = counts.watch.count(&detections);
         let advice = clear.then(|| self.advice(&counts)).flatten();
         drop(counts);
+        let at = now.saturating_duration_since(self.started);
+        self.history.lock().add(&detections, at);
         if first {
             self.tell_first_frame(&detections);
         }
@@ -258,6 +280,7 @@ impl CameraBoard {
         CameraSnapshot {
             states: counts.states,
             degraded_frames: counts.degraded_frames,
+            calls: counts.calls,
             dropped: counts.dropped,
             screen: counts.screen,
             clips: counts.clips,
@@ -265,6 +288,21 @@ impl CameraBoard {
             last_frame_age: counts.last_frame.map(|instant| instant.elapsed()),
             advice: self.advice(&counts),
         }
+    }
+
+    /// The last frames, oldest first, at most so many; and the pieces of the last hour. Times are counted from the
+    /// node's start, whose age is given with them.
+    pub(crate) fn past(&self, frames: usize) -> (Vec<PastFrame>, Vec<PastSlot>, Duration) {
+        let history = self.history.lock();
+        let now = self.started.elapsed();
+        (history.frames(frames), history.slots(now), now)
+    }
+
+    /// What other thresholds would have skipped over the last frames.
+    pub(crate) fn skip_estimate(&self) -> SkipEstimate {
+        let frames = self.history.lock().frames(usize::MAX);
+        // After the lock: this takes longer than a frame may wait.
+        SkipEstimate::new(&frames, self.longest_pause)
     }
 
     /// Time from reception to publication of the frames with `state`.

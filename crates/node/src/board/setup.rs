@@ -46,6 +46,7 @@ impl BoardSetup {
                 threshold: camera.threshold.or_else(|| policy.knob_value()),
                 sizeless: config.policy.profile == Profile::Paper
                     && !config.policy.albireo.contains_key("filter"),
+                longest_pause: policy.longest_pause(),
             })
         };
         let model = &config.detector.model;

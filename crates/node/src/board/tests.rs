@@ -3,7 +3,7 @@ use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::ExecutionProvider;
 use crate::outbox::OutboxConfig;
 use albireo_core::policy::{FrameState, Knob};
-use albireo_wire::{DetectionsMessage, DroppedFrames, KnobValue, Latency};
+use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, KnobValue, Latency};
 use std::path::PathBuf;
 
 const KNOB: Knob = Knob {
@@ -24,6 +24,7 @@ fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<
         knob: Some(knob),
         threshold,
         sizeless: true,
+        longest_pause: None,
     };
     Board::new(BoardSetup {
         node: "n".to_owned(),
@@ -43,6 +44,7 @@ fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
         clip: "c".to_owned(),
         state,
         degraded: state == FrameState::P,
+        cause: (!matches!(state, FrameState::E)).then_some(CallCause::Uncertain),
         tau_max: Some(1e-4),
         knob: Some(KnobValue {
             name: "u",
@@ -78,6 +80,8 @@ fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
     let counters = board.counters(camera, 7);
     assert_eq!(counters.frames, 5);
     assert_eq!(counters.degraded_frames, 1);
+    assert_eq!(counters.calls.get(CallCause::Uncertain), 4);
+    assert_eq!(counters.calls.total(), 4);
     assert_eq!(counters.dropped.late, 2);
     assert_eq!(board.counters(board.camera("rear").unwrap(), 7).frames, 0);
 }

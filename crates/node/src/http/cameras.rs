@@ -99,7 +99,7 @@ fn entry(camera: &CameraBoard) -> CameraEntry {
 /// The cameras
 ///
 /// `curl http://127.0.0.1:8080/api/v1/cameras`
-#[utoipa::path(get, path = "/api/v1/cameras", tag = "frames", responses((status = 200, body = Cameras)))]
+#[utoipa::path(get, operation_id = "list_cameras", path = "/api/v1/cameras", tag = "frames", responses((status = 200, body = Cameras)))]
 pub(super) async fn list(State(shared): State<RouteState>) -> Json<Cameras> {
     let cameras = shared.board().cameras();
     Json(Cameras {

@@ -53,7 +53,7 @@ impl Serialize for ArcReport {
 /// The node keeps the newest 256 in memory. `before` and `after` take the numbers of reports (`report`), which grow.
 /// `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
 #[utoipa::path(
-    get, path = "/api/v1/clips", tag = "clips", params(Selection),
+    get, operation_id = "list_clips", path = "/api/v1/clips", tag = "clips", params(Selection),
     responses(
         (status = 200, body = Clips),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),

@@ -187,7 +187,7 @@ fn wanted(
 /// loses events and is told how many by the event `lagged`.
 /// `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
 #[utoipa::path(
-    get, path = "/api/v1/events", tag = "events", params(Selection),
+    get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),
     responses(
         (status = 200, content_type = "text/event-stream", body = String,
          description = "Events `frame`, `clip`, `counters`, `threshold`, `detector`, `lagged`."),

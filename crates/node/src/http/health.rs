@@ -114,7 +114,7 @@ pub(super) fn readiness(board: &Board) -> Readiness {
 /// Whether the process answers
 ///
 /// Touches neither the detector nor the GPU. `curl http://127.0.0.1:8080/healthz`
-#[utoipa::path(get, path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
+#[utoipa::path(get, operation_id = "healthz", path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
 pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
     let board = shared.board();
     Json(Health {
@@ -130,7 +130,7 @@ pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
 /// 503 while starting, and when a part fails that the node cannot do without. 200 with reasons when another part
 /// fails. `curl http://127.0.0.1:8080/readyz`
 #[utoipa::path(
-    get, path = "/readyz", tag = "health", security(()),
+    get, operation_id = "readyz", path = "/readyz", tag = "health", security(()),
     responses(
         (status = 200, body = Readiness),
         (status = 503, body = NotReady, content_type = "application/problem+json"),

@@ -279,6 +279,23 @@ fn frames(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt::
             })
         },
     )?;
+    let help = "Frames that the detector was called for, by cause, whether or not it could be had";
+    family(
+        encoder,
+        "detector_calls",
+        help,
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                // A cause that this policy does not have would be a row of zeros for ever.
+                let some = snapshot.calls.by_cause().filter(|(_, count)| *count > 0);
+                some.into_iter().try_for_each(|(cause, count)| {
+                    let labels = vec![("camera", camera.name()), ("cause", cause.as_str())];
+                    family.counter(labels, count as f64)
+                })
+            })
+        },
+    )?;
     family(
         encoder,
         "frames_dropped",
@@ -431,23 +448,32 @@ fn latency(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt:
     )
 }
 
+/// All metrics as OpenMetrics text.
+///
+/// # Errors
+/// A problem document when they cannot be written.
+pub(super) fn written(shared: &RouteState) -> Result<String, Problem> {
+    let mut text = String::new();
+    encode(&mut text, &shared.metrics.0).map_err(|error| {
+        let detail = format!("the metrics cannot be written: {error}");
+        Problem::new(StatusCode::INTERNAL_SERVER_ERROR, detail)
+    })?;
+    Ok(text)
+}
+
 /// Metrics for Prometheus
 ///
 /// OpenMetrics text for a reader that accepts it, else the older text format.
 /// `curl http://127.0.0.1:8080/metrics`
 #[utoipa::path(
-    get, path = "/metrics", tag = "metrics",
+    get, operation_id = "metrics", path = "/metrics", tag = "metrics",
     responses((status = 200, content((String = "text/plain"), (String = "application/openmetrics-text"))))
 )]
 pub(super) async fn text(
     State(shared): State<RouteState>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let mut text = String::new();
-    encode(&mut text, &shared.metrics.0).map_err(|error| {
-        let detail = format!("the metrics cannot be written: {error}");
-        Problem::new(StatusCode::INTERNAL_SERVER_ERROR, detail)
-    })?;
+    let text = written(&shared)?;
     let open = headers
         .get_all(ACCEPT)
         .iter()

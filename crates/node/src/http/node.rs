@@ -2,6 +2,7 @@
 
 use super::RouteState;
 use super::health::{Readiness, readiness};
+use crate::board::Balance;
 use albireo_service::clock::seconds;
 use albireo_wire::{EnergyQuality, OutboxStatus};
 use axum::Json;
@@ -23,6 +24,10 @@ pub(super) struct NodeOverview {
     outbox: OutboxStatus,
     /// Energy since the start.
     energy: EnergySinceStart,
+    /// What was saved since the start.
+    since_start: Balance,
+    /// What was saved today: since midnight UTC, or since the start where that is later.
+    today: Balance,
 }
 
 /// What the whole node has used since it started.
@@ -42,10 +47,11 @@ pub(super) struct EnergySinceStart {
 ///
 /// As `/readyz`, with status 200 whatever the state: this is to be looked at, not to be probed.
 /// `curl http://127.0.0.1:8080/api/v1/node`
-#[utoipa::path(get, path = "/api/v1/node", tag = "health", responses((status = 200, body = NodeOverview)))]
+#[utoipa::path(get, operation_id = "node_overview", path = "/api/v1/node", tag = "health", responses((status = 200, body = NodeOverview)))]
 pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverview> {
     let board = shared.board();
     let power = board.power();
+    let (since_start, today) = board.balances();
     Json(NodeOverview {
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: seconds(board.uptime()),
@@ -57,5 +63,7 @@ pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverv
             joules: power.joules,
             covered_s: power.covered_s,
         },
+        since_start,
+        today,
     })
 }

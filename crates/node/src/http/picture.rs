@@ -15,7 +15,7 @@ const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
 /// The header `albireo-frame` has the sequence number of the frame.
 /// `curl -o frame.jpg http://127.0.0.1:8080/api/v1/cameras/front/frame.jpg`
 #[utoipa::path(
-    get, path = "/api/v1/cameras/{camera}/frame.jpg", tag = "frames",
+    get, operation_id = "camera_picture", path = "/api/v1/cameras/{camera}/frame.jpg", tag = "frames",
     params(("camera" = String, Path, description = "The camera's name.")),
     responses(
         (status = 200, body = Vec<u8>, content_type = "image/jpeg",

@@ -4,7 +4,7 @@ use super::RouteState;
 use crate::board::CameraBoard;
 use albireo_service::clock::{seconds, significant};
 use albireo_service::http::Problem;
-use albireo_wire::{DroppedFrames, FrameStates, KnobValue};
+use albireo_wire::{DetectorCalls, DroppedFrames, FrameStates, KnobValue};
 use axum::Json;
 use axum::extract::{Path, State};
 use serde::Serialize;
@@ -23,6 +23,9 @@ pub(super) struct CameraStates {
     skip_rate: f64,
     /// Frames answered from prediction because the detector could not be had.
     degraded_frames: u64,
+    /// Frames that the detector was called for, by cause; degraded ones are among them.
+    #[schema(value_type = std::collections::BTreeMap<String, u64>)]
+    calls: DetectorCalls,
     /// Frames not processed, by kind.
     dropped: DroppedFrames,
     /// Largest uncertainty of the newest frame; absent without objects.
@@ -52,6 +55,9 @@ pub(super) struct NodeStates {
     skip_rate: f64,
     /// Frames answered from prediction because the detector could not be had, all cameras together.
     degraded_frames: u64,
+    /// Frames that the detector was called for, by cause, all cameras together.
+    #[schema(value_type = std::collections::BTreeMap<String, u64>)]
+    calls: DetectorCalls,
     /// Each camera's.
     cameras: Vec<CameraStates>,
 }
@@ -64,6 +70,7 @@ fn of(camera: &CameraBoard) -> CameraStates {
         states: snapshot.states,
         skip_rate: significant(snapshot.skip_rate(), 4),
         degraded_frames: snapshot.degraded_frames,
+        calls: snapshot.calls,
         dropped: snapshot.dropped,
         tau_max: snapshot.latest.and_then(|latest| latest.tau_max),
         knob: camera.knob_value(),
@@ -74,13 +81,15 @@ fn of(camera: &CameraBoard) -> CameraStates {
 /// The frame-state counters of all cameras
 ///
 /// `curl http://127.0.0.1:8080/api/v1/frame-states`
-#[utoipa::path(get, path = "/api/v1/frame-states", tag = "frames", responses((status = 200, body = NodeStates)))]
+#[utoipa::path(get, operation_id = "frame_states", path = "/api/v1/frame-states", tag = "frames", responses((status = 200, body = NodeStates)))]
 pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
     let board = shared.board();
     let cameras: Vec<_> = board.cameras().iter().map(|camera| of(camera)).collect();
     let mut states = FrameStates::default();
+    let mut calls = DetectorCalls::default();
     for camera in &cameras {
         states += camera.states;
+        calls += &camera.calls;
     }
     let degraded_frames = cameras.iter().map(|camera| camera.degraded_frames).sum();
     Json(NodeStates {
@@ -90,6 +99,7 @@ pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
         states,
         skip_rate: significant(states.skip_rate(degraded_frames), 4),
         degraded_frames,
+        calls,
         cameras,
     })
 }
@@ -98,7 +108,7 @@ pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
 ///
 /// `curl http://127.0.0.1:8080/api/v1/cameras/front/frame-states`
 #[utoipa::path(
-    get, path = "/api/v1/cameras/{camera}/frame-states", tag = "frames",
+    get, operation_id = "camera_frame_states", path = "/api/v1/cameras/{camera}/frame-states", tag = "frames",
     params(("camera" = String, Path, description = "The camera's name.")),
     responses(
         (status = 200, body = CameraStates),

@@ -184,7 +184,7 @@ async fn off_the_runtime<T: Send + 'static>(
 /// The thresholds in force
 ///
 /// `curl http://127.0.0.1:8080/api/v1/threshold`
-#[utoipa::path(get, path = "/api/v1/threshold", tag = "threshold", responses((status = 200, body = Thresholds)))]
+#[utoipa::path(get, operation_id = "thresholds", path = "/api/v1/threshold", tag = "threshold", responses((status = 200, body = Thresholds)))]
 pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds> {
     Json(thresholds(&shared))
 }
@@ -195,7 +195,7 @@ pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds
 /// expected-loss.
 /// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
 #[utoipa::path(
-    put, path = "/api/v1/threshold", tag = "threshold", request_body = ThresholdMessage,
+    put, operation_id = "set_thresholds", path = "/api/v1/threshold", tag = "threshold", request_body = ThresholdMessage,
     responses(
         (status = 200, body = Thresholds),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
@@ -223,7 +223,7 @@ pub(super) async fn put_all(
 ///
 /// `curl http://127.0.0.1:8080/api/v1/cameras/front/threshold`
 #[utoipa::path(
-    get, path = "/api/v1/cameras/{camera}/threshold", tag = "threshold",
+    get, operation_id = "camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold",
     params(("camera" = String, Path, description = "The camera's name.")),
     responses(
         (status = 200, body = OneThreshold),
@@ -243,7 +243,7 @@ pub(super) async fn get_one(
 /// It holds from the camera's next frame.
 /// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
 #[utoipa::path(
-    put, path = "/api/v1/cameras/{camera}/threshold", tag = "threshold", request_body = ThresholdMessage,
+    put, operation_id = "set_camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold", request_body = ThresholdMessage,
     params(("camera" = String, Path, description = "The camera's name.")),
     responses(
         (status = 200, body = OneThreshold),

@@ -116,6 +116,11 @@ impl AgnosticScreen {
         empty
     }
 
+    /// Whether the picture in hand goes to the detector by chance, though it would be called empty.
+    pub(crate) fn audits(&self) -> bool {
+        self.in_hand.as_ref().is_some_and(|in_hand| in_hand.audited)
+    }
+
     /// The detector looked at the frame and did or did not find something. `thumbnail` is asked for when the
     /// screen itself was not asked about this frame.
     pub(crate) fn detected(

@@ -5,6 +5,7 @@ use super::{ScreenConfig, ScreenHandle, ScreenJudge, ScreenKind};
 use crate::detector::CameraSlot;
 use crate::frame::{InputFormat, Picture};
 use albireo_core::geometry::PictureSize;
+use albireo_core::policy::CallCause;
 use std::sync::Arc;
 
 /// What one camera's screen has counted since the node started.
@@ -86,6 +87,11 @@ impl CameraScreen {
     pub(crate) fn detected(&mut self, picture: &Picture, found_something: bool) {
         self.judge
             .detected(found_something, || Thumbnail::of(picture));
+    }
+
+    /// Why the detector looks at the frame in hand although the screen would say "empty".
+    pub(crate) fn overruled(&self) -> Option<CallCause> {
+        self.judge.overruled()
     }
 
     /// What it has counted.

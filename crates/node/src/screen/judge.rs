@@ -4,12 +4,15 @@
 use super::agnostic::{AgnosticScreen, Thumbnail};
 use super::camera::ScreenCounts;
 use super::{EmptyRun, ScreenConfig, ScreenKind};
+use albireo_core::policy::CallCause;
 
 /// What one camera's screen remembers from frame to frame, whichever kind it is.
 #[derive(Clone, Debug)]
 pub struct ScreenJudge {
     agnostic: Option<Box<AgnosticScreen>>,
     run: EmptyRun,
+    /// Why the detector looks at the frame in hand although the screen would say "empty".
+    overruled: Option<CallCause>,
 }
 
 impl ScreenJudge {
@@ -21,6 +24,7 @@ impl ScreenJudge {
         Self {
             agnostic,
             run: EmptyRun::new(config.longest_empty_run),
+            overruled: None,
         }
     }
 
@@ -31,6 +35,7 @@ impl ScreenJudge {
 
     /// A new frame begins.
     pub fn next_frame(&mut self) {
+        self.overruled = None;
         if let Some(screen) = &mut self.agnostic {
             screen.next_frame();
         }
@@ -38,13 +43,31 @@ impl ScreenJudge {
 
     /// What counts of a model's verdict `empty`.
     pub fn model_said(&mut self, empty: bool) -> bool {
-        self.run.judge(empty)
+        self.judge(empty)
     }
 
     /// The agnostic screen's verdict on a picture, as it counts; `None` without such a screen.
     pub fn look_at(&mut self, picture: Thumbnail) -> Option<bool> {
-        let empty = self.agnostic.as_mut()?.empty(picture);
-        Some(self.run.judge(empty))
+        let screen = self.agnostic.as_mut()?;
+        let empty = screen.empty(picture);
+        if screen.audits() {
+            self.overruled = Some(CallCause::Audit);
+        }
+        Some(self.judge(empty))
+    }
+
+    fn judge(&mut self, empty: bool) -> bool {
+        let counts = self.run.judge(empty);
+        if empty && !counts {
+            self.overruled = Some(CallCause::EmptyLimit);
+        }
+        counts
+    }
+
+    /// Why the detector looks at the frame in hand although the screen would say "empty"; `None` where it does not, or
+    /// the screen saw something.
+    pub fn overruled(&self) -> Option<CallCause> {
+        self.overruled
     }
 
     /// The detector looked at the frame in hand and did or did not find something; `picture` is asked for if the

@@ -123,6 +123,7 @@ impl UplinkConfig {
             let text = std::fs::read_to_string(file)
                 .map_err(|error| format!("password_file {}: {error}", file.display()))?;
             let password = text.lines().next().unwrap_or_default().trim();
+            crate::logging::conceal(password);
             // Zenoh's own message would show the value.
             insert("transport/auth/usrpwd/password", password.into())
                 .map_err(|_| "the password is not one that Zenoh takes".to_owned())?;

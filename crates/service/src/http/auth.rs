@@ -177,6 +177,9 @@ fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Toke
             Some(file) => Some(read(file)?),
             None => token.clone(),
         };
+        if let Some(token) = &token {
+            crate::logging::conceal(token.secret());
+        }
         tokens.extend(token.map(|token| (Caller { name, role }, token)));
     }
     Ok(tokens)

@@ -22,7 +22,7 @@ pub struct WhoAsks {
 ///
 /// Open to all: it answers what a token is good for, and that one is needed where it is missing or not known.
 /// `curl -H "Authorization: Bearer $TOKEN" http://127.0.0.1:8080/api/v1/caller`
-#[utoipa::path(get, path = "/api/v1/caller", tag = "health", security(()), responses((status = 200, body = WhoAsks)))]
+#[utoipa::path(get, operation_id = "caller", path = "/api/v1/caller", tag = "health", security(()), responses((status = 200, body = WhoAsks)))]
 pub async fn caller(Extension(caller): Extension<Caller>) -> Json<WhoAsks> {
     let tunes = caller.role == Role::Tune;
     Json(WhoAsks {

@@ -42,22 +42,24 @@ pub async fn run(
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), HttpError> {
-    run_with_tokens(config, &[], router, listener, shutdown).await
+    let methods = [Method::GET, Method::PUT];
+    run_with_tokens(config, &[], &methods, router, listener, shutdown).await
 }
 
-/// As [`run`], with named tokens beside the one of the configuration.
+/// As [`run`], with named tokens beside the one of the configuration, and `methods` that pages of other origins may use.
 ///
 /// # Errors
 /// As [`run`].
 pub async fn run_with_tokens(
     config: &HttpConfig,
     tokens: &[NamedToken],
+    methods: &[Method],
     router: Router,
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), HttpError> {
     let allowed = Guard::new(config, tokens, &listener)?;
-    let router = layered(config, router, allowed);
+    let router = layered(config, methods, router, allowed);
     let idle = Duration::from_millis(config.idle_timeout_ms);
     let connections = Connections::new(Limits {
         most: config.max_connections,
@@ -96,7 +98,7 @@ pub async fn run_with_tokens(
     Ok(())
 }
 
-fn layered(config: &HttpConfig, router: Router, allowed: Guard) -> Router {
+fn layered(config: &HttpConfig, methods: &[Method], router: Router, allowed: Guard) -> Router {
     let limit = Duration::from_millis(config.timeout_ms);
     let inner = router
         .fallback(problem::not_found)
@@ -122,7 +124,7 @@ fn layered(config: &HttpConfig, router: Router, allowed: Guard) -> Router {
         router = router.layer(
             CorsLayer::new()
                 .allow_origin(origins)
-                .allow_methods([Method::GET, Method::PUT])
+                .allow_methods(methods.to_vec())
                 .allow_headers([AUTHORIZATION, CONTENT_TYPE]),
         );
     }

@@ -412,3 +412,62 @@ fn the_same_scene_is_decided_alike_at_every_picture_size() {
         |size| decided_in_pictures_of(size, AlbireoSettings::reference(), Albireo::KNOB.default);
     assert_ne!(published(sizes[0]), published(sizes[1]));
 }
+
+#[test]
+fn every_call_of_the_detector_says_its_cause_and_no_other_frame_does() {
+    let found = [seen(0.5, 0.9)];
+    let causes = |settings: AlbireoSettings, u: f64| -> Vec<Option<CallCause>> {
+        let mut run = Run::new(settings, u);
+        let mut causes = Vec::new();
+        for _ in 0..80 {
+            let state = run.frame(1, Some(&found));
+            assert_eq!(run.outcome.cause.is_none(), state.is_skipped());
+            causes.push(run.outcome.cause);
+        }
+        causes
+    };
+    let usual = causes(AlbireoSettings::paper(), 3e-4);
+    assert_eq!(usual[0], Some(CallCause::Screen));
+    assert_eq!(usual[1], Some(CallCause::NewObject));
+    let confirmed: Vec<_> = usual[10..].iter().flatten().collect();
+    assert!(
+        !confirmed.is_empty()
+            && confirmed
+                .iter()
+                .all(|cause| **cause == CallCause::Uncertain)
+    );
+    // Nothing is too uncertain at u = 1: only the caps call.
+    let aged = causes(AlbireoSettings::paper(), 1.0);
+    assert_eq!(
+        aged[1..].iter().flatten().next(),
+        Some(&CallCause::ObjectCap)
+    );
+    let no_age = AlbireoSettings {
+        t_max: 1000,
+        periodic_cap: 10,
+        ..AlbireoSettings::paper()
+    };
+    let periodic = causes(no_age, 1.0);
+    assert_eq!(
+        periodic[1..].iter().flatten().next(),
+        Some(&CallCause::PeriodicCap)
+    );
+}
+
+#[test]
+fn a_call_that_nobody_answered_keeps_its_cause() {
+    let mut run = watching(AlbireoSettings::paper());
+    while !run.outcome.degraded {
+        run.frame(1, None);
+    }
+    assert!(run.outcome.cause.is_some());
+    let mut blind = Run::new(AlbireoSettings::paper(), 3e-4);
+    blind.begin(1);
+    blind.policy.answer(Evidence::Unavailable);
+    assert_eq!(
+        blind.policy.answer(Evidence::Detections(&[])),
+        Need::Nothing
+    );
+    blind.policy.finish(&mut blind.outcome);
+    assert_eq!(blind.outcome.cause, Some(CallCause::NoObjects));
+}

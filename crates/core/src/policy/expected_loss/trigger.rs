@@ -2,7 +2,7 @@
 //! the same objects, so that what the trigger brings and what the object keeping brings can be told apart.
 
 use super::settings::{Call, CallRule};
-use crate::policy::Knob;
+use crate::policy::{CallCause, Knob};
 
 /// What calls the detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -141,14 +141,23 @@ impl Pause {
         }
     }
 
-    /// Whether the trigger calls the detector, for a loss of that `weight`.
-    pub(crate) fn is_over(&self, trigger: &Trigger, settings: &Call, weight: f64) -> bool {
+    /// Why the trigger calls the detector, for a loss of that `weight`; `None` when it does not.
+    pub(crate) fn call(
+        &self,
+        trigger: &Trigger,
+        settings: &Call,
+        weight: f64,
+    ) -> Option<CallCause> {
         match *trigger {
-            Trigger::ExpectedLoss { lambda } => {
-                weight >= lambda || self.frames >= settings.longest_pause
+            Trigger::ExpectedLoss { lambda } if weight >= lambda => Some(CallCause::ExpectedLoss),
+            Trigger::ExpectedLoss { .. } => {
+                let capped = self.frames >= settings.longest_pause;
+                capped.then_some(CallCause::PeriodicCap)
             }
             // Sums of a rate such as 0.1 fall short of 1 by rounding.
-            Trigger::FixedSkip { .. } | Trigger::Even { .. } => self.owed >= 1.0 - 1e-9,
+            Trigger::FixedSkip { .. } | Trigger::Even { .. } => {
+                (self.owed >= 1.0 - 1e-9).then_some(CallCause::Schedule)
+            }
         }
     }
 

@@ -1,0 +1,219 @@
+//! One node while somebody watches it. A node sends counters and pictures only then: whoever looks holds a lease that ends
+//! by itself, so that a page that was closed, a browser that died and a hub that stopped cost no node anything for long.
+
+use super::HubView;
+use crate::presence::Pokes;
+use albireo_service::http::Problem;
+use albireo_wire::{CountersMessage, FleetKeys, check_segment};
+use axum::extract::{Path, State};
+use axum::http::header::{CACHE_CONTROL, CONTENT_TYPE};
+use axum::http::{HeaderName, StatusCode};
+use axum::response::sse::{self, KeepAlive, Sse};
+use axum::response::{IntoResponse, Response};
+use futures_util::{Stream, stream};
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use tokio::time::{Interval, MissedTickBehavior};
+use zenoh::Session;
+use zenoh::pubsub::Subscriber;
+use zenoh::qos::{CongestionControl, Priority};
+
+/// Watched nodes at a time, each with a connection.
+pub(super) const MOST_LIVE: usize = 64;
+/// How long one word holds.
+const LEASE: Duration = Duration::from_secs(30);
+/// Time between two words.
+const RENEW: Duration = Duration::from_secs(10);
+/// How long a picture may take: a node on a mobile link pulls its lease first.
+const PICTURE_WITHIN: Duration = Duration::from_secs(8);
+/// Counters that wait for a slow reader; more are lost, the next ones say the same.
+const WAITING: usize = 64;
+/// Which frame a picture is of.
+const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
+
+/// Session and pokes, once the hub has them.
+#[derive(Clone, Debug)]
+pub(crate) struct Reach {
+    pub(crate) session: Session,
+    pub(crate) pokes: Pokes,
+}
+
+impl HubView {
+    /// Lets the node send for a while, and tells it.
+    fn watch(&self, reach: &Reach, node: &str) {
+        self.desires.watch(node, LEASE);
+        reach.pokes.poke(node, self.desires.of(node).generation);
+    }
+}
+
+struct Watching {
+    view: HubView,
+    reach: Reach,
+    node: String,
+    renew: Interval,
+    counters: mpsc::Receiver<CountersMessage>,
+    _subscriber: Subscriber<()>,
+    _place: OwnedSemaphorePermit,
+}
+
+impl Watching {
+    async fn next(&mut self) -> Option<sse::Event> {
+        loop {
+            tokio::select! {
+                () = self.view.shutdown.cancelled() => return None,
+                _ = self.renew.tick() => self.view.watch(&self.reach, &self.node),
+                message = self.counters.recv() => {
+                    let event = sse::Event::default().event("counters");
+                    if let Ok(event) = event.json_data(message?) {
+                        return Some(event);
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn unknown(node: &str) -> Problem {
+    let detail = format!("no node `{node}` was ever heard; /api/v1/nodes lists those that were");
+    Problem::new(StatusCode::NOT_FOUND, detail)
+}
+
+/// The counters of one node's cameras, once a second, as server-sent events
+///
+/// The node sends them only while this is read, and for half a minute after. Event `counters`, one a camera and second.
+/// `curl -N http://127.0.0.1:8090/api/v1/nodes/car-7/live`
+#[utoipa::path(
+    get, operation_id = "watch_node", path = "/api/v1/nodes/{node}/live", tag = "nodes", params(("node" = String, Path, description = "Its name")),
+    responses(
+        (status = 200, content_type = "text/event-stream", body = String),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+        (status = 503, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn live(
+    State(view): State<HubView>,
+    Path(node): Path<String>,
+) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
+    let reach = view.reach()?.clone();
+    let keys = FleetKeys::new(&view.prefix, &node).map_err(|_| unknown(&node))?;
+    view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
+    let place = Arc::clone(&view.live).try_acquire_owned().map_err(|_| {
+        let detail = format!("{MOST_LIVE} nodes are being watched; close one and try again");
+        Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail)
+    })?;
+    let (sender, counters) = mpsc::channel(WAITING);
+    let subscriber = reach
+        .session
+        .declare_subscriber(keys.all_counters())
+        .callback(move |sample| {
+            if let Ok(message) = albireo_wire::read(&sample.payload().to_bytes()) {
+                let _ = sender.try_send(message);
+            }
+        })
+        .await
+        .map_err(|error| Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string()))?;
+    let mut renew = tokio::time::interval(RENEW);
+    renew.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let watching = Watching {
+        view,
+        reach,
+        node,
+        renew,
+        counters,
+        _subscriber: subscriber,
+        _place: place,
+    };
+    let events = stream::unfold(watching, |mut watching| async move {
+        let event = watching.next().await?;
+        Some((Ok(event), watching))
+    });
+    Ok(Sse::new(events).keep_alive(KeepAlive::new().interval(Duration::from_secs(15))))
+}
+
+/// The newest picture of a node's camera
+///
+/// The node sends it because it is asked for, and sends none otherwise. The header `albireo-frame` has the sequence number
+/// of the frame. `curl -o frame.jpg http://127.0.0.1:8090/api/v1/nodes/car-7/cameras/front/frame.jpg`
+#[utoipa::path(
+    get, operation_id = "node_camera_picture", path = "/api/v1/nodes/{node}/cameras/{camera}/frame.jpg", tag = "nodes",
+    params(
+        ("node" = String, Path, description = "Its name"),
+        ("camera" = String, Path, description = "The camera's name")
+    ),
+    responses(
+        (status = 200, body = Vec<u8>, content_type = "image/jpeg",
+         headers(("albireo-frame" = u64, description = "Sequence number of the frame."))),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+        (status = 503, body = Problem, content_type = "application/problem+json"),
+        (status = 504, body = Problem, content_type = "application/problem+json", description = "The node did not answer."),
+    )
+)]
+pub(super) async fn picture(
+    State(view): State<HubView>,
+    Path((node, camera)): Path<(String, String)>,
+) -> Result<Response, Problem> {
+    let reach = view.reach()?.clone();
+    let keys = FleetKeys::new(&view.prefix, &node).map_err(|_| unknown(&node))?;
+    view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
+    check_segment("camera name", &camera)
+        .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?;
+    let key = keys
+        .camera(&camera)
+        .map_err(|error| Problem::new(StatusCode::NOT_FOUND, error.to_string()))?
+        .picture();
+    view.watch(&reach, &node);
+    let late = || {
+        let detail = format!(
+            "`{node}` sent no picture of `{camera}` within {} s: it is out of reach, or has no such camera",
+            PICTURE_WITHIN.as_secs()
+        );
+        Problem::new(StatusCode::GATEWAY_TIMEOUT, detail)
+    };
+    let asking = async {
+        loop {
+            let replies = reach
+                .session
+                .get(&key)
+                .timeout(PICTURE_WITHIN)
+                // The reply has the same: a picture must not stand in the way of reports.
+                .priority(Priority::DataLow)
+                .congestion_control(CongestionControl::Drop)
+                .await
+                .map_err(|error| {
+                    Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
+                })?;
+            if let Ok(reply) = replies.recv_async().await {
+                return Ok::<_, Problem>(reply);
+            }
+            // Nobody answers this key yet: the node declares it once it has heard that it is watched.
+            tokio::time::sleep(Duration::from_millis(200)).await;
+        }
+    };
+    let reply = tokio::time::timeout(PICTURE_WITHIN, asking)
+        .await
+        .map_err(|_| late())??;
+    match reply.result() {
+        Ok(sample) => {
+            let attachment = sample
+                .attachment()
+                .map(|bytes| bytes.to_bytes().into_owned());
+            let seq = attachment.and_then(|bytes| String::from_utf8(bytes).ok());
+            let seq = seq
+                .filter(|text| text.parse::<u64>().is_ok())
+                .unwrap_or_default();
+            let headers = [
+                (CONTENT_TYPE, "image/jpeg".to_owned()),
+                (CACHE_CONTROL, "no-store".to_owned()),
+                (FRAME, seq),
+            ];
+            Ok((headers, sample.payload().to_bytes().into_owned()).into_response())
+        }
+        Err(refused) => {
+            let reason = refused.payload().try_to_string();
+            let detail = reason.map_or_else(|_| "the node has no picture".to_owned(), Into::into);
+            Err(Problem::new(StatusCode::NOT_FOUND, detail))
+        }
+    }
+}

@@ -1,0 +1,179 @@
+//! Watching one node through the hub: the node sends only while somebody looks.
+
+use crate::support::{
+    Hub, PATIENCE, batch, config, deliver, full_status, instance, now_ns, sqlite, uplink,
+};
+use albireo_wire::{Desired, PullRequest, VERSION};
+use serde_json::{Value, json};
+use std::time::Duration;
+use tokio::time::timeout;
+use zenoh::Wait;
+
+/// What the hub answers when the node asks what is desired.
+async fn pull(session: &zenoh::Session, node: &str) -> Desired {
+    let request = PullRequest {
+        v: VERSION,
+        instance: instance('a'),
+        generation: 0,
+    };
+    let replies = session
+        .get(format!("albireo/@pull/{node}"))
+        .payload(serde_json::to_vec(&request).unwrap())
+        .await
+        .unwrap();
+    let reply = replies.recv_async().await.unwrap();
+    albireo_wire::read(&reply.result().unwrap().payload().to_bytes()).unwrap()
+}
+
+fn counters() -> Value {
+    json!({
+        "v": 1, "t_ns": 1, "camera": "front", "frames": 7,
+        "states": {"E": 1, "P": 2, "E+I": 0, "I": 4, "AI": 0}, "skip_rate": 0.43, "degraded_frames": 0,
+        "calls": {"uncertain": 4}, "dropped": {}, "u": 3e-4, "watts": [], "power_quality": "unavailable"
+    })
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_hears_that_it_is_watched_and_what_it_sends_then_reaches_who_watches() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let unknown = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http)).await;
+    assert_eq!(unknown.unwrap().status(), 404);
+    let node = uplink(&hub.zenoh).await;
+    let (poked, mut pokes) = tokio::sync::mpsc::unbounded_channel();
+    let _poke = node
+        .declare_subscriber("albireo/@poke/car-7")
+        .callback(move |_| {
+            let _ = poked.send(());
+        })
+        .await
+        .unwrap();
+    let status = serde_json::to_vec(&full_status(&instance('a'), 0, &[])).unwrap();
+    while hub.get("/api/v1/nodes/car-7").await["state"] != "online" {
+        node.put("albireo/@status/car-7", status.clone())
+            .await
+            .unwrap();
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    assert_eq!(pull(&node, "car-7").await.watched_for_s, None);
+    while pokes.try_recv().is_ok() {}
+
+    let mut live = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http))
+        .await
+        .unwrap();
+    assert_eq!(live.status(), 200);
+    timeout(PATIENCE, pokes.recv()).await.unwrap().unwrap();
+    let lease = pull(&node, "car-7").await.watched_for_s.unwrap();
+    assert!((1..=31).contains(&lease), "{lease}");
+
+    // Now it sends, and what it sends is heard.
+    let publisher = node
+        .declare_publisher("albireo/car-7/front/counters")
+        .await
+        .unwrap();
+    let mut text = String::new();
+    timeout(PATIENCE, async {
+        while !text.contains("event: counters") {
+            publisher.put(counters().to_string()).await.unwrap();
+            if let Ok(chunk) = timeout(Duration::from_millis(100), live.chunk()).await {
+                text.push_str(&String::from_utf8_lossy(&chunk.unwrap().unwrap()));
+            }
+        }
+    })
+    .await
+    .unwrap();
+    let data = text.lines().find_map(|line| line.strip_prefix("data: "));
+    let heard: Value = serde_json::from_str(data.unwrap()).unwrap();
+    assert_eq!(
+        (&heard["frames"], &heard["calls"]["uncertain"]),
+        (&json!(7), &json!(4))
+    );
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_picture_is_asked_of_the_node_and_of_nobody_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let node = uplink(&hub.zenoh).await;
+    let status = serde_json::to_vec(&full_status(&instance('a'), 0, &[])).unwrap();
+    while hub.get("/api/v1/nodes/car-7").await["state"] != "online" {
+        node.put("albireo/@status/car-7", status.clone())
+            .await
+            .unwrap();
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    let _pictures = node
+        .declare_queryable("albireo/car-7/front/picture")
+        .callback(|query| {
+            let key = query.key_expr().clone();
+            let _ = query
+                .reply(key, b"\xff\xd8\xffjpeg".to_vec())
+                .attachment("42")
+                .wait();
+        })
+        .await
+        .unwrap();
+    let path = "/api/v1/nodes/car-7/cameras/front/frame.jpg";
+    let answer = reqwest::get(format!("{}{path}", hub.http)).await.unwrap();
+    assert_eq!(answer.status(), 200);
+    assert_eq!(answer.headers()["albireo-frame"], "42");
+    assert_eq!(answer.headers()["content-type"], "image/jpeg");
+    assert!(answer.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
+    let odd = reqwest::get(format!(
+        "{}/api/v1/nodes/car-7/cameras/*/frame.jpg",
+        hub.http
+    ))
+    .await;
+    assert_eq!(odd.unwrap().status(), 404);
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nodes_are_sorted_by_what_they_used_today_also_after_a_restart() {
+    let folder = tempfile::tempdir().unwrap();
+    let configuration = config(&sqlite(folder.path()));
+    let mut hub = Hub::start(configuration.clone()).await;
+    let node = uplink(&hub.zenoh).await;
+    // A clip each, of now: 100.4, 101.1 and 100.8 J measured in part, measured and estimated.
+    let now = now_ns();
+    for (name, number, digit) in [("car-1", 1, 'a'), ("car-2", 3, 'b'), ("car-3", 2, 'c')] {
+        let mut one = batch(name, &instance(digit), number..=number, now);
+        for report in &mut one.reports {
+            report.started_ns = now;
+        }
+        deliver(&node, &one).await;
+    }
+    for restarted in [false, true] {
+        if restarted {
+            hub.stop().await;
+            hub = Hub::start(configuration.clone()).await;
+        }
+        let names = |page: &Value| -> Vec<String> {
+            let nodes = page["nodes"].as_array().unwrap();
+            let names = nodes
+                .iter()
+                .map(|node| node["node"].as_str().unwrap().to_owned());
+            names.collect()
+        };
+        let page = hub.get("/api/v1/nodes?sort=joules").await;
+        assert_eq!(names(&page), ["car-2", "car-3", "car-1"], "{page}");
+        let rows = hub.get("/api/v1/fleet?sort=joules&down=true").await;
+        assert_eq!(names(&rows), ["car-2", "car-3", "car-1"]);
+        let rows = hub.get("/api/v1/fleet?sort=joules").await;
+        assert_eq!(names(&rows), ["car-1", "car-3", "car-2"]);
+        let today = &page["nodes"][0]["today"];
+        assert_eq!(today["estimated_joules"], 0.0);
+        assert!(
+            (today["measured_joules"].as_f64().unwrap() - 101.1).abs() < 1e-3,
+            "{today}"
+        );
+        assert!(
+            page["nodes"][1]["today"]["estimated_joules"]
+                .as_f64()
+                .unwrap()
+                > 100.0
+        );
+    }
+    hub.stop().await;
+}

@@ -1,0 +1,116 @@
+//! How uncertainty grows while the detector rests, as the recorded frames tell.
+
+use super::PastFrame;
+
+/// Ages that are told apart; beyond them the growth is that of the fit.
+const AGES: usize = 64;
+/// How uncertainty grows with time where nothing is recorded of it: in proportion.
+const USUAL_POWER: f64 = 1.0;
+
+/// A frame of the past with its age: frames since the detector was last called before it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Aged {
+    pub frame: PastFrame,
+    pub age: u32,
+    /// Frames since the one before: 1 when none was lost.
+    pub step: u32,
+}
+
+/// The frames from the first call on, each with its age. What was decided before is not known, so they begin there.
+pub(super) fn aged(frames: &[PastFrame]) -> Vec<Aged> {
+    let mut aged = Vec::with_capacity(frames.len());
+    let mut age: Option<u32> = None;
+    let mut last: Option<u64> = None;
+    for frame in frames {
+        let gap = last.and_then(|last| frame.seq.checked_sub(last));
+        // Numbers that jump far or back are another stream's.
+        let step = gap.and_then(|gap| u32::try_from(gap).ok());
+        let step = step.filter(|gap| (1..=300).contains(gap)).unwrap_or(1);
+        last = Some(frame.seq);
+        if let Some(before) = age {
+            let now = before.saturating_add(step);
+            aged.push(Aged {
+                frame: *frame,
+                age: now,
+                step,
+            });
+            age = Some(now);
+        }
+        if frame.cause.is_some() && !frame.degraded {
+            age = Some(0);
+        }
+    }
+    aged
+}
+
+/// The logarithm of the growth of uncertainty, by age.
+#[derive(Clone, Debug)]
+pub(super) struct Growth {
+    /// `logs[a]`: from the first frame after a call to the frame of age `a`.
+    logs: [f64; AGES + 1],
+    /// Uncertainty grows as this power of the age.
+    power: f64,
+}
+
+impl Growth {
+    /// As it was between one frame and the next of the same pause: the median, for objects that come and go make it jump.
+    /// So it does not matter that only the pauses of certain objects are long.
+    pub(super) fn of(frames: &[Aged]) -> Self {
+        let mut steps: Vec<Vec<f64>> = vec![Vec::new(); AGES + 1];
+        for pair in frames.windows(2) {
+            let [before, now] = pair else { continue };
+            let follows = now.step == 1 && now.age == before.age + 1;
+            let taus = before.frame.tau_max().zip(now.frame.tau_max());
+            if let (true, Some((first, second))) = (follows, taus)
+                && first > 0.0
+                && second > 0.0
+                && let Some(steps) = steps.get_mut(now.age as usize)
+            {
+                steps.push(f64::from(second).ln() - f64::from(first).ln());
+            }
+        }
+        let medians: Vec<Option<(f64, f64)>> =
+            steps.iter_mut().map(|steps| median(steps)).collect();
+        // A power of the age grows by power · ln(a / (a − 1)): the power by least squares.
+        let (mut above, mut below) = (0.0, 0.0);
+        for (age, found) in medians.iter().enumerate().skip(2) {
+            if let Some((log, number)) = found {
+                let x = log_step(age);
+                above += number * x * log;
+                below += number * x * x;
+            }
+        }
+        let power = if below > 0.0 {
+            (above / below).clamp(0.0, 4.0)
+        } else {
+            USUAL_POWER
+        };
+        let mut logs = [0.0; AGES + 1];
+        let mut sum = 0.0;
+        for (age, (place, found)) in logs.iter_mut().zip(&medians).enumerate().skip(2) {
+            sum += found.map_or(power * log_step(age), |(log, _)| log);
+            *place = sum;
+        }
+        Self { logs, power }
+    }
+
+    /// The logarithm of the growth from the first frame after a call to one of that age.
+    pub(super) fn log(&self, age: u32) -> f64 {
+        let age = age.max(1) as usize;
+        let within = self.logs.get(age).copied();
+        within.unwrap_or_else(|| {
+            let last = self.logs.last().copied().unwrap_or_default();
+            last + self.power * (age as f64 / AGES as f64).ln()
+        })
+    }
+}
+
+fn log_step(age: usize) -> f64 {
+    (age as f64 / (age as f64 - 1.0)).ln()
+}
+
+/// The median and how many there are.
+fn median(values: &mut [f64]) -> Option<(f64, f64)> {
+    values.sort_unstable_by(f64::total_cmp);
+    Some((*values.get(values.len() / 2)?, values.len() as f64))
+}

@@ -1,0 +1,195 @@
+use super::*;
+use albireo_core::detection::{ClassId, Detection};
+use albireo_core::geometry::{BoundingBox, PictureSize};
+use albireo_core::policy::{
+    Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, Policy, decide_at_once,
+};
+use albireo_wire::{KnobValue, Latency};
+
+fn message(seq: u64, outcome: &Outcome, u: f64) -> DetectionsMessage {
+    DetectionsMessage {
+        v: 1,
+        seq,
+        t_ns: 0,
+        clip: "c".to_owned(),
+        state: outcome.state,
+        degraded: outcome.degraded,
+        cause: outcome.cause,
+        tau_max: outcome.tau_max,
+        knob: Some(KnobValue {
+            name: "u",
+            value: u,
+        }),
+        width: 4,
+        height: 3,
+        boxes: Vec::new(),
+        latency_ms: Latency {
+            total: 1.0,
+            detector: (!outcome.state.is_skipped()).then_some((seq % 100) as f64),
+            ..Latency::default()
+        },
+    }
+}
+
+/// Three objects that cross the picture, each at its own pace and size, and are gone for a while in between.
+fn scene(index: u64) -> Vec<Detection> {
+    let object = |pace: f64, size: f64, y: f64| {
+        let x = (index as f64 * pace) % 1.4 - 0.2;
+        let wobble = ((index * 7919) % 13) as f64 * 3e-4;
+        (0.05..0.95).contains(&x).then(|| Detection {
+            bounding_box: BoundingBox::new(x + wobble, y, size, size),
+            class: ClassId(0),
+            confidence: 0.8,
+        })
+    };
+    let objects = [
+        object(0.004, 0.08, 0.3),
+        object(0.007, 0.12, 0.6),
+        object(0.002, 0.05, 0.8),
+    ];
+    objects.into_iter().flatten().collect()
+}
+
+/// The recorded past of so many frames under `u`, and the share of frames that were skipped.
+fn played(u: f64, frames: u64) -> (History, f64) {
+    let mut policy = Albireo::new(AlbireoSettings::paper(), u).unwrap();
+    let mut history = History::default();
+    let mut outcome = Outcome::default();
+    let mut skipped = 0;
+    for index in 0..frames {
+        let found = scene(index);
+        let mut known = FrameEvidence {
+            empty: Some(found.is_empty()),
+            ..FrameEvidence::detections(&found)
+        };
+        let head = FrameHead {
+            index,
+            step: 1,
+            picture: PictureSize::new(1280, 720),
+        };
+        let Ok(()) = decide_at_once(&mut policy, head, &mut known, &mut outcome);
+        skipped += u64::from(outcome.state.is_skipped());
+        history.add(
+            &message(index, &outcome, u),
+            Duration::from_millis(33 * index),
+        );
+    }
+    (history, skipped as f64 / frames as f64)
+}
+
+#[test]
+fn memory_is_taken_once_and_what_is_oldest_is_forgotten() {
+    let mut history = History::default();
+    let (frames, slots, times) = (
+        history.frames.capacity(),
+        history.slots.capacity(),
+        history.times.capacity(),
+    );
+    let outcome = Outcome {
+        state: FrameState::I,
+        cause: Some(CallCause::Start),
+        ..Outcome::default()
+    };
+    // Two hours at two frames a second, and one burst that overflows a piece's times.
+    for seq in 0..14_400 {
+        history.add(
+            &message(seq, &outcome, 1.0),
+            Duration::from_millis(500 * seq),
+        );
+    }
+    for seq in 14_400..18_400 {
+        history.add(&message(seq, &outcome, 1.0), Duration::from_secs(7200));
+    }
+    assert_eq!(
+        (frames, slots, times),
+        (
+            history.frames.capacity(),
+            history.slots.capacity(),
+            history.times.capacity()
+        )
+    );
+    assert_eq!(history.frames(usize::MAX).len(), FRAMES);
+    assert_eq!(history.frames(3).first().unwrap().seq, 18_397);
+    let shown = history.slots(Duration::from_secs(7200));
+    assert_eq!(shown.len(), SLOTS);
+    assert_eq!(shown[0].slot, 360);
+    assert_eq!(
+        (shown[0].frames, shown[0].calls, shown[0].skipped),
+        (20, 20, 0)
+    );
+    assert_eq!(shown.last().unwrap().frames, 4000);
+    // The times of a piece are percentiles of it alone.
+    let (first, last) = (shown[0], shown.last().unwrap());
+    assert!(first.detector_p50_ms < first.detector_p99_ms);
+    assert!(last.detector_p99_ms >= 97.0, "{last:?}");
+    // An hour of silence later there is nothing left to show.
+    assert_eq!(history.slots(Duration::from_secs(10_900)), []);
+}
+
+#[test]
+fn a_piece_without_frames_is_not_there() {
+    let mut history = History::default();
+    let outcome = Outcome::default();
+    for at in [0, 5, 25, 26, 65] {
+        history.add(&message(at, &outcome, 1.0), Duration::from_secs(at));
+    }
+    let shown = history.slots(Duration::from_secs(66));
+    let numbers: Vec<_> = shown.iter().map(|slot| (slot.slot, slot.frames)).collect();
+    assert_eq!(numbers, [(0, 2), (2, 2), (6, 1)]);
+}
+
+#[test]
+fn what_another_threshold_would_have_skipped_is_near_what_it_does_skip() {
+    let longest = Albireo::new(AlbireoSettings::paper(), 3e-4)
+        .unwrap()
+        .longest_pause();
+    let values = [1e-4, 3e-4, 1e-3, 3e-3, 1e-2];
+    let truths: Vec<f64> = values.iter().map(|u| played(*u, 6000).1).collect();
+    // They differ, or there would be nothing to estimate.
+    assert!(truths[4] - truths[0] > 0.2, "{truths:?}");
+    let (mut worst, mut naive_worst, mut near) = (0.0_f64, 0.0_f64, 0.0_f64);
+    println!(
+        "| recorded at | {} |",
+        values.map(|u| format!("{u:.0e}")).join(" | ")
+    );
+    for (place, recorded) in values.into_iter().enumerate() {
+        let (history, _) = played(recorded, 6000);
+        let past = history.frames(usize::MAX);
+        let estimate = SkipEstimate::new(&past, longest);
+        let mut row = format!("| {recorded:.0e} |");
+        for (other, (value, truth)) in values.iter().zip(&truths).enumerate() {
+            let told = estimate.at(*value).skip_rate();
+            row += &format!(" {:.1} ({:.1}) |", told * 100.0, truth * 100.0);
+            let apart = (told - truth).abs();
+            worst = worst.max(apart);
+            if other.abs_diff(place) <= 1 {
+                near = near.max(apart);
+            }
+            // The recorded uncertainty against the value, frame by frame.
+            let naive = past
+                .iter()
+                .filter(|frame| match (frame.cause, frame.tau_max()) {
+                    (Some(CallCause::Screen), _) => false,
+                    (_, tau) => tau.is_none_or(|tau| f64::from(tau) < *value),
+                });
+            naive_worst = naive_worst.max((naive.count() as f64 / past.len() as f64 - truth).abs());
+        }
+        println!("{row}");
+        let really = estimate.really();
+        let same = estimate.at(recorded);
+        let apart = (really.skip_rate() - same.skip_rate()).abs();
+        assert!(apart < 0.01, "at the value itself: {really:?} and {same:?}");
+    }
+    println!(
+        "worst {worst:.3}, to a neighbour {near:.3}; of the plain comparison {naive_worst:.3}"
+    );
+    assert!(near < 0.15 && worst < 0.2, "{near} and {worst}");
+    assert!(worst < naive_worst / 2.0, "{worst} and {naive_worst}");
+}
+
+#[test]
+fn without_frames_there_is_nothing_to_estimate_and_no_panic() {
+    let estimate = SkipEstimate::new(&[], None);
+    assert_eq!(estimate.at(1e-3).skip_rate(), 0.0);
+    assert_eq!(estimate.span_ms(), None);
+}

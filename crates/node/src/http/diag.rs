@@ -1,0 +1,74 @@
+//! What a node tells of itself in one archive, for whoever looks for a fault from afar.
+
+use super::{RouteState, cameras, metrics, node, states};
+use albireo_service::clock::unix_milliseconds;
+use albireo_service::http::Problem;
+use albireo_service::{archive, logging};
+use axum::Json;
+use axum::extract::State;
+use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use serde_json::json;
+
+/// Clips in the archive.
+const MOST_CLIPS: usize = 64;
+
+fn text(value: &impl Serialize) -> Vec<u8> {
+    serde_json::to_vec_pretty(value).unwrap_or_default()
+}
+
+/// One archive (tar) of what helps to find a fault
+///
+/// Versions, the configuration with its secrets masked, readiness with reasons, cameras, frame-state counters, metrics, the
+/// last clips, and the last lines of the log. `curl -O -J http://127.0.0.1:8080/api/v1/diag`
+#[utoipa::path(
+    get, operation_id = "download_diagnosis", path = "/api/v1/diag", tag = "diagnosis",
+    responses(
+        (status = 200, content_type = "application/x-tar", body = Vec<u8>),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn archive(State(shared): State<RouteState>) -> Result<Response, Problem> {
+    let now_s = u64::try_from(unix_milliseconds().div_euclid(1000)).unwrap_or(0);
+    let board = shared.board();
+    let name = board.node().to_owned();
+    let about = json!({
+        "program": "albireo node",
+        "node": name,
+        "version": env!("CARGO_PKG_VERSION"),
+        "system": format!("{} {}", std::env::consts::OS, std::env::consts::ARCH),
+        "at_s": now_s,
+        "running_s": board.uptime().as_secs_f64(),
+        "policy": board.policy(),
+        "screen": format!("{:?}", board.screen_counters()),
+        "detector": format!("{:?}", board.detector_counters()),
+    });
+    let clips = board.recent_clips(None, MOST_CLIPS);
+    let clips: Vec<_> = clips.iter().map(|clip| &**clip).collect();
+    let Json(overview) = node::overview(State(shared.clone())).await;
+    let Json(cameras) = cameras::list(State(shared.clone())).await;
+    let Json(counters) = states::all(State(shared.clone())).await;
+    let metrics = metrics::written(&shared)?;
+    let log: String = (logging::last_lines().iter())
+        .map(|line| format!("{line}\n"))
+        .collect();
+    let files = [
+        ("about.json", text(&about)),
+        ("configuration.json", text(&*shared.view.config)),
+        ("node.json", text(&overview)),
+        ("cameras.json", text(&cameras)),
+        ("frame-states.json", text(&counters)),
+        ("clips.json", text(&clips)),
+        ("metrics.txt", metrics.into_bytes()),
+        ("log.txt", log.into_bytes()),
+    ];
+    let headers = [
+        (CONTENT_TYPE, "application/x-tar".to_owned()),
+        (
+            CONTENT_DISPOSITION,
+            format!("attachment; filename=\"albireo-node-{name}-{now_s}.tar\""),
+        ),
+    ];
+    Ok((headers, archive::tar(&files, now_s)).into_response())
+}

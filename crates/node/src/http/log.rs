@@ -1,0 +1,59 @@
+//! The last lines of the log.
+
+use albireo_service::http::Problem;
+use albireo_service::logging::{self, LogLine};
+use axum::Json;
+use axum::extract::Query;
+use axum::extract::rejection::QueryRejection;
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use utoipa::{IntoParams, ToSchema};
+
+/// Most lines of one answer: as many as are kept.
+const MOST: usize = 1000;
+
+/// Which lines.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Selection {
+    /// Only lines after that number.
+    #[serde(default)]
+    after: u64,
+    /// At most so many, the newest, 1 to 1000; 200 by default.
+    limit: Option<usize>,
+}
+
+/// Lines of the log.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Log {
+    /// The oldest first.
+    lines: Vec<LogLine>,
+}
+
+/// The last lines of the log
+///
+/// The node keeps the newest 1000 in memory, from level `info` on whatever standard error is to hear. No configured secret
+/// is in them. `curl 'http://127.0.0.1:8080/api/v1/log?limit=20'`
+#[utoipa::path(
+    get, operation_id = "log_tail", path = "/api/v1/log", tag = "diagnosis", params(Selection),
+    responses(
+        (status = 200, body = Log),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn tail(
+    selection: Result<Query<Selection>, QueryRejection>,
+) -> Result<Json<Log>, Problem> {
+    let Query(selection) = selection.map_err(|rejection| {
+        Problem::new(StatusCode::BAD_REQUEST, rejection.body_text()).allowing(["after", "limit"])
+    })?;
+    let limit = selection.limit.unwrap_or(200);
+    if !(1..=MOST).contains(&limit) {
+        let detail = format!("`limit` must be from 1 to {MOST}, not {limit}");
+        return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
+    }
+    Ok(Json(Log {
+        lines: logging::lines_after(selection.after, limit),
+    }))
+}

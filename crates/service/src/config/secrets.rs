@@ -1,0 +1,31 @@
+//! A configuration as it may be shown.
+
+use serde::Serialize;
+use serde_json::Value;
+
+/// What stands in place of a secret.
+pub const MASK: &str = "(secret)";
+
+/// The configuration with every secret masked: what a member named `token`, `password` or `secret` holds.
+pub fn without_secrets(config: &impl Serialize) -> Value {
+    let mut shown = serde_json::to_value(config).unwrap_or(Value::Null);
+    mask(&mut shown);
+    shown
+}
+
+fn mask(value: &mut Value) {
+    match value {
+        Value::Object(members) => {
+            for (name, value) in members {
+                let secret = ["token", "password", "secret"].contains(&name.as_str());
+                if secret && value.is_string() {
+                    *value = MASK.into();
+                } else {
+                    mask(value);
+                }
+            }
+        }
+        Value::Array(values) => values.iter_mut().for_each(mask),
+        _ => {}
+    }
+}

@@ -1,0 +1,98 @@
+//! `albireo diag`: what a node or a hub tells of itself, as one archive for whoever looks for a fault.
+
+use super::block_on;
+use anyhow::{Context, anyhow, bail};
+use reqwest::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
+use reqwest::{Response, Url};
+use serde_json::Value;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// How long the archive may take.
+const WITHIN: Duration = Duration::from_secs(60);
+
+const EXAMPLES: &str = "\
+Examples:
+  albireo diag                                  the node of this machine
+  albireo diag http://127.0.0.1:8090            a hub
+  ALBIREO_HTTP__TOKEN=… albireo diag http://car-7.example:8080 -o car-7.tar";
+
+/// Arguments of `albireo diag`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// HTTP interface of the node or the hub.
+    #[arg(default_value = "http://127.0.0.1:8080", value_name = "URL")]
+    url: String,
+    /// Its token; better in the environment than here, where others see it.
+    #[arg(long, env = "ALBIREO_HTTP__TOKEN", hide_env_values = true)]
+    token: Option<String>,
+    /// Where to write the archive, in place of the name that the service gives it; a file that is there already is left
+    /// alone.
+    #[arg(long, short, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    block_on(fetch(arguments))
+}
+
+async fn fetch(arguments: &Arguments) -> anyhow::Result<()> {
+    let Arguments { url, token, output } = arguments;
+    let url = Url::parse(url)
+        .and_then(|base| base.join("/api/v1/diag"))
+        .with_context(|| format!("`{url}` is no address such as http://127.0.0.1:8080"))?;
+    let client = reqwest::Client::builder()
+        .connect_timeout(Duration::from_secs(5))
+        .timeout(WITHIN)
+        .redirect(reqwest::redirect::Policy::none())
+        .build()?;
+    let mut request = client.get(url.clone());
+    if let Some(token) = token {
+        request = request.bearer_auth(token);
+    }
+    let response = request
+        .send()
+        .await
+        .with_context(|| format!("{url} cannot be reached"))?;
+    if !response.status().is_success() {
+        return Err(refusal(response).await);
+    }
+    let is_archive = response.headers().get(CONTENT_TYPE);
+    if is_archive.is_none_or(|kind| kind != "application/x-tar") {
+        bail!("{url} gives no archive; is it a node or a hub?");
+    }
+    let file = output.clone().or_else(|| named(&response));
+    let file = file.unwrap_or_else(|| "albireo-diag.tar".into());
+    let archive = response.bytes().await.context("the archive broke off")?;
+    let shown = file.display();
+    OpenOptions::new()
+        .write(true)
+        .create_new(true)
+        .open(&file)
+        .and_then(|mut opened| opened.write_all(&archive))
+        .with_context(|| format!("{shown} cannot be written"))?;
+    println!("{shown}: {} bytes; tar xf {shown}", archive.len());
+    Ok(())
+}
+
+/// The name that the service gives the archive: a name alone, whatever was sent.
+fn named(response: &Response) -> Option<PathBuf> {
+    let header = response.headers().get(CONTENT_DISPOSITION)?.to_str().ok()?;
+    let (_, name) = header.split_once("filename=\"")?;
+    let name = name.strip_suffix('"')?;
+    let plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '-' | '_' | '.');
+    (name.chars().all(plain) && name.starts_with("albireo-")).then(|| name.into())
+}
+
+async fn refusal(response: Response) -> anyhow::Error {
+    let (status, url) = (response.status(), response.url().clone());
+    let body = response.text().await.unwrap_or_default();
+    let problem: Option<Value> = serde_json::from_str(&body).ok();
+    match problem.as_ref().and_then(|it| it["detail"].as_str()) {
+        Some(detail) => anyhow!("{detail}"),
+        None => anyhow!("{url} answers {status}; is it a node or a hub?"),
+    }
+}

@@ -1,0 +1,137 @@
+// One node as it is now: it sends counters and pictures only while this is open.
+
+import { useEffect, useRef, useState } from "preact/hooks";
+import { answer, follow, pause } from "../shared/api";
+import { count, percent, watts } from "../shared/format";
+import { Fault, Figure, Quality, Section } from "../shared/parts";
+import type { CountersMessage } from "./types";
+
+/** Shortest time between two pictures: they go over the node's uplink. */
+const PICTURE_MS = 2000;
+/** Seconds over which rates are told. */
+const WINDOW = 30;
+
+export interface Rate {
+  perSecond: number;
+  skipRate: number;
+}
+
+/** Frames a second and skip rate between the first and the last of some counters; none where the node began anew. */
+export function rate(samples: readonly CountersMessage[]): Rate | undefined {
+  const [first, last] = [samples[0], samples.at(-1)];
+  if (!first || !last || first === last) return undefined;
+  const frames = last.frames - first.frames;
+  const seconds = (last.t_ns - first.t_ns) / 1e9;
+  if (frames < 0 || seconds <= 0) return undefined;
+  const skipped = (message: CountersMessage) => message.states.E + message.states.P - message.degraded_frames;
+  return { perSecond: frames / seconds, skipRate: frames ? (skipped(last) - skipped(first)) / frames : NaN };
+}
+
+export function Live({ node }: { node: string }) {
+  const at = encodeURIComponent(node);
+  const [cameras, setCameras] = useState<ReadonlyMap<string, CountersMessage[]>>(new Map());
+  const [fault, setFault] = useState("");
+  useEffect(() => {
+    setCameras(new Map());
+    setFault("");
+    const stop = new AbortController();
+    void follow({
+      path: () => `/api/v1/nodes/${at}/live`,
+      onOpen: () => setFault(""),
+      onLost: setFault,
+      onEvent: (name, data) => {
+        if (name !== "counters") return;
+        const message = data as CountersMessage;
+        setCameras((known) => {
+          const before = known.get(message.camera) ?? [];
+          const anew = (before.at(-1)?.frames ?? 0) > message.frames;
+          return new Map(known).set(message.camera, [...(anew ? [] : before), message].slice(-WINDOW));
+        });
+      },
+      signal: stop.signal,
+    });
+    return () => stop.abort();
+  }, [at]);
+  return (
+    <Section
+      id="live"
+      title="Now"
+      wide
+      aside={<span class="quiet">once a second, and only while this page is open</span>}
+    >
+      <Fault text={fault} />
+      {cameras.size === 0 && !fault && <p class="message quiet">Waiting for the node to hear that it is watched.</p>}
+      <div class="live">
+        {[...cameras].map(([camera, samples]) => (
+          <Camera key={camera} path={`/api/v1/nodes/${at}/cameras/${encodeURIComponent(camera)}/frame.jpg`} samples={samples} />
+        ))}
+      </div>
+    </Section>
+  );
+}
+
+function Camera({ path, samples }: { path: string; samples: CountersMessage[] }) {
+  const last = samples.at(-1)!;
+  const lately = rate(samples);
+  const power = last.watts.find((entry) => entry.domain === "total") ?? last.watts[0];
+  return (
+    <div class="live-camera">
+      <Newest path={path} camera={last.camera} />
+      <dl class="figures">
+        <Figure label={`frames of ${last.camera}`} note={lately && `${lately.perSecond.toFixed(1)} a second`}>
+          {count(last.frames)}
+        </Figure>
+        <Figure label="skipped the detector" note={lately && `${percent(lately.skipRate)} over the last ${samples.length} s`}>
+          {percent(last.frames ? last.skip_rate : undefined)}
+        </Figure>
+        {power && (
+          <Figure label="power of the node" note={<Quality quality={last.power_quality} />}>
+            {watts(power.watts)}
+          </Figure>
+        )}
+        {last.degraded_frames > 0 && (
+          <Figure label="answered without the detector">
+            <span class="bad">{count(last.degraded_frames)}</span>
+          </Figure>
+        )}
+      </dl>
+    </div>
+  );
+}
+
+/** The newest picture, anew every two seconds while the page is visible. */
+function Newest({ path, camera }: { path: string; camera: string }) {
+  const [shown, setShown] = useState<string | undefined>(undefined);
+  const [note, setNote] = useState("");
+  const url = useRef<string | undefined>(undefined);
+  useEffect(() => {
+    const stop = new AbortController();
+    const run = async () => {
+      while (!stop.signal.aborted) {
+        if (!document.hidden) {
+          try {
+            const file = await (await answer(path, { signal: stop.signal })).blob();
+            if (stop.signal.aborted) return;
+            if (url.current) URL.revokeObjectURL(url.current);
+            url.current = URL.createObjectURL(file);
+            setShown(url.current);
+            setNote("");
+          } catch (error) {
+            if (stop.signal.aborted) return;
+            setNote(error instanceof Error ? error.message : String(error));
+            await pause(4 * PICTURE_MS, stop.signal);
+          }
+        }
+        await pause(PICTURE_MS, stop.signal);
+      }
+    };
+    void run();
+    return () => {
+      stop.abort();
+      if (url.current) URL.revokeObjectURL(url.current);
+      url.current = undefined;
+      setShown(undefined);
+    };
+  }, [path]);
+  return shown ? <img class="thumbnail" src={shown} alt={`Newest picture of camera ${camera}`} /> : <p class="message quiet">{note || "No picture yet."}</p>;
+}
