@@ -34,8 +34,10 @@ export async function nodeTests(browser) {
   });
 
   await test("a page that is opened now shows what happened before, and why the detector ran", async () => {
-    const { frames } = await (await fetch(`${address}/api/v1/cameras/dashcam/history`)).json();
-    assert(frames.seq.length > 10, "the node remembers nothing");
+    const frames = await until("some frames that the node remembers", async () => {
+      const { frames } = await (await fetch(`${address}/api/v1/cameras/dashcam/history`)).json();
+      return frames.seq.length > 10 && frames;
+    });
     const late = await open(browser, address);
     const first = await until("the past in the ribbon", async () => {
       const said = (await late.textContent("#ribbon .section-head")).match(/([\d,]+) frames/);
