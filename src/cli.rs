@@ -1,8 +1,13 @@
 //! The command line: one file a subcommand. Each has its arguments and a `run` that says how it ended.
 
+#[cfg(feature = "hub")]
+mod acl;
+#[cfg(feature = "hub")]
+mod cert;
 mod check;
 #[cfg(feature = "eval")]
 mod compare;
+mod completions;
 #[cfg(feature = "eval")]
 mod demo;
 mod detect;
@@ -12,10 +17,13 @@ pub mod eval;
 mod fleet;
 #[cfg(feature = "hub")]
 mod hub;
+mod man;
 mod node;
 mod power;
 #[cfg(feature = "eval")]
 pub mod replay;
+#[cfg(feature = "hub")]
+mod router;
 #[cfg(feature = "simulate")]
 mod simulate;
 mod size;
@@ -74,6 +82,15 @@ enum Command {
     #[cfg(feature = "hub")]
     /// See and tune a fleet through its hub, from the terminal.
     Fleet(Box<fleet::Arguments>),
+    #[cfg(feature = "hub")]
+    /// Run the router between the nodes of a fleet and its hubs.
+    Router(router::Arguments),
+    #[cfg(feature = "hub")]
+    /// Make, renew and revoke the certificates of a fleet.
+    Cert(cert::Arguments),
+    #[cfg(feature = "hub")]
+    /// Generate the router's access control from the certificates.
+    Acl(acl::Arguments),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
     /// Say what a detector is, and run it on pictures.
@@ -98,6 +115,10 @@ enum Command {
     #[cfg(feature = "eval")]
     /// Run a camera, a node and a hub in one process, with nothing to configure.
     Demo(demo::Arguments),
+    /// Write the manual pages of all subcommands into a folder.
+    Man(man::Arguments),
+    /// Print the completions of a shell.
+    Completions(completions::Arguments),
 }
 
 impl Arguments {
@@ -109,6 +130,12 @@ impl Arguments {
             Command::Hub(arguments) => hub::run(&arguments),
             #[cfg(feature = "hub")]
             Command::Fleet(arguments) => return fleet::run(*arguments),
+            #[cfg(feature = "hub")]
+            Command::Router(arguments) => router::run(arguments),
+            #[cfg(feature = "hub")]
+            Command::Cert(arguments) => cert::run(&arguments),
+            #[cfg(feature = "hub")]
+            Command::Acl(arguments) => acl::run(&arguments),
             Command::Check(arguments) => check::run(&arguments),
             Command::Detect(arguments) => detect::run(&arguments),
             Command::Power(arguments) => power::run(&arguments),
@@ -128,6 +155,8 @@ impl Arguments {
             Command::Simulate(arguments) => block_on(simulate::run(*arguments)),
             #[cfg(feature = "eval")]
             Command::Demo(arguments) => block_on(demo::run(arguments)),
+            Command::Man(arguments) => man::run(&arguments),
+            Command::Completions(arguments) => completions::run(&arguments),
         };
         match ended {
             Ok(()) => ExitCode::SUCCESS,

@@ -16,12 +16,13 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("synth", &["core"]),
     ("node", &["core", "service", "wire"]),
     ("hub", &["service", "wire"]),
+    ("router", &["service", "wire"]),
     ("simulate", &["wire"]),
     ("eval", &["core", "node", "synth", "wire"]),
     (
         "the program",
         &[
-            "core", "eval", "hub", "node", "service", "simulate", "synth", "wire",
+            "core", "eval", "hub", "node", "router", "service", "simulate", "synth", "wire",
         ],
     ),
     ("bench-scene", &["core"]),

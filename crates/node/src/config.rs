@@ -111,6 +111,9 @@ pub struct NodeSection {
     pub stop_timeout_s: f64,
     /// A camera without a frame for so long makes the node degraded, seconds.
     pub camera_silence_s: f64,
+    /// Under a service manager: a detector, screen or camera loop that has been broken for so long ends the feeding of
+    /// the watchdog, seconds.
+    pub stuck_after_s: f64,
 }
 
 impl NodeSection {
@@ -122,6 +125,11 @@ impl NodeSection {
     /// [`camera_silence_s`](Self::camera_silence_s) as a time.
     pub fn camera_silence(&self) -> Duration {
         Duration::try_from_secs_f64(self.camera_silence_s).unwrap_or(Duration::MAX)
+    }
+
+    /// [`stuck_after_s`](Self::stuck_after_s) as a time.
+    pub fn stuck_after(&self) -> Duration {
+        Duration::try_from_secs_f64(self.stuck_after_s).unwrap_or(Duration::MAX)
     }
 }
 
@@ -135,6 +143,7 @@ impl Default for NodeSection {
             labels: BTreeMap::new(),
             stop_timeout_s: 5.0,
             camera_silence_s: 30.0,
+            stuck_after_s: 900.0,
         }
     }
 }

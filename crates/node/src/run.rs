@@ -2,7 +2,7 @@
 
 use crate::config::NodeConfig;
 use crate::http::{self, NodeView};
-use crate::{NodeError, PreparedNode};
+use crate::{NodeError, PreparedNode, readiness};
 use std::sync::Arc;
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -63,6 +63,11 @@ pub async fn run_prepared(
             }),
         }
     };
+    let (told, stuck_after) = (Arc::clone(prepared.board()), config.node.stuck_after());
+    let telling = tokio::spawn(albireo_service::notify::run(
+        move || readiness::look(told.readiness(), stuck_after),
+        shutdown.clone(),
+    ));
     tracing::info!(
         http = format!("http://{address}"),
         node = config.node.name,
@@ -83,5 +88,7 @@ pub async fn run_prepared(
         ended
     };
     let (http, node) = tokio::join!(http, node);
+    // It has told that the node stops; after an error nobody did.
+    telling.abort();
     node.and(http)
 }

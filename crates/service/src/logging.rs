@@ -7,6 +7,9 @@ use std::io::{IsTerminal, Write};
 use tracing_subscriber::EnvFilter;
 use tracing_subscriber::filter::ParseError;
 use tracing_subscriber::fmt::writer::MakeWriterExt;
+use tracing_subscriber::layer::{Identity, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{Layer, Registry};
 
 /// Lines of the log that are kept, and the most bytes of one.
 const KEPT: usize = 1000;
@@ -80,15 +83,29 @@ pub enum LogError {
 /// # Errors
 /// When the level cannot be read, or a log was set up before.
 pub fn start(config: &LogConfig) -> Result<(), LogError> {
+    start_beside(config, Identity::new())
+}
+
+/// As [`start`], with a layer of the service's own that sees what it wants, whatever the level of the log.
+///
+/// # Errors
+/// As there.
+pub fn start_beside(
+    config: &LogConfig,
+    beside: impl Layer<Registry> + Send + Sync,
+) -> Result<(), LogError> {
     let filter = filter(&config.level)?;
-    let subscriber = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(std::io::stderr.and(|| Keeper));
+    let lines = tracing_subscriber::fmt::layer().with_writer(std::io::stderr.and(|| Keeper));
+    let registry = tracing_subscriber::registry().with(beside);
     let started = match config.format {
-        LogFormat::Human => subscriber
-            .with_ansi(std::io::stderr().is_terminal())
-            .try_init(),
-        LogFormat::Json => subscriber.json().flatten_event(true).try_init(),
+        LogFormat::Human => {
+            let lines = lines.with_ansi(std::io::stderr().is_terminal());
+            registry.with(lines.with_filter(filter)).try_init()
+        }
+        LogFormat::Json => {
+            let lines = lines.json().flatten_event(true);
+            registry.with(lines.with_filter(filter)).try_init()
+        }
     };
     started.map_err(|error| LogError::Taken(error.to_string()))?;
     crate::panics::log_panics();

@@ -41,6 +41,7 @@ impl NodeConfig {
         findings.path("node.state_dir", self.node.state_dir.as_deref());
         findings.above_zero("node.stop_timeout_s", self.node.stop_timeout_s, 3600.0);
         findings.above_zero("node.camera_silence_s", self.node.camera_silence_s, DAY_S);
+        findings.above_zero("node.stuck_after_s", self.node.stuck_after_s, DAY_S);
     }
 
     fn check_outbox(&self, findings: &mut Findings) {
