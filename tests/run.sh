@@ -20,6 +20,9 @@ need "promtool" command -v promtool
 need "curl" command -v curl
 need "strace" strace -o /dev/null true
 need "PostgreSQL" bash -c "command -v initdb || ls /usr/lib/postgresql/*/bin/initdb"
+need "systemd" bash -c "systemd-analyze security --help | grep -q offline"
+need "Caddy" command -v caddy
+need "Docker Compose" bash -c "docker compose version || command -v docker-compose"
 need "Node.js" test -x web/node_modules/.bin/vitest -a -e web/dist/node.html
 
 # With the feature turbojpeg where it can be built; its tests are named scaled_…

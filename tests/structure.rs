@@ -330,6 +330,9 @@ fn a_test_that_wants_more_than_the_clone_says_what_in_words_that_run_sh_knows() 
         "PostgreSQL",
         "strace",
         "Node.js",
+        "systemd",
+        "Caddy",
+        "Docker Compose",
     ];
     let script = std::fs::read_to_string(root().join("tests/run.sh")).unwrap();
     for need in known {
