@@ -31,7 +31,9 @@ impl Fleet {
             router: None,
         };
         fleet.does(&["cert", "authority"]).await;
-        fleet.does(&["cert", "router", "east", "--host", "localhost"]).await;
+        fleet
+            .does(&["cert", "router", "east", "--host", "localhost"])
+            .await;
         fleet.does(&["cert", "hub", "main"]).await;
         fleet.does(&["cert", "node", "car-7", "car-8"]).await;
         fleet.rules().await;
@@ -57,20 +59,32 @@ impl Fleet {
 
     async fn rules(&self) {
         let file = self.folder.path().join("access.json");
-        self.does(&["acl", "--output", file.to_str().unwrap()]).await;
+        self.does(&["acl", "--output", file.to_str().unwrap()])
+            .await;
     }
 
     /// The configuration that is shipped, with this fleet's places.
     fn shipped(&self, name: &str) -> PathBuf {
-        let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/zenoh").join(name);
+        let from = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("deploy/zenoh")
+            .join(name);
         let authority = self.authority();
         let mut text = std::fs::read_to_string(from).unwrap();
         for (place, here) in [
             ("tls/[::]:7447", self.endpoint.clone()),
             ("tls/router.example:7447", self.endpoint.clone()),
-            ("/etc/albireo/authority", authority.join("authority").display().to_string()),
-            ("/etc/albireo/router.", authority.join("router/east.").display().to_string()),
-            ("/etc/albireo/hub.", authority.join("hub/main.").display().to_string()),
+            (
+                "/etc/albireo/authority",
+                authority.join("authority").display().to_string(),
+            ),
+            (
+                "/etc/albireo/router.",
+                authority.join("router/east.").display().to_string(),
+            ),
+            (
+                "/etc/albireo/hub.",
+                authority.join("hub/main.").display().to_string(),
+            ),
         ] {
             text = text.replace(place, &here);
         }
@@ -87,7 +101,15 @@ impl Fleet {
             .open(self.folder.path().join("router.log"))
             .unwrap();
         let router = albireo()
-            .args(["router", "--log-json", "--probe-s", "1", "--http", &self.http, "--config"])
+            .args([
+                "router",
+                "--log-json",
+                "--probe-s",
+                "1",
+                "--http",
+                &self.http,
+                "--config",
+            ])
             .arg(self.shipped("router.json5"))
             .arg("--access")
             .arg(self.folder.path().join("access.json"))
@@ -106,7 +128,9 @@ impl Fleet {
     async fn stop_router(&mut self) {
         let mut router = self.router.take().unwrap();
         let id = router.id().unwrap().to_string();
-        let told = std::process::Command::new("kill").args(["-TERM", &id]).status();
+        let told = std::process::Command::new("kill")
+            .args(["-TERM", &id])
+            .status();
         assert!(told.unwrap().success());
         let ended = tokio::time::timeout(PATIENCE, router.wait()).await.unwrap();
         assert!(ended.unwrap().success(), "{}", self.log());
@@ -125,19 +149,25 @@ impl Fleet {
     async fn metric(&self, series: &str) -> f64 {
         let answer = reqwest::get(format!("http://{}/metrics", self.http)).await;
         let text = answer.unwrap().text().await.unwrap();
-        let line = text.lines().find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
-        line.unwrap_or_else(|| panic!("no {series} in {text}")).parse().unwrap()
+        let line = text
+            .lines()
+            .find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
+        line.unwrap_or_else(|| panic!("no {series} in {text}"))
+            .parse()
+            .unwrap()
     }
 
     async fn refused(&self, kind: &str) -> f64 {
-        self.metric(&format!("albireo_router_refused_total{{kind=\"{kind}\"}}")).await
+        self.metric(&format!("albireo_router_refused_total{{kind=\"{kind}\"}}"))
+            .await
     }
 
     /// Waits until more were refused than `before`, and the log has a line of it.
     async fn until_refused(&self, kind: &str, before: f64, told: &str) {
         let until = Instant::now() + PATIENCE;
         let line = |log: &str| {
-            log.lines().any(|line| line.contains("turned away") && line.contains(told))
+            log.lines()
+                .any(|line| line.contains("turned away") && line.contains(told))
         };
         while self.refused(kind).await <= before || !line(&self.log()) {
             assert!(Instant::now() < until, "{kind} {told:?}: {}", self.log());
@@ -183,7 +213,9 @@ async fn open(endpoint: &str, tls: Option<serde_json::Value>) -> zenoh::Result<S
         config.insert_json5(key, &value.to_string()).unwrap();
     }
     if let Some(tls) = tls {
-        config.insert_json5("transport/link/tls", &tls.to_string()).unwrap();
+        config
+            .insert_json5("transport/link/tls", &tls.to_string())
+            .unwrap();
     }
     zenoh::open(config).await
 }
@@ -192,7 +224,14 @@ async fn open(endpoint: &str, tls: Option<serde_json::Value>) -> zenoh::Result<S
 async fn acknowledged(session: &Session, node: &str, number: u64, limit: Duration) -> bool {
     let until = Instant::now() + limit;
     loop {
-        let answer = send(session, node, &format!("instance-{node}"), number..=number, now_ns()).await;
+        let answer = send(
+            session,
+            node,
+            &format!("instance-{node}"),
+            number..=number,
+            now_ns(),
+        )
+        .await;
         if answer.is_some_and(|answer| answer.is_ok()) {
             return true;
         }
@@ -216,8 +255,16 @@ async fn those_with_a_good_certificate_work_and_every_stranger_is_refused_counte
     // The right ones work.
     let car_7 = fleet.opens("node/car-7").await.unwrap();
     let car_8 = fleet.opens("node/car-8").await.unwrap();
-    assert!(acknowledged(&car_7, "car-7", 1, PATIENCE).await, "{}", fleet.log());
-    assert!(acknowledged(&car_8, "car-8", 1, PATIENCE).await, "{}", fleet.log());
+    assert!(
+        acknowledged(&car_7, "car-7", 1, PATIENCE).await,
+        "{}",
+        fleet.log()
+    );
+    assert!(
+        acknowledged(&car_8, "car-8", 1, PATIENCE).await,
+        "{}",
+        fleet.log()
+    );
     assert_eq!(hub.clips("car-7").await.len(), 1);
     for kind in ["handshake", "unknown", "access", "sessions"] {
         assert_eq!(fleet.refused(kind).await, 0.0, "{kind}: {}", fleet.log());
@@ -226,7 +273,10 @@ async fn those_with_a_good_certificate_work_and_every_stranger_is_refused_counte
     // No TLS, no certificate, one of another authority, one that has ended.
     let plain = fleet.endpoint.replace("tls/", "tcp/");
     assert!(open(&plain, None).await.is_err(), "a plain client");
-    assert!(fleet.opens_with(Path::new("/"), None).await.is_err(), "no certificate");
+    assert!(
+        fleet.opens_with(Path::new("/"), None).await.is_err(),
+        "no certificate"
+    );
     let other = fleet.folder.path().join("other");
     let mut stranger = Authority::create(&other, "other", DAY).unwrap();
     let request = |name, begins, ends| Request {
@@ -237,14 +287,20 @@ async fn those_with_a_good_certificate_work_and_every_stranger_is_refused_counte
         ends,
     };
     let now = SystemTime::now();
-    stranger.issue(&request("car-7", now - DAY, now + DAY)).unwrap();
+    stranger
+        .issue(&request("car-7", now - DAY, now + DAY))
+        .unwrap();
     let with_other = fleet.opens_with(&other, Some("node/car-7")).await;
     assert!(with_other.is_err(), "a certificate of another authority");
     let before = fleet.refused("handshake").await;
     let mut own = Authority::open(&fleet.authority()).unwrap();
-    own.issue(&request("car-9", now - DAY * 3, now - DAY)).unwrap();
+    own.issue(&request("car-9", now - DAY * 3, now - DAY))
+        .unwrap();
     drop(own);
-    assert!(fleet.opens("node/car-9").await.is_err(), "a certificate that has ended");
+    assert!(
+        fleet.opens("node/car-9").await.is_err(),
+        "a certificate that has ended"
+    );
     fleet.until_refused("handshake", before, "handshake").await;
     assert!(fleet.refused("handshake").await >= 4.0, "{}", fleet.log());
 
@@ -254,13 +310,20 @@ async fn those_with_a_good_certificate_work_and_every_stranger_is_refused_counte
     let node = fleet.authority().join("node");
     std::fs::copy(node.join("car-7.pem"), mixed.join("mixed.pem")).unwrap();
     std::fs::copy(node.join("car-8.key"), mixed.join("mixed.key")).unwrap();
-    let mixed = fleet.opens_with(fleet.folder.path(), Some("node/mixed")).await;
+    let mixed = fleet
+        .opens_with(fleet.folder.path(), Some("node/mixed"))
+        .await;
     assert!(mixed.is_err(), "another node's key");
 
     // A member that does what is not its own.
     let before = fleet.refused("access").await;
-    assert!(!acknowledged(&car_7, "car-8", 9, NOBODY).await, "a report in another's name");
-    fleet.until_refused("access", before, "Query on albireo/@report/car-8").await;
+    assert!(
+        !acknowledged(&car_7, "car-8", 9, NOBODY).await,
+        "a report in another's name"
+    );
+    fleet
+        .until_refused("access", before, "Query on albireo/@report/car-8")
+        .await;
     for key in [
         "albireo/car-8/front/threshold",
         "albireo/car-7/front/threshold",
@@ -295,14 +358,22 @@ async fn those_with_a_good_certificate_work_and_every_stranger_is_refused_counte
     }
     assert_eq!(taken.load(Ordering::SeqCst), 0, "{}", fleet.log());
     drop((queryable, ear));
-    assert_eq!(hub.clips("car-8").await.len(), 5, "and nothing in its name by another");
+    assert_eq!(
+        hub.clips("car-8").await.len(),
+        5,
+        "and nothing in its name by another"
+    );
     assert!(fleet.metric("albireo_router_sessions").await >= 3.0);
     assert!(fleet.metric("albireo_router_probe_seconds").await > 0.0);
-    assert_eq!(fleet.metric("albireo_router_probes_failed_total").await, 0.0);
+    assert_eq!(
+        fleet.metric("albireo_router_probes_failed_total").await,
+        0.0
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_with_its_next_certificate() {
+async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_with_its_next_certificate()
+ {
     let mut fleet = Fleet::new().await;
     fleet.start_router().await;
     let hub = HubProcess::start(&fleet.hub_settings());
@@ -319,8 +390,16 @@ async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_w
     fleet.does(&["cert", "revoke", "node", "car-7"]).await;
     fleet.does(&["cert", "node", "car-7"]).await;
     let list = fleet.does(&["cert", "list"]).await;
-    assert!(list.lines().any(|line| line.contains("node/car-7/1") && line.contains("revoked")), "{list}");
-    assert!(list.lines().any(|line| line.contains("node/car-7/2") && line.contains("ends in")), "{list}");
+    assert!(
+        list.lines()
+            .any(|line| line.contains("node/car-7/1") && line.contains("revoked")),
+        "{list}"
+    );
+    assert!(
+        list.lines()
+            .any(|line| line.contains("node/car-7/2") && line.contains("ends in")),
+        "{list}"
+    );
     fleet.rules().await;
     fleet.stop_router().await;
     fleet.start_router().await;
@@ -329,9 +408,15 @@ async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_w
     let before = fleet.refused("unknown").await;
     let again = fleet.opens_with(&old, Some("node/car-7")).await.unwrap();
     assert!(!acknowledged(&again, "car-7", 2, NOBODY).await);
-    fleet.until_refused("unknown", before, "not among those the rules name").await;
+    fleet
+        .until_refused("unknown", before, "not among those the rules name")
+        .await;
     let renewed = fleet.opens("node/car-7").await.unwrap();
-    assert!(acknowledged(&renewed, "car-7", 2, PATIENCE).await, "{}", fleet.log());
+    assert!(
+        acknowledged(&renewed, "car-7", 2, PATIENCE).await,
+        "{}",
+        fleet.log()
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -357,11 +442,14 @@ async fn a_real_node_reports_through_the_router_with_its_certificate() {
     camera.clips(4).await;
     let page = hub
         .until("/api/v1/clips?node=car-7", |page| {
-            page["clips"].as_array().is_some_and(|clips| clips.len() >= 3)
+            page["clips"]
+                .as_array()
+                .is_some_and(|clips| clips.len() >= 3)
         })
         .await;
     assert!(page["clips"].is_array());
-    hub.until("/api/v1/nodes/car-7", |node| node["state"] == "online").await;
+    hub.until("/api/v1/nodes/car-7", |node| node["state"] == "online")
+        .await;
     // Nothing that a node does by itself is against the rules.
     assert_eq!(fleet.refused("access").await, 0.0, "{}", fleet.log());
     camera.close().await;

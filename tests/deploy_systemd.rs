@@ -58,7 +58,10 @@ fn systemd_finds_nothing_wrong_with_the_units_and_their_drop_ins() {
     let plain = here(folder.path(), &[]);
     assert_eq!(verify(&plain), "");
     let folder = tempfile::tempdir().unwrap();
-    let with_all = here(folder.path(), &[("node", "gpu.conf"), ("node", "rapl.conf")]);
+    let with_all = here(
+        folder.path(),
+        &[("node", "gpu.conf"), ("node", "rapl.conf")],
+    );
     assert_eq!(verify(&with_all), "");
     // The check itself can fail.
     let text = std::fs::read_to_string(&plain[0]).unwrap();
@@ -87,16 +90,25 @@ fn the_units_are_as_closed_as_promised() {
 #[test]
 fn a_drop_in_opens_only_what_its_head_gives_a_reason_for() {
     for (drop_in, opened) in [
-        ("gpu.conf", &["PrivateDevices=no", "MemoryDenyWriteExecute=no", "PrivateUsers=no"][..]),
+        (
+            "gpu.conf",
+            &[
+                "PrivateDevices=no",
+                "MemoryDenyWriteExecute=no",
+                "PrivateUsers=no",
+            ][..],
+        ),
         ("rapl.conf", &["PrivateUsers=no"]),
     ] {
         let text = unit(&format!("drop-ins/{drop_in}"));
-        let mut lines = text.lines().peekable();
         let mut found = Vec::new();
         let mut before = "";
-        while let Some(line) = lines.next() {
+        for line in text.lines() {
             if line.ends_with("=no") {
-                assert!(before.starts_with('#'), "{drop_in}: {line} without a reason");
+                assert!(
+                    before.starts_with('#'),
+                    "{drop_in}: {line} without a reason"
+                );
                 found.push(line);
             }
             before = line;
@@ -156,7 +168,10 @@ impl Manager {
     }
 
     fn count(&self, message: &str) -> usize {
-        self.heard.iter().filter(|one| one.starts_with(message)).count()
+        self.heard
+            .iter()
+            .filter(|one| one.starts_with(message))
+            .count()
     }
 
     /// Hears until there are so many.
@@ -193,7 +208,8 @@ async fn ends_well(mut child: Child, manager: &mut Manager) {
 #[tokio::test]
 async fn a_hub_tells_that_it_is_ready_once_feeds_its_watchdog_and_tells_that_it_stops() {
     let folder = tempfile::tempdir().unwrap();
-    let (_, settings) = crate::support::fleet::settings(&crate::support::fleet::sqlite(folder.path()));
+    let (_, settings) =
+        crate::support::fleet::settings(&crate::support::fleet::sqlite(folder.path()));
     let mut manager = Manager::new();
     let hub = manager.start(&["hub"], &settings, Duration::from_millis(200));
     manager.until("READY=1", 1).await;
@@ -208,7 +224,8 @@ async fn a_hub_tells_that_it_is_ready_once_feeds_its_watchdog_and_tells_that_it_
 async fn a_hub_whose_router_is_away_is_fed_all_the_same_and_says_what_it_waits_for() {
     let folder = tempfile::tempdir().unwrap();
     let router = format!("tcp/127.0.0.1:{}", free_port());
-    let settings = crate::support::fleet::behind(&router, &crate::support::fleet::sqlite(folder.path()));
+    let settings =
+        crate::support::fleet::behind(&router, &crate::support::fleet::sqlite(folder.path()));
     let mut manager = Manager::new();
     let hub = manager.start(&["hub"], &settings, Duration::from_millis(200));
     manager.until("STATUS=not ready: zenoh", 1).await;

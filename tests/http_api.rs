@@ -9,5 +9,5 @@ mod events;
 mod exposition;
 mod looking;
 mod metrics;
-mod served;
+pub(crate) mod served;
 mod threshold;

@@ -10,7 +10,7 @@ use crate::outbox::OutboxConfig;
 use crate::power::PowerConfig;
 use crate::screen::ScreenConfig;
 use albireo_core::policy::PolicyConfig;
-use albireo_service::config::{HttpConfig, LogConfig, UplinkConfig, ZenohConfig};
+use albireo_service::config::{HttpConfig, LogConfig, NamedToken, UplinkConfig, ZenohConfig};
 use albireo_wire::{KeyError, NodeKeys};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -45,6 +45,9 @@ pub struct NodeConfig {
     pub power: PowerConfig,
     /// The log.
     pub log: LogConfig,
+    /// Tokens of the HTTP interface beside `http.token`, one `[[token]]` each.
+    #[serde(rename = "token")]
+    pub tokens: Vec<NamedToken>,
     /// The cameras, one `[[camera]]` each.
     #[serde(rename = "camera")]
     pub cameras: Vec<CameraConfig>,
@@ -65,6 +68,7 @@ impl Default for NodeConfig {
             frame: FrameLimits::default(),
             power: PowerConfig::default(),
             log: LogConfig::default(),
+            tokens: Vec::new(),
             cameras: vec![CameraConfig::named("front")],
         }
     }

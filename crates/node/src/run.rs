@@ -46,9 +46,10 @@ pub async fn run_prepared(
     let serving = CancellationToken::new();
     let router = http::router(view, serving.clone());
     let (http_config, stop) = (config.http.clone(), serving.clone());
+    let tokens = config.tokens.clone();
     // A task of its own: nothing the node waits for may keep a health check waiting.
     let http = tokio::spawn(async move {
-        albireo_service::http::run(&http_config, router, listener, stop).await
+        albireo_service::http::run_with_tokens(&http_config, &tokens, router, listener, stop).await
     });
     // Without its interface a node cannot be watched or stopped: it ends.
     let unserved = shutdown.clone();

@@ -3,14 +3,14 @@
 use super::{CameraConfig, NodeConfig};
 use crate::detector::ClassNames;
 use albireo_core::policy::Knob;
-use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
+use albireo_service::config::{Configuration, DAY_S, Finding, Findings, NamedToken};
 use std::collections::HashSet;
 use zenoh::key_expr::KeyExpr;
 
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
         "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "CLIP",
-        "FRAME", "POWER", "LOG",
+        "FRAME", "POWER", "LOG", "TOKEN",
     ];
 
     /// Whether files are there is not looked at: that is seen when they are opened.
@@ -21,7 +21,8 @@ impl Configuration for NodeConfig {
             .check("zenoh", self.frame.max_payload_bytes, &mut findings);
         self.uplink.check("uplink", &mut findings);
         self.check_outbox(&mut findings);
-        self.http.check(&mut findings);
+        self.http.check_beside(&self.tokens, &mut findings);
+        NamedToken::check(&self.tokens, &mut findings);
         self.check_models(&mut findings);
         self.check_figures(&mut findings);
         self.log.check(&mut findings);

@@ -45,7 +45,8 @@ pub async fn run(
     run_with_tokens(config, &[], router, listener, shutdown).await
 }
 
-/// As [`run`], with named tokens beside the one of the configuration.
+/// As [`run`], with named tokens beside the one of the configuration. What is written to a token file meanwhile is taken
+/// over within a second or two.
 ///
 /// # Errors
 /// As [`run`].
@@ -57,6 +58,7 @@ pub async fn run_with_tokens(
     shutdown: CancellationToken,
 ) -> Result<(), HttpError> {
     let allowed = Guard::new(config, tokens, &listener)?;
+    let following = tokio::spawn(allowed.clone().follow_files(shutdown.clone()));
     let router = layered(config, router, allowed);
     let idle = Duration::from_millis(config.idle_timeout_ms);
     let connections = Connections::new(Limits {
@@ -89,6 +91,7 @@ pub async fn run_with_tokens(
         }
     }
     drop(listener);
+    following.abort();
     let ending = async { while serving.join_next().await.is_some() {} };
     if tokio::time::timeout(GRACE, ending).await.is_err() {
         tracing::warn!("HTTP connections still open after {GRACE:?} were cut off");
