@@ -23,7 +23,7 @@ aarch64-unknown-linux-gnu) architecture=arm64 machine=aarch64 ;;
     exit 1
     ;;
 esac
-strip=strip
+strip="strip"
 run=()
 if [ "$target" != "$host" ]; then
     # Debian's cross toolchain: gcc-aarch64-linux-gnu g++-aarch64-linux-gnu; qemu-user runs what it makes.
