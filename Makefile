@@ -77,7 +77,7 @@ $(PYTHON_ENVIRONMENT): tests/requirements.txt
 
 debian: ## Debian packages the tests use, installed when missing and when allowed
 	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql \
-		strace:strace systemd-analyze:systemd caddy:caddy docker-compose:docker-compose
+		strace:strace systemd-analyze:systemd caddy:caddy docker-compose:docker-compose shellcheck:shellcheck
 
 clean: ## remove what was built and fetched
 	cargo clean

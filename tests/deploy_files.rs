@@ -99,12 +99,117 @@ fn every_script_can_be_read_by_its_shell_and_ends_at_the_first_error() {
 }
 
 #[test]
+#[ignore = "needs shellcheck"]
+fn shellcheck_finds_nothing_in_the_scripts() {
+    for script in scripts() {
+        let ended = Command::new("shellcheck")
+            .arg("--severity=warning")
+            .arg(&script)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&ended.stdout);
+        assert!(ended.status.success(), "{said}");
+    }
+}
+
+#[test]
+#[ignore = "needs hadolint"]
+fn hadolint_finds_nothing_in_the_images() {
+    for image in ["Dockerfile", "Dockerfile.l4t"] {
+        let ended = Command::new("hadolint")
+            .arg(root().join("deploy/docker").join(image))
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&ended.stdout);
+        assert!(ended.status.success(), "{image}: {said}");
+    }
+}
+
+#[test]
 fn every_maintainer_script_leaves_room_for_debhelper() {
     for script in scripts() {
         if script.components().any(|part| part.as_os_str() == "debian") {
             let text = std::fs::read_to_string(&script).unwrap();
             assert!(text.contains("#DEBHELPER#"), "{}", script.display());
         }
+    }
+}
+
+/// Runs a maintainer script of `package` with everything it touches under `root`, and users and owners made up.
+fn runs_in(package: &str, script: &str, argument: &str, folder: &Path) {
+    let here = folder.display();
+    let text = text(&format!("deploy/debian/{package}/{script}"))
+        .replace("/etc/", &format!("{here}/etc/"))
+        .replace("/var/lib/", &format!("{here}/var/lib/"))
+        .replace("#DEBHELPER#", "");
+    let file = folder.join(script);
+    std::fs::write(&file, text).unwrap();
+    let bin = folder.join("bin");
+    std::fs::create_dir_all(&bin).unwrap();
+    for command in ["getent", "groupadd", "useradd", "chown"] {
+        let stub = bin.join(command);
+        std::fs::write(&stub, "#!/bin/sh\nexit 0\n").unwrap();
+        let executable = Command::new("chmod").arg("755").arg(&stub).status();
+        assert!(executable.unwrap().success());
+    }
+    let path = format!("{}:{}", bin.display(), std::env::var("PATH").unwrap());
+    let ended = Command::new("sh")
+        .arg(&file)
+        .arg(argument)
+        .env("PATH", path)
+        .output()
+        .unwrap();
+    let said = String::from_utf8_lossy(&ended.stderr);
+    assert!(
+        ended.status.success(),
+        "{package} {script} {argument}: {said}"
+    );
+}
+
+#[test]
+fn an_installation_makes_a_token_and_a_name_an_upgrade_keeps_them_and_a_purge_takes_them_away() {
+    use std::os::unix::fs::PermissionsExt;
+    for package in ["node", "hub", "router"] {
+        let folder = tempfile::tempdir().unwrap();
+        for made in ["etc/albireo", "etc/default"] {
+            std::fs::create_dir_all(folder.path().join(made)).unwrap();
+        }
+        let token = folder.path().join(format!("etc/albireo/{package}-token"));
+        runs_in(package, "postinst", "configure", folder.path());
+        let first = std::fs::read_to_string(&token).unwrap();
+        assert_eq!(first.trim_end().len(), 48, "{first}");
+        assert!(
+            first
+                .trim_end()
+                .bytes()
+                .all(|byte| byte.is_ascii_hexdigit()),
+            "{first}"
+        );
+        let mode = std::fs::metadata(&token).unwrap().permissions().mode() & 0o777;
+        assert_eq!(mode, 0o640, "{package}");
+        let name = folder.path().join("etc/default/albireo-node");
+        if package == "node" {
+            let text = std::fs::read_to_string(&name).unwrap();
+            let value = text.trim_end().strip_prefix("ALBIREO_NODE__NAME=").unwrap();
+            assert!(
+                albireo_wire::check_segment("node name", value).is_ok(),
+                "{value}"
+            );
+            std::fs::write(&name, "ALBIREO_NODE__NAME=mine\n").unwrap();
+        }
+        runs_in(package, "postinst", "configure", folder.path());
+        assert_eq!(
+            std::fs::read_to_string(&token).unwrap(),
+            first,
+            "an upgrade keeps it"
+        );
+        if package == "node" {
+            assert!(std::fs::read_to_string(&name).unwrap().contains("mine"));
+        }
+        runs_in(package, "postrm", "remove", folder.path());
+        assert!(token.exists(), "{package}: a removal keeps it");
+        runs_in(package, "postrm", "purge", folder.path());
+        assert!(!token.exists() && !name.exists(), "{package}");
     }
 }
 
@@ -191,6 +296,20 @@ async fn the_configurations_that_packages_and_the_compose_file_bring_can_be_used
         .await;
         says(&["router", "--check", "--config", "deploy/zenoh/router.json5"]).await;
         says(&["router", "--check", "--config", "config/zenoh-router.json5"]).await;
+    }
+}
+
+#[test]
+fn zenoh_takes_every_configuration_of_it_that_is_shipped() {
+    for file in [
+        "config/zenoh-router.json5",
+        "deploy/docker/router.json5",
+        "deploy/zenoh/hub.json5",
+        "deploy/zenoh/node-peer.json5",
+        "deploy/zenoh/router.json5",
+    ] {
+        let taken = zenoh::Config::from_file(root().join(file));
+        assert!(taken.is_ok(), "{file}: {:?}", taken.err());
     }
 }
 

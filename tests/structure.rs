@@ -333,6 +333,8 @@ fn a_test_that_wants_more_than_the_clone_says_what_in_words_that_run_sh_knows() 
         "systemd",
         "Caddy",
         "Docker Compose",
+        "hadolint",
+        "shellcheck",
     ];
     let script = std::fs::read_to_string(root().join("tests/run.sh")).unwrap();
     for need in known {
