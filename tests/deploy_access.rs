@@ -88,7 +88,7 @@ impl Fleet {
         ] {
             text = text.replace(place, &here);
         }
-        assert!(!text.contains("/etc/"), "{text}");
+        assert!(!text.contains("\"/etc/"), "{text}");
         let file = self.folder.path().join(name);
         std::fs::write(&file, text).unwrap();
         file
