@@ -224,14 +224,9 @@ async fn open(endpoint: &str, tls: Option<serde_json::Value>) -> zenoh::Result<S
 async fn acknowledged(session: &Session, node: &str, number: u64, limit: Duration) -> bool {
     let until = Instant::now() + limit;
     loop {
-        let answer = send(
-            session,
-            node,
-            &format!("instance-{node}"),
-            number..=number,
-            now_ns(),
-        )
-        .await;
+        // An instance is 32 hexadecimal digits.
+        let instance = node.trim_start_matches("car-").repeat(32);
+        let answer = send(session, node, &instance, number..=number, now_ns()).await;
         if answer.is_some_and(|answer| answer.is_ok()) {
             return true;
         }
