@@ -358,7 +358,7 @@ fn the_compose_file_is_one() {
 
 #[cfg(feature = "hub")]
 #[tokio::test]
-#[ignore = "needs Caddy"]
+#[ignore = "needs Caddy and curl"]
 async fn the_proxy_gives_tls_hands_on_the_token_and_lets_the_event_stream_through() {
     use crate::support::fleet::{HubProcess, settings, sqlite};
     let folder = tempfile::tempdir().unwrap();

@@ -235,6 +235,31 @@ async fn a_hub_whose_router_is_away_is_fed_all_the_same_and_says_what_it_waits_f
     ends_well(hub, &mut manager).await;
 }
 
+#[cfg(feature = "hub")]
+#[tokio::test]
+async fn a_router_tells_that_it_is_ready_and_feeds_its_watchdog() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("router.json5");
+    let listen = format!(
+        "{{ listen: {{ endpoints: [\"tcp/127.0.0.1:{}\"] }} }}",
+        free_port()
+    );
+    std::fs::write(&file, listen).unwrap();
+    let http = format!("127.0.0.1:{}", free_port());
+    let mut manager = Manager::new();
+    let arguments = [
+        "router",
+        "--http",
+        &http,
+        "--config",
+        file.to_str().unwrap(),
+    ];
+    let router = manager.start(&arguments, &[], Duration::from_millis(200));
+    manager.until("READY=1", 1).await;
+    manager.until("WATCHDOG=1", 5).await;
+    ends_well(router, &mut manager).await;
+}
+
 fn node(folder: &Path, model: &Path) -> PathBuf {
     let file = folder.join("node.toml");
     let settings = format!(
