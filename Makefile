@@ -9,7 +9,7 @@ PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
 PARITY_ENVIRONMENT := $(CACHE)/parity/.ready
 DEMO_SECONDS ?=
 
-.PHONY: help demo test web browser lint soak board onnxruntime python debian release bench bench-peers parity clean
+.PHONY: help demo test web browser lint soak board onnxruntime python debian release dist bench bench-peers parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -61,6 +61,9 @@ browser: onnxruntime web ## the pages in Debian's Chromium against the program, 
 release: web ## the optimised program in target/release/albireo
 	cargo build --locked --release
 
+dist: web ## what is given away, in target/dist: programs, packages, licences, checksums (TARGET=… for another machine)
+	bash deploy/dist.sh
+
 onnxruntime: $(ONNXRUNTIME) ## the ONNX Runtime library, from its Python wheel
 $(ONNXRUNTIME): deploy/fetch-onnxruntime.sh
 	bash deploy/fetch-onnxruntime.sh $(CACHE)/onnxruntime
@@ -75,7 +78,8 @@ $(PYTHON_ENVIRONMENT): tests/requirements.txt
 debian: ## Debian packages the tests use, installed when missing and when allowed
 	@bash tests/debian-packages.sh ffmpeg:ffmpeg promtool:prometheus curl:curl cmake:cmake nasm:nasm initdb:postgresql \
 		strace:strace gst-launch-1.0:gstreamer1.0-tools :gstreamer1.0-plugins-base :gstreamer1.0-plugins-good \
-		:gstreamer1.0-plugins-ugly :gir1.2-gst-rtsp-server-1.0 :python3-gi
+		:gstreamer1.0-plugins-ugly :gir1.2-gst-rtsp-server-1.0 :python3-gi \
+		systemd-analyze:systemd caddy:caddy docker-compose:docker-compose shellcheck:shellcheck
 
 clean: ## remove what was built and fetched
 	cargo clean

@@ -9,7 +9,8 @@ version=1.31.1
 target=${1:-.cache/onnxruntime}
 library=libonnxruntime.so.$version
 
-machine=$(uname -m)
+# Another machine's library is fetched by naming it: x86_64 or aarch64.
+machine=${ONNXRUNTIME_MACHINE:-$(uname -m)}
 case "$(uname -s)/$machine" in
 Linux/x86_64) sha256=5752bd508126ae7c49894d3b9d2e83f0c3d487319246d04c444b393308d7ad7f ;;
 Linux/aarch64) sha256=da05378364c44d4407e463982d2bf8d5e4cfea873283757e48beeb41df97b7f3 ;;

@@ -1,8 +1,13 @@
 //! The command line: one file a subcommand. Each has its arguments and a `run` that says how it ended.
 
+#[cfg(feature = "hub")]
+mod acl;
+#[cfg(feature = "hub")]
+mod cert;
 mod check;
 #[cfg(feature = "eval")]
 mod compare;
+mod completions;
 #[cfg(feature = "eval")]
 mod demo;
 mod detect;
@@ -16,11 +21,14 @@ pub mod frames;
 mod help;
 #[cfg(feature = "hub")]
 mod hub;
+mod man;
 mod node;
 mod power;
 mod publish;
 #[cfg(feature = "eval")]
 pub mod replay;
+#[cfg(feature = "hub")]
+mod router;
 #[cfg(feature = "simulate")]
 mod simulate;
 mod size;
@@ -90,6 +98,15 @@ enum Command {
     #[cfg(feature = "hub")]
     /// Fetch what a node or a hub tells of itself, as one archive for whoever looks for a fault.
     Diag(diag::Arguments),
+    #[cfg(feature = "hub")]
+    /// Run the router between the nodes of a fleet and its hubs.
+    Router(router::Arguments),
+    #[cfg(feature = "hub")]
+    /// Make, renew and revoke the certificates of a fleet.
+    Cert(cert::Arguments),
+    #[cfg(feature = "hub")]
+    /// Generate the router's access control from the certificates.
+    Acl(acl::Arguments),
     /// Check a configuration file and say everything that is wrong with it.
     Check(check::Arguments),
     /// Say what a detector is, and run it on pictures.
@@ -116,6 +133,10 @@ enum Command {
     #[cfg(feature = "eval")]
     /// Run a camera, a node and a hub in one process, with nothing to configure.
     Demo(demo::Arguments),
+    /// Write the manual pages of all subcommands into a folder.
+    Man(man::Arguments),
+    /// Print the completions of a shell.
+    Completions(completions::Arguments),
 }
 
 impl Arguments {
@@ -140,6 +161,12 @@ impl Arguments {
             Command::Fleet(arguments) => return fleet::run(*arguments),
             #[cfg(feature = "hub")]
             Command::Diag(arguments) => diag::run(&arguments),
+            #[cfg(feature = "hub")]
+            Command::Router(arguments) => router::run(arguments),
+            #[cfg(feature = "hub")]
+            Command::Cert(arguments) => cert::run(&arguments),
+            #[cfg(feature = "hub")]
+            Command::Acl(arguments) => acl::run(&arguments),
             Command::Check(arguments) => check::run(&arguments),
             Command::Detect(arguments) => detect::run(&arguments),
             Command::Power(arguments) => power::run(&arguments),
@@ -160,6 +187,8 @@ impl Arguments {
             Command::Simulate(arguments) => block_on(simulate::run(*arguments)),
             #[cfg(feature = "eval")]
             Command::Demo(arguments) => block_on(demo::run(arguments)),
+            Command::Man(arguments) => man::run(&arguments),
+            Command::Completions(arguments) => completions::run(&arguments),
         };
         match ended {
             Ok(()) => ExitCode::SUCCESS,

@@ -10,7 +10,7 @@ mod exposition;
 mod looking;
 mod metrics;
 mod past;
-mod served;
+pub(crate) mod served;
 mod threshold;
 
 /// A detections message as a node sends it.

@@ -8,6 +8,14 @@ mod compare;
 mod delivery;
 #[cfg(feature = "hub")]
 mod demo;
+#[cfg(feature = "hub")]
+mod deploy_access;
+mod deploy_files;
+mod deploy_systemd;
+#[cfg(feature = "hub")]
+mod deploy_upgrade;
+#[cfg(feature = "hub")]
+mod deploy_watching;
 mod detector_batches;
 mod detector_exports;
 mod detector_models;

@@ -9,6 +9,8 @@ cd "$(dirname "$0")/.."
 export ALBIREO_SHARED="${ALBIREO_SHARED:-$(cd .. && pwd)/shared}"
 export ORT_DYLIB_PATH="${ORT_DYLIB_PATH:-$(ls "$PWD"/.cache/onnxruntime/libonnxruntime.so* 2>/dev/null | head -n 1)}"
 export ALBIREO_PYTHON="${ALBIREO_PYTHON:-$PWD/.cache/python/bin/python}"
+# hadolint comes with that environment.
+export PATH="$PATH:$(dirname "$ALBIREO_PYTHON")"
 
 missing=()
 need() { local what=$1; shift; "$@" > /dev/null 2>&1 || missing+=("$what"); }
@@ -22,6 +24,11 @@ need "promtool" command -v promtool
 need "curl" command -v curl
 need "strace" strace -o /dev/null true
 need "PostgreSQL" bash -c "command -v initdb || ls /usr/lib/postgresql/*/bin/initdb"
+need "systemd" bash -c "systemd-analyze security --help | grep -q offline"
+need "Caddy" command -v caddy
+need "shellcheck" command -v shellcheck
+need "hadolint" command -v hadolint
+need "Docker Compose" bash -c "docker compose version || command -v docker-compose"
 need "Node.js" test -x web/node_modules/.bin/vitest -a -e web/dist/node.html
 
 # With the feature turbojpeg where it can be built; its tests are named scaled_…

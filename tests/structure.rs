@@ -16,12 +16,13 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("synth", &["core"]),
     ("node", &["core", "service", "wire"]),
     ("hub", &["service", "wire"]),
+    ("router", &["service", "wire"]),
     ("simulate", &["wire"]),
     ("eval", &["core", "node", "synth", "wire"]),
     (
         "the program",
         &[
-            "core", "eval", "hub", "node", "service", "simulate", "synth", "wire",
+            "core", "eval", "hub", "node", "router", "service", "simulate", "synth", "wire",
         ],
     ),
     ("bench-scene", &["core"]),
@@ -338,6 +339,11 @@ fn a_test_that_wants_more_than_the_clone_says_what_in_words_that_run_sh_knows() 
         "PostgreSQL",
         "strace",
         "Node.js",
+        "systemd",
+        "Caddy",
+        "Docker Compose",
+        "hadolint",
+        "shellcheck",
     ];
     let script = std::fs::read_to_string(root().join("tests/run.sh")).unwrap();
     for need in known {

@@ -88,6 +88,53 @@ async fn the_token_file_gives_the_token() {
     problem(node.get("/metrics").await, 401).await;
 }
 
+#[tokio::test]
+async fn a_token_is_exchanged_by_its_file_without_a_restart_and_a_bad_one_leaves_the_good() {
+    let directory = tempfile::tempdir().unwrap();
+    let file = directory.path().join("token");
+    std::fs::write(&file, "the-first-token-of-all\n").unwrap();
+    let config = HttpConfig {
+        token_file: Some(file.clone()),
+        ..HttpConfig::default()
+    };
+    let node = Served::with(config, Some(KNOB)).await;
+    let status = async |token: &str| {
+        let request = node.request(Method::GET, "/metrics").bearer_auth(token);
+        request.send().await.unwrap().status()
+    };
+    let until = async |token: &str, wanted: StatusCode| {
+        let until = tokio::time::Instant::now() + crate::support::PATIENCE;
+        while status(token).await != wanted {
+            assert!(
+                tokio::time::Instant::now() < until,
+                "{token}: never {wanted}"
+            );
+            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+        }
+    };
+    assert_eq!(status("the-first-token-of-all").await, StatusCode::OK);
+    std::fs::write(&file, "the-second-token-of-all\n").unwrap();
+    until("the-second-token-of-all", StatusCode::OK).await;
+    assert_eq!(
+        status("the-first-token-of-all").await,
+        StatusCode::UNAUTHORIZED
+    );
+    // Fewer than 16 characters: refused, whether at the start or later.
+    std::fs::write(&file, "short\n").unwrap();
+    std::fs::write(directory.path().join("other"), "short\n").unwrap();
+    let config = HttpConfig {
+        token_file: Some(directory.path().join("other")),
+        ..HttpConfig::default()
+    };
+    let error = refused("127.0.0.1:0", config).await.unwrap();
+    assert!(error.to_string().contains("fewer than 16"), "{error}");
+    tokio::time::sleep(std::time::Duration::from_millis(2500)).await;
+    assert_eq!(status("the-second-token-of-all").await, StatusCode::OK);
+    assert_eq!(status("short").await, StatusCode::UNAUTHORIZED);
+    std::fs::write(&file, "the-third-token-of-all\n").unwrap();
+    until("the-third-token-of-all", StatusCode::OK).await;
+}
+
 async fn refused(address: &str, config: HttpConfig) -> Option<HttpError> {
     let listener = TcpListener::bind(address).await.unwrap();
     let (board, _detector) = board(Some(KNOB), None);

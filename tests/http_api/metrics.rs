@@ -43,6 +43,7 @@ async fn filled() -> Served {
             ..MeterCost::default()
         },
         failed_reads: 3,
+        hottest: Some(("gpu-thermal".to_owned(), 61.5)),
     });
     node
 }

@@ -10,9 +10,11 @@ use crate::readiness::Readiness;
 use crate::store::{EnergyBy, EnergyQuery, Resolution, Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::clock::unix_milliseconds;
+use albireo_service::notify::{self, Look};
 use albireo_service::supervise::TaskFailed;
 use albireo_service::{logging, session};
 use axum::http::Method;
+use parking_lot::Mutex;
 use std::collections::HashMap;
 use std::future::Future;
 use std::sync::Arc;
@@ -35,6 +37,12 @@ const SESSION: session::Settings<'static> = &[
         r#"{"period_init_ms":250,"period_max_ms":2000,"period_increase_factor":2}"#,
     ),
 ];
+
+/// What [`SESSION`] says, for the metrics.
+pub(crate) const MAX_SESSIONS: u64 = 12_000;
+
+/// Batches that wait while none is answered and no transaction is tried: after this time the writer counts as stuck.
+const STUCK_AFTER: Duration = Duration::from_secs(120);
 
 /// How long stopping may take.
 const STOP_LIMIT: Duration = Duration::from_millis(4500);
@@ -70,6 +78,7 @@ pub async fn run(
         listener,
         serving.clone(),
     );
+    let telling = tokio::spawn(notify::run(looks(view.clone()), shutdown.clone()));
     tracing::info!(
         http = format!("http://{address}"),
         prefix = config.hub.prefix,
@@ -89,7 +98,32 @@ pub async fn run(
         },
         hub
     );
+    // It has told that the hub stops; after an error nobody did.
+    telling.abort();
     hub.and(http)
+}
+
+/// How the hub is, for the service manager: a router or a database that is away is waited for, a writer that does
+/// nothing while batches wait is left to a new start.
+fn looks(view: HubView) -> impl Fn() -> Look {
+    let moved = Mutex::new((0, Instant::now()));
+    move || {
+        let reasons: Vec<_> = (view.readiness.reasons().iter())
+            .map(|(part, reason)| format!("{part}: {reason}"))
+            .collect();
+        let seen = view.ingest.snapshot();
+        let tried = seen.commits + seen.database_errors + seen.refused_unavailable + seen.batches;
+        let mut moved = moved.lock();
+        if seen.queued == 0 || tried != moved.0 {
+            *moved = (tried, Instant::now());
+        }
+        let stuck = moved.1.elapsed() >= STUCK_AFTER;
+        Look {
+            ready: reasons.is_empty(),
+            reasons: reasons.join("; "),
+            stuck: stuck.then(|| "batches wait and the writer does nothing".to_owned()),
+        }
+    }
 }
 
 /// Starts the parts in order, waits for the shutdown, and stops them in the opposite one.

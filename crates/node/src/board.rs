@@ -61,6 +61,8 @@ pub struct PowerSnapshot {
     pub cost: MeterCost,
     /// How often it could not be read.
     pub failed_reads: u64,
+    /// The machine's hottest sensor and its temperature, °C.
+    pub hottest: Option<(String, f64)>,
 }
 
 impl Default for PowerSnapshot {
@@ -73,6 +75,7 @@ impl Default for PowerSnapshot {
             covered_s: BTreeMap::new(),
             cost: MeterCost::default(),
             failed_reads: 0,
+            hottest: None,
         }
     }
 }
@@ -208,7 +211,7 @@ impl Board {
     /// Keeps a clip's report, counts it for its camera and tells it to subscribers.
     pub fn record_clip(&self, report: ClipReport) {
         if let Some(camera) = self.camera(&report.camera) {
-            camera.count_clip();
+            camera.count_clip(report.energy.joules);
         }
         (self.balances.lock()).add(&report, &self.cameras, unix_milliseconds());
         let report = Arc::new(report);

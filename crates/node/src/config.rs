@@ -12,7 +12,7 @@ use crate::power::PowerConfig;
 use crate::screen::ScreenConfig;
 use crate::source::{Handover, RtspTransport, SourceAddress, SourceSettings};
 use albireo_core::policy::PolicyConfig;
-use albireo_service::config::{HttpConfig, LogConfig, UplinkConfig, ZenohConfig};
+use albireo_service::config::{HttpConfig, LogConfig, NamedToken, UplinkConfig, ZenohConfig};
 use albireo_wire::{KeyError, NodeKeys};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -47,6 +47,9 @@ pub struct NodeConfig {
     pub power: PowerConfig,
     /// The log.
     pub log: LogConfig,
+    /// Tokens of the HTTP interface beside `http.token`, one `[[token]]` each.
+    #[serde(rename = "token")]
+    pub tokens: Vec<NamedToken>,
     /// The cameras, one `[[camera]]` each.
     #[serde(rename = "camera")]
     pub cameras: Vec<CameraConfig>,
@@ -67,6 +70,7 @@ impl Default for NodeConfig {
             frame: FrameLimits::default(),
             power: PowerConfig::default(),
             log: LogConfig::default(),
+            tokens: Vec::new(),
             cameras: vec![CameraConfig::named("front")],
         }
     }
@@ -113,6 +117,9 @@ pub struct NodeSection {
     pub stop_timeout_s: f64,
     /// A camera without a frame for so long makes the node degraded, seconds.
     pub camera_silence_s: f64,
+    /// Under a service manager: a detector, screen or camera loop that has been broken for so long ends the feeding of
+    /// the watchdog, seconds.
+    pub stuck_after_s: f64,
 }
 
 impl NodeSection {
@@ -124,6 +131,11 @@ impl NodeSection {
     /// [`camera_silence_s`](Self::camera_silence_s) as a time.
     pub fn camera_silence(&self) -> Duration {
         Duration::try_from_secs_f64(self.camera_silence_s).unwrap_or(Duration::MAX)
+    }
+
+    /// [`stuck_after_s`](Self::stuck_after_s) as a time.
+    pub fn stuck_after(&self) -> Duration {
+        Duration::try_from_secs_f64(self.stuck_after_s).unwrap_or(Duration::MAX)
     }
 }
 
@@ -137,6 +149,7 @@ impl Default for NodeSection {
             labels: BTreeMap::new(),
             stop_timeout_s: 5.0,
             camera_silence_s: 30.0,
+            stuck_after_s: 900.0,
         }
     }
 }

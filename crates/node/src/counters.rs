@@ -9,13 +9,16 @@ use albireo_wire::{CountersMessage, NodeKeys};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::time::MissedTickBehavior;
+use tokio::time::{Instant, MissedTickBehavior};
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::qos::CongestionControl;
 
 /// Time between two counter messages of a camera.
 const PERIOD: Duration = Duration::from_secs(1);
+
+/// The machine's condition is that of so long a time.
+const CONDITION: Duration = Duration::from_secs(3);
 
 /// Publishes the counters of a node's cameras.
 pub(crate) struct Counters {
@@ -76,6 +79,10 @@ impl Counters {
     fn update_power(&self) {
         let so_far = self.power.so_far();
         let now = self.power.now();
+        let moment = Instant::now();
+        let condition = moment
+            .checked_sub(CONDITION)
+            .and_then(|since| self.power.board(since, moment));
         self.board.set_power(PowerSnapshot {
             source: now.source,
             quality: now.quality,
@@ -90,6 +97,8 @@ impl Counters {
                 .collect(),
             cost: self.power.cost(),
             failed_reads: self.power.failed_reads(),
+            hottest: condition
+                .and_then(|condition| condition.hottest_sensor.zip(condition.hottest_celsius)),
         });
     }
 

@@ -15,7 +15,8 @@
 use crate::board::Board;
 use crate::detector::DetectorStatus;
 use crate::power::PowerHandle;
-use albireo_service::readiness::Fault;
+use albireo_service::notify::Look;
+use albireo_service::readiness::{Effect, Fault, Readiness};
 use albireo_wire::EnergyQuality;
 use std::sync::Arc;
 use std::time::Duration;
@@ -46,6 +47,28 @@ const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 pub const PARTS: [&str; 9] = [
     DETECTOR, SCREEN, CAMERAS, POWER, OUTBOX, ZENOH, UPLINK, DISK, TASKS,
 ];
+
+/// How the node is, for the service manager. What has been broken for `stuck_after` and is the node's own (not a
+/// router that is away) is left to a new start.
+pub(crate) fn look(readiness: &Readiness, stuck_after: Duration) -> Look {
+    let health = readiness.health();
+    let waits = (health.faults.iter())
+        .any(|fault| fault.part == ZENOH && fault.fault.effect == Effect::NotReady);
+    let stuck = health.faults.iter().find(|fault| {
+        !waits
+            && fault.fault.effect == Effect::NotReady
+            && [DETECTOR, TASKS].contains(&&*fault.part)
+            && fault.lasted >= stuck_after
+    });
+    let reasons: Vec<_> = (health.status().reasons.iter())
+        .map(|(part, reason)| format!("{part}: {reason}"))
+        .collect();
+    Look {
+        ready: health.is_ready(),
+        reasons: reasons.join("; "),
+        stuck: stuck.map(|fault| format!("{}: {}", fault.part, fault.fault.reason)),
+    }
+}
 
 /// What the status of the detector means for the node: without it there are only predictions.
 pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
@@ -91,4 +114,36 @@ pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
             && power.now().quality == EnergyQuality::Unavailable;
         silent.then(|| Fault::degraded(format!("{} gives no samples", power.source())))
     });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn only_what_is_the_nodes_own_and_lasts_is_stuck() {
+        let readiness = Readiness::default();
+        let limit = Duration::from_secs(60);
+        let detector = readiness.part(DETECTOR);
+        detector.not_ready("the session is being built");
+        assert!(!look(&readiness, limit).ready);
+        tokio::time::advance(Duration::from_secs(59)).await;
+        assert_eq!(look(&readiness, limit).stuck, None);
+        tokio::time::advance(Duration::from_secs(1)).await;
+        let stuck = look(&readiness, limit).stuck.unwrap();
+        assert!(stuck.starts_with("detector: "), "{stuck}");
+        // A node that waits for its router has not got as far as its detector.
+        readiness.part(ZENOH).not_ready("the router is away");
+        assert_eq!(look(&readiness, limit).stuck, None);
+        readiness.part(ZENOH).works();
+        detector.degraded("of no matter");
+        readiness.part(UPLINK).degraded("the hub is away");
+        let seen = look(&readiness, limit);
+        assert_eq!((seen.ready, seen.stuck), (true, None));
+        assert!(
+            seen.reasons.contains("uplink: the hub is away"),
+            "{}",
+            seen.reasons
+        );
+    }
 }

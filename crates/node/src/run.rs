@@ -3,8 +3,9 @@
 use crate::board::Board;
 use crate::config::NodeConfig;
 use crate::http::{self, NodeView};
-use crate::{Node, NodeError, PreparedNode};
+use crate::{Node, NodeError, PreparedNode, readiness};
 use albireo_service::config::without_secrets;
+use axum::http::Method;
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -52,9 +53,19 @@ pub async fn run_prepared(
     let serving = CancellationToken::new();
     let router = http::router(view, serving.clone());
     let (http_config, stop) = (config.http.clone(), serving.clone());
+    let tokens = config.tokens.clone();
     // A task of its own: nothing the node waits for may keep a health check waiting.
     let http = tokio::spawn(async move {
-        albireo_service::http::run(&http_config, router, listener, stop).await
+        let methods = [Method::GET, Method::PUT];
+        albireo_service::http::run_with_tokens(
+            &http_config,
+            &tokens,
+            &methods,
+            router,
+            listener,
+            stop,
+        )
+        .await
     });
     // Without its interface a node cannot be watched or stopped: it ends.
     let unserved = shutdown.clone();
@@ -69,6 +80,11 @@ pub async fn run_prepared(
             }),
         }
     };
+    let (told, stuck_after) = (Arc::clone(prepared.board()), config.node.stuck_after());
+    let telling = tokio::spawn(albireo_service::notify::run(
+        move || readiness::look(told.readiness(), stuck_after),
+        shutdown.clone(),
+    ));
     tracing::info!(
         http = format!("http://{address}"),
         node = config.node.name,
@@ -89,6 +105,8 @@ pub async fn run_prepared(
         ended
     };
     let (http, node) = tokio::join!(http, node);
+    // It has told that the node stops; after an error nobody did.
+    telling.abort();
     node.and(http)
 }
 

@@ -8,9 +8,9 @@ use crate::config::{LogConfig, LogFormat, check_level};
 use std::io::IsTerminal;
 use tail::Tail;
 use tracing_subscriber::filter::ParseError;
-use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::layer::{Identity, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
-use tracing_subscriber::{EnvFilter, Layer};
+use tracing_subscriber::{EnvFilter, Layer, Registry};
 
 /// What libraries say at a level where it concerns only who debugs them: ONNX Runtime lists every node of
 /// a model at INFO, Zenoh every session and link. A directive of the user's own for the same target wins.
@@ -44,6 +44,17 @@ pub enum LogError {
 /// # Errors
 /// When the level cannot be read, or a log was set up before.
 pub fn start(config: &LogConfig) -> Result<(), LogError> {
+    start_beside(config, Identity::new())
+}
+
+/// As [`start`], with a layer of the service's own that sees what it wants, whatever the level of the log.
+///
+/// # Errors
+/// As there.
+pub fn start_beside(
+    config: &LogConfig,
+    beside: impl Layer<Registry> + Send + Sync,
+) -> Result<(), LogError> {
     let asked = std::env::var("RUST_LOG")
         .ok()
         .filter(|asked| !asked.is_empty());
@@ -64,6 +75,7 @@ pub fn start(config: &LogConfig) -> Result<(), LogError> {
             .boxed(),
     };
     tracing_subscriber::registry()
+        .with(beside)
         .with(written)
         .with(Tail.with_filter(filter(tail_level(level))?))
         .try_init()

@@ -46,6 +46,45 @@ pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
         "Whether reports are taken and committed",
         &[("", ready)],
     );
+    for figure in albireo_service::process::figures() {
+        if figure.counter {
+            let name = format!("{}_total", figure.name);
+            family(&name, "counter", figure.help, &[("", figure.value)]);
+        } else {
+            family(figure.name, "gauge", figure.help, &[("", figure.value)]);
+        }
+    }
+    let tallies = view.fleet.tallies(|node| view.desires.of(node).generation);
+    let drifted = view.tuner().map_or(0, |tuner| tuner.drift().len());
+    for (name, help, value) in [
+        (
+            "albireo_hub_nodes_behind",
+            "Nodes that are heard and have not taken yet what is desired of them",
+            tallies.behind,
+        ),
+        (
+            "albireo_hub_nodes_drifted",
+            "Nodes whose value was changed at the node, away from what is desired",
+            drifted as u64,
+        ),
+        (
+            "albireo_hub_twin_names",
+            "Names that more than one node uses",
+            tallies.twins,
+        ),
+        (
+            "albireo_hub_outbox_waiting",
+            "Clip reports that wait in the nodes' outboxes, as far as they have told",
+            tallies.waiting,
+        ),
+        (
+            "albireo_hub_sessions_limit",
+            "Most Zenoh sessions of this hub, where it is its nodes' router",
+            crate::run::MAX_SESSIONS,
+        ),
+    ] {
+        family(name, "gauge", help, &[("", value as f64)]);
+    }
     let states: Vec<(String, f64)> = PresenceState::ALL
         .into_iter()
         .zip(view.fleet.by_state())
@@ -91,6 +130,16 @@ pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
         ),
         ("albireo_hub_commits_total", "Commits", one.commits),
         (
+            "albireo_hub_frames_total",
+            "Frames of the clips written",
+            one.frames,
+        ),
+        (
+            "albireo_hub_frames_skipped_total",
+            "Frames of the clips written that skipped the detector",
+            one.frames_skipped,
+        ),
+        (
             "albireo_hub_database_errors_total",
             "Transactions that failed",
             one.database_errors,
@@ -123,6 +172,12 @@ pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
     ] {
         family(name, "counter", help, &[("", value as f64)]);
     }
+    family(
+        "albireo_hub_energy_joules_total",
+        "counter",
+        "Energy of the clips written that have a figure, over the time that samples cover",
+        &[("", one.energy_uj as f64 / 1e6)],
+    );
     family(
         "albireo_hub_batches_refused_total",
         "counter",

@@ -48,6 +48,12 @@ pub(crate) struct Committed {
     pub(crate) conflicts: u64,
     /// Clips of a node whose clock is off.
     pub(crate) clock_off: u64,
+    /// Frames of the clips written.
+    pub(crate) frames: u64,
+    /// Those of them that skipped the detector.
+    pub(crate) skipped: u64,
+    /// Energy of the clips written that have a figure, microjoules.
+    pub(crate) energy_uj: u64,
     /// Whether there are new events.
     pub(crate) events: bool,
     /// Energy of the clips written, each with its node's place among the batches and the time it is filed under.
@@ -145,6 +151,14 @@ pub(crate) async fn write(
     writing.update_instances(&group.instances).await?;
     let clips = group.clips(writing, numbers).await?;
     committed.clips = writing.insert("clips", &clips).await?;
+    for clip in &clips {
+        let skipped = clip.frames_e + clip.frames_p - clip.degraded;
+        committed.frames += u64::try_from(clip.frames).unwrap_or(0);
+        committed.skipped += u64::try_from(skipped).unwrap_or(0);
+        committed.energy_uj += clip
+            .energy_uj
+            .map_or(0, |uj| u64::try_from(uj).unwrap_or(0));
+    }
     writing
         .add_sums("sums_5m", &sums(&clips, FIVE_MINUTES))
         .await?;

@@ -71,6 +71,12 @@ counters! {
     conflicts,
     /// Clips of a node whose clock is off.
     clock_off,
+    /// Frames of the clips written.
+    frames,
+    /// Those of them that skipped the detector.
+    frames_skipped,
+    /// Energy of the clips written that have a figure, microjoules.
+    energy_uj,
     /// Batches refused because too many wait.
     refused_busy,
     /// Batches refused because the database could not be written.

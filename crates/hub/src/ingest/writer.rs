@@ -248,6 +248,9 @@ impl IngestWriter {
         counters.missing(committed.missing);
         counters.conflicts(committed.conflicts);
         counters.clock_off(committed.clock_off);
+        counters.frames(committed.frames);
+        counters.frames_skipped(committed.skipped);
+        counters.energy_uj(committed.energy_uj);
         if committed.events {
             setup.events.tell();
         }

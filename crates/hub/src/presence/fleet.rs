@@ -111,6 +111,17 @@ impl Order {
     }
 }
 
+/// What all nodes are counted by, beside their states.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FleetTallies {
+    /// Names that more than one node uses.
+    pub twins: u64,
+    /// Nodes that are heard and have not taken yet what is desired of them.
+    pub behind: u64,
+    /// Reports that wait in their outboxes, as far as they have told.
+    pub waiting: u64,
+}
+
 /// All nodes.
 #[derive(Debug)]
 pub struct Fleet {
@@ -369,6 +380,19 @@ impl Fleet {
             }
         }
         counts
+    }
+
+    /// Counts the nodes; `desired` is the generation desired of one.
+    pub fn tallies(&self, desired: impl Fn(&str) -> u64) -> FleetTallies {
+        let (now, mut tallies) = (Instant::now(), FleetTallies::default());
+        for (name, entry) in self.nodes.read().iter() {
+            let heard = matches!(entry.state, PresenceState::Online | PresenceState::Degraded);
+            let two = (entry.identity.as_ref()).is_some_and(|(_, until)| *until > now);
+            tallies.twins += u64::from(two);
+            tallies.behind += u64::from(heard && entry.generation < desired(name));
+            tallies.waiting += entry.waiting;
+        }
+        tallies
     }
 
     /// Status messages taken since the start.

@@ -8,12 +8,13 @@ use crate::frame::EncodedPicture;
 use crate::outbox::Outbox;
 use crate::screen::ScreenCounts;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{FrameState, Knob, KnobError, published_threshold, short};
+use albireo_core::policy::{BoxSource, FrameState, Knob, KnobError, published_threshold, short};
 use albireo_wire::{
-    DetectionsMessage, DetectorCalls, DroppedFrames, FrameStates, KnobSource, KnobValue,
+    BoxMessage, DetectionsMessage, DetectorCalls, DroppedFrames, FrameStates, KnobSource, KnobValue,
 };
 use parking_lot::Mutex;
 use prometheus_client::metrics::histogram::Histogram;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
@@ -69,6 +70,10 @@ pub struct CameraSnapshot {
     pub screen: ScreenCounts,
     /// Clips ended.
     pub clips: u64,
+    /// Energy of these clips, joules, over the time that samples cover.
+    pub clip_joules: f64,
+    /// Boxes reported, by class and how each is known.
+    pub boxes: BTreeMap<(Arc<str>, &'static str), u64>,
     /// What was published for the newest frame.
     pub latest: Option<Arc<DetectionsMessage>>,
     /// Time since the newest frame was processed.
@@ -92,9 +97,34 @@ struct Counts {
     dropped: DroppedFrames,
     screen: ScreenCounts,
     clips: u64,
+    clip_joules: f64,
+    boxes: BTreeMap<(Arc<str>, &'static str), u64>,
     latest: Option<Arc<DetectionsMessage>>,
     last_frame: Option<Instant>,
     watch: SkipWatch,
+}
+
+impl Counts {
+    fn count_boxes(&mut self, boxes: &[BoxMessage]) {
+        for one in boxes {
+            let source = source_name(one.source);
+            // A class is seen thousands of times: its name is copied the first time only.
+            let known = (self.boxes.iter_mut())
+                .find(|((class, known), _)| **class == *one.class && *known == source);
+            match known {
+                Some((_, count)) => *count += 1,
+                None => drop(self.boxes.insert((one.class.as_str().into(), source), 1)),
+            }
+        }
+    }
+}
+
+const fn source_name(source: BoxSource) -> &'static str {
+    match source {
+        BoxSource::Detected => "detected",
+        BoxSource::Predicted => "predicted",
+        BoxSource::Rescued => "rescued",
+    }
 }
 
 /// One camera's part of the live board. The counters are behind one lock, so that any snapshot adds up.
@@ -210,6 +240,7 @@ impl CameraBoard {
         let mut counts = self.counts.lock();
         counts.states.count(detections.state);
         counts.degraded_frames += u64::from(detections.degraded);
+        counts.count_boxes(&detections.boxes);
         if let Some(cause) = detections.cause {
             counts.calls.count(cause);
         }
@@ -270,8 +301,11 @@ impl CameraBoard {
         self.counts.lock().dropped += more;
     }
 
-    pub(super) fn count_clip(&self) {
-        self.counts.lock().clips += 1;
+    /// Counts a clip that ended, and its energy where it has a figure.
+    pub(super) fn count_clip(&self, joules: Option<f64>) {
+        let mut counts = self.counts.lock();
+        counts.clips += 1;
+        counts.clip_joules += joules.filter(|joules| *joules > 0.0).unwrap_or_default();
     }
 
     /// Where the camera stands.
@@ -284,6 +318,8 @@ impl CameraBoard {
             dropped: counts.dropped,
             screen: counts.screen,
             clips: counts.clips,
+            clip_joules: counts.clip_joules,
+            boxes: counts.boxes.clone(),
             latest: counts.latest.clone(),
             last_frame_age: counts.last_frame.map(|instant| instant.elapsed()),
             advice: self.advice(&counts),

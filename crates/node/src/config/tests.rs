@@ -1,6 +1,6 @@
 use super::*;
 use albireo_core::policy::{AlbireoSettings, ExpectedLossSettings};
-use albireo_service::config::ConfigError;
+use albireo_service::config::{ConfigError, Role};
 use std::path::Path;
 
 fn shipped() -> PathBuf {
@@ -78,8 +78,10 @@ fn every_key_is_in_the_shipped_file_with_a_comment() {
     let mut shown = Vec::new();
     let mut commented = false;
     for line in text.lines() {
-        if line.starts_with('[') {
-            section = line.trim_matches(['[', ']']).to_owned();
+        // There is no token by default: its section is a comment too.
+        let bare = line.strip_prefix("# ").unwrap_or(line);
+        if bare.starts_with('[') {
+            section = bare.trim_matches(['[', ']']).to_owned();
             commented = false;
         } else if let Some(key) = key_of(line) {
             assert!(commented, "no comment above: {line}");
@@ -90,8 +92,17 @@ fn every_key_is_in_the_shipped_file_with_a_comment() {
         }
     }
     let mut wanted = Vec::new();
-    let defaults = serde_json::to_value(NodeConfig::default()).unwrap();
-    keys(&defaults, "", &mut wanted);
+    let token = NamedToken {
+        name: "a".to_owned(),
+        role: Role::Read,
+        token: None,
+        token_file: None,
+    };
+    let shown_once = NodeConfig {
+        tokens: vec![token],
+        ..NodeConfig::default()
+    };
+    keys(&serde_json::to_value(shown_once).unwrap(), "", &mut wanted);
     // The settings of a policy are there only where they differ from its profile's.
     let settings = serde_json::to_value(AlbireoSettings::paper()).unwrap();
     keys(&settings, "policy.albireo", &mut wanted);
@@ -114,11 +125,13 @@ fn the_keys_shown_as_comments_can_be_used_as_they_stand() {
         .filter(|line| key_of(line) != Some("key"))
         .map(|line| match key_of(line) {
             Some(_) => format!("{}\n", line.trim_start_matches("# ")),
+            None if line == "# [[token]]" => "[[token]]\n".to_owned(),
             None => format!("{line}\n"),
         })
         .collect();
     let config = load(&text).unwrap();
     assert_eq!(config.http.token.unwrap().secret(), "a-long-random-secret");
+    assert_eq!(config.tokens[0].name, "prometheus");
     assert_eq!(
         config.cameras[0].source.as_ref().unwrap().to_string(),
         "rtsp://192.168.0.20/stream"

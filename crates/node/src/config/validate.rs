@@ -5,14 +5,14 @@ use crate::detector::ClassNames;
 use crate::frame::Delivery;
 use crate::source::SourceKind;
 use albireo_core::policy::Knob;
-use albireo_service::config::{Configuration, DAY_S, Finding, Findings};
+use albireo_service::config::{Configuration, DAY_S, Finding, Findings, NamedToken};
 use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
 
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
         "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "CLIP",
-        "FRAME", "POWER", "LOG",
+        "FRAME", "POWER", "LOG", "TOKEN",
     ];
 
     /// Whether files are there is not looked at: that is seen when they are opened.
@@ -23,7 +23,8 @@ impl Configuration for NodeConfig {
             .check("zenoh", self.frame.max_payload_bytes, &mut findings);
         self.uplink.check("uplink", &mut findings);
         self.check_outbox(&mut findings);
-        self.http.check(&mut findings);
+        self.http.check_beside(&self.tokens, &mut findings);
+        NamedToken::check(&self.tokens, &mut findings);
         self.check_models(&mut findings);
         self.check_figures(&mut findings);
         self.log.check(&mut findings);
@@ -43,6 +44,7 @@ impl NodeConfig {
         findings.path("node.state_dir", self.node.state_dir.as_deref());
         findings.above_zero("node.stop_timeout_s", self.node.stop_timeout_s, 3600.0);
         findings.above_zero("node.camera_silence_s", self.node.camera_silence_s, DAY_S);
+        findings.above_zero("node.stuck_after_s", self.node.stuck_after_s, DAY_S);
     }
 
     fn check_outbox(&self, findings: &mut Findings) {

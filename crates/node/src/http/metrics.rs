@@ -1,5 +1,6 @@
 //! Metrics for Prometheus, in OpenMetrics text or in the older text format (0.0.4), as the reader asks.
 
+mod cameras;
 mod detector;
 mod family;
 mod plain;
@@ -36,14 +37,40 @@ pub(super) struct Metrics(Registry);
 impl Metrics {
     /// Metrics of that board, and of the pictures that were shown.
     pub(crate) fn new(board: Arc<Board>, pictures: &Pictures) -> Self {
-        let mut registry = Registry::with_prefix("albireo");
-        registry.register(
+        let mut registry = Registry::default();
+        registry.register_collector(Box::new(ProcessCollector));
+        let albireo = registry.sub_registry_with_prefix("albireo");
+        albireo.register(
             "shown_pictures_decoded",
             "Pictures decoded because somebody looked at them",
             pictures.decoded().clone(),
         );
-        registry.register_collector(Box::new(BoardCollector(board)));
+        albireo.register_collector(Box::new(BoardCollector(board)));
         Self(registry)
+    }
+}
+
+/// Reads what the process uses at each scrape. Its names have no prefix: they are every program's.
+#[derive(Debug)]
+struct ProcessCollector;
+
+impl Collector for ProcessCollector {
+    fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
+        for figure in albireo_service::process::figures() {
+            let kind = if figure.counter {
+                MetricType::Counter
+            } else {
+                MetricType::Gauge
+            };
+            family(&mut encoder, figure.name, figure.help, kind, |family| {
+                if figure.counter {
+                    family.counter(Vec::new(), figure.value)
+                } else {
+                    family.gauge(Vec::new(), figure.value)
+                }
+            })?;
+        }
+        Ok(())
     }
 }
 
@@ -73,6 +100,7 @@ impl Collector for BoardCollector {
         detector(&mut encoder, &self.0.detector_counters())?;
         tasks::screen(&mut encoder, &self.0)?;
         frames(&mut encoder, &cameras)?;
+        self::cameras::cameras(&mut encoder, &self.0, &cameras)?;
         threshold(&mut encoder, &cameras)?;
         latency(&mut encoder, &cameras)?;
         self.outbox(&mut encoder)?;
@@ -122,6 +150,20 @@ impl BoardCollector {
                 let ready = matches!(status, DetectorStatus::Ready { .. });
                 family.gauge(Vec::new(), i64::from(ready))
             },
+        )?;
+        let wanted = board
+            .detector_facts()
+            .requested
+            .first()
+            .map(|first| first.as_str());
+        let fell_back =
+            provider(&status).is_some_and(|runs| wanted.is_some_and(|wanted| wanted != runs));
+        family(
+            encoder,
+            "detector_fallback",
+            "Whether another execution provider runs the detector than the first that is configured",
+            MetricType::Gauge,
+            |family| family.gauge(Vec::new(), i64::from(fell_back)),
         )?;
         let help = "The detector's model and the execution provider that really runs it, always 1";
         family(
@@ -237,6 +279,13 @@ impl BoardCollector {
                     .try_for_each(|(domain, seconds)| family.counter(labels(domain), *seconds))
             },
         )?;
+        if let Some((sensor, celsius)) = &power.hottest {
+            let help = "The machine's hottest sensor";
+            let name = "temperature_celsius";
+            family(encoder, name, help, MetricType::Gauge, |family| {
+                family.gauge(vec![("sensor", sensor.as_str())], *celsius)
+            })?;
+        }
         let help = "Times the power source could not be read";
         family(
             encoder,

@@ -8,11 +8,15 @@ use axum::http::header::{AUTHORIZATION, HOST, WWW_AUTHENTICATE};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use parking_lot::RwLock;
+use std::collections::{BTreeMap, BTreeSet};
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
+use tokio_util::sync::CancellationToken;
 
 /// Open to all: whether the service lives and works, the page, which asks for the token itself, and the description
 /// of the interface with the page that reads it, which are the same wherever this version runs and tell nothing of this
@@ -71,9 +75,19 @@ impl Caller {
     pub(super) const ANONYMOUS: &str = "anonymous";
 }
 
+/// Time between two looks at the token files.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+
+/// A token, whose it is, and the file it comes from.
+struct Held {
+    caller: Caller,
+    token: Token,
+    file: Option<PathBuf>,
+}
+
 enum Rule {
     /// Requests must carry one of the tokens.
-    Tokens(Vec<(Caller, Token)>),
+    Tokens(RwLock<Vec<Held>>),
     /// Only programs of this machine reach the listener. A web page could still have its own name point
     /// to this machine (DNS rebinding) and so be let in by the browser; the `Host` it was called by
     /// tells.
@@ -96,7 +110,7 @@ impl Guard {
         let address = listener.local_addr().map_err(HttpError::Listener)?;
         let tokens = tokens(config, named)?;
         let rule = if !tokens.is_empty() {
-            Rule::Tokens(tokens)
+            Rule::Tokens(RwLock::new(tokens))
         } else if config.allow_unauthenticated {
             Rule::Anybody
         } else if address.ip().is_loopback() {
@@ -105,6 +119,52 @@ impl Guard {
             return Err(HttpError::Unprotected { address });
         };
         Ok(Self(Arc::new(rule)))
+    }
+
+    /// Takes over what is written to the token files, until `shutdown`: a token is exchanged without a restart. A file
+    /// that cannot be used leaves the token that was good.
+    pub(crate) async fn follow_files(self, shutdown: CancellationToken) {
+        let Rule::Tokens(tokens) = &*self.0 else {
+            return;
+        };
+        let files: BTreeSet<PathBuf> =
+            (tokens.read().iter().filter_map(|held| held.file.clone())).collect();
+        if files.is_empty() {
+            return;
+        }
+        let mut faults: BTreeMap<PathBuf, String> = BTreeMap::new();
+        loop {
+            tokio::select! {
+                () = shutdown.cancelled() => return,
+                () = tokio::time::sleep(LOOK_EVERY) => {}
+            }
+            for file in &files {
+                let place = file.clone();
+                let Ok(found) = tokio::task::spawn_blocking(move || read(&place)).await else {
+                    continue;
+                };
+                match found {
+                    Ok(token) => {
+                        faults.remove(file);
+                        let mut tokens = tokens.write();
+                        let others = tokens
+                            .iter_mut()
+                            .filter(|held| held.file.as_ref() == Some(file) && held.token != token);
+                        for held in others {
+                            crate::logging::conceal(token.secret());
+                            held.token = token.clone();
+                            tracing::info!(token = &*held.caller.name, "the token was exchanged");
+                        }
+                    }
+                    Err(error) => {
+                        let error = error.to_string();
+                        if faults.insert(file.clone(), error.clone()).as_ref() != Some(&error) {
+                            tracing::error!(error, "the token that was good stays in force");
+                        }
+                    }
+                }
+            }
+        }
     }
 
     /// Who may pass, or the answer to a request that may not.
@@ -128,11 +188,15 @@ impl Guard {
             )
             .into_response())),
             Rule::Tokens(tokens) => {
-                let holder = tokens.iter().find(|(_, token)| carries(headers, token));
+                let holder = tokens
+                    .read()
+                    .iter()
+                    .find(|held| carries(headers, &held.token))
+                    .map(|held| held.caller.clone());
                 let looks = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
                 match holder {
-                    Some((caller, _)) if looks || caller.role == Role::Tune => Ok(caller.clone()),
-                    Some((caller, _)) => {
+                    Some(caller) if looks || caller.role == Role::Tune => Ok(caller),
+                    Some(caller) => {
                         let detail = format!(
                             "the token `{}` may look and not change: this needs one with the role `tune`",
                             caller.name
@@ -156,7 +220,7 @@ fn unauthorized() -> Response {
     response
 }
 
-fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Token)>, TokenError> {
+fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<Held>, TokenError> {
     let own = (
         Arc::from("token"),
         Role::Tune,
@@ -180,7 +244,11 @@ fn tokens(config: &HttpConfig, named: &[NamedToken]) -> Result<Vec<(Caller, Toke
         if let Some(token) = &token {
             crate::logging::conceal(token.secret());
         }
-        tokens.extend(token.map(|token| (Caller { name, role }, token)));
+        tokens.extend(token.map(|token| Held {
+            caller: Caller { name, role },
+            token,
+            file: file.clone(),
+        }));
     }
     Ok(tokens)
 }

@@ -47,6 +47,7 @@ pub async fn run(
 }
 
 /// As [`run`], with named tokens beside the one of the configuration, and `methods` that pages of other origins may use.
+/// What is written to a token file meanwhile is taken over within a second or two.
 ///
 /// # Errors
 /// As [`run`].
@@ -59,6 +60,7 @@ pub async fn run_with_tokens(
     shutdown: CancellationToken,
 ) -> Result<(), HttpError> {
     let allowed = Guard::new(config, tokens, &listener)?;
+    let following = tokio::spawn(allowed.clone().follow_files(shutdown.clone()));
     let router = layered(config, methods, router, allowed);
     let idle = Duration::from_millis(config.idle_timeout_ms);
     let connections = Connections::new(Limits {
@@ -91,6 +93,7 @@ pub async fn run_with_tokens(
         }
     }
     drop(listener);
+    following.abort();
     let ending = async { while serving.join_next().await.is_some() {} };
     if tokio::time::timeout(GRACE, ending).await.is_err() {
         tracing::warn!("HTTP connections still open after {GRACE:?} were cut off");

@@ -16,6 +16,7 @@ pub(crate) struct Counters {
     pub(super) rebuilds: AtomicU64,
     pub(super) rebuilds_failed: AtomicU64,
     pub(super) abandoned: AtomicU64,
+    pub(super) waiting: AtomicU64,
 }
 
 /// What a task has counted since it started.
@@ -41,6 +42,8 @@ pub struct TaskCounters {
     pub rebuilds_failed: u64,
     /// Threads that still hang in a run that was given up: a number that goes down again.
     pub abandoned: u64,
+    /// Pictures that wait for their turn: a number that goes down again.
+    pub waiting: u64,
 }
 
 /// A task's counters for whoever shows them: does not keep the task running.
@@ -76,6 +79,7 @@ impl Counters {
             rebuilds: read(&self.rebuilds),
             rebuilds_failed: read(&self.rebuilds_failed),
             abandoned: read(&self.abandoned),
+            waiting: read(&self.waiting),
         }
     }
 }

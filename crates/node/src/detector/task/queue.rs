@@ -45,7 +45,6 @@ impl<I, A> Queue<I, A> {
     }
 
     /// How many pictures wait.
-    #[cfg(test)]
     pub(super) fn waiting(&self) -> usize {
         self.waiting.len()
     }

@@ -5,6 +5,7 @@ use super::queue::{Batching, Job, Queue};
 use crate::detector::{CameraSlot, DetectorStatus, ExecutionProvider, InferenceError};
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio::runtime::Handle;
 use tokio::sync::{Notify, oneshot, watch};
@@ -88,6 +89,12 @@ impl<I, T> TaskState<I, T> {
         self.lock().queue.waiting()
     }
 
+    /// Keeps the number that metrics show.
+    fn count_waiting(&self, state: &State<I, T>) {
+        let waiting = state.queue.waiting() as u64;
+        self.counters.waiting.store(waiting, Ordering::Relaxed);
+    }
+
     fn lock(&self) -> MutexGuard<'_, State<I, T>> {
         self.state.lock()
     }
@@ -111,6 +118,7 @@ impl<I, T> TaskState<I, T> {
             return Err(refusal);
         }
         state.queue.push(camera, job);
+        self.count_waiting(&state);
         drop(state);
         self.wake_worker();
         Ok(())
@@ -131,6 +139,7 @@ impl<I, T> TaskState<I, T> {
             }
             let gone = state.queue.forget_the_gone();
             Counters::add_many(&self.counters.cancelled, gone);
+            self.count_waiting(&state);
             let now = Instant::now();
             match state.queue.batch_complete_at() {
                 None => {
@@ -154,6 +163,7 @@ impl<I, T> TaskState<I, T> {
                         replies.push((job.reply, now.saturating_duration_since(job.asked)));
                         places.push(job.places);
                     }
+                    self.count_waiting(&state);
                     state.running = Some(Running {
                         started: now,
                         replies,
@@ -250,6 +260,7 @@ impl<I, T> TaskState<I, T> {
         let provider = state.provider;
         let running = state.running.take();
         let waiting = state.queue.take_all();
+        self.count_waiting(&state);
         drop(state);
         // Readiness tells first, so that whoever gets the error finds it there.
         if !stopped {
@@ -309,6 +320,7 @@ impl<I, T> TaskState<I, T> {
         let mut state = self.lock();
         state.phase = Phase::Stopped;
         let waiting = state.queue.take_all();
+        self.count_waiting(&state);
         drop(state);
         self.wake_worker();
         self.turn_away(waiting, &InferenceError::Stopped);

@@ -20,6 +20,16 @@ pub(super) fn detector(
         MetricType::Counter,
         |family| family.counter(Vec::new(), task.batches as f64),
     )?;
+    family(
+        encoder,
+        "detector_queue",
+        "Pictures that wait for the detector",
+        MetricType::Gauge,
+        |family| {
+            let waiting = i64::try_from(task.waiting).unwrap_or(i64::MAX);
+            family.gauge(Vec::new(), waiting)
+        },
+    )?;
     for (name, help, label, counts) in [
         (
             "detector_runs",

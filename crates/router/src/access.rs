@@ -1,0 +1,271 @@
+//! Access control for the router, generated from the certificates: Zenoh's rules know no templates, so each node gets
+//! rules of its own.
+//!
+//! What is not allowed is denied. A node may write its own status and counters, ask under its own name, hear pokes for
+//! itself and declare its own token; a hub may hear all nodes, answer them and poke them. A router hands on everything.
+//! What a session is sent is bounded by what it may declare and ask, so the rules for that direction go by role.
+
+use crate::authority::{AuthorityError, Entry, Role, subject};
+use albireo_wire::{FleetKeys, KeyError};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Why rules cannot be generated.
+#[derive(Debug, thiserror::Error)]
+pub enum AccessError {
+    /// A name or the prefix cannot be used.
+    #[error(transparent)]
+    Key(#[from] KeyError),
+    /// A certificate cannot be read.
+    #[error(transparent)]
+    Certificate(#[from] AuthorityError),
+    /// A certificate is not the one of the list.
+    #[error("{file} is a certificate of `{found}`, and `{expected}` belongs there")]
+    Other {
+        /// The certificate.
+        file: String,
+        /// Its common name.
+        found: String,
+        /// What the list says.
+        expected: String,
+    },
+    /// Nobody would be let in.
+    #[error("there is no certificate that is good: nobody would be let in")]
+    Nobody,
+}
+
+/// Zenoh's section `access_control` for the certificates in `folder` that are not revoked, with keys under `prefix`.
+///
+/// # Errors
+/// [`AccessError`] when a certificate is not what the list says, or there is none.
+pub fn access_control(
+    folder: &Path,
+    entries: &[Entry],
+    prefix: &str,
+) -> Result<Value, AccessError> {
+    let good: Vec<&Entry> = entries
+        .iter()
+        .filter(|entry| entry.revoked_s.is_none())
+        .collect();
+    for entry in &good {
+        let file = folder.join(entry.certificate());
+        let (found, _) = subject(&file)?;
+        let expected = entry.common_name();
+        if found != expected {
+            let file = file.display().to_string();
+            return Err(AccessError::Other {
+                file,
+                found,
+                expected,
+            });
+        }
+    }
+    rules(&good, prefix)
+}
+
+fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
+    let all = FleetKeys::all(prefix)?;
+    let counters = format!("{prefix}/*/*/counters");
+    let every = [
+        all.report(),
+        all.pull(),
+        all.status(),
+        all.poke(),
+        all.alive(),
+        format!("{prefix}/**"),
+    ];
+    let (mut rules, mut subjects, mut policies) = (Vec::new(), Vec::new(), Vec::new());
+    let mut rule = |id: &str, flow: &str, messages: &[&str], keys: &[String]| {
+        rules.push(json!({
+            "id": id, "permission": "allow", "flows": [flow], "messages": messages, "key_exprs": keys,
+        }));
+        id.to_owned()
+    };
+
+    let to_nodes = [
+        rule("to nodes", "egress", &["put"], &[all.poke()]),
+        rule(
+            "answers to nodes",
+            "egress",
+            &["reply"],
+            &[all.report(), all.pull()],
+        ),
+        // Of what is declared, nodes learn the hub's side: whether somebody takes what they send.
+        rule(
+            "declarations to nodes",
+            "egress",
+            &["declare_subscriber", "declare_queryable"],
+            &[all.report(), all.pull(), all.status(), counters.clone()],
+        ),
+    ];
+    let hubs = vec![
+        rule("hub pokes", "ingress", &["put"], &[all.poke()]),
+        rule(
+            "hub answers",
+            "ingress",
+            &["declare_queryable", "reply"],
+            &[all.report(), all.pull()],
+        ),
+        rule(
+            "hub hears",
+            "ingress",
+            &["declare_subscriber"],
+            &[all.status(), counters.clone()],
+        ),
+        rule(
+            "hub watches",
+            "ingress",
+            &["declare_liveliness_subscriber", "liveliness_query"],
+            &[all.alive()],
+        ),
+        rule(
+            "to hubs",
+            "egress",
+            &["put"],
+            &[all.status(), counters.clone()],
+        ),
+        rule(
+            "questions to hubs",
+            "egress",
+            &["query"],
+            &[all.report(), all.pull()],
+        ),
+        rule(
+            "declarations to hubs",
+            "egress",
+            &["declare_subscriber", "liveliness_token"],
+            &[all.poke(), all.alive()],
+        ),
+    ];
+    let everything = [
+        "put",
+        "delete",
+        "query",
+        "reply",
+        "declare_subscriber",
+        "declare_queryable",
+        "liveliness_token",
+        "liveliness_query",
+        "declare_liveliness_subscriber",
+    ];
+    let routers = vec![
+        rule("from routers", "ingress", &everything, &every),
+        rule("to routers", "egress", &everything, &every),
+    ];
+    for entry in good {
+        let (name, subject) = (&entry.name, entry.common_name());
+        let own = match entry.role {
+            Role::Hub => hubs.clone(),
+            Role::Router => routers.clone(),
+            Role::Node => {
+                let keys = FleetKeys::new(prefix, name)?;
+                let own_counters = format!("{prefix}/{name}/*/counters");
+                let mut own = vec![
+                    rule(
+                        &format!("{name} tells"),
+                        "ingress",
+                        &["put"],
+                        &[keys.status(), own_counters],
+                    ),
+                    rule(
+                        &format!("{name} asks"),
+                        "ingress",
+                        &["query"],
+                        &[keys.report(), keys.pull()],
+                    ),
+                    rule(
+                        &format!("{name} hears"),
+                        "ingress",
+                        &["declare_subscriber"],
+                        &[keys.poke()],
+                    ),
+                    rule(
+                        &format!("{name} lives"),
+                        "ingress",
+                        &["liveliness_token"],
+                        &[keys.alive()],
+                    ),
+                ];
+                own.extend(to_nodes.iter().cloned());
+                own
+            }
+        };
+        subjects.push(json!({ "id": subject, "cert_common_names": [subject] }));
+        policies.push(json!({ "rules": own, "subjects": [subject] }));
+    }
+    if subjects.is_empty() {
+        return Err(AccessError::Nobody);
+    }
+    // Zenoh warns of rules that no policy names.
+    let named = |id: &Value| {
+        (policies.iter()).any(|policy| {
+            policy["rules"]
+                .as_array()
+                .is_some_and(|rules| rules.contains(id))
+        })
+    };
+    rules.retain(|rule| named(&rule["id"]));
+    Ok(json!({
+        "enabled": true,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    }))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn entry(role: Role, name: &str, issue: u32, revoked_s: Option<i64>) -> Entry {
+        Entry {
+            role,
+            name: name.to_owned(),
+            issue,
+            hosts: Vec::new(),
+            ends_s: 0,
+            revoked_s,
+        }
+    }
+
+    #[test]
+    fn zenoh_takes_the_rules_and_each_node_has_its_own() {
+        let entries = [
+            entry(Role::Node, "car-7", 2, None),
+            entry(Role::Node, "car-8", 1, None),
+            entry(Role::Hub, "hub", 1, None),
+        ];
+        let access = rules(&entries.iter().collect::<Vec<_>>(), "fleet/north").unwrap();
+        let mut config = zenoh::Config::default();
+        config
+            .insert_json5("access_control", &access.to_string())
+            .unwrap();
+        assert_eq!(access["default_permission"], "deny");
+        let rule = |id: &str| {
+            let rules = access["rules"].as_array().unwrap();
+            rules.iter().find(|rule| rule["id"] == id).unwrap()["key_exprs"].clone()
+        };
+        assert_eq!(rule("car-7 asks")[0], "fleet/north/@report/car-7");
+        assert_eq!(rule("car-8 tells")[1], "fleet/north/car-8/*/counters");
+        let subjects = access["subjects"].as_array().unwrap();
+        assert_eq!(subjects[0]["cert_common_names"][0], "node/car-7/2");
+        let of = |subject: &str| {
+            let policies = access["policies"].as_array().unwrap();
+            let policy = policies.iter().find(|one| one["subjects"][0] == subject);
+            policy.unwrap()["rules"].to_string()
+        };
+        assert!(!of("node/car-7/2").contains("car-8"));
+        assert!(!of("node/car-7/2").contains("hub "));
+        let rules = access["rules"].to_string();
+        assert!(!rules.contains("routers"), "no router has a certificate");
+    }
+
+    #[test]
+    fn who_is_revoked_is_not_named_and_nobody_at_all_is_an_error() {
+        let folder = Path::new("/nowhere");
+        let revoked = [entry(Role::Node, "car-7", 1, Some(1))];
+        let refused = access_control(folder, &revoked, "albireo");
+        assert!(matches!(refused, Err(AccessError::Nobody)), "{refused:?}");
+    }
+}

@@ -1,0 +1,145 @@
+use super::*;
+use std::os::unix::fs::PermissionsExt;
+use std::process::Command;
+
+const YEAR: Duration = Duration::from_secs(365 * 86_400);
+
+fn authority(folder: &Path) -> Authority {
+    Authority::create(folder, "fleet north", YEAR * 10).unwrap()
+}
+
+fn issue(authority: &mut Authority, role: Role, name: &str) -> Result<Issued, AuthorityError> {
+    let request = Request::lasting(role, name, &[], YEAR).unwrap();
+    authority.issue(&request)
+}
+
+fn common_name_of(issued: &Issued) -> String {
+    subject(&issued.certificate).unwrap().0
+}
+
+#[test]
+fn a_certificate_carries_role_name_and_issue_and_its_key_is_the_owners_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    let issued = issue(&mut authority(folder.path()), Role::Node, "car-7").unwrap();
+    assert_eq!(common_name_of(&issued), "node/car-7/1");
+    for (file, mode) in [
+        (issued.key.as_path(), 0o600),
+        (issued.certificate.as_path(), 0o644),
+        (&folder.path().join(AUTHORITY_KEY), 0o600),
+        (&folder.path().join("list.json"), 0o600),
+    ] {
+        let has = std::fs::metadata(file).unwrap().permissions().mode() & 0o777;
+        assert_eq!(has, mode, "{}", file.display());
+    }
+}
+
+#[test]
+fn openssl_finds_the_chain_good_and_the_purposes_right() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut authority = authority(folder.path());
+    let hosts = ["router.example".to_owned(), "127.0.0.1".to_owned()];
+    let request = Request::lasting(Role::Router, "east", &hosts, YEAR).unwrap();
+    let router = authority.issue(&request).unwrap();
+    let node = issue(&mut authority, Role::Node, "car-7").unwrap();
+    let verifies = |purpose: &str, file: &Path| {
+        let ended = Command::new("openssl")
+            .args(["verify", "-purpose", purpose, "-CAfile"])
+            .arg(folder.path().join(AUTHORITY))
+            .arg(file)
+            .output()
+            .unwrap();
+        ended.status.success()
+    };
+    assert!(verifies("sslserver", &router.certificate));
+    assert!(verifies("sslclient", &router.certificate));
+    assert!(verifies("sslclient", &node.certificate));
+    assert!(
+        !verifies("sslserver", &node.certificate),
+        "a node is no router"
+    );
+    let shown = Command::new("openssl")
+        .args(["x509", "-noout", "-ext", "subjectAltName", "-in"])
+        .arg(&router.certificate)
+        .output()
+        .unwrap();
+    let shown = String::from_utf8(shown.stdout).unwrap();
+    for part in ["DNS:router.example", "IP Address:127.0.0.1"] {
+        assert!(shown.contains(part), "{shown}");
+    }
+}
+
+#[test]
+fn a_name_has_one_good_certificate_and_another_issue_after_it_was_revoked() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut authority = authority(folder.path());
+    issue(&mut authority, Role::Node, "car-7").unwrap();
+    let again = issue(&mut authority, Role::Node, "car-7");
+    assert!(matches!(again, Err(AuthorityError::Issued { .. })));
+    // Another role is another holder.
+    issue(&mut authority, Role::Hub, "car-7").unwrap();
+    assert_eq!(authority.revoke(Role::Node, "car-7").unwrap().issue, 1);
+    let twice = authority.revoke(Role::Node, "car-7");
+    assert!(matches!(twice, Err(AuthorityError::Unknown { .. })));
+    drop(authority);
+    let mut authority = Authority::open(folder.path()).unwrap();
+    let next = issue(&mut authority, Role::Node, "car-7").unwrap();
+    assert_eq!(common_name_of(&next), "node/car-7/2");
+    assert_eq!(authority.entries().len(), 3);
+}
+
+#[test]
+fn a_renewed_certificate_has_the_same_name_another_key_and_a_later_end() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut authority = authority(folder.path());
+    let first = issue(&mut authority, Role::Node, "car-7").unwrap();
+    let key = std::fs::read(&first.key).unwrap();
+    let second = authority.renew(Role::Node, "car-7", YEAR * 2).unwrap();
+    assert_eq!(common_name_of(&second), "node/car-7/1");
+    assert_ne!(std::fs::read(&second.key).unwrap(), key);
+    assert!(second.entry.ends_s > first.entry.ends_s);
+    assert_eq!(authority.entries().len(), 1);
+    let nobody = authority.renew(Role::Node, "car-8", YEAR);
+    assert!(matches!(nobody, Err(AuthorityError::Unknown { .. })));
+}
+
+#[test]
+fn a_second_authority_is_not_put_over_the_first() {
+    let folder = tempfile::tempdir().unwrap();
+    drop(authority(folder.path()));
+    let again = Authority::create(folder.path(), "other", YEAR);
+    assert!(matches!(again, Err(AuthorityError::Exists(_))));
+}
+
+#[test]
+fn names_that_mean_something_to_zenoh_and_times_that_cannot_be_are_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut authority = authority(folder.path());
+    for name in ["", "a/b", "*", "../x", "a b"] {
+        let refused = issue(&mut authority, Role::Node, name);
+        assert!(matches!(refused, Err(AuthorityError::Name(_))), "{name}");
+    }
+    let now = SystemTime::now();
+    let backwards = Request {
+        role: Role::Node,
+        name: "car-7",
+        hosts: &[],
+        begins: now,
+        ends: now - DAY,
+    };
+    let refused = authority.issue(&backwards);
+    assert!(matches!(refused, Err(AuthorityError::Time)));
+}
+
+#[test]
+fn a_list_that_cannot_be_read_is_an_error_and_left_alone() {
+    let folder = tempfile::tempdir().unwrap();
+    drop(authority(folder.path()));
+    let list = folder.path().join("list.json");
+    for text in ["{", r#"{"v": 9, "issued": []}"#] {
+        std::fs::write(&list, text).unwrap();
+        let refused = Authority::open(folder.path()).map(|_| ());
+        let refused = refused.unwrap_err().to_string();
+        assert!(refused.contains("list.json"), "{refused}");
+        assert_eq!(std::fs::read_to_string(&list).unwrap(), text);
+    }
+}

@@ -1,0 +1,162 @@
+//! Opens a session to the router from time to time, as a node would. A router can run and take nobody any more
+//! (zenoh#2735); only an attempt tells.
+
+use parking_lot::Mutex;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio_util::sync::CancellationToken;
+use zenoh::{Config, Wait};
+
+/// How long an attempt may take.
+const LIMIT: Duration = Duration::from_secs(20);
+
+/// Attempts in a row that must fail before the router counts as stuck: one may meet a storm of nodes that join.
+const STUCK_AFTER: u32 = 3;
+
+#[derive(Debug, Default)]
+struct Seen {
+    failures: u32,
+    failed: u64,
+    took: Option<Duration>,
+    error: String,
+}
+
+/// What the attempts have shown.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Probes(Arc<Mutex<Seen>>);
+
+impl Probes {
+    /// Attempts that failed since the start.
+    pub(crate) fn failed(&self) -> u64 {
+        self.0.lock().failed
+    }
+
+    /// How long the last attempt took; `None` when it failed, or before the first.
+    pub(crate) fn took(&self) -> Option<Duration> {
+        self.0.lock().took
+    }
+
+    /// Why the router takes no sessions any more, if that is so.
+    pub(crate) fn stuck(&self) -> Option<String> {
+        let seen = self.0.lock();
+        (seen.failures >= STUCK_AFTER).then(|| {
+            format!(
+                "no session could be opened {} times: {}",
+                seen.failures, seen.error
+            )
+        })
+    }
+
+    fn record(&self, outcome: Result<Duration, String>) {
+        let mut seen = self.0.lock();
+        match outcome {
+            Ok(took) => {
+                seen.failures = 0;
+                seen.took = Some(took);
+            }
+            Err(error) => {
+                tracing::warn!(%error, "the router takes no session");
+                seen.failures = seen.failures.saturating_add(1);
+                seen.failed += 1;
+                seen.took = None;
+                seen.error = error;
+            }
+        }
+    }
+
+    /// Opens a session to `router` every `period`, until `shutdown`.
+    pub(crate) async fn run(
+        self,
+        router: Config,
+        endpoint: String,
+        period: Duration,
+        shutdown: CancellationToken,
+    ) {
+        let client = match client(&router, &endpoint) {
+            Ok(client) => client,
+            Err(error) => {
+                tracing::warn!(error, "the router cannot be probed");
+                return;
+            }
+        };
+        let mut ticks = tokio::time::interval(period);
+        ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                () = shutdown.cancelled() => return,
+                _ = ticks.tick() => {}
+            }
+            let (client, begun) = (client.clone(), Instant::now());
+            let attempt = tokio::task::spawn_blocking(move || {
+                let session = zenoh::open(client).wait()?;
+                let took = begun.elapsed();
+                session.close().wait()?;
+                Ok::<_, zenoh::Error>(took)
+            });
+            let outcome = tokio::select! {
+                () = shutdown.cancelled() => return,
+                outcome = tokio::time::timeout(LIMIT, attempt) => outcome,
+            };
+            self.record(match outcome {
+                Ok(Ok(Ok(took))) => Ok(took),
+                Ok(Ok(Err(error))) => Err(albireo_service::session::plain(&error)),
+                Ok(Err(error)) => Err(error.to_string()),
+                Err(_) => Err(format!("none opened within {LIMIT:?}")),
+            });
+        }
+    }
+}
+
+/// A client of `router`, with the router's own certificate.
+fn client(router: &Config, endpoint: &str) -> Result<Config, String> {
+    let mut client = Config::default();
+    let mut insert = |key: &str, value: serde_json::Value| {
+        client
+            .insert_json5(key, &value.to_string())
+            .map_err(|error| format!("{key}: {error}"))
+    };
+    insert("mode", "client".into())?;
+    insert("connect/endpoints", serde_json::json!([endpoint]))?;
+    insert("connect/timeout_ms", 10_000.into())?;
+    insert("scouting/multicast/enabled", false.into())?;
+    insert("scouting/gossip/enabled", false.into())?;
+    let tls = |key: &str| -> Option<serde_json::Value> {
+        let text = router.get_json(&format!("transport/link/tls/{key}")).ok()?;
+        serde_json::from_str(&text)
+            .ok()
+            .filter(|value: &serde_json::Value| !value.is_null())
+    };
+    for (own, listens) in [
+        ("root_ca_certificate", "root_ca_certificate"),
+        ("connect_certificate", "listen_certificate"),
+        ("connect_private_key", "listen_private_key"),
+        ("enable_mtls", "enable_mtls"),
+    ] {
+        if let Some(value) = tls(listens) {
+            insert(&format!("transport/link/tls/{own}"), value)?;
+        }
+    }
+    // It is reached by an address that its certificate need not name.
+    insert("transport/link/tls/verify_name_on_connect", false.into())?;
+    Ok(client)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_failure_is_a_storm_and_three_in_a_row_are_stuck() {
+        let probes = Probes::default();
+        for _ in 0..2 {
+            probes.record(Err("none".to_owned()));
+        }
+        assert_eq!(probes.stuck(), None);
+        probes.record(Ok(Duration::from_millis(3)));
+        for _ in 0..3 {
+            probes.record(Err("none".to_owned()));
+        }
+        assert!(probes.stuck().unwrap().contains("3 times: none"));
+        assert_eq!((probes.failed(), probes.took()), (5, None));
+    }
+}

@@ -1,0 +1,55 @@
+//! `albireo acl`: the router's access control, generated from the certificates.
+
+use albireo_router::access::access_control;
+use albireo_router::authority::Authority;
+use anyhow::Context;
+use std::path::PathBuf;
+
+const EXAMPLES: &str = "\
+Zenoh's rules know no templates: each node gets its own, by the common name of its certificate. What they do not
+allow is denied. Generate them anew after each `albireo cert node` and `albireo cert revoke`, and restart the router:
+its sessions come back by themselves.
+
+Examples:
+  albireo acl --folder /etc/albireo/authority --output /etc/albireo/access.json
+  zenohd --config router.json5 --cfg \"access_control:$(albireo acl)\"";
+
+/// Arguments of `albireo acl`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// The authority's folder, as for `albireo cert`.
+    #[arg(
+        long,
+        env = "ALBIREO_AUTHORITY",
+        value_name = "FOLDER",
+        default_value = "authority"
+    )]
+    folder: PathBuf,
+    /// First part of all keys of the fleet: hub.prefix and node.prefix.
+    #[arg(long, value_name = "PREFIX", default_value = "albireo")]
+    prefix: String,
+    /// Where the rules go; standard output without it.
+    #[arg(long, short, value_name = "FILE")]
+    output: Option<PathBuf>,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let authority = Authority::open(&arguments.folder)?;
+    let access = access_control(&arguments.folder, authority.entries(), &arguments.prefix)?;
+    let text = serde_json::to_string_pretty(&access)? + "\n";
+    match &arguments.output {
+        None => print!("{text}"),
+        Some(file) => {
+            // Whole or not at all: the router may start at any moment.
+            let mut beside = file.clone().into_os_string();
+            beside.push(".new");
+            std::fs::write(&beside, text)
+                .and_then(|()| std::fs::rename(&beside, file))
+                .with_context(|| format!("{} cannot be written", file.display()))?;
+            let subjects = access["subjects"].as_array().map_or(0, Vec::len);
+            println!("{}: {subjects} certificates are let in", file.display());
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,221 @@
+//! `albireo cert`: the certificates of a fleet.
+
+use albireo_router::authority::{Authority, DAY, Issued, Request, Role};
+use anyhow::{Context, bail};
+use clap::{Subcommand, ValueEnum};
+use std::path::PathBuf;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+const EXAMPLES: &str = "\
+The folder has the authority's key: whoever reads it can let anybody in. Keep it on a machine of its own, and bring
+each member only authority.pem, its certificate and its key.
+
+Examples:
+  albireo cert authority --name 'fleet north'
+  albireo cert router router-1 --host hub.example --host 203.0.113.7
+  albireo cert hub hub-1
+  albireo cert node car-7 car-8 car-9
+  albireo cert list
+  albireo cert renew --within 30                  all that end within 30 days
+  albireo cert revoke node car-7 && albireo acl --output access.json";
+
+/// Arguments of `albireo cert`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// The authority's folder.
+    #[arg(
+        long,
+        global = true,
+        env = "ALBIREO_AUTHORITY",
+        value_name = "FOLDER",
+        default_value = "authority"
+    )]
+    folder: PathBuf,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Make the authority, once.
+    Authority {
+        /// Its name, as it stands in its certificate.
+        #[arg(long, default_value = "albireo fleet")]
+        name: String,
+        /// How long it is good, days.
+        #[arg(long, default_value_t = 3650, value_parser = clap::value_parser!(u32).range(1..=36_500))]
+        days: u32,
+    },
+    /// Make certificates of nodes: each may report under its own name.
+    Node(Members),
+    /// Make certificates of hubs: they hear and tune all nodes.
+    Hub(Members),
+    /// Make certificates of routers, for the names and addresses they are reached at.
+    Router(Members),
+    /// Make new certificates in the place of good ones. The old ones stay good until they end.
+    Renew {
+        /// Of which role; with the name.
+        #[arg(requires = "name", required_unless_present = "within")]
+        role: Option<Kind>,
+        /// Of whom.
+        name: Option<String>,
+        /// All that end within so many days.
+        #[arg(long, value_name = "DAYS", conflicts_with = "role")]
+        within: Option<u32>,
+        /// How long they are good, days.
+        #[arg(long, default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=36_500))]
+        days: u32,
+    },
+    /// Take a certificate out of the access control that is generated from now on.
+    Revoke {
+        /// Of which role.
+        role: Kind,
+        /// Of whom.
+        name: String,
+    },
+    /// List all certificates, and when they end.
+    List {
+        /// Print JSON.
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+/// Who gets certificates.
+#[derive(Debug, clap::Args)]
+struct Members {
+    /// Their names: a node's is the one in its configuration.
+    #[arg(required = true)]
+    names: Vec<String>,
+    /// Name or address it is reached at.
+    #[arg(long = "host", value_name = "HOST")]
+    hosts: Vec<String>,
+    /// How long they are good, days.
+    #[arg(long, default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=36_500))]
+    days: u32,
+}
+
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum Kind {
+    Node,
+    Hub,
+    Router,
+}
+
+impl From<Kind> for Role {
+    fn from(kind: Kind) -> Self {
+        match kind {
+            Kind::Node => Self::Node,
+            Kind::Hub => Self::Hub,
+            Kind::Router => Self::Router,
+        }
+    }
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let folder = &arguments.folder;
+    if let Command::Authority { name, days } = &arguments.command {
+        Authority::create(folder, name, DAY * *days)?;
+        println!("the authority `{name}` is in {}", folder.display());
+        return Ok(());
+    }
+    let mut authority = Authority::open(folder).with_context(|| {
+        format!(
+            "no authority in {}; `albireo cert authority` makes one",
+            folder.display()
+        )
+    })?;
+    match &arguments.command {
+        // Done above.
+        Command::Authority { .. } => {}
+        Command::Node(members) => issue(&mut authority, Role::Node, members)?,
+        Command::Hub(members) => issue(&mut authority, Role::Hub, members)?,
+        Command::Router(members) => {
+            if members.hosts.is_empty() {
+                bail!("--host is missing: nodes check that the router's certificate names it");
+            }
+            issue(&mut authority, Role::Router, members)?;
+        }
+        Command::Renew {
+            role,
+            name,
+            within,
+            days,
+        } => renew(&mut authority, *role, name.as_deref(), *within, *days)?,
+        Command::Revoke { role, name } => {
+            let revoked = authority.revoke((*role).into(), name)?;
+            println!(
+                "`{}` is revoked; generate the router's rules anew with `albireo acl`, and restart it",
+                revoked.common_name()
+            );
+        }
+        Command::List { json: true } => {
+            println!("{}", serde_json::to_string_pretty(authority.entries())?);
+        }
+        Command::List { json: false } => list(&authority),
+    }
+    Ok(())
+}
+
+fn issue(authority: &mut Authority, role: Role, members: &Members) -> anyhow::Result<()> {
+    for name in &members.names {
+        let request = Request::lasting(role, name, &members.hosts, DAY * members.days)?;
+        tell(&authority.issue(&request)?);
+    }
+    Ok(())
+}
+
+fn renew(
+    authority: &mut Authority,
+    role: Option<Kind>,
+    name: Option<&str>,
+    within: Option<u32>,
+    days: u32,
+) -> anyhow::Result<()> {
+    let who: Vec<(Role, String)> = match (role, name, within) {
+        (Some(role), Some(name), _) => vec![(role.into(), name.to_owned())],
+        (.., within) => {
+            let until = now() + i64::from(within.unwrap_or(0)) * 86_400;
+            (authority.entries().iter())
+                .filter(|entry| entry.revoked_s.is_none() && entry.ends_s <= until)
+                .map(|entry| (entry.role, entry.name.clone()))
+                .collect()
+        }
+    };
+    if who.is_empty() {
+        println!("none ends so soon");
+    }
+    for (role, name) in who {
+        tell(&authority.renew(role, &name, DAY * days)?);
+    }
+    Ok(())
+}
+
+fn tell(issued: &Issued) {
+    println!(
+        "{}: {} and {}",
+        issued.entry.common_name(),
+        issued.certificate.display(),
+        issued.key.display()
+    );
+}
+
+fn list(authority: &Authority) {
+    let now = now();
+    for entry in authority.entries() {
+        let state = match (entry.revoked_s, entry.ends_s - now) {
+            (Some(_), _) => "revoked".to_owned(),
+            (None, left) if left < 0 => "has ended".to_owned(),
+            (None, left) => format!("ends in {} days", left / 86_400),
+        };
+        println!("{:<40} {state}", entry.common_name());
+    }
+}
+
+fn now() -> i64 {
+    let since = SystemTime::now()
+        .duration_since(UNIX_EPOCH)
+        .unwrap_or(Duration::ZERO);
+    i64::try_from(since.as_secs()).unwrap_or(i64::MAX)
+}

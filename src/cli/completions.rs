@@ -1,0 +1,30 @@
+//! `albireo completions`: what a shell needs to complete the program's arguments.
+
+use anyhow::Context;
+use clap::CommandFactory;
+use clap_complete::Shell;
+use std::io::Write;
+
+const EXAMPLES: &str = "\
+Examples:
+  albireo completions bash > /usr/share/bash-completion/completions/albireo
+  albireo completions zsh > ~/.zfunc/_albireo
+  albireo completions fish > ~/.config/fish/completions/albireo.fish";
+
+/// Arguments of `albireo completions`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = EXAMPLES)]
+pub(super) struct Arguments {
+    /// The shell.
+    shell: Shell,
+}
+
+pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    let mut text = Vec::new();
+    let mut command = super::Arguments::fitted_command();
+    clap_complete::generate(arguments.shell, &mut command, "albireo", &mut text);
+    // The generator writes to standard output itself only by panicking on a closed pipe.
+    std::io::stdout()
+        .write_all(&text)
+        .context("the completions cannot be written")
+}

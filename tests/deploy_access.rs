@@ -1,0 +1,456 @@
+//! A fleet that keeps strangers out: a router and a hub as processes, certificates and rules made by the program, and
+//! everybody who should not get in.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::support::fleet::{HubProcess, Settings, now_ns, send, settings, sqlite};
+use crate::support::{PATIENCE, albireo, free_port};
+use albireo_router::authority::{Authority, DAY, Request, Role};
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant, SystemTime};
+use tokio::process::Child;
+use zenoh::{Config, Session};
+
+/// A folder with an authority, and a router that goes by its rules.
+struct Fleet {
+    folder: tempfile::TempDir,
+    endpoint: String,
+    http: String,
+    router: Option<Child>,
+}
+
+impl Fleet {
+    async fn new() -> Self {
+        let fleet = Self {
+            folder: tempfile::tempdir().unwrap(),
+            endpoint: format!("tls/localhost:{}", free_port()),
+            http: format!("127.0.0.1:{}", free_port()),
+            router: None,
+        };
+        fleet.does(&["cert", "authority"]).await;
+        fleet
+            .does(&["cert", "router", "east", "--host", "localhost"])
+            .await;
+        fleet.does(&["cert", "hub", "main"]).await;
+        fleet.does(&["cert", "node", "car-7", "car-8"]).await;
+        fleet.rules().await;
+        fleet
+    }
+
+    fn authority(&self) -> PathBuf {
+        self.folder.path().join("authority")
+    }
+
+    /// Runs a subcommand on the fleet's folder.
+    async fn does(&self, arguments: &[&str]) -> String {
+        let ended = albireo()
+            .args(arguments)
+            .env("ALBIREO_AUTHORITY", self.authority())
+            .output()
+            .await
+            .unwrap();
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.success(), "{arguments:?}: {said}");
+        String::from_utf8(ended.stdout).unwrap()
+    }
+
+    async fn rules(&self) {
+        let file = self.folder.path().join("access.json");
+        self.does(&["acl", "--output", file.to_str().unwrap()])
+            .await;
+    }
+
+    /// The configuration that is shipped, with this fleet's places.
+    fn shipped(&self, name: &str) -> PathBuf {
+        let from = Path::new(env!("CARGO_MANIFEST_DIR"))
+            .join("deploy/zenoh")
+            .join(name);
+        let authority = self.authority();
+        let mut text = std::fs::read_to_string(from).unwrap();
+        for (place, here) in [
+            ("tls/[::]:7447", self.endpoint.clone()),
+            ("tls/router.example:7447", self.endpoint.clone()),
+            (
+                "/etc/albireo/authority",
+                authority.join("authority").display().to_string(),
+            ),
+            (
+                "/etc/albireo/router.",
+                authority.join("router/east.").display().to_string(),
+            ),
+            (
+                "/etc/albireo/hub.",
+                authority.join("hub/main.").display().to_string(),
+            ),
+        ] {
+            text = text.replace(place, &here);
+        }
+        assert!(!text.contains("\"/etc/"), "{text}");
+        let file = self.folder.path().join(name);
+        std::fs::write(&file, text).unwrap();
+        file
+    }
+
+    async fn start_router(&mut self) {
+        let log = std::fs::OpenOptions::new()
+            .create(true)
+            .append(true)
+            .open(self.folder.path().join("router.log"))
+            .unwrap();
+        let router = albireo()
+            .args([
+                "router",
+                "--log-json",
+                "--probe-s",
+                "1",
+                "--http",
+                &self.http,
+                "--config",
+            ])
+            .arg(self.shipped("router.json5"))
+            .arg("--access")
+            .arg(self.folder.path().join("access.json"))
+            .stderr(log)
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap();
+        self.router = Some(router);
+        let until = Instant::now() + PATIENCE;
+        while !self.is_ready().await {
+            assert!(Instant::now() < until, "{}", self.log());
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    async fn stop_router(&mut self) {
+        let mut router = self.router.take().unwrap();
+        let id = router.id().unwrap().to_string();
+        let told = std::process::Command::new("kill")
+            .args(["-TERM", &id])
+            .status();
+        assert!(told.unwrap().success());
+        let ended = tokio::time::timeout(PATIENCE, router.wait()).await.unwrap();
+        assert!(ended.unwrap().success(), "{}", self.log());
+    }
+
+    async fn is_ready(&self) -> bool {
+        reqwest::get(format!("http://{}/readyz", self.http))
+            .await
+            .is_ok_and(|answer| answer.status().is_success())
+    }
+
+    fn log(&self) -> String {
+        std::fs::read_to_string(self.folder.path().join("router.log")).unwrap()
+    }
+
+    async fn metric(&self, series: &str) -> f64 {
+        let answer = reqwest::get(format!("http://{}/metrics", self.http)).await;
+        let text = answer.unwrap().text().await.unwrap();
+        let line = text
+            .lines()
+            .find_map(|line| line.strip_prefix(series)?.strip_prefix(' '));
+        line.unwrap_or_else(|| panic!("no {series} in {text}"))
+            .parse()
+            .unwrap()
+    }
+
+    async fn refused(&self, kind: &str) -> f64 {
+        self.metric(&format!("albireo_router_refused_total{{kind=\"{kind}\"}}"))
+            .await
+    }
+
+    /// Waits until more were refused than `before`, and the log has a line of it.
+    async fn until_refused(&self, kind: &str, before: f64, told: &str) {
+        let until = Instant::now() + PATIENCE;
+        let line = |log: &str| {
+            log.lines()
+                .any(|line| line.contains("turned away") && line.contains(told))
+        };
+        while self.refused(kind).await <= before || !line(&self.log()) {
+            assert!(Instant::now() < until, "{kind} {told:?}: {}", self.log());
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    }
+
+    fn hub_settings(&self) -> Settings {
+        let (_, mut settings) = settings(&sqlite(self.folder.path()));
+        settings.retain(|(name, _)| *name != "ALBIREO_ZENOH__LISTEN");
+        let file = self.shipped("hub.json5").display().to_string();
+        settings.push(("ALBIREO_ZENOH__CONFIG_FILE", file));
+        settings
+    }
+
+    /// Opens a session as `role/name`, with the certificates of `authority`.
+    async fn opens_with(&self, authority: &Path, member: Option<&str>) -> zenoh::Result<Session> {
+        let mut tls = serde_json::json!({
+            "root_ca_certificate": self.authority().join("authority.pem"),
+            "enable_mtls": member.is_some(),
+        });
+        if let Some(member) = member {
+            tls["connect_certificate"] = serde_json::json!(authority.join(format!("{member}.pem")));
+            tls["connect_private_key"] = serde_json::json!(authority.join(format!("{member}.key")));
+        }
+        open(&self.endpoint, Some(tls)).await
+    }
+
+    async fn opens(&self, member: &str) -> zenoh::Result<Session> {
+        self.opens_with(&self.authority(), Some(member)).await
+    }
+}
+
+async fn open(endpoint: &str, tls: Option<serde_json::Value>) -> zenoh::Result<Session> {
+    let mut config = Config::default();
+    for (key, value) in [
+        ("mode", serde_json::json!("client")),
+        ("connect/endpoints", serde_json::json!([endpoint])),
+        // One attempt.
+        ("connect/timeout_ms", serde_json::json!(0)),
+        ("scouting/multicast/enabled", serde_json::json!(false)),
+    ] {
+        config.insert_json5(key, &value.to_string()).unwrap();
+    }
+    if let Some(tls) = tls {
+        config
+            .insert_json5("transport/link/tls", &tls.to_string())
+            .unwrap();
+    }
+    zenoh::open(config).await
+}
+
+/// Sends a report until it is acknowledged; false when nobody answers in `limit`.
+async fn acknowledged(session: &Session, node: &str, number: u64, limit: Duration) -> bool {
+    let until = Instant::now() + limit;
+    loop {
+        // An instance is 32 hexadecimal digits.
+        let instance = node.trim_start_matches("car-").repeat(32);
+        let answer = send(session, node, &instance, number..=number, now_ns()).await;
+        if answer.is_some_and(|answer| answer.is_ok()) {
+            return true;
+        }
+        if Instant::now() > until {
+            return false;
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+}
+
+/// Long enough for a message that is let through, on a router that has just answered others.
+const NOBODY: Duration = Duration::from_secs(3);
+
+#[tokio::test(flavor = "multi_thread")]
+async fn those_with_a_good_certificate_work_and_every_stranger_is_refused_counted_and_logged() {
+    let mut fleet = Fleet::new().await;
+    fleet.start_router().await;
+    let hub = HubProcess::start(&fleet.hub_settings());
+    hub.until_ready().await;
+
+    // The right ones work.
+    let car_7 = fleet.opens("node/car-7").await.unwrap();
+    let car_8 = fleet.opens("node/car-8").await.unwrap();
+    assert!(
+        acknowledged(&car_7, "car-7", 1, PATIENCE).await,
+        "{}",
+        fleet.log()
+    );
+    assert!(
+        acknowledged(&car_8, "car-8", 1, PATIENCE).await,
+        "{}",
+        fleet.log()
+    );
+    assert_eq!(hub.clips("car-7").await.len(), 1);
+    for kind in ["handshake", "unknown", "access", "sessions"] {
+        assert_eq!(fleet.refused(kind).await, 0.0, "{kind}: {}", fleet.log());
+    }
+
+    // No TLS, no certificate, one of another authority, one that has ended.
+    let plain = fleet.endpoint.replace("tls/", "tcp/");
+    assert!(open(&plain, None).await.is_err(), "a plain client");
+    assert!(
+        fleet.opens_with(Path::new("/"), None).await.is_err(),
+        "no certificate"
+    );
+    let other = fleet.folder.path().join("other");
+    let mut stranger = Authority::create(&other, "other", DAY).unwrap();
+    let request = |name, begins, ends| Request {
+        role: Role::Node,
+        name,
+        hosts: &[],
+        begins,
+        ends,
+    };
+    let now = SystemTime::now();
+    stranger
+        .issue(&request("car-7", now - DAY, now + DAY))
+        .unwrap();
+    let with_other = fleet.opens_with(&other, Some("node/car-7")).await;
+    assert!(with_other.is_err(), "a certificate of another authority");
+    let before = fleet.refused("handshake").await;
+    let mut own = Authority::open(&fleet.authority()).unwrap();
+    own.issue(&request("car-9", now - DAY * 3, now - DAY))
+        .unwrap();
+    drop(own);
+    assert!(
+        fleet.opens("node/car-9").await.is_err(),
+        "a certificate that has ended"
+    );
+    fleet.until_refused("handshake", before, "handshake").await;
+    assert!(fleet.refused("handshake").await >= 4.0, "{}", fleet.log());
+
+    // A certificate of one and the key of another.
+    let mixed = fleet.folder.path().join("node");
+    std::fs::create_dir(&mixed).unwrap();
+    let node = fleet.authority().join("node");
+    std::fs::copy(node.join("car-7.pem"), mixed.join("mixed.pem")).unwrap();
+    std::fs::copy(node.join("car-8.key"), mixed.join("mixed.key")).unwrap();
+    let mixed = fleet
+        .opens_with(fleet.folder.path(), Some("node/mixed"))
+        .await;
+    assert!(mixed.is_err(), "another node's key");
+
+    // A member that does what is not its own.
+    let before = fleet.refused("access").await;
+    assert!(
+        !acknowledged(&car_7, "car-8", 9, NOBODY).await,
+        "a report in another's name"
+    );
+    fleet
+        .until_refused("access", before, "Query on albireo/@report/car-8")
+        .await;
+    for key in [
+        "albireo/car-8/front/threshold",
+        "albireo/car-7/front/threshold",
+        "albireo/@poke/car-8",
+        "albireo/@status/car-8",
+    ] {
+        let before = fleet.refused("access").await;
+        car_7.put(key, "{}").await.unwrap();
+        let line = "node/car-7/1";
+        fleet.until_refused("access", before, line).await;
+    }
+
+    // A hub's queryable, and an ear for everything: declared in vain.
+    let taken = Arc::new(AtomicU64::new(0));
+    let (asked, heard) = (Arc::clone(&taken), Arc::clone(&taken));
+    let before = fleet.refused("access").await;
+    let queryable = car_7
+        .declare_queryable("albireo/@report/*")
+        .complete(true)
+        .callback(move |_| {
+            asked.fetch_add(1, Ordering::SeqCst);
+        })
+        .await
+        .unwrap();
+    let ear = car_7
+        .declare_subscriber("albireo/@status/*")
+        .callback(move |_| {
+            heard.fetch_add(1, Ordering::SeqCst);
+        })
+        .await
+        .unwrap();
+    fleet.until_refused("access", before, "node/car-7/1").await;
+    for number in 2..=5 {
+        car_8.put("albireo/@status/car-8", "{}").await.unwrap();
+        assert!(acknowledged(&car_8, "car-8", number, PATIENCE).await);
+    }
+    assert_eq!(taken.load(Ordering::SeqCst), 0, "{}", fleet.log());
+    drop((queryable, ear));
+    assert_eq!(
+        hub.clips("car-8").await.len(),
+        5,
+        "and nothing in its name by another"
+    );
+    assert!(fleet.metric("albireo_router_sessions").await >= 3.0);
+    assert!(fleet.metric("albireo_router_probe_seconds").await > 0.0);
+    assert_eq!(
+        fleet.metric("albireo_router_probes_failed_total").await,
+        0.0
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_revoked_node_is_out_after_the_router_has_its_new_rules_and_in_again_with_its_next_certificate()
+ {
+    let mut fleet = Fleet::new().await;
+    fleet.start_router().await;
+    let hub = HubProcess::start(&fleet.hub_settings());
+    hub.until_ready().await;
+    let old = fleet.folder.path().join("old");
+    std::fs::create_dir_all(old.join("node")).unwrap();
+    for kind in ["pem", "key"] {
+        let file = format!("node/car-7.{kind}");
+        std::fs::copy(fleet.authority().join(&file), old.join(&file)).unwrap();
+    }
+    let stolen = fleet.opens_with(&old, Some("node/car-7")).await.unwrap();
+    assert!(acknowledged(&stolen, "car-7", 1, PATIENCE).await);
+
+    fleet.does(&["cert", "revoke", "node", "car-7"]).await;
+    fleet.does(&["cert", "node", "car-7"]).await;
+    let list = fleet.does(&["cert", "list"]).await;
+    assert!(
+        list.lines()
+            .any(|line| line.contains("node/car-7/1") && line.contains("revoked")),
+        "{list}"
+    );
+    assert!(
+        list.lines()
+            .any(|line| line.contains("node/car-7/2") && line.contains("ends in")),
+        "{list}"
+    );
+    fleet.rules().await;
+    fleet.stop_router().await;
+    fleet.start_router().await;
+
+    // Its certificate is still good, so it gets a session, and nothing else.
+    let before = fleet.refused("unknown").await;
+    let again = fleet.opens_with(&old, Some("node/car-7")).await.unwrap();
+    assert!(!acknowledged(&again, "car-7", 2, NOBODY).await);
+    fleet
+        .until_refused("unknown", before, "not among those the rules name")
+        .await;
+    let renewed = fleet.opens("node/car-7").await.unwrap();
+    assert!(
+        acknowledged(&renewed, "car-7", 2, PATIENCE).await,
+        "{}",
+        fleet.log()
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ONNX Runtime"]
+async fn a_real_node_reports_through_the_router_with_its_certificate() {
+    use crate::support::Node;
+    use crate::support::camera::Camera;
+    let mut fleet = Fleet::new().await;
+    fleet.start_router().await;
+    let hub = HubProcess::start(&fleet.hub_settings());
+    hub.until_ready().await;
+    let authority = fleet.authority().display().to_string();
+    let settings = format!(
+        "node.name = \"car-7\"\ndetector.model = \"{}/models/detector.onnx\"\npower.source = \"none\"\n\
+         uplink.connect = [\"{}\"]\nuplink.root_ca_certificate = \"{authority}/authority.pem\"\n\
+         uplink.certificate = \"{authority}/node/car-7.pem\"\nuplink.private_key = \"{authority}/node/car-7.key\"\n\
+         uplink.liveliness = true\noutbox.retry_min_ms = 50\n",
+        env!("CARGO_MANIFEST_DIR"),
+        fleet.endpoint,
+    );
+    let node = Node::start(&settings).await;
+    let mut camera = Camera::at(&node.zenoh, "car-7").await;
+    camera.clips(4).await;
+    let page = hub
+        .until("/api/v1/clips?node=car-7", |page| {
+            page["clips"]
+                .as_array()
+                .is_some_and(|clips| clips.len() >= 3)
+        })
+        .await;
+    assert!(page["clips"].is_array());
+    hub.until("/api/v1/nodes/car-7", |node| node["state"] == "online")
+        .await;
+    // Nothing that a node does by itself is against the rules.
+    assert_eq!(fleet.refused("access").await, 0.0, "{}", fleet.log());
+    camera.close().await;
+    let _ = node.stop().await;
+}

@@ -1,0 +1,310 @@
+//! The systemd units: clean, closed as far as promised, and fed by the real programs.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::support::{PATIENCE, albireo, free_port};
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+use tokio::net::UnixDatagram;
+use tokio::process::Child;
+use tokio::time::timeout;
+
+fn units() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy/systemd")
+}
+
+fn unit(name: &str) -> String {
+    std::fs::read_to_string(units().join(name)).unwrap()
+}
+
+/// The units with the program that was built in the place of the installed one, and their drop-ins, in a folder.
+fn here(folder: &Path, drop_ins: &[(&str, &str)]) -> Vec<PathBuf> {
+    let program = env!("CARGO_BIN_EXE_albireo");
+    let mut files = Vec::new();
+    for service in ["node", "hub", "router"] {
+        let name = format!("albireo-{service}.service");
+        let file = folder.join(&name);
+        std::fs::write(&file, unit(&name).replace("/usr/bin/albireo", program)).unwrap();
+        files.push(file);
+    }
+    for (service, drop_in) in drop_ins {
+        let to = folder.join(format!("albireo-{service}.service.d"));
+        std::fs::create_dir_all(&to).unwrap();
+        let from = units().join("drop-ins").join(drop_in);
+        std::fs::copy(from, to.join(drop_in)).unwrap();
+    }
+    files
+}
+
+fn verify(files: &[PathBuf]) -> String {
+    let ended = Command::new("systemd-analyze")
+        .args(["verify", "--man=no"])
+        .args(files)
+        .output()
+        .unwrap();
+    String::from_utf8_lossy(&ended.stderr)
+        .lines()
+        // Of the machine's own units the test says nothing.
+        .filter(|line| line.contains("albireo"))
+        .map(|line| format!("{line}\n"))
+        .collect()
+}
+
+#[test]
+#[ignore = "needs systemd"]
+fn systemd_finds_nothing_wrong_with_the_units_and_their_drop_ins() {
+    let folder = tempfile::tempdir().unwrap();
+    let plain = here(folder.path(), &[]);
+    assert_eq!(verify(&plain), "");
+    let folder = tempfile::tempdir().unwrap();
+    let with_all = here(
+        folder.path(),
+        &[("node", "gpu.conf"), ("node", "rapl.conf")],
+    );
+    assert_eq!(verify(&with_all), "");
+    // The check itself can fail.
+    let text = std::fs::read_to_string(&plain[0]).unwrap();
+    std::fs::write(&plain[0], text.replace("Restart=always", "Restrat=always")).unwrap();
+    assert!(verify(&plain).contains("Restrat"));
+}
+
+#[test]
+#[ignore = "needs systemd"]
+fn the_units_are_as_closed_as_promised() {
+    let folder = tempfile::tempdir().unwrap();
+    let files = here(folder.path(), &[]);
+    // In tenths, as systemd counts.
+    for (file, most) in files.iter().zip([25, 15, 15]) {
+        let ended = Command::new("systemd-analyze")
+            .args(["security", "--offline=true", &format!("--threshold={most}")])
+            .arg(file)
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&ended.stdout);
+        let score = said.lines().last().unwrap_or_default();
+        assert!(ended.status.success(), "{}: {score}", file.display());
+    }
+}
+
+#[test]
+fn a_drop_in_opens_only_what_its_head_gives_a_reason_for() {
+    for (drop_in, opened) in [
+        (
+            "gpu.conf",
+            &[
+                "PrivateDevices=no",
+                "MemoryDenyWriteExecute=no",
+                "PrivateUsers=no",
+            ][..],
+        ),
+        ("rapl.conf", &["PrivateUsers=no"]),
+    ] {
+        let text = unit(&format!("drop-ins/{drop_in}"));
+        let mut found = Vec::new();
+        let mut before = "";
+        for line in text.lines() {
+            if line.ends_with("=no") {
+                assert!(
+                    before.starts_with('#'),
+                    "{drop_in}: {line} without a reason"
+                );
+                found.push(line);
+            }
+            before = line;
+        }
+        assert_eq!(found, opened, "{drop_in}");
+        let base = unit("albireo-node.service");
+        for line in opened {
+            let closed = line.replace("=no", "=yes");
+            assert!(base.lines().any(|one| one == closed), "{closed} is not set");
+        }
+    }
+}
+
+/// A service manager's end of the notify socket.
+struct Manager {
+    socket: UnixDatagram,
+    /// Keeps the socket's place.
+    folder: tempfile::TempDir,
+    heard: Vec<String>,
+}
+
+impl Manager {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let socket = UnixDatagram::bind(folder.path().join("notify")).unwrap();
+        Self {
+            socket,
+            folder,
+            heard: Vec::new(),
+        }
+    }
+
+    /// Starts a service as systemd does, with a watchdog of that period.
+    fn start(&self, arguments: &[&str], settings: &[(&str, String)], watchdog: Duration) -> Child {
+        albireo()
+            .args(arguments)
+            .envs(settings.iter().map(|(name, value)| (*name, value)))
+            .env("NOTIFY_SOCKET", self.folder.path().join("notify"))
+            .env("WATCHDOG_USEC", watchdog.as_micros().to_string())
+            .stderr(std::fs::File::create(self.folder.path().join("log")).unwrap())
+            .spawn()
+            .unwrap()
+    }
+
+    fn log(&self) -> String {
+        std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default()
+    }
+
+    async fn hear(&mut self) {
+        let mut buffer = [0; 4096];
+        let length = timeout(PATIENCE, self.socket.recv(&mut buffer))
+            .await
+            .unwrap_or_else(|_| panic!("nothing more was told: {:?}\n{}", self.heard, self.log()))
+            .unwrap();
+        let text = String::from_utf8(buffer[..length].to_vec()).unwrap();
+        self.heard.extend(text.lines().map(str::to_owned));
+    }
+
+    fn count(&self, message: &str) -> usize {
+        self.heard
+            .iter()
+            .filter(|one| one.starts_with(message))
+            .count()
+    }
+
+    /// Hears until there are so many.
+    async fn until(&mut self, message: &str, times: usize) {
+        while self.count(message) < times {
+            self.hear().await;
+        }
+    }
+
+    /// What comes in that time.
+    async fn during(&mut self, time: Duration) {
+        let until = Instant::now() + time;
+        while timeout(until.saturating_duration_since(Instant::now()), self.hear())
+            .await
+            .is_ok()
+        {}
+    }
+}
+
+fn terminate(child: &Child) {
+    let id = child.id().unwrap().to_string();
+    let told = Command::new("kill").args(["-TERM", &id]).status().unwrap();
+    assert!(told.success());
+}
+
+async fn ends_well(mut child: Child, manager: &mut Manager) {
+    terminate(&child);
+    manager.until("STOPPING=1", 1).await;
+    let status = timeout(PATIENCE, child.wait()).await.unwrap().unwrap();
+    assert!(status.success(), "{status}\n{}", manager.log());
+}
+
+#[cfg(feature = "hub")]
+#[tokio::test]
+async fn a_hub_tells_that_it_is_ready_once_feeds_its_watchdog_and_tells_that_it_stops() {
+    let folder = tempfile::tempdir().unwrap();
+    let (_, settings) =
+        crate::support::fleet::settings(&crate::support::fleet::sqlite(folder.path()));
+    let mut manager = Manager::new();
+    let hub = manager.start(&["hub"], &settings, Duration::from_millis(200));
+    manager.until("READY=1", 1).await;
+    manager.until("STATUS=every part works", 1).await;
+    manager.until("WATCHDOG=1", 5).await;
+    ends_well(hub, &mut manager).await;
+    assert_eq!(manager.count("READY=1"), 1, "{:?}", manager.heard);
+}
+
+#[cfg(feature = "hub")]
+#[tokio::test]
+async fn a_hub_whose_router_is_away_is_fed_all_the_same_and_says_what_it_waits_for() {
+    let folder = tempfile::tempdir().unwrap();
+    let router = format!("tcp/127.0.0.1:{}", free_port());
+    let settings =
+        crate::support::fleet::behind(&router, &crate::support::fleet::sqlite(folder.path()));
+    let mut manager = Manager::new();
+    let hub = manager.start(&["hub"], &settings, Duration::from_millis(200));
+    manager.until("STATUS=not ready: zenoh", 1).await;
+    let fed = manager.count("WATCHDOG=1");
+    manager.until("WATCHDOG=1", fed + 5).await;
+    assert_eq!(manager.count("READY=1"), 0, "{:?}", manager.heard);
+    ends_well(hub, &mut manager).await;
+}
+
+#[cfg(feature = "hub")]
+#[tokio::test]
+async fn a_router_tells_that_it_is_ready_and_feeds_its_watchdog() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("router.json5");
+    let listen = format!(
+        "{{ listen: {{ endpoints: [\"tcp/127.0.0.1:{}\"] }} }}",
+        free_port()
+    );
+    std::fs::write(&file, listen).unwrap();
+    let http = format!("127.0.0.1:{}", free_port());
+    let mut manager = Manager::new();
+    let arguments = [
+        "router",
+        "--http",
+        &http,
+        "--config",
+        file.to_str().unwrap(),
+    ];
+    let router = manager.start(&arguments, &[], Duration::from_millis(200));
+    manager.until("READY=1", 1).await;
+    manager.until("WATCHDOG=1", 5).await;
+    ends_well(router, &mut manager).await;
+}
+
+fn node(folder: &Path, model: &Path) -> PathBuf {
+    let file = folder.join("node.toml");
+    let settings = format!(
+        "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{}\"]\npower.source = \"none\"\n\
+         node.stuck_after_s = 3.0\ndetector.model = \"{}\"\n",
+        free_port(),
+        model.display()
+    );
+    std::fs::write(&file, settings).unwrap();
+    file
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn a_node_feeds_its_watchdog_while_its_detector_works() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/detector.onnx");
+    let file = node(folder.path(), &model);
+    let mut manager = Manager::new();
+    let arguments = ["node", "--config", file.to_str().unwrap()];
+    let node = manager.start(&arguments, &[], Duration::from_millis(200));
+    manager.until("READY=1", 1).await;
+    let fed = manager.count("WATCHDOG=1");
+    manager.until("WATCHDOG=1", fed + 10).await;
+    ends_well(node, &mut manager).await;
+    assert_eq!(manager.count("READY=1"), 1);
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn a_node_whose_detector_never_comes_starves_its_watchdog_and_says_why() {
+    let folder = tempfile::tempdir().unwrap();
+    // A pipe that nobody writes: whoever loads it waits for ever.
+    let model = folder.path().join("detector.onnx");
+    let made = Command::new("mkfifo").arg(&model).status().unwrap();
+    assert!(made.success());
+    let file = node(folder.path(), &model);
+    let mut manager = Manager::new();
+    let arguments = ["node", "--config", file.to_str().unwrap()];
+    let mut node = manager.start(&arguments, &[], Duration::from_millis(200));
+    manager.until("WATCHDOG=1", 3).await;
+    manager.until("STATUS=stuck: detector", 1).await;
+    let fed = manager.count("WATCHDOG=1");
+    manager.during(Duration::from_secs(2)).await;
+    assert_eq!(manager.count("WATCHDOG=1"), fed, "{:?}", manager.heard);
+    assert_eq!(manager.count("READY=1"), 0);
+    node.kill().await.unwrap();
+}

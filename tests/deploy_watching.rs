@@ -1,0 +1,225 @@
+//! What Prometheus and Grafana are told to look at: every alert is played, and every metric that a rule or a dashboard
+//! names is one that node, hub or router really gives.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::http_api::served::Served;
+use crate::support::fleet::{HubProcess, settings, sqlite};
+use crate::support::{PATIENCE, albireo, free_port};
+use albireo_node::board::PowerSnapshot;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+fn deploy(path: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .join("deploy")
+        .join(path)
+}
+
+fn text(path: &str) -> String {
+    std::fs::read_to_string(deploy(path)).unwrap()
+}
+
+/// The metrics that an expression names: words that are no function, label or keyword.
+fn metrics_of(expression: &str) -> BTreeSet<String> {
+    // What stands in quotes and braces are labels.
+    let mut plain = String::new();
+    let (mut quoted, mut depth) = (false, 0_u32);
+    for c in expression.chars() {
+        match c {
+            '"' => quoted = !quoted,
+            '{' if !quoted => depth += 1,
+            '}' if !quoted => depth -= 1,
+            c if !quoted && depth == 0 => plain.push(c),
+            _ => {}
+        }
+    }
+    plain
+        .split(|c: char| !(c.is_ascii_alphanumeric() || c == '_' || c == ':'))
+        .filter(|word| {
+            ["albireo", "process_"]
+                .iter()
+                .any(|start| word.starts_with(start))
+        })
+        .map(str::to_owned)
+        .collect()
+}
+
+/// The expressions of the rules, and the names that they record.
+fn rules() -> (Vec<String>, BTreeSet<String>) {
+    let (mut expressions, mut recorded) = (Vec::new(), BTreeSet::new());
+    let rules = text("prometheus/rules.yml");
+    let mut lines = rules.lines().peekable();
+    while let Some(line) = lines.next() {
+        let line = line.trim_start().trim_start_matches("- ");
+        if let Some(name) = line.strip_prefix("record: ") {
+            recorded.insert(name.to_owned());
+        }
+        if let Some(expression) = line.strip_prefix("expr: ") {
+            let mut whole = expression.trim_start_matches(">-").to_owned();
+            while let Some(more) = lines.next_if(|next| next.starts_with("          ")) {
+                whole.push_str(more);
+            }
+            expressions.push(whole);
+        }
+    }
+    (expressions, recorded)
+}
+
+fn dashboards() -> Vec<(String, Value)> {
+    std::fs::read_dir(deploy("grafana/dashboards"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .map(|file| {
+            let text = std::fs::read_to_string(&file).unwrap();
+            let name = file.file_name().unwrap().to_string_lossy().into_owned();
+            (name, serde_json::from_str(&text).unwrap())
+        })
+        .collect()
+}
+
+/// The names of the samples that a text of metrics may have.
+fn names(exposition: &str) -> BTreeSet<String> {
+    let mut names = BTreeSet::new();
+    for line in exposition.lines() {
+        let Some(rest) = line.strip_prefix("# TYPE ") else {
+            continue;
+        };
+        let (name, kind) = rest.split_once(' ').unwrap();
+        if kind == "histogram" {
+            names.extend(["bucket", "sum", "count"].map(|part| format!("{name}_{part}")));
+        } else {
+            names.insert(name.to_owned());
+        }
+    }
+    assert!(!names.is_empty(), "{exposition}");
+    names
+}
+
+async fn of_a_node() -> BTreeSet<String> {
+    let node = Served::start().await;
+    node.board.set_power(PowerSnapshot {
+        hottest: Some(("cpu".to_owned(), 50.0)),
+        ..node.board.power()
+    });
+    names(&node.get("/metrics").await.text().await.unwrap())
+}
+
+async fn of_a_hub() -> BTreeSet<String> {
+    let folder = tempfile::tempdir().unwrap();
+    let (_, settings) = settings(&sqlite(folder.path()));
+    let hub = HubProcess::start(&settings);
+    hub.until_ready().await;
+    names(&hub.metrics().await)
+}
+
+async fn of_a_router() -> BTreeSet<String> {
+    let folder = tempfile::tempdir().unwrap();
+    let config = folder.path().join("router.json5");
+    let listen = format!(
+        "{{ listen: {{ endpoints: [\"tcp/127.0.0.1:{}\"] }} }}",
+        free_port()
+    );
+    std::fs::write(&config, listen).unwrap();
+    let http = format!("127.0.0.1:{}", free_port());
+    let _router = albireo()
+        .args(["router", "--http", &http, "--config"])
+        .arg(&config)
+        .stderr(std::process::Stdio::null())
+        .spawn()
+        .unwrap();
+    let until = Instant::now() + PATIENCE;
+    loop {
+        if let Ok(answer) = reqwest::get(format!("http://{http}/metrics")).await {
+            return names(&answer.text().await.unwrap());
+        }
+        assert!(Instant::now() < until, "the router never answered");
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+}
+
+#[tokio::test]
+async fn every_metric_that_a_rule_or_a_dashboard_names_is_there() {
+    let mut there = of_a_node().await;
+    there.extend(of_a_hub().await);
+    there.extend(of_a_router().await);
+    let (expressions, recorded) = rules();
+    there.extend(recorded);
+    assert!(expressions.len() > 20, "{expressions:?}");
+    let mut missing = Vec::new();
+    let mut look = |place: &str, expression: &str| {
+        for metric in metrics_of(expression) {
+            if !there.contains(&metric) {
+                missing.push(format!("{place}: {metric}"));
+            }
+        }
+    };
+    for expression in &expressions {
+        look("rules.yml", expression);
+    }
+    let dashboards = dashboards();
+    assert_eq!(dashboards.len(), 2);
+    for (name, dashboard) in &dashboards {
+        let panels = dashboard["panels"].as_array().unwrap();
+        assert!(panels.len() > 10, "{name}");
+        for target in panels
+            .iter()
+            .flat_map(|panel| panel["targets"].as_array().unwrap())
+        {
+            let expression = target["expr"].as_str().unwrap();
+            assert!(!metrics_of(expression).is_empty(), "{name}: {expression}");
+            look(name, expression);
+        }
+        for variable in dashboard["templating"]["list"].as_array().unwrap() {
+            look(
+                name,
+                variable["query"]["query"].as_str().unwrap_or_default(),
+            );
+        }
+    }
+    assert!(missing.is_empty(), "no program gives: {missing:#?}");
+}
+
+#[test]
+fn metrics_are_found_in_an_expression_and_labels_are_not() {
+    let found = metrics_of(
+        r#"sum by (instance) (rate(albireo_a_total{albireo_b="albireo_c"}[5m])) / process_d"#,
+    );
+    assert_eq!(
+        found,
+        BTreeSet::from(["albireo_a_total".to_owned(), "process_d".to_owned()])
+    );
+}
+
+#[test]
+#[ignore = "needs promtool"]
+fn every_alert_fires_when_it_should_and_not_before() {
+    for arguments in [
+        &["check", "rules", "rules.yml"][..],
+        &["test", "rules", "rules_test.yml"],
+        &["check", "config", "--syntax-only", "prometheus.yml"],
+    ] {
+        let ended = Command::new("promtool")
+            .args(arguments)
+            .current_dir(deploy("prometheus"))
+            .output()
+            .unwrap();
+        let said = String::from_utf8_lossy(&ended.stdout) + String::from_utf8_lossy(&ended.stderr);
+        assert!(ended.status.success(), "{arguments:?}: {said}");
+    }
+}
+
+#[test]
+fn every_alert_is_played() {
+    let alerts = |file: &str, start: &str| -> BTreeSet<String> {
+        text(file)
+            .lines()
+            .filter_map(|line| line.trim_start().strip_prefix(start).map(str::to_owned))
+            .collect()
+    };
+    let there = alerts("prometheus/rules.yml", "- alert: ");
+    assert_eq!(there, alerts("prometheus/rules_test.yml", "alertname: "));
+}
