@@ -1,7 +1,6 @@
 //! `albireo completions`: what a shell needs to complete the program's arguments.
 
 use anyhow::Context;
-use clap::CommandFactory;
 use clap_complete::Shell;
 use std::io::Write;
 

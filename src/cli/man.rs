@@ -1,7 +1,6 @@
 //! `albireo man`: the manual pages, made from the same descriptions as `--help`.
 
 use anyhow::Context;
-use clap::CommandFactory;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
