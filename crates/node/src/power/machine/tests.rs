@@ -1,6 +1,9 @@
 //! Promises of the machine's condition, on fixture trees.
 
 use super::*;
+use std::io::Write;
+use std::os::unix::fs::PermissionsExt;
+use std::time::Duration;
 
 struct Tree(tempfile::TempDir);
 
@@ -101,6 +104,9 @@ fn the_power_mode_is_asked_of_nvpmodel_once_a_minute() {
     for second in 0..130 {
         let found = machine.read(start + Duration::from_secs(second));
         assert_eq!(found.mode.as_deref(), Some("MODE_30W"));
+        if let Some(asking) = machine.mode.asking.take() {
+            asking.join().unwrap();
+        }
     }
     let calls = std::fs::read_to_string(tree.0.path().join("nvpmodel.calls")).unwrap();
     assert_eq!(calls, "-q\n-q\n-q\n");
@@ -121,4 +127,36 @@ fn without_nvpmodel_the_platform_profile_is_the_mode() {
         machine.read(Instant::now()).mode.as_deref(),
         Some("low-power")
     );
+}
+
+#[test]
+fn a_slow_nvpmodel_does_not_hold_up_the_reading() {
+    let tree = Tree::new();
+    let program = tree.0.path().join("nvpmodel");
+    // The second time it answers when it is told what, and that is after the reading.
+    tree.write(
+        "nvpmodel",
+        "#!/bin/sh\nmode=MODE_30W\n[ -p \"$0.go\" ] && read mode < \"$0.go\"\necho \"NV Power Mode: $mode\"",
+    );
+    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let mut machine = Machine::new(&tree.config());
+    let go = tree.0.path().join("nvpmodel.go");
+    let made = std::process::Command::new("mkfifo").arg(&go).status();
+    assert!(made.unwrap().success());
+    let minute = Instant::now() + Duration::from_secs(61);
+    assert_eq!(machine.read(minute).mode.as_deref(), Some("MODE_30W"));
+    let asking = machine.mode.asking.take().unwrap();
+    // Another reading meanwhile starts no second one.
+    machine.read(minute + Duration::from_secs(90));
+    assert!(machine.mode.asking.is_none());
+    // Open for both ways, so that nobody waits for the other end here.
+    let mut told = std::fs::File::options()
+        .read(true)
+        .write(true)
+        .open(&go)
+        .unwrap();
+    told.write_all(b"MODE_15W\n").unwrap();
+    asking.join().unwrap();
+    let found = machine.read(minute + Duration::from_secs(1));
+    assert_eq!(found.mode.as_deref(), Some("MODE_15W"));
 }
