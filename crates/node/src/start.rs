@@ -399,8 +399,8 @@ impl Node {
         let closed = tokio::task::spawn_blocking(move || {
             publishing.flush(std::time::Instant::now() + FLUSH_LIMIT);
             uplink.stop();
-            if let Some(alive) = alive {
-                let _ = alive.undeclare().wait();
+            for token in alive {
+                let _ = token.undeclare().wait();
             }
             session.close().wait()
         });
