@@ -663,7 +663,7 @@ impl CameraMaker {
         Ok(Camera {
             board: Arc::clone(&self.board),
             ring: ring.unwrap_or_else(|| self.sender.reopen()),
-            ledger: Arc::clone(&self.drops),
+            drops: Arc::clone(&self.drops),
             policy,
             evidence: LiveEvidence::new(
                 self.detector.clone(),
