@@ -1,8 +1,8 @@
 //! The node's name on the network: its liveliness token, which says that the node lives, and that its name is taken.
 //!
-//! Who wants the name first declares a claim, a token under the name with its session's id, and asks for claims then:
-//! of two nodes that start together at least one sees the other's. Whoever sees another's withdraws and comes back
-//! later; without that, both would ask, hear nothing, and take it.
+//! Who wants the name first declares a claim, a token under the name with its session's id, and asks for claims when
+//! that has had time to get around: of two nodes that start together at least one sees the other's. Whoever sees
+//! another's withdraws and comes back later; without that, both would ask, hear nothing, and take it.
 
 use albireo_service::readiness::Part;
 use std::hash::{BuildHasher, RandomState};
@@ -12,6 +12,9 @@ use tokio::sync::Mutex;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
+
+/// How long a claim may take to get around: a peer answers by what it has heard itself.
+const GETTING_AROUND: Duration = Duration::from_secs(1);
 
 /// How long others may take to say that they have the name.
 const ASKING: Duration = Duration::from_secs(2);
@@ -61,6 +64,7 @@ impl NodeName {
                 LOOK_AGAIN_EVERY
             } else {
                 let claim = session.liveliness().declare_token(&own).await?;
+                tokio::time::sleep(GETTING_AROUND).await;
                 if another_claims(session, key, &own).await? {
                     claim.undeclare().await?;
                     tell(key, part, &mut told);
@@ -140,6 +144,14 @@ mod tests {
             ("connect/endpoints", connect.as_str()),
         ])
         .await;
+        let linked = async {
+            while one.info().peers_zid().await.count() + two.info().peers_zid().await.count() < 2 {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(60), linked)
+            .await
+            .unwrap();
         let shutdown = CancellationToken::new();
         let nodes = [one, two].map(|session| {
             let (name, readiness) = (NodeName::default(), Readiness::default());

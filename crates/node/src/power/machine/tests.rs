@@ -1,8 +1,6 @@
 //! Promises of the machine's condition, on fixture trees.
 
 use super::*;
-use std::io::Write;
-use std::os::unix::fs::PermissionsExt;
 use std::time::Duration;
 
 struct Tree(tempfile::TempDir);
@@ -132,16 +130,12 @@ fn without_nvpmodel_the_platform_profile_is_the_mode() {
 #[test]
 fn a_slow_nvpmodel_does_not_hold_up_the_reading() {
     let tree = Tree::new();
-    let program = tree.0.path().join("nvpmodel");
-    // The second time it answers when it is told what, and that is after the reading.
-    tree.write(
-        "nvpmodel",
-        "#!/bin/sh\nmode=MODE_30W\n[ -p \"$0.go\" ] && read mode < \"$0.go\"\necho \"NV Power Mode: $mode\"",
-    );
-    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).unwrap();
+    tree.nvpmodel("NV Power Mode: MODE_30W");
     let mut machine = Machine::new(&tree.config());
-    let go = tree.0.path().join("nvpmodel.go");
-    let made = std::process::Command::new("mkfifo").arg(&go).status();
+    // From now on it answers when somebody writes into a pipe, and that is after the reading.
+    let says = tree.0.path().join("nvpmodel.says");
+    std::fs::remove_file(&says).unwrap();
+    let made = std::process::Command::new("mkfifo").arg(&says).status();
     assert!(made.unwrap().success());
     let minute = Instant::now() + Duration::from_secs(61);
     assert_eq!(machine.read(minute).mode.as_deref(), Some("MODE_30W"));
@@ -149,13 +143,8 @@ fn a_slow_nvpmodel_does_not_hold_up_the_reading() {
     // Another reading meanwhile starts no second one.
     machine.read(minute + Duration::from_secs(90));
     assert!(machine.mode.asking.is_none());
-    // Open for both ways, so that nobody waits for the other end here.
-    let mut told = std::fs::File::options()
-        .read(true)
-        .write(true)
-        .open(&go)
-        .unwrap();
-    told.write_all(b"MODE_15W\n").unwrap();
+    // On a thread of its own, for a pipe that nobody reads any more is waited for without an end.
+    std::thread::spawn(move || std::fs::write(says, "NV Power Mode: MODE_15W\n"));
     asking.join().unwrap();
     let found = machine.read(minute + Duration::from_secs(1));
     assert_eq!(found.mode.as_deref(), Some("MODE_15W"));
