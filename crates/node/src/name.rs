@@ -1,8 +1,8 @@
 //! The node's name on the network: its liveliness token, which says that the node lives, and that its name is taken.
 //!
-//! Who wants the name first declares a claim, a token under the name with its session's id, and asks for claims when
-//! that has had time to get around: of two nodes that start together at least one sees the other's. Whoever sees
-//! another's withdraws and comes back later; without that, both would ask, hear nothing, and take it.
+//! Who wants the name and hears of no claim to it declares one, a token under the name with its session's id, and asks
+//! again when that has had time to get around: two nodes that start together hear of each other then, and the lower id
+//! has the name. Without that, both would ask, hear nothing, and take it.
 
 use albireo_service::readiness::Part;
 use std::hash::{BuildHasher, RandomState};
@@ -55,7 +55,7 @@ impl NodeName {
         let mut told = false;
         loop {
             let pause = if self.is_held().await {
-                if another_claims(session, key, &own).await? {
+                if !other_claims(session, key, &own).await?.is_empty() {
                     tell(key, part, &mut told);
                 } else {
                     part.works();
@@ -63,21 +63,33 @@ impl NodeName {
                 }
                 LOOK_AGAIN_EVERY
             } else {
-                let claim = session.liveliness().declare_token(&own).await?;
-                tokio::time::sleep(GETTING_AROUND).await;
-                if another_claims(session, key, &own).await? {
-                    claim.undeclare().await?;
-                    tell(key, part, &mut told);
-                } else {
-                    let token = session.liveliness().declare_token(key).await?;
-                    self.0.lock().await.extend([claim, token]);
+                if self.claim(session, key, &own).await? {
                     part.works();
+                } else {
+                    tell(key, part, &mut told);
                 }
                 LOOK_EVERY
             };
             let random = RandomState::new().hash_one(&own) % 1000;
             tokio::time::sleep(pause.mul_f64(0.5 + random as f64 / 1000.0)).await;
         }
+    }
+
+    /// Takes the name if nobody has it; whether it could be had.
+    async fn claim(&self, session: &Session, key: &str, own: &str) -> zenoh::Result<bool> {
+        if !other_claims(session, key, own).await?.is_empty() {
+            return Ok(false);
+        }
+        let claim = session.liveliness().declare_token(own).await?;
+        tokio::time::sleep(GETTING_AROUND).await;
+        let others = other_claims(session, key, own).await?;
+        if others.iter().any(|other| other.as_str() < own) {
+            claim.undeclare().await?;
+            return Ok(false);
+        }
+        let token = session.liveliness().declare_token(key).await?;
+        self.0.lock().await.extend([claim, token]);
+        Ok(true)
     }
 
     async fn is_held(&self) -> bool {
@@ -90,21 +102,22 @@ impl NodeName {
     }
 }
 
-/// Whether there is a claim to the name other than `own`.
-async fn another_claims(session: &Session, key: &str, own: &str) -> zenoh::Result<bool> {
+/// The claims to the name other than `own`.
+async fn other_claims(session: &Session, key: &str, own: &str) -> zenoh::Result<Vec<String>> {
     let replies = session
         .liveliness()
         .get(format!("{key}/*"))
         .timeout(ASKING)
         .await?;
+    let mut others = Vec::new();
     while let Ok(reply) = replies.recv_async().await {
         if let Ok(claim) = reply.result()
             && claim.key_expr().as_str() != own
         {
-            return Ok(true);
+            others.push(claim.key_expr().to_string());
         }
     }
-    Ok(false)
+    Ok(others)
 }
 
 fn tell(key: &str, part: &Part, told: &mut bool) {

@@ -160,7 +160,7 @@ impl Span {
     }
 }
 
-/// The books.
+/// The account.
 #[derive(Debug)]
 pub(super) struct Ledger {
     series: Series,
