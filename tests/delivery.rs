@@ -88,6 +88,27 @@ async fn reports_reach_the_hub_once_and_are_removed_then() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
+async fn a_node_that_stops_in_a_pause_tries_once_more() {
+    let (folder, settings) = folder();
+    let node = Node::start_in(folder, &settings).await;
+    let hour = Manner::Busy {
+        retry_after_ms: 3_600_000,
+    };
+    let hub = Hub::start(&node.zenoh, hour).await;
+    let mut camera = Camera::at(&node.zenoh, "node").await;
+    camera.clips(4).await;
+    hub.wait_for_asked(1).await;
+    wait_for(&node, "albireo_outbox_waiting", 3.0).await;
+    hub.become_honest();
+    camera.close().await;
+    let (status, ..) = node.stop().await;
+    assert!(status.success());
+    hub.wait_for(4).await;
+    hub.assert_gapless(4);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
 async fn a_subscriber_that_only_listens_never_counts_as_delivery() {
     let (folder, settings) = folder();
     let node = Node::start_in(folder, &settings).await;

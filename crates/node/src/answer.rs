@@ -11,7 +11,7 @@ use albireo_wire::{BoxMessage, DetectionsMessage, KnobValue, Latency, VERSION};
 pub struct AnswerContext<'a> {
     /// The frame answered.
     pub frame: &'a Frame,
-    /// The clip it is booked under.
+    /// The clip it belongs to.
     pub clip: &'a str,
     /// The knob's value in force.
     pub knob: Option<KnobValue>,

@@ -131,6 +131,10 @@ impl Board {
         readiness.probe(readiness::DISK, "", move || {
             outbox.counts().failing.map(Fault::degraded)
         });
+        let outbox = setup.outbox.clone();
+        readiness.probe(readiness::OUTBOX, "", move || {
+            readiness::of_outbox(&outbox.counts(), outbox.has_directory())
+        });
         Arc::new(Self {
             node: setup.node,
             policy: setup.policy,

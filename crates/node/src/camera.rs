@@ -1,5 +1,5 @@
 //! A camera's loop: takes frames from the ring, drives the policy through each, publishes the answer and
-//! keeps the clip's books. One task a camera; the detector, the screen and the meter are shared.
+//! counts the open clip. One task a camera; the detector, the screen and the meter are shared.
 
 use super::answer::{AnswerContext, detections_message};
 use super::board::CameraBoard;
@@ -28,7 +28,7 @@ pub(crate) struct Camera {
     /// Frames from the intake.
     pub ring: RingReceiver<Incoming>,
     /// Dropped frames, shared with the intake.
-    pub ledger: Arc<DropCounts>,
+    pub drops: Arc<DropCounts>,
     /// What decides.
     pub policy: Box<dyn Policy>,
     /// Where its evidence comes from.
@@ -90,7 +90,7 @@ impl Camera {
         let waiting = self.ring.close_and_clear() as u64;
         if waiting > 0 {
             let reason = "the camera's loop ended before their turn";
-            self.ledger.count(DropKind::Stopped, waiting, &reason);
+            self.drops.count(DropKind::Stopped, waiting, &reason);
         }
         self.accounts.shutdown();
     }
@@ -104,7 +104,7 @@ impl Camera {
         {
             let sequence = frame.sequence;
             let reason = format_args!("sequence number {sequence} was overtaken on its way");
-            return self.ledger.count(DropKind::Late, 1, &reason);
+            return self.drops.count(DropKind::Late, 1, &reason);
         }
         let restarted = stream
             .newest
@@ -146,7 +146,7 @@ impl Camera {
         let decided = decide(&mut *self.policy, head, &mut source, &mut stream.outcome).await;
         let deciding = deciding.elapsed();
         if let Err(fault) = decided {
-            return self.ledger.count(DropKind::from(&fault), 1, &fault);
+            return self.drops.count(DropKind::from(&fault), 1, &fault);
         }
 
         // The policy is told that the scene is not empty; that the screen was overruled is known here.

@@ -1,4 +1,4 @@
-//! The books of a clip: when it begins and ends, its counters, energy and energy-delay product.
+//! What is counted of a clip: when it begins and ends, its counters, energy and energy-delay product.
 //!
 //! [`ClipTracker`] takes a camera's frames and gives back every [`ClosedClip`]; with the energy of its span and
 //! what is known of the node ([`ClipMeta`]) that becomes the report on the wire.

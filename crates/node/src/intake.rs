@@ -42,17 +42,17 @@ pub(crate) struct Incoming {
 #[derive(Debug)]
 pub(crate) struct DropCounts {
     board: Arc<CameraBoard>,
-    state: Mutex<LedgerState>,
+    state: Mutex<DropState>,
 }
 
 #[derive(Debug, Default)]
-struct LedgerState {
+struct DropState {
     since_taken: DroppedFrames,
     limits: BTreeMap<&'static str, RateLimit>,
 }
 
 impl DropCounts {
-    /// An empty ledger for the camera of `board`.
+    /// No drops yet, for the camera of `board`.
     pub(crate) fn new(board: Arc<CameraBoard>) -> Self {
         Self {
             board,
@@ -88,7 +88,7 @@ impl DropCounts {
         std::mem::take(&mut self.lock().since_taken)
     }
 
-    fn lock(&self) -> MutexGuard<'_, LedgerState> {
+    fn lock(&self) -> MutexGuard<'_, DropState> {
         self.state.lock()
     }
 }
@@ -157,7 +157,7 @@ impl From<&FrameFault> for DropKind {
 #[derive(Debug)]
 pub(crate) struct Intake {
     board: Arc<CameraBoard>,
-    ledger: Arc<DropCounts>,
+    drops: Arc<DropCounts>,
     ring: RingSender<Incoming>,
     format: PayloadFormat,
     limits: FrameLimits,
@@ -175,14 +175,14 @@ impl Intake {
     /// An intake that pushes into `ring`.
     pub(crate) fn new(
         board: Arc<CameraBoard>,
-        ledger: Arc<DropCounts>,
+        drops: Arc<DropCounts>,
         ring: RingSender<Incoming>,
         format: PayloadFormat,
         limits: FrameLimits,
     ) -> Self {
         Self {
             board,
-            ledger,
+            drops,
             ring,
             format,
             limits,
@@ -283,7 +283,7 @@ impl Intake {
         {
             stream.epoch += u64::from(restarted);
             if lost > 0 {
-                self.ledger.count(
+                self.drops.count(
                     DropKind::Lost,
                     lost,
                     &"numbers are missing in the camera's sequence",
@@ -325,7 +325,7 @@ impl Intake {
 
     /// Counts a frame that will not be processed, and gives back why.
     fn refuse(&self, kind: DropKind, reason: String) -> String {
-        self.ledger.count(kind, 1, &reason);
+        self.drops.count(kind, 1, &reason);
         reason
     }
 
@@ -338,7 +338,7 @@ impl Intake {
                 "the camera's loop does not run: it has failed, or the node stops".to_owned(),
             )),
             Pushed::Replaced(_) => {
-                self.ledger.count(
+                self.drops.count(
                     DropKind::Overrun,
                     1,
                     &"a newer frame came before its turn (camera.ring, camera.delivery)",

@@ -1,6 +1,11 @@
 //! The node's name on the network: its liveliness token, which says that the node lives, and that its name is taken.
+//!
+//! Who wants the name and hears of no claim to it declares one, a token under the name with its session's id, and asks
+//! again when that has had time to get around: two nodes that start together hear of each other then, and the lower id
+//! has the name. Without that, both would ask, hear nothing, and take it.
 
 use albireo_service::readiness::Part;
+use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::Mutex;
@@ -8,19 +13,27 @@ use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 
+/// How long a claim may take to get around: a peer answers by what it has heard itself.
+const GETTING_AROUND: Duration = Duration::from_secs(1);
+
 /// How long others may take to say that they have the name.
 const ASKING: Duration = Duration::from_secs(2);
 
-/// Time between two looks whether the name is free.
-const LOOK_EVERY: Duration = Duration::from_secs(5);
+/// Time between two looks whether the name is free, between half and one and a half of that.
+const LOOK_EVERY: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 5000 });
 
-/// The token of a name, once it could be had.
+/// Time between two looks of the one who has it: networks that were apart may come together.
+const LOOK_AGAIN_EVERY: Duration = Duration::from_secs(60);
+
+const TAKEN: &str = "another node of this name is on the network: both answer its frames";
+
+/// The tokens of a name, once it could be had.
 #[derive(Clone, Default)]
-pub(crate) struct NodeName(Arc<Mutex<Option<LivelinessToken>>>);
+pub(crate) struct NodeName(Arc<Mutex<Vec<LivelinessToken>>>);
 
 impl NodeName {
-    /// Declares the token `key` as soon as no other node holds it, and keeps it until `shutdown`. Until then `part`
-    /// says that two nodes have one name: both answer its frames.
+    /// Declares the token `key` as soon as no other node holds it, and keeps it until `shutdown`. Until then, and when
+    /// another turns up later, `part` says that two nodes have one name: both answer its frames.
     ///
     /// # Errors
     /// When Zenoh refuses.
@@ -31,44 +44,158 @@ impl NodeName {
         part: Part,
         shutdown: CancellationToken,
     ) -> Result<(), String> {
-        let words = |error: zenoh::Error| format!("the liveliness token cannot be had: {error}");
-        let mut told = false;
-        while self.0.lock().await.is_none() {
-            let replies = session
-                .liveliness()
-                .get(&key)
-                .timeout(ASKING)
-                .await
-                .map_err(words)?;
-            let mut taken = false;
-            while let Ok(reply) = replies.recv_async().await {
-                taken |= reply.result().is_ok();
-            }
-            if !taken {
-                let token = session.liveliness().declare_token(&key).await;
-                *self.0.lock().await = Some(token.map_err(words)?);
-                part.works();
-                break;
-            }
-            part.degraded("another node of this name is on the network: both answer its frames");
-            if !std::mem::replace(&mut told, true) {
-                tracing::warn!(
-                    key,
-                    "another node of this name is on the network, or an earlier run of this one was killed a moment \
-                     ago: give each node a name of its own (node.name)"
-                );
-            }
-            tokio::select! {
-                () = tokio::time::sleep(LOOK_EVERY) => {}
-                () = shutdown.cancelled() => return Ok(()),
-            }
-        }
-        shutdown.cancelled().await;
-        Ok(())
+        let held = self.hold_on(&session, &key, &part);
+        let held = shutdown.run_until_cancelled(held).await;
+        held.unwrap_or(Ok(()))
+            .map_err(|error| format!("the liveliness token cannot be had: {error}"))
     }
 
-    /// The token, to be given back.
-    pub(crate) async fn take(&self) -> Option<LivelinessToken> {
-        self.0.lock().await.take()
+    async fn hold_on(&self, session: &Session, key: &str, part: &Part) -> zenoh::Result<()> {
+        let own = format!("{key}/{}", session.zid());
+        let mut told = false;
+        loop {
+            let pause = if self.is_held().await {
+                if !other_claims(session, key, &own).await?.is_empty() {
+                    tell(key, part, &mut told);
+                } else {
+                    part.works();
+                    told = false;
+                }
+                LOOK_AGAIN_EVERY
+            } else {
+                if self.claim(session, key, &own).await? {
+                    part.works();
+                } else {
+                    tell(key, part, &mut told);
+                }
+                LOOK_EVERY
+            };
+            let random = RandomState::new().hash_one(&own) % 1000;
+            tokio::time::sleep(pause.mul_f64(0.5 + random as f64 / 1000.0)).await;
+        }
+    }
+
+    /// Takes the name if nobody has it; whether it could be had.
+    async fn claim(&self, session: &Session, key: &str, own: &str) -> zenoh::Result<bool> {
+        if !other_claims(session, key, own).await?.is_empty() {
+            return Ok(false);
+        }
+        let claim = session.liveliness().declare_token(own).await?;
+        tokio::time::sleep(GETTING_AROUND).await;
+        let others = other_claims(session, key, own).await?;
+        if others.iter().any(|other| other.as_str() < own) {
+            claim.undeclare().await?;
+            return Ok(false);
+        }
+        let token = session.liveliness().declare_token(key).await?;
+        self.0.lock().await.extend([claim, token]);
+        Ok(true)
+    }
+
+    async fn is_held(&self) -> bool {
+        !self.0.lock().await.is_empty()
+    }
+
+    /// The tokens, to be given back.
+    pub(crate) async fn take(&self) -> Vec<LivelinessToken> {
+        std::mem::take(&mut *self.0.lock().await)
+    }
+}
+
+/// The claims to the name other than `own`.
+async fn other_claims(session: &Session, key: &str, own: &str) -> zenoh::Result<Vec<String>> {
+    let replies = session
+        .liveliness()
+        .get(format!("{key}/*"))
+        .timeout(ASKING)
+        .await?;
+    let mut others = Vec::new();
+    while let Ok(reply) = replies.recv_async().await {
+        if let Ok(claim) = reply.result()
+            && claim.key_expr().as_str() != own
+        {
+            others.push(claim.key_expr().to_string());
+        }
+    }
+    Ok(others)
+}
+
+fn tell(key: &str, part: &Part, told: &mut bool) {
+    part.degraded(TAKEN);
+    if !std::mem::replace(told, true) {
+        tracing::warn!(
+            key,
+            "another node of this name is on the network, or an earlier run of this one was killed a moment ago: give \
+             each node a name of its own (node.name)"
+        );
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_service::readiness::Readiness;
+
+    async fn session(settings: &[(&str, &str)]) -> Session {
+        let mut config = zenoh::Config::default();
+        config
+            .insert_json5("scouting/multicast/enabled", "false")
+            .unwrap();
+        for (key, value) in settings {
+            config.insert_json5(key, value).unwrap();
+        }
+        zenoh::open(config).await.unwrap()
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn of_two_nodes_that_start_together_one_has_the_name_and_the_other_says_so() {
+        let one = session(&[("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#)]).await;
+        let at = one.info().locators().await[0].to_string();
+        let connect = format!("[{at:?}]");
+        let two = session(&[
+            ("listen/endpoints", "[]"),
+            ("connect/endpoints", connect.as_str()),
+        ])
+        .await;
+        let linked = async {
+            while one.info().peers_zid().await.count() + two.info().peers_zid().await.count() < 2 {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(60), linked)
+            .await
+            .unwrap();
+        let shutdown = CancellationToken::new();
+        let nodes = [one, two].map(|session| {
+            let (name, readiness) = (NodeName::default(), Readiness::default());
+            let held = name.clone().hold(
+                session,
+                "albireo/@alive/n".to_owned(),
+                readiness.part("name"),
+                shutdown.clone(),
+            );
+            (name, readiness, tokio::spawn(held))
+        });
+        let settled = async {
+            loop {
+                let mut held = Vec::new();
+                for (name, readiness, _) in &nodes {
+                    let works = readiness.health().faults.is_empty();
+                    held.push((name.is_held().await, works));
+                }
+                held.sort_unstable();
+                if held == [(false, false), (true, true)] {
+                    return;
+                }
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(60), settled)
+            .await
+            .unwrap();
+        shutdown.cancel();
+        for (_, _, holding) in nodes {
+            holding.await.unwrap().unwrap();
+        }
     }
 }

@@ -4,37 +4,28 @@
 //! removed only when a hub has it. While the disk cannot be written, reports wait in memory, as many as are
 //! allowed, and are kept when it returns; without a state directory memory is all there is, and that is said.
 
+mod batch;
 mod config;
+mod disk;
 mod identity;
 mod migrate;
+mod state;
 mod store;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use batch::Batch;
 pub use config::OutboxConfig;
 
-use albireo_wire::{ClipReport, OutboxStatus, ReportBatch, VERSION};
-use parking_lot::{Condvar, Mutex, MutexGuard};
-use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::fs::{File, TryLockError};
-use std::ops::{Deref, DerefMut};
+use albireo_wire::{ClipReport, OutboxStatus};
+use disk::OpenFailure;
+use state::{Shared, State, Unsettled};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
-use store::{Instance, Store, StoreError};
+use std::time::Instant;
 
 /// The file in the state directory.
 const FILE: &str = "node.db";
-
-/// Time between two looks at a disk that failed.
-const DISK_RETRY: Duration = Duration::from_secs(2);
-
-/// A report whose energy is not known after this time is sent without.
-const LONGEST_SETTLING: Duration = Duration::from_secs(30);
-
-/// Uncompressed bytes of a batch at most: well below [`albireo_wire::LARGEST_BATCH_BYTES`], and compressed far
-/// below what an uplink lets through.
-const BATCH_BYTES: usize = 1 << 20;
 
 /// Why the state directory cannot be used. Only what waiting does not mend: a disk that fails is no reason
 /// not to start.
@@ -46,10 +37,10 @@ pub enum OutboxError {
     )]
     Locked(PathBuf),
     /// Not our file.
-    #[error("node.state_dir: {0}")]
+    #[error("node.state_dir cannot be used: {0}")]
     Foreign(String),
     /// The configuration names something that can never be a folder.
-    #[error("node.state_dir {0} is a file, not a folder")]
+    #[error("node.state_dir {0} is a file, not a folder: name a folder, or move the file away")]
     NotAFolder(PathBuf),
 }
 
@@ -62,6 +53,8 @@ pub struct OutboxCounts {
     pub in_memory: u64,
     /// Reports lost since the instance began.
     pub lost: u64,
+    /// When reports were lost last, of any instance, since the node started.
+    pub last_loss: Option<Instant>,
     /// Reports taken in since the node started.
     pub kept: u64,
     /// Reports acknowledged since the node started.
@@ -97,52 +90,14 @@ pub(crate) enum Acknowledged {
     NewInstance,
 }
 
-/// A batch to be sent.
-#[derive(Debug)]
-pub(crate) struct Batch {
-    /// Row of the instance.
-    instance: i64,
-    /// What goes over the wire.
-    pub message: ReportBatch,
-}
+/// Stands for a kept report whose energy is to come, whatever number it has by then.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Ticket(u64);
 
-/// The outbox; clones are the same one. Every method may write and sync a file: away from async workers.
+/// The outbox; clones are the same one. Every method may write and sync a file, unless it says otherwise: away from
+/// async workers.
 #[derive(Clone, Debug)]
 pub struct Outbox(Arc<Shared>);
-
-#[derive(Debug)]
-struct Shared {
-    config: OutboxConfig,
-    directory: Option<PathBuf>,
-    machine: Option<String>,
-    state: Mutex<State>,
-    /// The counts as they were after the last change, for readers that must not wait for a disk.
-    told: Mutex<OutboxCounts>,
-    /// Told at every change that may concern the sender.
-    changed: Condvar,
-}
-
-#[derive(Debug)]
-struct State {
-    store: Option<Store>,
-    lock: Option<File>,
-    failing: Option<String>,
-    retry_at: Instant,
-    current: Instance,
-    /// Reports of `current` that are not on disk, in order, above all that are.
-    memory: VecDeque<(u64, Vec<u8>)>,
-    /// Reports whose energy is not known yet.
-    unsettled: BTreeMap<u64, Instant>,
-    /// What a hub has of each instance and the disk could not forget.
-    acknowledged: BTreeMap<i64, u64>,
-    /// What waited on disk when it failed.
-    waiting_on_disk: u64,
-    settings: BTreeMap<String, String>,
-    unwritten_settings: BTreeSet<String>,
-    counts: OutboxCounts,
-    /// Goes up when the sender should look.
-    revision: u64,
-}
 
 impl Outbox {
     /// Opens the outbox in `directory`, or in memory without one. A disk that cannot be used now is tried again
@@ -198,141 +153,98 @@ impl Outbox {
 
     /// How it stands. Never waits for a disk.
     pub fn counts(&self) -> OutboxCounts {
-        self.0.told.lock().clone()
+        self.0.published_counts.lock().clone()
     }
 
     /// Keeps reports whose energy is not known yet, in order, and gives them their numbers. They are not sent before
-    /// [`settle`](Self::settle); should the node die in between, they are sent as they are.
-    pub(crate) fn keep(&self, reports: &mut [ClipReport]) {
+    /// [`settle`](Self::settle), or before that has taken too long; should the node die in between, they are sent as
+    /// they are.
+    pub(crate) fn keep(&self, reports: &mut [ClipReport]) -> Vec<Ticket> {
         let mut state = self.0.enter();
         let mut rows = Vec::with_capacity(reports.len());
+        let mut tickets = Vec::with_capacity(reports.len());
         for report in reports.iter_mut() {
             state.current.last += 1;
             let number = state.current.last;
             report.report = number;
-            state.unsettled.insert(number, Instant::now());
+            state.tickets += 1;
+            let (ticket, instance) = (Ticket(state.tickets), state.current.name.clone());
+            let since = Instant::now();
+            state.unsettled.insert(
+                ticket,
+                Unsettled {
+                    instance,
+                    number,
+                    since,
+                },
+            );
+            tickets.push(ticket);
             state.counts.kept += 1;
             rows.push((number, to_json(report)));
         }
         self.0.store_rows(&mut state, rows);
-        self.0.ring(&mut state);
+        self.0.notify_waiters();
+        tickets
     }
 
-    /// Replaces kept reports by the same with their energy: from now on they are sent.
-    pub(crate) fn settle(&self, reports: &[ClipReport]) {
+    /// Replaces kept reports by the same with their energy: from now on they are sent. They get the numbers they have
+    /// now: since they were kept a new instance may have begun.
+    pub(crate) fn settle(&self, tickets: &[Ticket], reports: &mut [ClipReport]) {
         let mut state = self.0.enter();
         let state = &mut *state;
-        let mut rows = Vec::with_capacity(reports.len());
-        for report in reports {
-            // After a new instance began meanwhile, the number is another's: it goes as it was kept.
-            if state.unsettled.remove(&report.report).is_none() {
+        for (ticket, report) in tickets.iter().zip(reports) {
+            // Sent without it, or lost.
+            let Some(place) = state.unsettled.remove(ticket) else {
                 continue;
-            }
-            match state.memory.iter_mut().find(|(n, _)| *n == report.report) {
+            };
+            report.report = place.number;
+            let in_memory = if place.instance == state.current.name {
+                state
+                    .memory
+                    .binary_search_by_key(&place.number, |(number, _)| *number)
+                    .ok()
+            } else {
+                None
+            };
+            match in_memory.and_then(|at| state.memory.get_mut(at)) {
                 Some((_, json)) => *json = to_json(report),
-                None => rows.push((report.report, to_json(report))),
+                None => {
+                    let place = (place.instance, place.number);
+                    state.settled.insert(place, to_json(report));
+                }
             }
         }
-        if !rows.is_empty()
-            && let Some(store) = &mut state.store
-            && let Err(error) = store.replace(&state.current, &rows)
-        {
-            state.fail(&error);
-        }
-        self.0.ring(state);
+        self.0.write_settled(state);
+        self.0.notify_waiters();
+    }
+
+    /// Tries a disk that failed again, when it is time.
+    pub(crate) fn look_after_disk(&self) {
+        self.0.look_after_disk(&mut self.0.enter());
     }
 
     /// The oldest reports that can be sent.
     pub(crate) fn batch(&self, node: &str) -> Option<Batch> {
         let mut state = self.0.enter();
         self.0.look_after_disk(&mut state);
-        let state = &mut *state;
-        let now = Instant::now();
-        state
-            .unsettled
-            .retain(|_, since| now.duration_since(*since) < LONGEST_SETTLING);
-        let before = state.unsettled.keys().next().copied();
-        let most = self.0.config.batch_reports.max(1);
-        for _ in 0..8 {
-            let found = match &state.store {
-                None => None,
-                Some(store) => {
-                    let acknowledged =
-                        |instance| state.acknowledged.get(&instance).copied().unwrap_or(0);
-                    match store.rows(most, BATCH_BYTES, &acknowledged, state.current.id, before) {
-                        Ok(rows) => rows,
-                        Err(error) => {
-                            state.fail(&error);
-                            None
-                        }
-                    }
-                }
-            };
-            let Some(rows) = found else { break };
-            let (mut reports, mut unreadable) = (Vec::new(), Vec::new());
-            for (number, json) in &rows.reports {
-                match serde_json::from_slice::<ClipReport>(json) {
-                    Ok(report) => reports.push(ClipReport {
-                        report: *number,
-                        ..report
-                    }),
-                    Err(error) => {
-                        tracing::error!(number, %error, "a kept clip report cannot be read: lost");
-                        unreadable.push(*number);
-                    }
-                }
-            }
-            if !unreadable.is_empty()
-                && let Some(store) = &mut state.store
-            {
-                if rows.instance.id == state.current.id {
-                    state.current.lost += unreadable.len() as u64;
-                }
-                if let Err(error) = store.give_up(rows.instance.id, &unreadable) {
-                    state.fail(&error);
-                }
-            }
-            if let Some(batch) = batch_of(node, &rows.instance, reports) {
-                return Some(batch);
-            }
-        }
-        // What is on disk and cannot be read has lower numbers: later ones must not overtake them.
-        if state.waiting_on_disk > 0 && state.store.is_none() {
-            return None;
-        }
-        let on_disk = state.store.as_ref().is_some_and(|store| {
-            let acknowledged = |instance| state.acknowledged.get(&instance).copied().unwrap_or(0);
-            store
-                .rows(1, 1, &acknowledged, state.current.id, None)
-                .is_ok_and(|rows| rows.is_some())
-        });
-        if on_disk {
-            return None;
-        }
-        let reports = state
-            .memory
-            .iter()
-            .take_while(|(number, _)| before.is_none_or(|before| *number < before))
-            .take(most)
-            .filter_map(|(_, json)| serde_json::from_slice(json).ok())
-            .collect();
-        batch_of(node, &state.current, reports)
+        self.0.next_batch(&mut state, node)
     }
 
     /// Takes note of a hub's answer to `batch`.
     pub(crate) fn acknowledge(&self, batch: &Batch, stored: u64) -> Acknowledged {
         let mut state = self.0.enter();
         let state = &mut *state;
-        let own = state.current.name == batch.message.instance;
+        let instance = &batch.message.instance;
+        let own = state.current.name == *instance;
         if own && stored > state.current.last {
             tracing::error!(
-                instance = state.current.name,
+                instance,
                 stored,
                 last = state.current.last,
                 "the hub has later reports than this node ever made: its state went back in time; a new instance begins"
             );
             self.0.begin_anew(state);
-            self.0.ring(state);
+            self.0.notify_waiters();
             return Acknowledged::NewInstance;
         }
         if stored < batch.message.first {
@@ -354,21 +266,12 @@ impl Outbox {
             state.memory.pop_front();
             removed += 1;
         }
-        if batch.instance != 0 {
-            let before = state.store.as_ref().map_or(0, |s| s.waiting().reports);
-            state.acknowledged.insert(batch.instance, upto);
-            if let Some(store) = &mut state.store {
-                match store.remove(batch.instance, upto) {
-                    Ok(()) => {
-                        removed += before - store.waiting().reports;
-                        state.acknowledged.remove(&batch.instance);
-                    }
-                    Err(error) => {
-                        removed += batch.message.reports.len() as u64;
-                        state.fail(&error);
-                    }
-                }
-            }
+        let unreadable = state.forget(instance, upto);
+        if self.0.directory.is_some() {
+            let reports = batch.message.reports.iter();
+            let in_batch = reports.filter(|report| report.report <= upto).count() as u64;
+            let on_disk = in_batch.saturating_sub(removed) + unreadable;
+            removed += remove(state, instance, upto, on_disk);
         }
         state.counts.acknowledged += removed;
         Acknowledged::Removed(removed)
@@ -379,32 +282,28 @@ impl Outbox {
     pub(crate) fn conflict(&self, batch: &Batch) -> bool {
         let mut state = self.0.enter();
         let state = &mut *state;
+        let instance = &batch.message.instance;
         tracing::error!(
-            instance = batch.message.instance,
+            instance,
             first = batch.message.first,
             "the hub has other reports under these numbers: the state went back in time, or another machine has a \
              copy of it; a new instance begins"
         );
-        if state.current.name == batch.message.instance {
+        if state.current.name == *instance {
             self.0.begin_anew(state);
         } else {
-            let Some(store) = state.store.as_mut().filter(|_| state.memory.is_empty()) else {
+            if state.store.is_none() || !state.memory.is_empty() {
                 return false;
-            };
-            let fresh = Instance::new(self.0.machine.clone());
-            match store.begin_instance(fresh, Some(batch.instance)) {
-                Ok(begun) => {
-                    state.unsettled.clear();
-                    state.acknowledged.remove(&batch.instance);
-                    state.current = begun;
-                }
+            }
+            match self.0.move_to_new_instance(state, instance) {
+                Ok(begun) => state.current = begun,
                 Err(error) => {
-                    state.fail(&error);
+                    state.fail_store(&error);
                     return false;
                 }
             }
         }
-        self.0.ring(state);
+        self.0.notify_waiters();
         true
     }
 
@@ -419,7 +318,7 @@ impl Outbox {
                     state.settings.insert(name.to_owned(), found?);
                 }
                 Err(error) => {
-                    state.fail(&error);
+                    state.fail_store(&error);
                     return None;
                 }
             }
@@ -434,7 +333,8 @@ impl Outbox {
     }
 
     /// Keeps a setting; whether it survives a restart. One that cannot be written now is written when the disk
-    /// returns.
+    /// returns, unless nothing could be read of it yet: then whoever set it is asked by
+    /// [`settings_returned`](Self::settings_returned) to compare first.
     pub(crate) fn set<T: serde::Serialize>(&self, name: &str, setting: &T) -> bool {
         let Ok(json) = serde_json::to_string(setting) else {
             return false;
@@ -442,19 +342,26 @@ impl Outbox {
         let mut state = self.0.enter();
         self.0.look_after_disk(&mut state);
         let state = &mut *state;
-        state.settings.insert(name.to_owned(), json.clone());
-        let written = match &mut state.store {
-            Some(store) => store.set(name, &json),
-            None => {
-                state.unwritten_settings.insert(name.to_owned());
-                return false;
-            }
-        };
-        if let Err(error) = &written {
-            state.unwritten_settings.insert(name.to_owned());
-            state.fail(error);
+        if state.settings_returned {
+            return false;
         }
-        written.is_ok()
+        state.settings.insert(name.to_owned(), json.clone());
+        if state.failing.is_none()
+            && let Some(store) = &mut state.store
+        {
+            match store.set(name, &json) {
+                Ok(()) => return true,
+                Err(error) => state.fail_store(&error),
+            }
+        }
+        state.unwritten_settings.insert(name.to_owned());
+        false
+    }
+
+    /// Whether the settings that an earlier run kept can be read since the last call, and could not when they were
+    /// asked for.
+    pub(crate) fn settings_returned(&self) -> bool {
+        std::mem::take(&mut self.0.state.lock().settings_returned)
     }
 
     /// Whether there is a directory to keep things in.
@@ -467,308 +374,45 @@ impl Outbox {
         self.counts().durable
     }
 
-    /// Waits until something changed since `revision`, or `until`; the revision now.
+    /// Waits until something changed since `revision`, or `until`; the revision now. Never waits for a disk.
     pub(crate) fn wait_for_change(&self, revision: u64, until: Instant) -> u64 {
-        let mut state = self.0.state.lock();
-        while state.revision == revision {
-            if self.0.changed.wait_until(&mut state, until).timed_out() {
+        let mut now = self.0.revision.lock();
+        while *now == revision {
+            if self.0.changed.wait_until(&mut now, until).timed_out() {
                 break;
             }
         }
-        state.revision
+        *now
     }
 
-    /// Makes the sender look.
+    /// Makes the sender look. Never waits for a disk.
     pub(crate) fn wake(&self) {
-        self.0.ring(&mut self.0.state.lock());
+        self.0.notify_waiters();
+    }
+
+    /// Makes it time to try a disk that failed.
+    #[cfg(test)]
+    pub(crate) fn disk_is_due(&self) {
+        self.0.state.lock().retry_at = Instant::now();
     }
 }
 
-/// The state while it is worked on; what it counts is told at the end.
-struct Entered<'a> {
-    state: MutexGuard<'a, State>,
-    shared: &'a Shared,
-}
-
-impl Deref for Entered<'_> {
-    type Target = State;
-
-    fn deref(&self) -> &State {
-        &self.state
-    }
-}
-
-impl DerefMut for Entered<'_> {
-    fn deref_mut(&mut self) -> &mut State {
-        &mut self.state
-    }
-}
-
-impl Drop for Entered<'_> {
-    fn drop(&mut self) {
-        *self.shared.told.lock() = self.state.counts_now();
-    }
-}
-
-enum OpenFailure {
-    Refused(OutboxError),
-    Disk(StoreError),
-}
-
-impl From<StoreError> for OpenFailure {
-    fn from(error: StoreError) -> Self {
-        match error {
-            StoreError::Foreign(reason) => Self::Refused(OutboxError::Foreign(reason)),
-            other => Self::Disk(other),
+/// Removes from the disk what a hub has, or notes it where that cannot be done now: then `expected` reports. How many
+/// went.
+fn remove(state: &mut State, instance: &str, upto: u64, expected: u64) -> u64 {
+    if state.failing.is_none()
+        && let Some(store) = &mut state.store
+    {
+        let before = store.waiting().reports;
+        match store.remove(instance, upto) {
+            Ok(()) => return before - store.waiting().reports,
+            Err(error) => state.fail_store(&error),
         }
     }
-}
-
-impl Shared {
-    fn new(config: OutboxConfig, directory: Option<PathBuf>, machine: Option<String>) -> Self {
-        Self {
-            state: Mutex::new(State {
-                store: None,
-                lock: None,
-                failing: None,
-                retry_at: Instant::now(),
-                current: Instance::new(machine.clone()),
-                memory: VecDeque::new(),
-                unsettled: BTreeMap::new(),
-                acknowledged: BTreeMap::new(),
-                waiting_on_disk: 0,
-                settings: BTreeMap::new(),
-                unwritten_settings: BTreeSet::new(),
-                counts: OutboxCounts::default(),
-                revision: 0,
-            }),
-            config,
-            directory,
-            machine,
-            told: Mutex::default(),
-            changed: Condvar::new(),
-        }
-    }
-
-    fn enter(&self) -> Entered<'_> {
-        Entered {
-            state: self.state.lock(),
-            shared: self,
-        }
-    }
-
-    fn ring(&self, state: &mut State) {
-        state.revision += 1;
-        self.changed.notify_all();
-    }
-
-    /// Opens the file and brings what waits in memory to it.
-    fn open_store(&self, state: &mut State, directory: &Path) -> Result<(), OpenFailure> {
-        std::fs::create_dir_all(directory).map_err(|error| OpenFailure::Disk(error.into()))?;
-        if state.lock.is_none() {
-            let lock = File::options()
-                .create(true)
-                .truncate(false)
-                .write(true)
-                .open(directory.join("lock"))
-                .map_err(|error| OpenFailure::Disk(error.into()))?;
-            match lock.try_lock() {
-                Ok(()) => state.lock = Some(lock),
-                Err(TryLockError::WouldBlock) => {
-                    return Err(OpenFailure::Refused(OutboxError::Locked(
-                        directory.to_owned(),
-                    )));
-                }
-                Err(TryLockError::Error(error)) => return Err(OpenFailure::Disk(error.into())),
-            }
-        }
-        let opened = Store::open(&directory.join(FILE), self.machine.as_deref())?;
-        for note in &opened.notes {
-            state.counts.disk_failures += 1;
-            tracing::error!("{note}");
-        }
-        let mut store = opened.store;
-        if opened.current.name != state.current.name {
-            if state.current.last == 0 {
-                state.current = opened.current;
-            } else {
-                // Numbers were given while the disk was away: they stay their own instance's.
-                state.current = store.begin_instance(state.current.clone(), None)?;
-            }
-        } else {
-            state.current.id = opened.current.id;
-        }
-        for (instance, upto) in std::mem::take(&mut state.acknowledged) {
-            store.remove(instance, upto)?;
-        }
-        let waiting: Vec<_> = state.memory.iter().cloned().collect();
-        store.keep(&state.current, &waiting)?;
-        state.memory.clear();
-        for name in std::mem::take(&mut state.unwritten_settings) {
-            if let Some(json) = state.settings.get(&name)
-                && let Err(error) = store.set(&name, json)
-            {
-                state.unwritten_settings.insert(name);
-                return Err(error.into());
-            }
-        }
-        migrate::thresholds(&mut store, directory);
-        state.waiting_on_disk = 0;
-        state.store = Some(store);
-        if let Some(reason) = state.failing.take() {
-            tracing::info!(reason, "the state directory can be used again");
-        }
-        Ok(())
-    }
-
-    /// Tries a disk that failed again, when it is time.
-    fn look_after_disk(&self, state: &mut State) {
-        let Some(directory) = &self.directory else {
-            return;
-        };
-        if state.failing.is_none() || Instant::now() < state.retry_at {
-            return;
-        }
-        state.retry_at = Instant::now() + DISK_RETRY;
-        // Opened anew in any case: the file may be another one than before.
-        if let Some(store) = state.store.take() {
-            state.waiting_on_disk = store.waiting().reports;
-        }
-        match self.open_store(state, directory) {
-            Ok(()) => self.ring(state),
-            Err(OpenFailure::Disk(error)) => state.fail(&error),
-            Err(OpenFailure::Refused(error)) => {
-                let reason = error.to_string();
-                if state.failing.as_deref() != Some(&reason) {
-                    tracing::error!("{reason}");
-                }
-                state.failing = Some(reason);
-            }
-        }
-    }
-
-    /// Keeps reports on disk, or in memory while there is none.
-    fn store_rows(&self, state: &mut State, rows: Vec<(u64, Vec<u8>)>) {
-        self.look_after_disk(state);
-        if state.memory.is_empty()
-            && let Some(store) = &mut state.store
-            && state.failing.is_none()
-        {
-            match store.keep(&state.current, &rows) {
-                Ok(()) => {
-                    self.trim(state);
-                    return;
-                }
-                Err(error) => state.fail(&error),
-            }
-        }
-        state.memory.extend(rows);
-        while state.memory.len() > self.config.memory_reports {
-            state.memory.pop_front();
-            state.current.lost += 1;
-            tracing::warn!(
-                lost = state.current.lost,
-                "clip report lost: too many wait in memory"
-            );
-        }
-    }
-
-    fn trim(&self, state: &mut State) {
-        let Some(store) = &mut state.store else {
-            return;
-        };
-        let age = u64::from(self.config.max_age_days).saturating_mul(86_400_000_000_000);
-        match store.trim(self.config.max_bytes, age) {
-            Ok(gone) => {
-                for (instance, number) in gone {
-                    if instance == state.current.id {
-                        state.current.lost += number;
-                    }
-                    tracing::warn!(
-                        number,
-                        "clip reports lost: the outbox is full or they are too old"
-                    );
-                }
-            }
-            Err(error) => state.fail(&error),
-        }
-    }
-
-    /// A new instance for everything that waits under the present one.
-    fn begin_anew(&self, state: &mut State) {
-        let before = state.current.clone();
-        let mut fresh = Instance::new(self.machine.clone());
-        state.unsettled.clear();
-        if let Some(store) = &mut state.store {
-            match store.begin_instance(fresh.clone(), Some(before.id)) {
-                Ok(begun) => fresh = begun,
-                Err(error) => state.fail(&error),
-            }
-        }
-        for (number, json) in &mut state.memory {
-            fresh.last += 1;
-            *number = fresh.last;
-            if let Ok(report) = serde_json::from_slice::<ClipReport>(json) {
-                *json = to_json(&ClipReport {
-                    report: fresh.last,
-                    ..report
-                });
-            }
-        }
-        state.acknowledged.remove(&before.id);
-        state.current = fresh;
-    }
-}
-
-impl State {
-    fn counts_now(&self) -> OutboxCounts {
-        let on_disk = self
-            .store
-            .as_ref()
-            .map_or(self.waiting_on_disk, |store| store.waiting().reports);
-        OutboxCounts {
-            waiting: on_disk + self.memory.len() as u64,
-            in_memory: self.memory.len() as u64,
-            lost: self.current.lost,
-            failing: self.failing.clone(),
-            durable: self.store.is_some() && self.failing.is_none(),
-            ..self.counts.clone()
-        }
-    }
-
-    fn fail(&mut self, error: &StoreError) {
-        let reason = format!("the state directory cannot be used: {error}");
-        if self.failing.as_deref() != Some(reason.as_str()) {
-            tracing::error!("{reason}; clip reports wait in memory");
-        }
-        if self.failing.is_none() {
-            self.retry_at = Instant::now() + DISK_RETRY;
-        }
-        self.counts.disk_failures += 1;
-        self.failing = Some(reason);
-        if !error.leaves_file_readable()
-            && let Some(store) = self.store.take()
-        {
-            self.waiting_on_disk = store.waiting().reports;
-        }
-    }
-}
-
-fn batch_of(node: &str, instance: &Instance, reports: Vec<ClipReport>) -> Option<Batch> {
-    let (first, last) = (reports.first()?.report, reports.last()?.report);
-    Some(Batch {
-        instance: instance.id,
-        message: ReportBatch {
-            v: VERSION,
-            node: node.to_owned(),
-            instance: instance.name.clone(),
-            machine: instance.machine.clone(),
-            first,
-            last,
-            lost: instance.lost,
-            reports,
-        },
-    })
+    let noted = state.acknowledged.entry(instance.to_owned()).or_default();
+    noted.upto = noted.upto.max(upto);
+    noted.reports += expected;
+    expected
 }
 
 fn to_json(report: &ClipReport) -> Vec<u8> {

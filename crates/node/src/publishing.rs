@@ -4,10 +4,11 @@
 //! Kinds have priorities of their own, as each priority has a queue and a lock in Zenoh: a report that waits for
 //! a slow subscriber never stands before a detection.
 
+use crate::rate_limit::SharedLimit;
+use albireo_service::panics::{contain, message};
 use parking_lot::{Condvar, Mutex};
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use tokio::sync::mpsc;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
@@ -30,10 +31,21 @@ pub(crate) enum Outlet {
     Plain(Publisher<'static>),
     /// One with a cache for clients that come late.
     Cached(AdvancedPublisher<'static>),
+    /// A stand-in.
+    #[cfg(test)]
+    Test(Box<dyn Fn(Vec<u8>) + Send + Sync>),
 }
 
 impl Outlet {
-    fn put(&self, json: Vec<u8>) -> zenoh::Result<()> {
+    /// Puts, and survives a panic below: every camera's answers go through the thread that calls this.
+    fn put(&self, json: Vec<u8>) -> Result<(), Unpublished> {
+        match contain(|| self.put_through(json)) {
+            Ok(put) => put.map_err(Unpublished::Refused),
+            Err(panic) => Err(Unpublished::Panicked(message(&*panic).to_owned())),
+        }
+    }
+
+    fn put_through(&self, json: Vec<u8>) -> zenoh::Result<()> {
         match self {
             Self::Plain(publisher) => publisher
                 .put(json)
@@ -43,6 +55,11 @@ impl Outlet {
                 .put(json)
                 .encoding(Encoding::APPLICATION_JSON)
                 .wait(),
+            #[cfg(test)]
+            Self::Test(put) => {
+                put(json);
+                Ok(())
+            }
         }
     }
 
@@ -50,6 +67,35 @@ impl Outlet {
         match self {
             Self::Plain(publisher) => publisher.key_expr().to_string(),
             Self::Cached(publisher) => publisher.key_expr().to_string(),
+            #[cfg(test)]
+            Self::Test(_) => "test".to_owned(),
+        }
+    }
+}
+
+/// Why a message did not go out.
+enum Unpublished {
+    Refused(zenoh::Error),
+    Panicked(String),
+}
+
+static PANICKED: SharedLimit = SharedLimit::new();
+
+impl Unpublished {
+    /// Logs it: what Zenoh refuses is `unusual` or not.
+    fn log(&self, key: &str, unusual: bool) {
+        match self {
+            Self::Refused(error) if unusual => {
+                tracing::warn!(key, %error, "detections not published");
+            }
+            Self::Refused(error) => tracing::debug!(key, %error, "not published"),
+            Self::Panicked(said) => PANICKED.tell(|held_back| {
+                tracing::error!(
+                    key,
+                    held_back,
+                    "a put panicked, its message is lost: {said}"
+                );
+            }),
         }
     }
 }
@@ -86,7 +132,6 @@ struct Shared {
     state: Mutex<State>,
     filled: Condvar,
     drained: Condvar,
-    dropped: AtomicU64,
 }
 
 /// The publishing thread. Ends when dropped, after what waits is out.
@@ -112,7 +157,7 @@ impl PublishingThread {
         Ok(Self(shared))
     }
 
-    /// A lane to `outlet` in which at most `most` messages wait: beyond that the oldest goes, counted.
+    /// A lane to `outlet` in which at most `most` messages wait: beyond that the oldest goes.
     pub(crate) fn lane(&self, outlet: impl Into<Outlet>, most: usize) -> PublishLane {
         let mut state = self.0.state.lock();
         state.lanes.push(Lane {
@@ -154,7 +199,6 @@ impl PublishLane {
         };
         if lane.waiting.len() >= lane.most {
             lane.waiting.pop_front();
-            self.shared.dropped.fetch_add(1, Ordering::Relaxed);
             if !std::mem::replace(&mut lane.warned, true) {
                 tracing::warn!(
                     key = lane.outlet.key(),
@@ -193,7 +237,7 @@ impl Shared {
                     state.busy = true;
                     parking_lot::MutexGuard::unlocked(&mut state, || {
                         if let Err(error) = outlet.put(json) {
-                            tracing::debug!(key = outlet.key(), %error, "not published");
+                            error.log(&outlet.key(), false);
                         }
                     });
                     state.busy = false;
@@ -229,7 +273,7 @@ impl Detections {
         let thread = tokio::task::spawn_blocking(move || {
             while let Some(json) = waiting.blocking_recv() {
                 if let Err(error) = outlet.put(json) {
-                    tracing::warn!(key = outlet.key(), %error, "detections not published");
+                    error.log(&outlet.key(), true);
                 }
             }
         });
@@ -246,5 +290,38 @@ impl Detections {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::mpsc::channel;
+    use std::time::{Duration, Instant};
+
+    #[test]
+    fn a_put_that_panics_costs_its_own_message_and_no_other() {
+        let thread = PublishingThread::start().unwrap();
+        let (out, published) = channel();
+        let (broken, sound) = (out.clone(), out);
+        let broken = thread.lane(
+            Outlet::Test(Box::new(move |json| {
+                assert_ne!(json, b"bad", "a bug of the transport");
+                broken.send(json).unwrap();
+            })),
+            4,
+        );
+        let sound = thread.lane(
+            Outlet::Test(Box::new(move |json| sound.send(json).unwrap())),
+            4,
+        );
+        broken.publish(b"bad".to_vec());
+        thread.flush(Instant::now() + Duration::from_secs(20));
+        sound.publish(b"of another camera".to_vec());
+        broken.publish(b"good".to_vec());
+        let next = || published.recv_timeout(Duration::from_secs(20)).unwrap();
+        let mut both = [next(), next()];
+        both.sort();
+        assert_eq!(both, [b"good".to_vec(), b"of another camera".to_vec()]);
     }
 }

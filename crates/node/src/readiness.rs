@@ -14,6 +14,7 @@
 
 use crate::board::Board;
 use crate::detector::DetectorStatus;
+use crate::outbox::OutboxCounts;
 use crate::power::PowerHandle;
 use albireo_service::notify::Look;
 use albireo_service::readiness::{Effect, Fault, Readiness};
@@ -42,6 +43,9 @@ pub const TASKS: &str = albireo_service::supervise::PART;
 
 /// A meter may take so long for its first sample.
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
+
+/// How long lost clip reports are told.
+const LOSS_IS_TOLD: Duration = Duration::from_secs(600);
 
 /// All parts, as metrics list them.
 pub const PARTS: [&str; 9] = [
@@ -84,6 +88,25 @@ pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
 /// What the status of the screen means for the node: without it the detector is asked.
 pub(crate) fn of_screen(status: &DetectorStatus) -> Option<Fault> {
     of_detector(status).map(|fault| Fault::degraded(fault.reason))
+}
+
+/// What the outbox's counts mean for the node. `has_directory`: reports are to survive a power loss.
+pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fault> {
+    let lost = counts
+        .last_loss
+        .is_some_and(|at| at.elapsed() < LOSS_IS_TOLD);
+    if lost {
+        Some(Fault::degraded(format!(
+            "clip reports were lost in the last {} minutes",
+            LOSS_IS_TOLD.as_secs() / 60
+        )))
+    } else if has_directory && !counts.durable {
+        Some(Fault::degraded(
+            "clip reports wait in memory and do not survive a power loss",
+        ))
+    } else {
+        None
+    }
 }
 
 /// Looks from now on whether frames come from every camera.

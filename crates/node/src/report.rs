@@ -13,25 +13,25 @@ use std::sync::Arc;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 
-/// Keeps one camera's books in its loop and hands closed clips to the camera's [`Reporter`].
+/// Counts one camera's open clip in its loop and hands closed clips to the camera's [`Reporter`].
 #[derive(Debug)]
 pub(crate) struct ClipAccounts {
-    books: ClipTracker,
-    ledger: Arc<DropCounts>,
+    tracker: ClipTracker,
+    drops: Arc<DropCounts>,
     closed: mpsc::UnboundedSender<ClosedClip>,
 }
 
 impl ClipAccounts {
-    /// Accounts with empty books that give closed clips to a [`Reporter`]. The channel is unbounded, because a
+    /// Accounts with no clip yet that give closed clips to a [`Reporter`]. The channel is unbounded, because a
     /// clip is some kilobytes every some seconds and must not be lost; the reporter's own waiting is bounded.
     pub(crate) fn new(
-        books: ClipTracker,
-        ledger: Arc<DropCounts>,
+        tracker: ClipTracker,
+        drops: Arc<DropCounts>,
         closed: mpsc::UnboundedSender<ClosedClip>,
     ) -> Self {
         Self {
-            books,
-            ledger,
+            tracker,
+            drops,
             closed,
         }
     }
@@ -39,38 +39,38 @@ impl ClipAccounts {
     /// Takes note of a frame about to be processed and gives the clip it belongs to.
     pub(crate) fn arrive(&mut self, frame: &FrameArrival<'_>) -> Arc<str> {
         // What was dropped before this frame belongs to the clip that was open then.
-        self.books.dropped(&self.ledger.take());
-        let closed = self.books.arrive(frame);
+        self.tracker.dropped(&self.drops.take());
+        let closed = self.tracker.arrive(frame);
         self.hand_over(closed);
-        self.books.clip().map_or_else(|| "".into(), Arc::clone)
+        self.tracker.clip().map_or_else(|| "".into(), Arc::clone)
     }
 
     /// Notes what this camera used of a run of the detector.
     pub(crate) fn detector_ran(&self, run: DetectorRun) {
-        self.books.detector_ran(run.start, run.end, run.used);
+        self.tracker.detector_ran(run.start, run.end, run.used);
     }
 
     /// Counts the outcome of the frame that arrived last.
     pub(crate) fn count(&mut self, result: &FrameResult) {
-        self.books.count(result);
+        self.tracker.count(result);
     }
 
     /// When [`tick`](Self::tick) should be called, should no frame come before.
     pub(crate) fn deadline(&self) -> Option<Instant> {
-        self.books.deadline()
+        self.tracker.deadline()
     }
 
     /// Ends the clip whose time is up.
     pub(crate) fn tick(&mut self) {
-        self.books.dropped(&self.ledger.take());
-        let closed = self.books.tick(Instant::now());
+        self.tracker.dropped(&self.drops.take());
+        let closed = self.tracker.tick(Instant::now());
         self.hand_over(closed);
     }
 
     /// Ends the open clip because the node stops.
     pub(crate) fn shutdown(&mut self) {
-        self.books.dropped(&self.ledger.take());
-        let closed = self.books.shutdown(Instant::now());
+        self.tracker.dropped(&self.drops.take());
+        let closed = self.tracker.shutdown(Instant::now());
         self.hand_over(closed);
     }
 
@@ -115,7 +115,7 @@ impl Reporter {
             .iter()
             .map(|clip| clip.without_energy(self.meta(0)))
             .collect();
-        let Some(kept) = self
+        let Some((tickets, kept)) = self
             .on_disk(provisional, |outbox, reports| outbox.keep(reports))
             .await
         else {
@@ -136,9 +136,11 @@ impl Reporter {
             reports.push(report);
         }
         let settled = self
-            .on_disk(reports, |outbox, reports| outbox.settle(reports))
+            .on_disk(reports, move |outbox, reports| {
+                outbox.settle(&tickets, reports);
+            })
             .await;
-        for report in settled.into_iter().flatten() {
+        for report in settled.into_iter().flat_map(|((), reports)| reports) {
             match serde_json::to_vec(&report) {
                 Ok(json) => self.listeners.publish(json),
                 Err(error) => {
@@ -161,15 +163,15 @@ impl Reporter {
     }
 
     /// Lets the outbox work on `reports` where a disk may take its time.
-    async fn on_disk(
+    async fn on_disk<T: Send + 'static>(
         &self,
         mut reports: Vec<ClipReport>,
-        work: impl FnOnce(&Outbox, &mut [ClipReport]) + Send + 'static,
-    ) -> Option<Vec<ClipReport>> {
+        work: impl FnOnce(&Outbox, &mut [ClipReport]) -> T + Send + 'static,
+    ) -> Option<(T, Vec<ClipReport>)> {
         let outbox = self.outbox.clone();
         let worked = tokio::task::spawn_blocking(move || {
-            work(&outbox, &mut reports);
-            reports
+            let result = work(&outbox, &mut reports);
+            (result, reports)
         });
         worked
             .await

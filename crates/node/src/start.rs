@@ -406,8 +406,8 @@ impl Node {
         let closed = tokio::task::spawn_blocking(move || {
             publishing.flush(std::time::Instant::now() + FLUSH_LIMIT);
             uplink.stop();
-            if let Some(alive) = alive {
-                let _ = alive.undeclare().wait();
+            for token in alive {
+                let _ = token.undeclare().wait();
             }
             session.close().wait()
         });
@@ -705,7 +705,7 @@ impl CameraMaker {
         Ok(Camera {
             board: Arc::clone(&self.board),
             ring: ring.unwrap_or_else(|| self.sender.reopen()),
-            ledger: Arc::clone(&self.drops),
+            drops: Arc::clone(&self.drops),
             policy,
             evidence: LiveEvidence::new(
                 self.detector.clone(),

@@ -4,6 +4,8 @@
 //! Only an answer acknowledges. No reply, an error, a refusal and a time-out all mean: keep, and try again after a
 //! pause that doubles, with jitter.
 
+mod backoff;
+mod delivery;
 mod desired;
 mod query;
 mod status;
@@ -13,14 +15,16 @@ pub(crate) use desired::DesiredKeeper;
 
 use crate::board::Board;
 use crate::frame::FrameLimits;
-use crate::outbox::{Acknowledged, Outbox, OutboxConfig};
+use crate::outbox::{Outbox, OutboxConfig};
+use crate::readiness;
 use albireo_service::config::UplinkConfig;
 use albireo_service::session;
-use albireo_wire::{Desired, FleetKeys, PullRequest, RefusalReason, ReportAnswer, VERSION};
-use query::{Asked, ask};
+use albireo_wire::{Desired, FleetKeys, PullRequest, VERSION};
+use backoff::Backoff;
+use delivery::Delivery;
+use query::{Asked, Patience, ask};
 use status::StatusTeller;
 use std::collections::BTreeMap;
-use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -35,6 +39,9 @@ const LOOK: Duration = Duration::from_secs(1);
 
 /// How long the last reports may take to reach a hub when the node stops: what is not there then is kept.
 const LAST_TRY: Duration = Duration::from_millis(1500);
+
+/// A session that served for so long ended for another reason than the one before.
+const LASTED: Duration = Duration::from_secs(10);
 
 /// What the uplink works with.
 pub(crate) struct UplinkSetup {
@@ -79,15 +86,16 @@ impl Uplink {
     pub(crate) fn start(setup: UplinkSetup) -> std::io::Result<Self> {
         let stop = Arc::new(AtomicBool::new(false));
         let outbox = setup.outbox.clone();
+        let node = setup.board.node().to_owned();
         let mut worker = Worker {
             teller: StatusTeller::new(setup.labels.clone()),
             watched: Watched::new(setup.limits),
+            delivery: Delivery::new(outbox.clone(), node, &setup.config),
+            reconnect: Backoff::new(setup.config.retry_min_ms, setup.config.retry_max_ms),
             setup,
             stop: Arc::clone(&stop),
             poked: Arc::new(AtomicU64::new(0)),
             pull_due: true,
-            failures: 0,
-            retry_at: Instant::now(),
             last_answer: Instant::now(),
         };
         let thread = std::thread::Builder::new()
@@ -125,12 +133,13 @@ impl Drop for Uplink {
 struct Worker {
     setup: UplinkSetup,
     teller: StatusTeller,
+    delivery: Delivery,
+    /// Pauses between sessions that could not be opened or failed.
+    reconnect: Backoff,
     stop: Arc<AtomicBool>,
     /// Highest generation that was poked.
     poked: Arc<AtomicU64>,
     pull_due: bool,
-    failures: u32,
-    retry_at: Instant,
     last_answer: Instant,
     watched: Watched,
 }
@@ -143,16 +152,16 @@ enum Served {
 
 impl Worker {
     fn run(&mut self) {
+        let part = self.setup.board.readiness().part(readiness::UPLINK);
         loop {
+            self.look_after_disk();
             let session = match &self.setup.way {
                 Way::Local(session) => session.clone(),
                 Way::Own(uplink) => match session::open_uplink(uplink) {
                     Ok(session) => session,
                     Err(error) => {
                         tracing::warn!("{error:#}");
-                        (self.setup.board.readiness())
-                            .part(crate::readiness::UPLINK)
-                            .degraded("the hub's router cannot be reached");
+                        part.degraded("the hub's router cannot be reached");
                         if self.pause() {
                             return;
                         }
@@ -160,13 +169,13 @@ impl Worker {
                     }
                 },
             };
-            self.setup
-                .board
-                .readiness()
-                .part(crate::readiness::UPLINK)
-                .works();
-            self.last_answer = Instant::now();
+            part.works();
+            let began = Instant::now();
+            self.last_answer = began;
             let served = self.serve(&session);
+            if began.elapsed() > LASTED {
+                self.reconnect.reset();
+            }
             let own = matches!(self.setup.way, Way::Own(..));
             if own && let Err(error) = session.close().wait() {
                 tracing::debug!(%error, "uplink not closed cleanly");
@@ -191,15 +200,26 @@ impl Worker {
 
     /// Waits a while with jitter; whether to stop.
     fn pause(&mut self) -> bool {
-        let until = Instant::now() + self.next_pause(None);
+        let until = Instant::now() + self.reconnect.next(None);
         let mut revision = 0;
         while Instant::now() < until {
             if self.stop.load(Ordering::Acquire) {
                 return true;
             }
-            revision = self.setup.outbox.wait_for_change(revision, until);
+            self.look_after_disk();
+            let look = until.min(Instant::now() + LOOK);
+            revision = self.setup.outbox.wait_for_change(revision, look);
         }
         self.stop.load(Ordering::Acquire)
+    }
+
+    /// Tries a disk that failed again, and compares settings that can be read only now.
+    fn look_after_disk(&self) {
+        let setup = &self.setup;
+        setup.outbox.look_after_disk();
+        if setup.outbox.settings_returned() {
+            setup.desired.read_again(&setup.board, &setup.outbox);
+        }
     }
 
     fn serve(&mut self, session: &Session) -> Served {
@@ -222,17 +242,17 @@ impl Worker {
         };
         let reports = querier(keys.report())?;
         let pulls = querier(keys.pull())?;
-        let bell = self.setup.outbox.clone();
+        let notifier = self.setup.outbox.clone();
         let _listener = reports
             .matching_listener()
-            .callback(move |_| bell.wake())
+            .callback(move |_| notifier.wake())
             .wait()?;
         let status = session
             .declare_publisher(keys.status())
             .congestion_control(CongestionControl::Drop)
             .priority(crate::publishing::COUNTERS)
             .wait()?;
-        let (bell, poked) = (self.setup.outbox.clone(), Arc::clone(&self.poked));
+        let (notifier, poked) = (self.setup.outbox.clone(), Arc::clone(&self.poked));
         let _poke = session
             .declare_subscriber(keys.poke())
             .callback(move |sample| {
@@ -240,7 +260,7 @@ impl Worker {
                     albireo_wire::read::<albireo_wire::Poke>(&sample.payload().to_bytes())
                         .map_or(1, |poke| poke.generation.max(1));
                 poked.fetch_max(generation, Ordering::AcqRel);
-                bell.wake();
+                notifier.wake();
             })
             .wait()?;
         let mut shown = None;
@@ -256,6 +276,7 @@ impl Worker {
         self.pull_due = true;
         loop {
             let stopping = self.stop.load(Ordering::Acquire);
+            self.look_after_disk();
             let connected = reports.matching_status().wait()?.matching();
             if self.poked.swap(0, Ordering::AcqRel) > 0 {
                 self.pull_due = true;
@@ -268,7 +289,9 @@ impl Worker {
                 }
             }
             let mut again = false;
-            if connected && Instant::now() >= self.retry_at {
+            // Once the node stops, a pause is over: there is no later.
+            let last_chance = stopping && last_try.is_none();
+            if connected && (last_chance || self.delivery.is_due(Instant::now())) {
                 again = self.deliver(&reports);
             }
             if stopping {
@@ -287,9 +310,10 @@ impl Worker {
                 }
             }
             if !again {
-                let mut until = Instant::now() + LOOK;
-                if connected && self.failures > 0 {
-                    until = until.min(self.retry_at);
+                let now = Instant::now();
+                let mut until = now + LOOK;
+                if connected {
+                    until = self.delivery.next_look(now, until);
                 }
                 revision = self.setup.outbox.wait_for_change(revision, until);
             }
@@ -298,87 +322,21 @@ impl Worker {
 
     /// Sends the oldest batch; whether there may be more to send at once.
     fn deliver(&mut self, reports: &Querier<'_>) -> bool {
-        let Some(batch) = self.setup.outbox.batch(self.setup.board.node()) else {
-            return false;
+        let patience = Patience {
+            stop: &self.stop,
+            then: LAST_TRY,
         };
-        let payload = match batch.message.to_payload() {
-            Ok(payload) => payload,
-            Err(error) => {
-                tracing::error!(%error, "clip reports cannot be written");
-                self.not_acknowledged(None);
-                return false;
-            }
-        };
-        let timeout = Duration::from_millis(self.setup.config.answer_timeout_ms);
-        match ask::<ReportAnswer>(reports, payload, timeout, (&self.stop, LAST_TRY)) {
-            Asked::Answered(answer) => {
-                self.last_answer = Instant::now();
-                let taken = self.setup.outbox.acknowledge(&batch, answer.stored);
-                if let Some(desired) = &answer.desired {
-                    self.take(desired);
-                }
-                match taken {
-                    Acknowledged::Removed(number) => {
-                        tracing::debug!(
-                            number,
-                            stored = answer.stored,
-                            "clip reports acknowledged"
-                        );
-                        self.failures = 0;
-                        true
-                    }
-                    Acknowledged::NewInstance => {
-                        self.failures = 0;
-                        self.teller.full_is_due();
-                        true
-                    }
-                    Acknowledged::Nothing => {
-                        tracing::warn!(
-                            stored = answer.stored,
-                            first = batch.message.first,
-                            "the hub has not stored what was sent"
-                        );
-                        self.not_acknowledged(None);
-                        false
-                    }
-                }
-            }
-            Asked::Refused(refusal) => {
-                self.last_answer = Instant::now();
-                if refusal.reason == RefusalReason::Conflict && self.setup.outbox.conflict(&batch) {
-                    self.failures = 0;
-                    self.teller.full_is_due();
-                    return true;
-                }
-                tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub did not take clip reports");
-                self.not_acknowledged(refusal.retry_after_ms.map(Duration::from_millis));
-                false
-            }
-            Asked::Nobody(reason) => {
-                tracing::debug!(reason, "clip reports not acknowledged");
-                self.not_acknowledged(None);
-                false
-            }
+        let delivered = self.delivery.send(reports, patience);
+        if delivered.answered {
+            self.last_answer = Instant::now();
         }
-    }
-
-    fn not_acknowledged(&mut self, at_least: Option<Duration>) {
-        let pause = self.next_pause(at_least);
-        self.retry_at = Instant::now() + pause;
-    }
-
-    /// The next pause: doubled each time, between half and one and a half of that, so that nodes spread out.
-    fn next_pause(&mut self, at_least: Option<Duration>) -> Duration {
-        let config = &self.setup.config;
-        let doubled = config
-            .retry_min_ms
-            .max(1)
-            .saturating_mul(1 << self.failures.min(20))
-            .min(config.retry_max_ms.max(1));
-        self.failures = self.failures.saturating_add(1);
-        let random = RandomState::new().hash_one(self.failures) % 1000;
-        let jittered = doubled.saturating_mul(500 + random) / 1000;
-        Duration::from_millis(jittered.max(1)).max(at_least.unwrap_or_default())
+        if delivered.new_instance {
+            self.teller.full_is_due();
+        }
+        if let Some(desired) = &delivered.desired {
+            self.take(desired);
+        }
+        delivered.again
     }
 
     fn pull(&mut self, pulls: &Querier<'_>) {
@@ -391,7 +349,11 @@ impl Worker {
             return;
         };
         let timeout = Duration::from_millis(self.setup.config.answer_timeout_ms);
-        match ask::<Desired>(pulls, json, timeout, (&self.stop, LAST_TRY)) {
+        let patience = Patience {
+            stop: &self.stop,
+            then: LAST_TRY,
+        };
+        match ask::<Desired>(pulls, json, timeout, patience) {
             Asked::Answered(desired) => {
                 self.pull_due = false;
                 self.last_answer = Instant::now();

@@ -441,4 +441,42 @@ impl CameraBoard {
         tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold changed");
         Ok(value)
     }
+
+    /// Reads the kept threshold where that could not be done before, and keeps what was set meanwhile: a value set at
+    /// the node stands, and the hub's unless what was kept knew it (`hub_was_known`); the configuration's does not.
+    pub(crate) fn read_kept_threshold(&self, hub_was_known: bool) {
+        let (Some(knob), Some(configured)) = (self.knob, self.configured) else {
+            return;
+        };
+        let changing = self.changing.lock();
+        let source = *self.source.lock();
+        let stands = match source {
+            KnobSource::Local => true,
+            KnobSource::Hub => !hub_was_known,
+            KnobSource::Configuration => false,
+        };
+        let kept = if stands {
+            None
+        } else {
+            thresholds::kept(&self.outbox, &self.name, &knob, configured)
+        };
+        match kept {
+            Some((value, source)) => {
+                let before = self.threshold.send_replace(Some(value));
+                *self.source.lock() = source;
+                if let Some(event) = self.threshold_event() {
+                    let _ = self.events.send(event.into());
+                }
+                tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "kept threshold read");
+            }
+            None => {
+                if source != KnobSource::Configuration
+                    && let Some(value) = self.threshold()
+                {
+                    thresholds::keep(&self.outbox, &self.name, &knob, configured, value, source);
+                }
+            }
+        }
+        drop(changing);
+    }
 }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::ExecutionProvider;
-use crate::outbox::OutboxConfig;
+use crate::outbox::{OutboxConfig, OutboxCounts};
 use albireo_core::policy::{FrameState, Knob};
 use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, KnobValue, Latency};
 use std::path::PathBuf;
@@ -218,4 +218,25 @@ fn an_event_is_written_as_json_once_however_many_read_it() {
             .iter()
             .all(|event| std::ptr::eq(event.json().unwrap(), first))
     );
+}
+
+#[test]
+fn lost_reports_and_reports_that_would_not_survive_degrade_the_node_under_the_name_of_the_outbox() {
+    let reason = |board: &Board| board.readiness().health().status().reasons.remove("outbox");
+    let folder = tempfile::tempdir().unwrap();
+    // Without a directory nothing is promised, and nothing told.
+    assert_eq!(reason(&board(None, KNOB, None)), None);
+    let sound = board(Some(folder.path().join("state")), KNOB, None);
+    assert_eq!(reason(&sound), None);
+    let blocked = folder.path().join("a file");
+    std::fs::write(&blocked, b"").unwrap();
+    let failing = board(Some(blocked.join("state")), KNOB, None);
+    assert!(reason(&failing).unwrap().contains("do not survive"));
+    let lost = OutboxCounts {
+        durable: true,
+        last_loss: Some(std::time::Instant::now()),
+        ..OutboxCounts::default()
+    };
+    let fault = readiness::of_outbox(&lost, true).unwrap();
+    assert!(fault.reason.contains("were lost"), "{}", fault.reason);
 }

@@ -36,7 +36,7 @@ impl Bench {
         let (_, status) = watch::channel(DetectorStatus::Starting);
         let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
         let camera = Arc::clone(board.camera("front").unwrap());
-        let ledger = Arc::new(DropCounts::new(Arc::clone(&camera)));
+        let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
         let detector = DetectorHandle::start(&DetectorConfig {
             model: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/detector.onnx"),
             timeout_ms: 60_000,
@@ -46,9 +46,9 @@ impl Bench {
         .unwrap();
         let slot = CameraSlot(0);
         let (frames, ring) = frame_ring(64);
-        let books = ClipTracker::new(clip, without_a_meter().user("front"));
+        let tracker = ClipTracker::new(clip, without_a_meter().user("front"));
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
-        let accounts = ClipAccounts::new(books, Arc::clone(&ledger), closed);
+        let accounts = ClipAccounts::new(tracker, Arc::clone(&drops), closed);
         let size = PictureSize::new(640, 360);
         let mut dashcam = Dashcam::new(DashcamSettings {
             seed: 5,
@@ -59,7 +59,7 @@ impl Bench {
         let camera = Camera {
             board: camera,
             ring,
-            ledger,
+            drops,
             policy: config.policy.build().unwrap(),
             evidence: LiveEvidence::new(
                 detector.clone(),

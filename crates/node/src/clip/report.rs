@@ -44,7 +44,7 @@ pub(crate) struct ClosedClip {
     pub energy: OpenSpan,
 }
 
-/// What the report says of the node and is not in the books.
+/// What the report says of the node and no tracker counts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ClipMeta {
     /// Node.

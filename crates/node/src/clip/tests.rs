@@ -1,4 +1,4 @@
-//! Promises of the clip's books.
+//! Promises of the clip's tracker.
 
 use super::*;
 use crate::power::sampler::without_a_meter;
@@ -13,9 +13,9 @@ pub(super) fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// Books of one camera with a clock of its own, in milliseconds from its start.
+/// The tracker of one camera with a clock of its own, in milliseconds from its start.
 pub(super) struct Camera {
-    pub(super) books: ClipTracker,
+    pub(super) tracker: ClipTracker,
     start: Instant,
     seq: u64,
 }
@@ -27,7 +27,7 @@ impl Camera {
 
     fn with(config: ClipConfig) -> Self {
         Self {
-            books: ClipTracker::new(config, without_a_meter().user("front")),
+            tracker: ClipTracker::new(config, without_a_meter().user("front")),
             start: Instant::now(),
             seq: 0,
         }
@@ -44,13 +44,13 @@ impl Camera {
     fn frame_with(&mut self, at: u64, clip: Option<&str>, u: Option<f64>) -> Option<ClosedClip> {
         let seq = self.seq;
         self.seq += 1;
-        let closed = self.books.arrive(&FrameArrival {
+        let closed = self.tracker.arrive(&FrameArrival {
             t_ns: at * 1_000_000,
             clip,
             arrival: self.at(at),
         });
         let state = FrameState::ALL[(seq % 5) as usize];
-        self.books.count(&FrameResult {
+        self.tracker.count(&FrameResult {
             seq,
             state,
             degraded: state == FrameState::P && seq.is_multiple_of(7),
@@ -72,8 +72,8 @@ fn a_new_clip_id_ends_the_clip_at_the_new_clips_first_frame() {
     assert_eq!((&*closed.clip, closed.ended_by), ("a", ClipEnd::NextClip));
     assert_eq!(closed.states.frames(), 20);
     assert_eq!(closed.duration(), ms(2000));
-    assert_eq!(&**camera.books.clip().unwrap(), "b");
-    assert_eq!(camera.books.deadline(), Some(camera.at(7000)));
+    assert_eq!(&**camera.tracker.clip().unwrap(), "b");
+    assert_eq!(camera.tracker.deadline(), Some(camera.at(7000)));
 }
 
 #[test]
@@ -99,12 +99,12 @@ fn a_full_window_ends_at_its_deadline_without_waiting_for_a_frame() {
     for i in 0..=190 {
         camera.frame(i * 210, None);
     }
-    let deadline = camera.books.deadline().unwrap();
+    let deadline = camera.tracker.deadline().unwrap();
     assert_eq!(deadline, camera.at(40_000));
-    assert!(camera.books.tick(deadline - ms(1)).is_none());
-    let closed = camera.books.tick(deadline).unwrap();
+    assert!(camera.tracker.tick(deadline - ms(1)).is_none());
+    let closed = camera.tracker.tick(deadline).unwrap();
     assert_eq!((closed.ended_by, closed.end), (ClipEnd::Window, deadline));
-    assert!(camera.books.clip().is_none());
+    assert!(camera.tracker.clip().is_none());
 }
 
 #[test]
@@ -113,8 +113,8 @@ fn silence_ends_a_clip_and_is_not_charged_to_it() {
     for i in 0..10 {
         camera.frame(i * 200, Some("a"));
     }
-    assert!(camera.books.tick(camera.at(6799)).is_none());
-    let closed = camera.books.tick(camera.at(6800)).unwrap();
+    assert!(camera.tracker.tick(camera.at(6799)).is_none());
+    let closed = camera.tracker.tick(camera.at(6800)).unwrap();
     assert_eq!(closed.ended_by, ClipEnd::Silence);
     assert_eq!(closed.duration(), ms(2000), "ten frames at five a second");
 }
@@ -130,7 +130,7 @@ fn a_frame_after_silence_begins_a_new_window_at_its_own_arrival() {
         ms(12),
         "one frame lasts as long as its answer took"
     );
-    let closed = camera.books.shutdown(camera.at(60_050)).unwrap();
+    let closed = camera.tracker.shutdown(camera.at(60_050)).unwrap();
     assert_eq!(
         (&*closed.clip, closed.start),
         ("window-1", camera.at(60_000))
@@ -146,13 +146,13 @@ fn a_window_shorter_than_a_pause_never_ends_before_its_first_frame() {
     for at in [0, 1000, 1900] {
         assert!(camera.frame(at, None).is_none());
     }
-    let closed = camera.books.tick(camera.at(2000)).unwrap();
+    let closed = camera.tracker.tick(camera.at(2000)).unwrap();
     assert_eq!(
         (closed.ended_by, closed.end),
         (ClipEnd::Window, camera.at(2000))
     );
     assert!(camera.frame(6000, None).is_none());
-    let closed = camera.books.shutdown(camera.at(6100)).unwrap();
+    let closed = camera.tracker.shutdown(camera.at(6100)).unwrap();
     assert_eq!(closed.start, camera.at(6000));
     assert!(closed.end >= camera.at(6000));
 }
@@ -160,13 +160,13 @@ fn a_window_shorter_than_a_pause_never_ends_before_its_first_frame() {
 #[test]
 fn shutdown_ends_the_open_clip_and_only_that() {
     let mut camera = Camera::new();
-    assert!(camera.books.shutdown(camera.at(0)).is_none());
+    assert!(camera.tracker.shutdown(camera.at(0)).is_none());
     camera.frame(0, Some("a"));
     camera.frame(100, Some("a"));
-    let closed = camera.books.shutdown(camera.at(150)).unwrap();
+    let closed = camera.tracker.shutdown(camera.at(150)).unwrap();
     assert_eq!(closed.ended_by, ClipEnd::Shutdown);
     assert_eq!(closed.end, camera.at(150), "no clip ends in the future");
-    assert!(camera.books.shutdown(camera.at(200)).is_none());
+    assert!(camera.tracker.shutdown(camera.at(200)).is_none());
 }
 
 #[test]
@@ -175,7 +175,7 @@ fn the_threshold_at_the_start_and_each_change_are_told_once() {
     for u in [3e-4, 3e-4, 5e-4, 5e-4, 3e-4] {
         camera.frame_with(camera.seq * 100, Some("a"), Some(u));
     }
-    let closed = camera.books.shutdown(camera.at(1000)).unwrap();
+    let closed = camera.tracker.shutdown(camera.at(1000)).unwrap();
     let told: Vec<_> = closed
         .knob_changes
         .iter()
@@ -191,7 +191,7 @@ fn a_threshold_that_never_rests_does_not_fill_the_memory() {
     for i in 0..5000 {
         camera.frame_with(i * 10, Some("a"), Some(i as f64));
     }
-    let closed = camera.books.shutdown(camera.at(50_000)).unwrap();
+    let closed = camera.tracker.shutdown(camera.at(50_000)).unwrap();
     assert_eq!(closed.knob_changes.len(), 256);
     assert_eq!(closed.knob_changes[255].knob.value, 4999.0);
 }
@@ -199,16 +199,16 @@ fn a_threshold_that_never_rests_does_not_fill_the_memory() {
 #[test]
 fn frames_dropped_between_two_clips_are_told_by_the_next() {
     let mut camera = Camera::new();
-    camera.books.dropped(&DroppedFrames {
+    camera.tracker.dropped(&DroppedFrames {
         undecodable: 3,
         ..DroppedFrames::default()
     });
     camera.frame(0, Some("a"));
-    camera.books.dropped(&DroppedFrames {
+    camera.tracker.dropped(&DroppedFrames {
         lost: 2,
         ..DroppedFrames::default()
     });
-    let closed = camera.books.shutdown(camera.at(100)).unwrap();
+    let closed = camera.tracker.shutdown(camera.at(100)).unwrap();
     assert_eq!((closed.dropped.undecodable, closed.dropped.lost), (3, 2));
 }
 
@@ -245,7 +245,7 @@ proptest! {
                     frames += 1;
                     let name = clip.map(|c| format!("clip-{c}"));
                     closed.extend(camera.frame(now, name.as_deref()));
-                    let open = camera.books.clip().map(|c| c.to_string());
+                    let open = camera.tracker.clip().map(|c| c.to_string());
                     match name {
                         Some(name) => prop_assert_eq!(open, Some(name)),
                         None => prop_assert!(open.is_some_and(|o| o.starts_with("window-"))),
@@ -253,18 +253,18 @@ proptest! {
                 }
                 Event::Dropped { lost, late } => {
                     dropped += lost + late;
-                    camera.books.dropped(&DroppedFrames { lost, late, ..DroppedFrames::default() });
+                    camera.tracker.dropped(&DroppedFrames { lost, late, ..DroppedFrames::default() });
                 }
                 Event::Tick { wait } => {
                     now += wait;
-                    closed.extend(camera.books.tick(camera.at(now)));
+                    closed.extend(camera.tracker.tick(camera.at(now)));
                 }
             }
         }
         // One last frame collects the drops that no clip has taken yet.
         frames += 1;
         closed.extend(camera.frame(now, None));
-        closed.extend(camera.books.shutdown(camera.at(now)));
+        closed.extend(camera.tracker.shutdown(camera.at(now)));
         prop_assert_eq!(closed.iter().map(|c| c.states.frames()).sum::<u64>(), frames);
         prop_assert_eq!(closed.iter().map(|c| c.dropped.total()).sum::<u64>(), dropped);
         prop_assert_eq!(closed.iter().map(|c| c.total.count()).sum::<u64>(), frames);

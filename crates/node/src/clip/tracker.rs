@@ -68,7 +68,7 @@ struct OpenClip {
     energy: OpenSpan,
 }
 
-/// The books of one camera.
+/// Counts the open clip of one camera.
 #[derive(Debug)]
 pub(crate) struct ClipTracker {
     energy: EnergyUser,
@@ -83,7 +83,7 @@ pub(crate) struct ClipTracker {
 }
 
 impl ClipTracker {
-    /// Empty books of a camera whose part of the node's energy is `energy`.
+    /// No clip yet, of a camera whose part of the node's energy is `energy`.
     pub(crate) fn new(config: ClipConfig, energy: EnergyUser) -> Self {
         let seconds =
             |s: f64, least: f64| Duration::try_from_secs_f64(s.max(least)).unwrap_or(Duration::MAX);
@@ -148,11 +148,11 @@ impl ClipTracker {
 
     /// Counts frames that were not processed.
     pub(crate) fn dropped(&mut self, more: &DroppedFrames) {
-        let books = self
+        let dropped = self
             .open
             .as_mut()
             .map_or(&mut self.pending, |o| &mut o.dropped);
-        *books += more;
+        *dropped += more;
     }
 
     /// The clip the last frame belongs to.

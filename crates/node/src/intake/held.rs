@@ -134,7 +134,7 @@ impl HeldSender {
     /// Takes a frame that was put.
     pub(crate) fn put(&self, sample: Sample) {
         if self.offer(Offered::Put(sample)).is_err() {
-            self.intake.ledger.count(
+            self.intake.drops.count(
                 DropKind::Overrun,
                 1,
                 &"too many frames wait that were put: send them as queries to be held back (camera.delivery)",

@@ -20,10 +20,10 @@ fn intake(capacity: usize) -> (Arc<Intake>, RingReceiver<Incoming>) {
     let (_, status) = watch::channel(DetectorStatus::Starting);
     let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
     let camera = Arc::clone(board.camera("front").unwrap());
-    let ledger = Arc::new(DropCounts::new(Arc::clone(&camera)));
+    let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
     let (sender, ring) = frame_ring(capacity);
     let limits = FrameLimits::default();
-    let intake = Intake::new(camera, ledger, sender, PayloadFormat::Encoding, limits);
+    let intake = Intake::new(camera, drops, sender, PayloadFormat::Encoding, limits);
     (Arc::new(intake), ring)
 }
 

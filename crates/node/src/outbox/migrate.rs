@@ -1,7 +1,8 @@
 //! Takes over what earlier versions kept in files of their own, once.
 
+use super::state::{Shared, State};
 use super::store::Store;
-use super::{Shared, State, to_json};
+use super::to_json;
 use albireo_wire::ClipReport;
 use serde::Deserialize;
 use std::collections::BTreeMap;

@@ -1,5 +1,8 @@
+use super::batch::{BATCH_BYTES, LARGEST_REPORT};
 use super::*;
-use albireo_wire::{ClipEnd, ClipEnergy, EnergyQuality};
+use albireo_wire::{ClipEnd, ClipEnergy, EnergyQuality, VERSION};
+use std::sync::mpsc::channel;
+use std::time::Duration;
 
 fn report(clip: u64) -> ClipReport {
     ClipReport {
@@ -77,8 +80,8 @@ impl Bench {
 fn keep(outbox: &Outbox, clips: std::ops::Range<u64>) {
     for clip in clips {
         let mut reports = [report(clip)];
-        outbox.keep(&mut reports);
-        outbox.settle(&reports);
+        let tickets = outbox.keep(&mut reports);
+        outbox.settle(&tickets, &mut reports);
     }
 }
 
@@ -91,8 +94,14 @@ fn clips(batch: &Batch) -> Vec<String> {
         .collect()
 }
 
-fn retry_disk(outbox: &Outbox) {
-    outbox.0.state.lock().retry_at = Instant::now();
+/// The batches that go out when a hub takes everything.
+fn drain(outbox: &Outbox) -> Vec<Batch> {
+    let mut sent = Vec::new();
+    while let Some(batch) = outbox.batch("n") {
+        outbox.acknowledge(&batch, batch.message.last);
+        sent.push(batch);
+    }
+    sent
 }
 
 #[test]
@@ -258,7 +267,7 @@ fn a_disk_that_vanishes_and_returns_keeps_what_came_meanwhile() {
     assert!(outbox.batch("n").is_none());
     std::fs::remove_file(bench.state()).unwrap();
     std::fs::rename(&away, bench.state()).unwrap();
-    retry_disk(&outbox);
+    outbox.disk_is_due();
     let batch = outbox.batch("n").unwrap();
     assert_eq!((batch.message.first, batch.message.last), (1, 4));
     let counts = outbox.counts();
@@ -360,15 +369,214 @@ fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
     let counts = outbox.counts();
     assert!(counts.in_memory > 0 && counts.waiting == 60, "{counts:?}");
     assert!(counts.failing.unwrap().contains("full"));
-    // What is on disk can still be read and goes first.
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!(batch.message.first, 1);
-    assert!(batch.message.last < 60);
-    retry_disk(&outbox);
-    // Opened anew without the limit.
+    // What is on disk can still be read and goes first, also after a look that found the disk as full as before.
+    for _ in 0..2 {
+        let batch = outbox.batch("n").unwrap();
+        assert_eq!(batch.message.first, 1);
+        assert!(batch.message.last < 60);
+        outbox.disk_is_due();
+    }
+    assert!(!outbox.counts().durable);
+    limit(1000);
+    outbox.disk_is_due();
     let batch = outbox.batch("n").unwrap();
     assert_eq!((batch.message.first, batch.message.last), (1, 60));
     assert!(outbox.counts().durable);
+}
+
+#[test]
+fn a_disk_that_cannot_be_written_delivers_what_is_on_it_and_then_what_is_in_memory() {
+    let bench = Bench::new();
+    let outbox = bench.open();
+    keep(&outbox, 0..2);
+    let mut unsettled = [report(2)];
+    let tickets = outbox.keep(&mut unsettled);
+    // Somebody else writes and does not end: opening the file anew is of no use.
+    let other = rusqlite::Connection::open(bench.file()).unwrap();
+    other.execute_batch("BEGIN IMMEDIATE").unwrap();
+    unsettled[0].policy = "settled".into();
+    outbox.settle(&tickets, &mut unsettled);
+    keep(&outbox, 3..5);
+    outbox.disk_is_due();
+    let batch = outbox.batch("n").unwrap();
+    assert_eq!(clips(&batch), ["window-0", "window-1", "window-2"]);
+    assert_eq!(batch.message.reports[2].policy, "settled");
+    assert_eq!(outbox.acknowledge(&batch, 3), Acknowledged::Removed(3));
+    let batch = outbox.batch("n").unwrap();
+    assert_eq!((batch.message.first, batch.message.last), (4, 5));
+    assert_eq!(outbox.acknowledge(&batch, 4), Acknowledged::Removed(1));
+    assert_eq!(outbox.counts().waiting, 1);
+    other.execute_batch("ROLLBACK").unwrap();
+    outbox.disk_is_due();
+    assert_eq!(clips(&outbox.batch("n").unwrap()), ["window-4"]);
+    let counts = outbox.counts();
+    assert!(counts.durable && counts.waiting == 1 && counts.in_memory == 0);
+    drop(outbox);
+    let outbox = bench.open();
+    assert_eq!(clips(&outbox.batch("n").unwrap()), ["window-4"]);
+}
+
+#[test]
+fn a_file_that_has_become_read_only_is_read_and_opened_anew() {
+    let bench = Bench::new();
+    let outbox = bench.open();
+    keep(&outbox, 0..2);
+    {
+        let state = outbox.0.state.lock();
+        state.store.as_ref().unwrap().refuse_writes();
+    }
+    keep(&outbox, 2..3);
+    assert!(outbox.counts().failing.unwrap().contains("readonly"));
+    assert_eq!(outbox.batch("n").unwrap().message.last, 2);
+    outbox.disk_is_due();
+    assert_eq!(outbox.batch("n").unwrap().message.last, 3);
+    assert!(outbox.counts().durable);
+}
+
+#[test]
+fn energy_that_is_known_while_the_disk_is_away_is_there_when_it_returns() {
+    let bench = Bench::new();
+    let outbox = bench.open();
+    let mut reports = [report(0), report(1)];
+    let tickets = outbox.keep(&mut reports);
+    let away = bench.folder.path().join("away");
+    std::fs::rename(bench.state(), &away).unwrap();
+    reports[0].policy = "settled".into();
+    outbox.settle(&tickets, &mut reports);
+    assert!(outbox.counts().failing.is_some());
+    std::fs::remove_dir_all(bench.state()).ok();
+    std::fs::rename(&away, bench.state()).unwrap();
+    outbox.disk_is_due();
+    outbox.look_after_disk();
+    drop(outbox);
+    let batch = bench.open().batch("n").unwrap();
+    assert_eq!(batch.message.reports[0].policy, "settled");
+}
+
+#[test]
+fn energy_finds_its_clip_when_a_new_instance_has_begun_meanwhile() {
+    let bench = Bench::new();
+    for outbox in [bench.open(), Outbox::in_memory()] {
+        let first = outbox.instance();
+        keep(&outbox, 0..3);
+        let mut waiting = [report(3)];
+        let tickets = outbox.keep(&mut waiting);
+        let batch = outbox.batch("n").unwrap();
+        assert_eq!(outbox.acknowledge(&batch, 2), Acknowledged::Removed(2));
+        let batch = outbox.batch("n").unwrap();
+        assert!(outbox.conflict(&batch));
+        assert_ne!(outbox.instance(), first);
+        // Two more, so that the number of before is another clip's now.
+        keep(&outbox, 4..6);
+        waiting[0].policy = "settled".into();
+        outbox.settle(&tickets, &mut waiting);
+        assert_eq!(waiting[0].report, 2);
+        let batch = outbox.batch("n").unwrap();
+        assert_eq!(
+            clips(&batch),
+            ["window-2", "window-3", "window-4", "window-5"]
+        );
+        let settled: Vec<_> = (batch.message.reports.iter())
+            .filter(|report| report.policy == "settled")
+            .map(|report| report.clip.as_str())
+            .collect();
+        assert_eq!(settled, ["window-3"]);
+    }
+}
+
+#[test]
+fn what_a_hub_has_of_one_file_is_not_removed_from_another() {
+    let bench = Bench::new();
+    let other = Bench::new();
+    let outbox = other.open();
+    keep(&outbox, 0..5);
+    drop(outbox);
+    let outbox = bench.open();
+    keep(&outbox, 0..4);
+    let batch = outbox.batch("n").unwrap();
+    std::fs::rename(bench.state(), bench.folder.path().join("away")).unwrap();
+    std::fs::write(bench.state(), b"").unwrap();
+    keep(&outbox, 4..5);
+    assert_eq!(outbox.acknowledge(&batch, 4), Acknowledged::Removed(4));
+    // Another disk is put in: its instance has the same row there.
+    std::fs::remove_file(bench.state()).unwrap();
+    std::fs::rename(other.state(), bench.state()).unwrap();
+    outbox.disk_is_due();
+    let sent = drain(&outbox);
+    let numbers: Vec<_> = sent
+        .iter()
+        .map(|b| (b.message.first, b.message.last))
+        .collect();
+    assert_eq!(numbers, [(1, 5), (5, 5)]);
+    assert_ne!(sent[0].message.instance, sent[1].message.instance);
+}
+
+#[test]
+fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
+    let outbox = Outbox::in_memory();
+    for clip in 0..20 {
+        let mut reports = [report(clip)];
+        reports[0].policy = "x".repeat(300 << 10);
+        let tickets = outbox.keep(&mut reports);
+        outbox.settle(&tickets, &mut reports);
+    }
+    let sent = drain(&outbox);
+    let size = |batch: &Batch| serde_json::to_vec(&batch.message).unwrap().len();
+    assert!(sent.iter().all(|batch| size(batch) < BATCH_BYTES + 2000));
+    assert_eq!(sent.iter().flat_map(clips).count(), 20);
+}
+
+#[test]
+fn a_report_that_no_hub_would_take_is_counted_as_lost_and_the_rest_goes() {
+    let bench = Bench::new();
+    for outbox in [bench.open(), Outbox::in_memory()] {
+        for clip in 0..3 {
+            let mut reports = [report(clip)];
+            if clip == 1 {
+                reports[0].policy = "x".repeat(LARGEST_REPORT);
+            }
+            let tickets = outbox.keep(&mut reports);
+            outbox.settle(&tickets, &mut reports);
+        }
+        let sent: Vec<_> = drain(&outbox).iter().flat_map(clips).collect();
+        assert_eq!(sent, ["window-0", "window-2"]);
+        let counts = outbox.counts();
+        assert_eq!((counts.lost, counts.waiting), (1, 0));
+        assert!(counts.last_loss.is_some());
+    }
+}
+
+#[test]
+fn waking_the_sender_never_waits_for_a_disk() {
+    let outbox = Outbox::in_memory();
+    // As while a disk is written.
+    let writing = outbox.0.state.lock();
+    let (woken, seen) = channel();
+    let sender = outbox.clone();
+    let thread = std::thread::spawn(move || {
+        sender.wake();
+        let revision = sender.wait_for_change(0, Instant::now() + Duration::from_secs(60));
+        woken.send(revision).unwrap();
+    });
+    let woken = seen.recv_timeout(Duration::from_secs(20));
+    drop(writing);
+    assert_eq!(woken.unwrap(), 1);
+    thread.join().unwrap();
+}
+
+#[test]
+fn the_pauses_between_looks_at_a_failed_disk_grow_up_to_a_bound() {
+    let bench = Bench::new();
+    std::fs::write(bench.folder.path().join("not a folder"), b"").unwrap();
+    let state = bench.folder.path().join("not a folder/state");
+    let outbox = Outbox::open(&bench.config, Some(&state)).unwrap();
+    let mut pauses = Vec::new();
+    for _ in 0..6 {
+        outbox.disk_is_due();
+        outbox.look_after_disk();
+        pauses.push(outbox.0.state.lock().retry_pause.as_secs());
+    }
+    assert_eq!(pauses, [4, 8, 16, 30, 30, 30]);
 }
 
 #[test]
@@ -421,9 +629,9 @@ fn a_report_that_grows_by_its_energy_is_counted_with_its_size() {
     let outbox = bench.open();
     for clip in 0..3 {
         let mut reports = [report(clip)];
-        outbox.keep(&mut reports);
+        let tickets = outbox.keep(&mut reports);
         reports[0].policy = "a longer name than the one it was kept with".into();
-        outbox.settle(&reports);
+        outbox.settle(&tickets, &mut reports);
         let batch = outbox.batch("n").unwrap();
         let state = outbox.0.state.lock();
         let waiting = state.store.as_ref().unwrap().waiting();

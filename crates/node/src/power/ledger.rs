@@ -1,4 +1,4 @@
-//! The books of the node's energy: a span is opened when a clip begins, follows the samples in constant memory
+//! The account of the node's energy: a span is opened when a clip begins, follows the samples in constant memory
 //! however long the clip is, and is closed at the clip's end, which is often known only later.
 
 use super::condition::{Condition, ConditionSum, Conditions};
@@ -160,7 +160,7 @@ impl Span {
     }
 }
 
-/// The books.
+/// The account.
 #[derive(Debug)]
 pub(super) struct Ledger {
     series: Series,
@@ -171,7 +171,7 @@ pub(super) struct Ledger {
 }
 
 impl Ledger {
-    /// Books that begin now, of a meter that is read every `interval`.
+    /// An account that begins now, of a meter that is read every `interval`.
     pub(super) fn new(interval: Duration) -> Self {
         Self {
             series: Series::new(interval),

@@ -1,25 +1,20 @@
 //! What the system tells of the machine's condition: thermal zones, throttling, clocks, power mode. Read
 //! once a second; what is not there is left out.
 
+mod mode;
+
+use self::mode::ModeQuestion;
 use super::condition::{Condition, is_a_sensor};
 use super::config::PowerConfig;
 use super::sysfs;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::time::Instant;
 
 const SOURCE: &str = "condition";
 
 /// CPU cores whose clocks are read: each read of a clock interrupts the core.
 const MOST_CORES: usize = 16;
-
-/// Time between two questions for the power mode, which may start a program.
-const MODE_EVERY: Duration = Duration::from_secs(60);
-
-/// How long `nvpmodel -q` may take.
-const MODE_PATIENCE: Duration = Duration::from_secs(2);
 
 /// Bits of the Raspberry Pi firmware's word that say "now": frequency capped, throttled, soft limit.
 const PI_NOW: u64 = 0b1110;
@@ -37,10 +32,7 @@ pub(super) struct Machine {
     pi: Option<PathBuf>,
     cpu_clocks: Vec<PathBuf>,
     gpu_clock: Option<PathBuf>,
-    nvpmodel: Option<PathBuf>,
-    profile: PathBuf,
-    mode: Option<Arc<str>>,
-    mode_asked: Option<Instant>,
+    mode: ModeQuestion,
 }
 
 impl Machine {
@@ -95,10 +87,10 @@ impl Machine {
                 .into_iter()
                 .find(|device| is_gpu(sysfs::name(device)))
                 .map(|device| device.join("cur_freq")),
-            nvpmodel: Some(config.nvpmodel.clone()),
-            profile: config.sysfs.join("firmware/acpi/platform_profile"),
-            mode: None,
-            mode_asked: None,
+            mode: ModeQuestion::new(
+                &config.nvpmodel,
+                config.sysfs.join("firmware/acpi/platform_profile"),
+            ),
         }
     }
 
@@ -120,7 +112,7 @@ impl Machine {
             throttled: self.throttled(),
             cpu_mhz,
             gpu_mhz: self.gpu_clock.as_ref().and_then(number).map(|hz| hz * 1e-6),
-            mode: self.power_mode(now),
+            mode: self.mode.answer(now),
         }
     }
 
@@ -142,53 +134,6 @@ impl Machine {
         let now = cooling.iter().any(|state| *state > 0) || pi.is_some_and(|w| w & PI_NOW != 0);
         told.then_some(more || now)
     }
-
-    fn power_mode(&mut self, now: Instant) -> Option<Arc<str>> {
-        let due = |asked: Instant| now.saturating_duration_since(asked) >= MODE_EVERY;
-        if self.mode_asked.is_none_or(due) {
-            self.mode_asked = Some(now);
-            let told = self.nvpmodel.as_deref().and_then(|p| ask(p).ok().flatten());
-            if told.is_none() && self.mode.is_none() {
-                // Not a Jetson, or not for this user: do not start a program every minute for nothing.
-                self.nvpmodel = None;
-            }
-            let profile = || sysfs::text(SOURCE, &self.profile).ok();
-            self.mode = told
-                .or_else(profile)
-                .filter(|m| !m.is_empty())
-                .map(Into::into);
-        }
-        self.mode.clone()
-    }
-}
-
-/// Asks `nvpmodel -q`, and stops waiting after a while.
-fn ask(program: &Path) -> std::io::Result<Option<String>> {
-    let mut child = Command::new(program)
-        .arg("-q")
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()?;
-    let given_up = std::time::Instant::now() + MODE_PATIENCE;
-    while child.try_wait()?.is_none() {
-        if std::time::Instant::now() > given_up {
-            child.kill()?;
-            child.wait()?;
-            return Ok(None);
-        }
-        std::thread::sleep(Duration::from_millis(5));
-    }
-    let output = child.wait_with_output()?;
-    Ok(mode_in(&String::from_utf8_lossy(&output.stdout)))
-}
-
-/// The mode in the output of `nvpmodel -q`: `NV Power Mode: MODE_30W`, then its number.
-fn mode_in(output: &str) -> Option<String> {
-    output
-        .lines()
-        .find_map(|line| line.trim().strip_prefix("NV Power Mode:"))
-        .map(|mode| mode.trim().to_owned())
 }
 
 /// `cpu0`, `cpu11`; not `cpufreq`.

@@ -13,7 +13,8 @@ pub trait Meter: Send {
     /// The source's name in reports: `rapl`, `estimate`, …
     fn source(&self) -> &str;
 
-    /// [`EnergyQuality::Measured`] or [`EnergyQuality::Estimated`]; never anything else.
+    /// [`EnergyQuality::Measured`] or [`EnergyQuality::Estimated`]; [`EnergyQuality::Unavailable`] where there is no
+    /// meter.
     fn quality(&self) -> EnergyQuality;
 
     /// What was read since the last call: one reading for a meter that is asked, none or several for one

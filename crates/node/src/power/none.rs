@@ -19,7 +19,7 @@ impl Meter for NoMeter {
     }
 
     fn quality(&self) -> EnergyQuality {
-        EnergyQuality::Measured
+        EnergyQuality::Unavailable
     }
 
     fn poll(&mut self, _now: Instant) -> Result<Vec<Reading>, MeterError> {

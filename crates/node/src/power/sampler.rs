@@ -125,7 +125,7 @@ impl PowerHandle {
         let _ = tokio::time::timeout_at(limit, progress.wait_for(is_read)).await;
     }
 
-    /// The line of a user of the node's energy to its books; asked for twice, it is the same user.
+    /// The end by which a user of the node's energy tells what it did; asked for twice, it is the same user.
     pub(crate) fn user(&self, name: &str) -> EnergyUser {
         let number = self.ledger().user(name);
         EnergyUser::new(number, self.clone())
@@ -142,12 +142,12 @@ impl PowerHandle {
         told.into_iter().map(so_far).collect()
     }
 
-    /// The books, locked.
+    /// The account of energy, locked.
     pub(super) fn ledger(&self) -> MutexGuard<'_, Ledger> {
         self.shared.ledger.lock()
     }
 
-    /// What the books do not know of the meter.
+    /// What the account of energy does not know of the meter.
     pub(super) fn meta(&self) -> Meta<'_> {
         Meta {
             source: &self.shared.source,

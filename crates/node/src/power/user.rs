@@ -1,4 +1,4 @@
-//! A camera's line to the books of the node's energy.
+//! The end by which a camera tells the account of the node's energy what it did.
 
 use super::ledger::Spent;
 use super::sampler::PowerHandle;

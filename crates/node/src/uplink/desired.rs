@@ -16,8 +16,6 @@ struct Kept {
     generation: u64,
     /// Highest generation that came into force.
     in_force: u64,
-    /// The knob's name and value desired.
-    knob: Option<(String, f64)>,
     refused: Option<RefusedDesired>,
 }
 
@@ -35,6 +33,22 @@ impl DesiredKeeper {
         Self {
             hub_wins,
             kept: Mutex::new(outbox.setting(SETTING).unwrap_or_default()),
+        }
+    }
+
+    /// Compares with what was kept, where that could not be read before: of two generations the higher one stands, and
+    /// of one generation what was kept, for it knows what was changed at the node since.
+    pub(super) fn read_again(&self, board: &Board, outbox: &Outbox) {
+        let mut kept = self.kept.lock();
+        let before: Kept = outbox.setting(SETTING).unwrap_or_default();
+        let seen_before = before.generation >= kept.generation;
+        if seen_before {
+            *kept = before;
+        } else {
+            outbox.set(SETTING, &*kept);
+        }
+        for camera in board.cameras() {
+            camera.read_kept_threshold(seen_before);
         }
     }
 
@@ -69,7 +83,6 @@ impl DesiredKeeper {
             kept.generation = desired.generation;
             if newer {
                 kept.in_force = desired.generation;
-                kept.knob = None;
                 kept.refused = None;
                 outbox.set(SETTING, &*kept);
             }
@@ -105,7 +118,6 @@ impl DesiredKeeper {
                 })
             });
         kept.generation = desired.generation;
-        kept.knob = Some((knob.name.to_owned(), knob.value));
         match applied {
             Ok(()) => {
                 kept.in_force = desired.generation;
@@ -125,5 +137,144 @@ impl DesiredKeeper {
         }
         outbox.set(SETTING, &*kept);
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::board::{BoardSetup, CameraSetup, DetectorFacts};
+    use crate::detector::DetectorStatus;
+    use crate::outbox::OutboxConfig;
+    use albireo_core::policy::Knob;
+    use albireo_wire::{KnobValue, VERSION};
+    use std::path::Path;
+    use std::sync::Arc;
+    use tokio::sync::watch;
+
+    fn board(state: &Path) -> Arc<Board> {
+        let (_, detector_status) = watch::channel(DetectorStatus::Starting);
+        let camera = |name: &str| CameraSetup {
+            name: name.to_owned(),
+            key: format!("albireo/n/{name}/frame"),
+            knob: Some(Knob {
+                name: "u",
+                meaning: "The detector is skipped while every uncertainty is below it.",
+                minimum: 1e-12,
+                maximum: 1.0,
+                default: 3e-4,
+            }),
+            threshold: None,
+        };
+        Board::new(BoardSetup {
+            node: "n".to_owned(),
+            cameras: vec![camera("front"), camera("rear")],
+            outbox: Outbox::open(&OutboxConfig::default(), Some(state)).unwrap(),
+            policy: "albireo",
+            detector: DetectorFacts::default(),
+            detector_status,
+        })
+    }
+
+    fn desired(generation: u64, value: f64) -> Desired {
+        Desired {
+            v: VERSION,
+            generation,
+            knob: Some(KnobValue { name: "u", value }),
+            send_full_status: false,
+            watched_for_s: None,
+        }
+    }
+
+    fn thresholds(board: &Board) -> Vec<f64> {
+        (board.cameras().iter())
+            .filter_map(|camera| camera.threshold())
+            .collect()
+    }
+
+    /// A node of generation 7 whose camera `front` was turned by hand afterwards, and which starts again before its
+    /// disk is there.
+    struct Restarted {
+        folder: tempfile::TempDir,
+        board: Arc<Board>,
+        keeper: DesiredKeeper,
+    }
+
+    impl Restarted {
+        fn new() -> Self {
+            let folder = tempfile::tempdir().unwrap();
+            let disk = folder.path().join("disk");
+            let before = board(&disk.join("state"));
+            let keeper = DesiredKeeper::open(before.outbox(), false);
+            assert!(keeper.take(&desired(7, 0.07), &before, before.outbox()));
+            before.cameras()[0].set_threshold(0.5).unwrap();
+            drop((before, keeper));
+            std::fs::rename(&disk, folder.path().join("away")).unwrap();
+            std::fs::write(&disk, b"").unwrap();
+            let board = board(&disk.join("state"));
+            assert_eq!(thresholds(&board), [3e-4, 3e-4]);
+            let keeper = DesiredKeeper::open(board.outbox(), false);
+            assert_eq!(keeper.generation(), 0);
+            Self {
+                folder,
+                board,
+                keeper,
+            }
+        }
+
+        fn the_disk_returns(&self) {
+            let disk = self.folder.path().join("disk");
+            std::fs::remove_file(&disk).unwrap();
+            std::fs::rename(self.folder.path().join("away"), &disk).unwrap();
+            let outbox = self.board.outbox();
+            outbox.disk_is_due();
+            outbox.look_after_disk();
+            assert!(outbox.settings_returned());
+            self.keeper.read_again(&self.board, outbox);
+            assert!(!outbox.settings_returned());
+        }
+
+        fn take(&self, desired: &Desired) {
+            self.keeper.take(desired, &self.board, self.board.outbox());
+        }
+
+        /// What a start after this one finds.
+        fn then(self) -> (u64, Vec<f64>) {
+            let state = self.folder.path().join("disk/state");
+            drop((self.board, self.keeper));
+            let board = board(&state);
+            let keeper = DesiredKeeper::open(board.outbox(), false);
+            (keeper.generation(), thresholds(&board))
+        }
+    }
+
+    #[test]
+    fn a_disk_that_comes_after_the_start_brings_its_thresholds_into_force() {
+        let node = Restarted::new();
+        node.the_disk_returns();
+        assert_eq!(node.keeper.generation(), 7);
+        assert_eq!(thresholds(&node.board), [0.5, 0.07]);
+        assert_eq!(node.then(), (7, vec![0.5, 0.07]));
+    }
+
+    #[test]
+    fn an_order_seen_before_the_disk_came_does_not_undo_what_was_turned_by_hand_since() {
+        let node = Restarted::new();
+        node.take(&desired(7, 0.07));
+        assert_eq!(thresholds(&node.board), [0.07, 0.07]);
+        node.the_disk_returns();
+        assert_eq!(thresholds(&node.board), [0.5, 0.07]);
+        assert_eq!(node.then(), (7, vec![0.5, 0.07]));
+    }
+
+    #[test]
+    fn a_newer_order_and_a_newer_turn_by_hand_stand_when_the_disk_comes() {
+        let node = Restarted::new();
+        node.take(&desired(8, 0.08));
+        node.board.cameras()[1].set_threshold(0.9).unwrap();
+        node.the_disk_returns();
+        assert_eq!(node.keeper.generation(), 8);
+        assert_eq!(thresholds(&node.board), [0.08, 0.9]);
+        assert_eq!(node.then(), (8, vec![0.08, 0.9]));
     }
 }

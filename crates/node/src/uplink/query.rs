@@ -21,12 +21,21 @@ pub(super) enum Asked<T> {
 /// How often is looked whether the node stops.
 const GLANCE: Duration = Duration::from_millis(100);
 
-/// Asks, and waits for the first answer; once `stop` is set no longer than `patience`.
+/// How long an answer is waited for once the node stops.
+#[derive(Clone, Copy)]
+pub(super) struct Patience<'a> {
+    /// Whether it does.
+    pub stop: &'a AtomicBool,
+    /// How long from then on.
+    pub then: Duration,
+}
+
+/// Asks, and waits for the first answer; no longer than `timeout` and `patience` allow.
 pub(super) fn ask<T: DeserializeOwned>(
     querier: &Querier<'_>,
     payload: Vec<u8>,
     timeout: Duration,
-    (stop, patience): (&AtomicBool, Duration),
+    patience: Patience<'_>,
 ) -> Asked<T> {
     let (sender, replies) = channel();
     let sent = querier
@@ -45,8 +54,8 @@ pub(super) fn ask<T: DeserializeOwned>(
     let mut stopped = None;
     loop {
         let now = Instant::now();
-        if stop.load(Ordering::Acquire) && stopped.is_none() {
-            stopped = Some(now + patience);
+        if patience.stop.load(Ordering::Acquire) && stopped.is_none() {
+            stopped = Some(now + patience.then);
         }
         if now >= until || stopped.is_some_and(|until| now >= until) {
             return Asked::Nobody("no reply in time".to_owned());

@@ -142,21 +142,21 @@ async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
         .map(|name| ClipTracker::new(ClipConfig::default(), power.user(name)))
         .collect();
     for second in 0..60_u32 {
-        for (i, books) in cameras.iter_mut().enumerate() {
-            books.arrive(&frame("drive"));
+        for (i, tracker) in cameras.iter_mut().enumerate() {
+            tracker.arrive(&frame("drive"));
             // The rear camera needs the detector in every third second only. It waits meanwhile for the front
             // camera's run, which costs it nothing.
             if i == 0 || second.is_multiple_of(3) {
                 let now = Instant::now();
-                books.detector_ran(now, now + ms(50), ms(50));
+                tracker.detector_ran(now, now + ms(50), ms(50));
             }
         }
         tokio::time::sleep(ms(1000)).await;
     }
     let mut joules = Vec::new();
     let end = Instant::now();
-    for books in &mut cameras {
-        let report = books.shutdown(end).unwrap().into_report(meta()).await;
+    for tracker in &mut cameras {
+        let report = tracker.shutdown(end).unwrap().into_report(meta()).await;
         let energy = report.energy;
         assert!((energy.node_joules.unwrap() - 600.0).abs() < 1e-6);
         assert_eq!(energy.quality, EnergyQuality::Measured);
@@ -177,13 +177,13 @@ async fn a_closed_clip_waits_for_no_interval() {
         (10_000, 15.0),
     ] {
         let (power, stop) = TenWatts::start(ms(interval), until_s);
-        let mut books = ClipTracker::new(ClipConfig::default(), power.user("front"));
+        let mut tracker = ClipTracker::new(ClipConfig::default(), power.user("front"));
         // Past an interval, so that the next is far away.
         tokio::time::sleep(ms(20_001)).await;
         for clip in 0..20 {
-            books.arrive(&frame(&clip.to_string()));
+            tracker.arrive(&frame(&clip.to_string()));
             tokio::time::sleep(ms(1000)).await;
-            let closed = books.arrive(&frame("between")).unwrap();
+            let closed = tracker.arrive(&frame("between")).unwrap();
             let asked = Instant::now();
             let report = closed.into_report(meta()).await;
             let waited = asked.elapsed();
@@ -193,7 +193,7 @@ async fn a_closed_clip_waits_for_no_interval() {
                 assert!((joules - 10.0).abs() < 0.01, "{joules} J at {interval} ms");
                 assert!(report.energy.coverage > 1.0 - 1e-9);
             }
-            books.shutdown(Instant::now());
+            tracker.shutdown(Instant::now());
         }
         stop.cancel();
     }
@@ -203,10 +203,10 @@ async fn a_closed_clip_waits_for_no_interval() {
 async fn without_a_meter_no_report_waits() {
     let stop = CancellationToken::new();
     let (power, _task) = start_with(Box::new(NoMeter), ms(10_000), stop.clone());
-    let mut books = ClipTracker::new(ClipConfig::default(), power.user("front"));
+    let mut tracker = ClipTracker::new(ClipConfig::default(), power.user("front"));
     let start = Instant::now();
     for clip in 0..1000 {
-        if let Some(closed) = books.arrive(&frame(&clip.to_string())) {
+        if let Some(closed) = tracker.arrive(&frame(&clip.to_string())) {
             let report = closed.into_report(meta()).await;
             assert_eq!(report.energy.quality, EnergyQuality::Unavailable);
         }
@@ -234,11 +234,11 @@ async fn the_last_report_waits_no_longer_than_the_node_may_take_to_stop() {
     }
     let stop = CancellationToken::new();
     let (power, _task) = start_with(Box::new(Silent), ms(10_000), stop.clone());
-    let mut books = ClipTracker::new(ClipConfig::default(), power.user("front"));
-    books.arrive(&frame("last"));
+    let mut tracker = ClipTracker::new(ClipConfig::default(), power.user("front"));
+    tracker.arrive(&frame("last"));
     tokio::time::sleep(ms(500)).await;
     let asked = Instant::now();
-    let closed = books.shutdown(asked).unwrap();
+    let closed = tracker.shutdown(asked).unwrap();
     closed.into_report(meta()).await;
     assert!(asked.elapsed() <= ms(301), "{:?}", asked.elapsed());
     stop.cancel();

@@ -1,4 +1,4 @@
-//! Promises of the books of energy.
+//! Promises of the account of energy.
 
 use super::*;
 use crate::power::{Value, Values};
@@ -26,7 +26,7 @@ fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// Books of a meter that is read every 100 ms, and a clock that begins with them.
+/// The account of a meter that is read every 100 ms, and a clock that begins with them.
 struct Bench {
     ledger: Ledger,
     start: Instant,

@@ -1,6 +1,7 @@
 //! Promises of the machine's condition, on fixture trees.
 
 use super::*;
+use std::time::Duration;
 
 struct Tree(tempfile::TempDir);
 
@@ -101,6 +102,9 @@ fn the_power_mode_is_asked_of_nvpmodel_once_a_minute() {
     for second in 0..130 {
         let found = machine.read(start + Duration::from_secs(second));
         assert_eq!(found.mode.as_deref(), Some("MODE_30W"));
+        if let Some(asking) = machine.mode.asking.take() {
+            asking.join().unwrap();
+        }
     }
     let calls = std::fs::read_to_string(tree.0.path().join("nvpmodel.calls")).unwrap();
     assert_eq!(calls, "-q\n-q\n-q\n");
@@ -121,4 +125,27 @@ fn without_nvpmodel_the_platform_profile_is_the_mode() {
         machine.read(Instant::now()).mode.as_deref(),
         Some("low-power")
     );
+}
+
+#[test]
+fn a_slow_nvpmodel_does_not_hold_up_the_reading() {
+    let tree = Tree::new();
+    tree.nvpmodel("NV Power Mode: MODE_30W");
+    let mut machine = Machine::new(&tree.config());
+    // From now on it answers when somebody writes into a pipe, and that is after the reading.
+    let says = tree.0.path().join("nvpmodel.says");
+    std::fs::remove_file(&says).unwrap();
+    let made = std::process::Command::new("mkfifo").arg(&says).status();
+    assert!(made.unwrap().success());
+    let minute = Instant::now() + Duration::from_secs(61);
+    assert_eq!(machine.read(minute).mode.as_deref(), Some("MODE_30W"));
+    let asking = machine.mode.asking.take().unwrap();
+    // Another reading meanwhile starts no second one.
+    machine.read(minute + Duration::from_secs(90));
+    assert!(machine.mode.asking.is_none());
+    // On a thread of its own, for a pipe that nobody reads any more is waited for without an end.
+    std::thread::spawn(move || std::fs::write(says, "NV Power Mode: MODE_15W\n"));
+    asking.join().unwrap();
+    let found = machine.read(minute + Duration::from_secs(1));
+    assert_eq!(found.mode.as_deref(), Some("MODE_15W"));
 }

@@ -1,0 +1,61 @@
+//! Pauses between attempts that failed.
+
+use std::hash::{BuildHasher, RandomState};
+use std::time::Duration;
+
+/// Doubles the pause at each failure, between half and one and a half of that, so that nodes spread out.
+pub(super) struct Backoff {
+    first_ms: u64,
+    longest_ms: u64,
+    failures: u32,
+}
+
+impl Backoff {
+    pub(super) fn new(first_ms: u64, longest_ms: u64) -> Self {
+        Self {
+            first_ms: first_ms.max(1),
+            longest_ms: longest_ms.max(1),
+            failures: 0,
+        }
+    }
+
+    /// Counts a failure; the pause after it, of `at_least` that length.
+    pub(super) fn next(&mut self, at_least: Option<Duration>) -> Duration {
+        let doubled = self
+            .first_ms
+            .saturating_mul(1 << self.failures.min(20))
+            .min(self.longest_ms);
+        self.failures = self.failures.saturating_add(1);
+        let random = RandomState::new().hash_one(self.failures) % 1000;
+        let jittered = doubled.saturating_mul(500 + random) / 1000;
+        Duration::from_millis(jittered.max(1)).max(at_least.unwrap_or_default())
+    }
+
+    /// The next failure is the first again.
+    pub(super) const fn reset(&mut self) {
+        self.failures = 0;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pauses_grow_are_spread_and_begin_anew() {
+        let mut backoff = Backoff::new(100, 1000);
+        let within = |pause: Duration, from, to| {
+            let ms = pause.as_millis();
+            assert!((from..=to).contains(&ms), "{ms} ms");
+        };
+        for (from, to) in [(50, 150), (100, 300), (200, 600), (400, 1200), (500, 1500)] {
+            within(backoff.next(None), from, to);
+        }
+        assert_eq!(
+            backoff.next(Some(Duration::from_secs(9))),
+            Duration::from_secs(9)
+        );
+        backoff.reset();
+        within(backoff.next(None), 50, 150);
+    }
+}
