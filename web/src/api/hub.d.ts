@@ -1980,6 +1980,16 @@ export interface components {
             minimum: number;
             /** @description Its name in configuration, messages and reports: `u`, `lambda`, … */
             name: string;
+            /**
+             * Format: double
+             * @description Where a slider ends: above it hardly anything more is saved, at a high price.
+             */
+            useful_maximum: number;
+            /**
+             * Format: double
+             * @description Where a slider begins: below it hardly anything is saved.
+             */
+            useful_minimum: number;
         };
         /**
          * @description Who set the knob's value in force.

@@ -1,6 +1,44 @@
 // Made by `npm run types` from api/node.json. Do not edit.
 
 export interface paths {
+    "/api/v1": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Who answers here, and what can be asked
+         * @description `curl http://127.0.0.1:8080/api/v1`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Index"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/caller": {
         parameters: {
             query?: never;
@@ -66,6 +104,106 @@ export interface paths {
                     };
                     content: {
                         "application/json": components["schemas"]["Cameras"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/cameras/{camera}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Where a camera stands: policy, threshold, frame states, what to try
+         * @description `curl http://127.0.0.1:8080/api/v1/cameras/front`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["CameraDetail"];
+                    };
+                };
+                404: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/api/v1/cameras/{camera}/detections": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * What was found in a camera's newest frame
+         * @description The message that was published on Zenoh for it.
+         *     `curl http://127.0.0.1:8080/api/v1/cameras/front/detections`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path: {
+                    /** @description The camera's name. */
+                    camera: string;
+                };
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["DetectionsMessage"];
+                    };
+                };
+                /** @description There is no such camera, or it has had no frame yet. */
+                404: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
                     };
                 };
             };
@@ -341,7 +479,7 @@ export interface paths {
         /**
          * Changes a camera's threshold
          * @description It holds from the camera's next frame.
-         *     `curl -X PUT -H 'Content-Type: application/json' -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
+         *     `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
          */
         put: {
             parameters: {
@@ -393,7 +531,7 @@ export interface paths {
         };
         /**
          * Recent clip reports, newest first
-         * @description The node keeps the newest 256 in memory.
+         * @description The node keeps the newest 256 in memory. `before` and `after` take the numbers of reports (`report`), which grow.
          *     `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
          */
         get: {
@@ -401,8 +539,12 @@ export interface paths {
                 query?: {
                     /** @description Of this camera only. */
                     camera?: string;
-                    /** @description At most this many, 1 to 256; 50 by default. */
+                    /** @description At most this many; 50 without it. */
                     limit?: number;
+                    /** @description Reports with a lower number only: `next` of an answer, for the clips before those. */
+                    before?: number;
+                    /** @description Reports with a higher number only: the highest number seen, for the clips since. */
+                    after?: number;
                 };
                 header?: never;
                 path?: never;
@@ -750,7 +892,7 @@ export interface paths {
          * Changes the threshold of all cameras, or of none
          * @description It holds from each camera's next frame. A policy's knob goes by its own name: `u`, or `lambda` under
          *     expected-loss.
-         *     `curl -X PUT -H 'Content-Type: application/json' -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
+         *     `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
          */
         put: {
             parameters: {
@@ -919,6 +1061,31 @@ export interface paths {
 export type webhooks = Record<string, never>;
 export interface components {
     schemas: {
+        /** @description A policy that has skipped nothing, and what to try. */
+        Advice: {
+            /**
+             * Format: int64
+             * @description Frames of those with objects.
+             */
+            followed: number;
+            /**
+             * Format: int64
+             * @description Frames since the knob was turned last; the detector ran on every one.
+             */
+            frames: number;
+            /** @description The knob's name. */
+            knob: string;
+            /**
+             * Format: double
+             * @description A value under which about half of those frames would have been predicted.
+             */
+            try: number;
+            /**
+             * Format: double
+             * @description Its value.
+             */
+            value: number;
+        };
         /** @description What was saved over a time. */
         Balance: {
             /**
@@ -1012,8 +1179,32 @@ export interface components {
          * @enum {string}
          */
         CallCause: "uncertain" | "new_object" | "expected_loss" | "object_cap" | "periodic_cap" | "screen" | "audit" | "empty_limit" | "no_objects" | "start" | "retry" | "changed" | "schedule" | "every_frame";
+        /** @description Where one camera stands. */
+        CameraDetail: components["schemas"]["CameraEntry"] & {
+            /**
+             * Format: int64
+             * @description Frames answered from prediction because the detector could not be had.
+             */
+            degraded_frames: number;
+            /** @description Frames not processed, by kind. */
+            dropped: components["schemas"]["DroppedFrames"];
+            knob?: components["schemas"]["Knob"] | null;
+            /** @description The policy that decides its frames. */
+            policy: string;
+            set_by?: components["schemas"]["KnobSource"] | null;
+            /**
+             * Format: double
+             * @description Share of frames that skipped the detector: state E or P and not degraded.
+             */
+            skip_rate: number;
+            /** @description How many frames had each state; they add up to `frames`. */
+            states: components["schemas"]["FrameStates"];
+            /** @description The program's version. */
+            version: string;
+        };
         /** @description A camera. */
         CameraEntry: {
+            advice?: components["schemas"]["Advice"] | null;
             /** @description Its name. */
             camera: string;
             /**
@@ -1038,6 +1229,12 @@ export interface components {
              * @description Seconds since its newest frame; absent before the first.
              */
             last_frame_age_s?: number | null;
+            /**
+             * Format: double
+             * @description What the published code would want in the place of `u` in pictures of this size; absent where that is the same
+             *     number, before the first frame, and under other policies.
+             */
+            u_as_published?: number | null;
             /**
              * Format: int32
              * @description Columns of its newest frame.
@@ -1101,6 +1298,11 @@ export interface components {
              */
             skipped: number;
         };
+        /**
+         * @description Whether frames come from a camera.
+         * @enum {string}
+         */
+        CameraState: "live" | "stale" | "never_seen";
         /** @description What became of a camera's frames since the node started. The five states add up to `frames`. */
         CameraStates: {
             /** @description Frames that the detector was called for, by cause; degraded ones are among them. */
@@ -1138,6 +1340,15 @@ export interface components {
              * @description Largest uncertainty of the newest frame; absent without objects.
              */
             tau_max?: number | null;
+        };
+        /** @description One camera of a [`NodeStatus`]. */
+        CameraStatus: {
+            /** @description Who set it. */
+            knob_source: components["schemas"]["KnobSource"];
+            /** @description Its name. */
+            name: string;
+            /** @description Whether frames come. */
+            state: components["schemas"]["CameraState"];
         };
         /** @description One camera's threshold. */
         CameraThreshold: {
@@ -1203,7 +1414,7 @@ export interface components {
              */
             total_from: string;
         };
-        /** @description The books of one clip. */
+        /** @description The report of one clip. */
         ClipReport: {
             board?: components["schemas"]["BoardState"] | null;
             /** @description Camera. */
@@ -1273,6 +1484,11 @@ export interface components {
         Clips: {
             /** @description The reports, as published on Zenoh. */
             clips: components["schemas"]["ClipReport"][];
+            /**
+             * Format: int64
+             * @description To be given as `before` for the clips before these; absent when there are none in memory.
+             */
+            next?: number | null;
         };
         /** @description Where a camera stands, once a second. */
         CountersMessage: {
@@ -1315,6 +1531,31 @@ export interface components {
             v: number;
             /** @description Power now by domain, watts; empty without a source. */
             watts: components["schemas"]["DomainWatts"][];
+        };
+        /** @description What is desired of a node. */
+        Desired: {
+            /**
+             * Format: int64
+             * @description Number of this desired value; a lower one never replaces a higher. 0 when nothing was ever desired.
+             */
+            generation: number;
+            /** @description The knob's value; absent when nothing is desired of it. */
+            knob?: {
+                [key: string]: number;
+            } | null;
+            /** @description The hub missed a status: send the full one. */
+            send_full_status?: boolean;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+            /**
+             * Format: int32
+             * @description How much longer somebody watches the node, seconds: so long it sends counters at 1 Hz. Absent when nobody
+             *     does.
+             */
+            watched_for_s?: number | null;
         };
         /** @description What was found in one frame. */
         DetectionsMessage: {
@@ -1472,6 +1713,55 @@ export interface components {
             /** @description Where the figures come from: `rapl`, `estimate`, …; `none` without a source. */
             source: string;
         };
+        /**
+         * @description What a node answers to a frame that came as a query, once the frame's turn has come: the sender of a camera with
+         *     `delivery = "every"` sends its next frame then. A query that ends without an answer was not taken.
+         */
+        FrameAnswer: {
+            /** @description Why the frame will not be processed; absent when it will be. */
+            refused?: string | null;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+        };
+        /** @description What a camera may say about a frame, in the attachment of its sample. */
+        FrameAttachment: {
+            /** @description Clip the frame belongs to. Without it clips are fixed time windows. */
+            clip?: string | null;
+            /**
+             * Format: int32
+             * @description Rows of a raw picture.
+             */
+            height?: number | null;
+            /**
+             * Format: int64
+             * @description Sequence number, one more for each frame. Without it frames are numbered by arrival.
+             */
+            seq?: number | null;
+            /**
+             * Format: int64
+             * @description Which numbering `seq` belongs to: a sender that starts anew says another number, such as the time of its start
+             *     in nanoseconds, and loses no frame then.
+             */
+            stream?: number | null;
+            /**
+             * Format: int64
+             * @description Capture time, nanoseconds since the Unix epoch. Without it the sample's timestamp counts.
+             */
+            t_ns?: number | null;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+            /**
+             * Format: int32
+             * @description Columns of a raw picture.
+             */
+            width?: number | null;
+        };
         /** @description A frame was processed: its detections message and whose it is. */
         FrameEvent: components["schemas"]["DetectionsMessage"] & {
             /** @description Camera. */
@@ -1529,6 +1819,30 @@ export interface components {
          * @enum {string}
          */
         HealthState: "ready" | "degraded" | "not_ready";
+        /** @description Health with its reasons. */
+        HealthStatus: {
+            /** @description What is wrong, by part; empty when ready. */
+            reasons: {
+                [key: string]: string;
+            };
+            /** @description Whether it works as it should. */
+            state: components["schemas"]["HealthState"];
+        };
+        /** @description Who answers here, and what can be asked. */
+        Index: {
+            /** @description Names of the cameras. */
+            cameras: string[];
+            /** @description The node's name. */
+            node: string;
+            /** @description The interface described in full. */
+            openapi: string;
+            /** @description The policy that decides the frames. */
+            policy: string;
+            /** @description What can be asked. */
+            routes: components["schemas"]["Route"][];
+            /** @description The program's version. */
+            version: string;
+        };
         /** @description The one number of a policy that a user turns while it runs, as the policy declares it. */
         Knob: {
             /**
@@ -1550,6 +1864,16 @@ export interface components {
             minimum: number;
             /** @description Its name in configuration, messages and reports: `u`, `lambda`, … */
             name: string;
+            /**
+             * Format: double
+             * @description Where a slider ends: above it hardly anything more is saved, at a high price.
+             */
+            useful_maximum: number;
+            /**
+             * Format: double
+             * @description Where a slider begins: below it hardly anything is saved.
+             */
+            useful_minimum: number;
         };
         /** @description A change of the knob during a clip. */
         KnobChange: {
@@ -1559,6 +1883,11 @@ export interface components {
              */
             seq: number;
         };
+        /**
+         * @description Who set the knob's value in force.
+         * @enum {string}
+         */
+        KnobSource: "configuration" | "local" | "hub";
         /** @description Where the time of one frame went, milliseconds. A step that did not happen is absent. */
         Latency: {
             /**
@@ -1667,6 +1996,32 @@ export interface components {
              */
             uptime_s: number;
         };
+        /** @description Everything a hub shows of a node between reports. */
+        NodeStatus: {
+            /** @description Cameras. */
+            cameras: components["schemas"]["CameraStatus"][];
+            /** @description Health with its reasons. */
+            health: components["schemas"]["HealthStatus"];
+            /** @description Labels of its configuration, for selecting nodes: `region = "north"`. */
+            labels?: {
+                [key: string]: string;
+            };
+            /** @description Detector model: file name. */
+            model: string;
+            /** @description The outbox. */
+            outbox: components["schemas"]["OutboxStatus"];
+            /** @description Policy. */
+            policy: string;
+            /** @description How far they can be trusted. */
+            power_quality: components["schemas"]["EnergyQuality"];
+            /** @description Where power figures come from: `rapl`, `estimate`, … */
+            power_source: string;
+            /** @description Execution provider that really runs it; absent until the model is loaded. */
+            provider?: string | null;
+            refused?: components["schemas"]["RefusedDesired"] | null;
+            /** @description Version of the program. */
+            version: string;
+        };
         /** @description [`Readiness`] as a problem document. */
         NotReady: components["schemas"]["Problem"] & components["schemas"]["Readiness"];
         /**
@@ -1745,6 +2100,19 @@ export interface components {
              */
             p99: number;
         };
+        /** @description Says that there is something to pull. */
+        Poke: {
+            /**
+             * Format: int64
+             * @description Generation of what is desired.
+             */
+            generation: number;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+        };
         /** @description Power over the last hour. */
         PowerHistory: {
             /**
@@ -1786,6 +2154,21 @@ export interface components {
             /** @description Always `about:blank`: the title is that of the status. */
             type: string;
         };
+        /** @description A node asks what is desired. */
+        PullRequest: {
+            /**
+             * Format: int64
+             * @description Generation it has, 0 for none.
+             */
+            generation: number;
+            /** @description Instance of the node. */
+            instance: string;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+        };
         /** @description Whether frames are processed as the configuration wants it, and by what. */
         Readiness: {
             /** @description File name of the detector's model. */
@@ -1820,6 +2203,79 @@ export interface components {
             since_s: number;
             /** @description Which of several: the name of a camera or a task. Absent where it is the part itself. */
             subject?: string | null;
+        };
+        /** @description A desired value that a node did not take. */
+        RefusedDesired: {
+            /**
+             * Format: int64
+             * @description Its generation: greater than the one in force.
+             */
+            generation: number;
+            /** @description Why, in words: the policy has another knob, or the value is outside of its range. */
+            reason: string;
+        };
+        /** @description The acknowledgement of a batch, sent after the hub's commit. */
+        ReportAnswer: {
+            desired?: components["schemas"]["Desired"] | null;
+            /**
+             * Format: int64
+             * @description Every report of the instance up to this number is stored and may be removed: the batch's last number, or a lower
+             *     one where the rest must be sent again. Numbers begin at 1, so that 0 says that nothing is stored. Above the
+             *     node's own last number it says that the node's state went back in time.
+             */
+            stored: number;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+        };
+        /** @description Reports of one node, in the order of their numbers. On the wire it is JSON compressed with gzip. */
+        ReportBatch: {
+            /**
+             * Format: int64
+             * @description Number of the first report.
+             */
+            first: number;
+            /**
+             * @description Instance of the node, 32 hexadecimal digits: made at its first start, and anew when its state directory is found
+             *     on another machine or went back in time. Numbers count within it.
+             */
+            instance: string;
+            /**
+             * Format: int64
+             * @description Number of the last report.
+             */
+            last: number;
+            /**
+             * Format: int64
+             * @description Reports that were lost before they could be sent (the outbox was full or its disk broken), since the
+             *     instance began. A hub sees from it that a gap is known to the node.
+             */
+            lost?: number;
+            /**
+             * @description A short digest of the machine's identity, so that one instance on two machines is noticed; absent
+             *     where the machine has none.
+             */
+            machine?: string | null;
+            /** @description Node. */
+            node: string;
+            /** @description The reports: [`ClipReport::report`] is its number. */
+            reports: components["schemas"]["ClipReport"][];
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+        };
+        /** @description A route. */
+        Route: {
+            /** @description `GET` or `PUT`. */
+            method: string;
+            /** @description Its path; `{camera}` stands for a camera's name. */
+            path: string;
+            /** @description What it is for. */
+            summary: string;
         };
         /** @description Energy of the clips of one quality; sums of different qualities are never added. */
         SavedEnergy: {
@@ -1877,6 +2333,46 @@ export interface components {
             skipped: number;
             /** @description What each value would have skipped, in the order asked for. */
             values: components["schemas"]["ValueEstimate"][];
+        };
+        /** @description A sign of life, with the full status when it changed or was asked for. */
+        StatusMessage: {
+            full?: components["schemas"]["NodeStatus"] | null;
+            /**
+             * Format: int64
+             * @description Generation of the desired value that is in force; 0 when none is.
+             */
+            generation: number;
+            /** @description Whether it works as it should. */
+            health: components["schemas"]["HealthState"];
+            /** @description Instance of the node. */
+            instance: string;
+            /** @description A short digest of the machine's identity; absent where the machine has none. */
+            machine?: string | null;
+            /**
+             * Format: int64
+             * @description Number of this message within the run, from 0; a gap makes the hub ask for the full status.
+             */
+            seq: number;
+            /**
+             * Format: int64
+             * @description When the process started, nanoseconds since the Unix epoch: tells two runs of one instance apart.
+             */
+            started_ns: number;
+            /**
+             * Format: int64
+             * @description The node's clock, nanoseconds since the Unix epoch.
+             */
+            t_ns: number;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+            /**
+             * Format: int64
+             * @description Reports that wait in the outbox.
+             */
+            waiting: number;
         };
         /** @description A threshold changed; it holds from the camera's next frame. */
         ThresholdEvent: {

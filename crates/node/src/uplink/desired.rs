@@ -163,8 +163,12 @@ mod tests {
                 minimum: 1e-12,
                 maximum: 1.0,
                 default: 3e-4,
+                useful_minimum: 1.5e-4,
+                useful_maximum: 1e-2,
             }),
             threshold: None,
+            sizeless: true,
+            longest_pause: None,
         };
         Board::new(BoardSetup {
             node: "n".to_owned(),
