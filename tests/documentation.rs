@@ -1,7 +1,7 @@
 //! The pages that people read: what they say of messages is what the code says, every command in them is one the program
 //! takes, and those marked `run` are run, in the order in which they stand.
 //!
-//! A block of commands is marked by the line before it: `<!-- run -->`, or `<!-- by hand, DATE -->` where it wants
+//! A block of commands is marked by the line before it: `<!-- run -->`, `<!-- not run: WHY -->`, or `<!-- by hand, DATE -->` where it wants
 //! more than a test has.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
@@ -87,8 +87,9 @@ fn every_block_of_commands_is_run_or_says_when_it_was_run_by_hand() {
             .strip_prefix("<!-- by hand, ")
             .and_then(|rest| rest.strip_suffix(" -->"))
             .is_some_and(|date| date.len() == 10 && date.starts_with("20"));
+        let not_run = block.mark.starts_with("<!-- not run: ");
         assert!(
-            dated || block.mark == "<!-- run -->",
+            dated || not_run || block.mark == "<!-- run -->",
             "{}: `{}` is marked `{}`",
             block.page,
             block.commands.join("; "),

@@ -195,7 +195,7 @@ fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_a
         "Judged against vanilla",
         "statues-25",
         "Time of the detector",
-        "composed",
+        "projected from an energy model",
     ] {
         assert!(said.contains(part), "no `{part}` in:\n{said}");
     }

@@ -207,9 +207,10 @@ fn foot(text: &mut String, summaries: &[PolicySummary], left_out: &[String]) {
         notes.push("c: composed of the times measured for each step on each frame.".to_owned());
     }
     if !left_out.is_empty() {
+        let names: Vec<_> = left_out.iter().map(|name| name.trim()).collect();
         notes.push(format!(
             "Left out for width: {}; the files of --out have them.",
-            left_out.join(", ")
+            names.join(", ")
         ));
     }
     for note in notes {
