@@ -27,7 +27,8 @@ done
 for router in 1 2; do until grep -q ready "$folder/router$router.out"; do sleep 0.1; done; done
 for hub in 1 2; do
     ALBIREO_ZENOH__MODE=client ALBIREO_ZENOH__CONNECT="[\"tcp/127.0.0.1:1744$hub\"]" ALBIREO_ZENOH__LISTEN='[]' \
-        ALBIREO_HTTP__LISTEN=127.0.0.1:1809$hub ALBIREO_PRESENCE__TOKENS=false "$albireo" hub 2> "$folder/hub$hub.log" &
+        ALBIREO_DATABASE__URL="$DATABASE" ALBIREO_HTTP__LISTEN=127.0.0.1:1809$hub ALBIREO_PRESENCE__TOKENS=false \
+        "$albireo" hub 2> "$folder/hub$hub.log" &
     started+=($!)
     eval "hub$hub=$!"
     until curl -sf http://127.0.0.1:1809$hub/readyz > /dev/null; do sleep 0.1; done
