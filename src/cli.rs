@@ -34,8 +34,6 @@ mod simulate;
 mod size;
 #[cfg(feature = "synth")]
 pub mod synth;
-#[cfg(feature = "eval")]
-mod text;
 
 use albireo_node::detector::end_all_sessions;
 use anyhow::Context;

@@ -1,7 +1,7 @@
 //! `albireo acl`: the router's access control, generated from the certificates.
 
 use albireo_router::access::access_control;
-use albireo_router::authority::Authority;
+use albireo_router::authority::{Authority, write_public};
 use anyhow::Context;
 use std::path::PathBuf;
 
@@ -42,11 +42,7 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         None => print!("{text}"),
         Some(file) => {
             // Whole or not at all: the router may start at any moment.
-            let mut beside = file.clone().into_os_string();
-            beside.push(".new");
-            std::fs::write(&beside, text)
-                .and_then(|()| std::fs::rename(&beside, file))
-                .with_context(|| format!("{} cannot be written", file.display()))?;
+            write_public(file, &text).context("the rules cannot be written")?;
             let subjects = access["subjects"].as_array().map_or(0, Vec::len);
             println!("{}: {subjects} certificates are let in", file.display());
         }

@@ -7,7 +7,7 @@ use reqwest::{Response, Url};
 use serde_json::Value;
 use std::fs::OpenOptions;
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// How long the archive may take.
@@ -67,15 +67,20 @@ async fn fetch(arguments: &Arguments) -> anyhow::Result<()> {
     let file = output.clone().or_else(|| named(&response));
     let file = file.unwrap_or_else(|| "albireo-diag.tar".into());
     let archive = response.bytes().await.context("the archive broke off")?;
+    save(&file, &archive)?;
     let shown = file.display();
+    println!("{shown}: {} bytes; tar xf {shown}", archive.len());
+    Ok(())
+}
+
+/// Writes an archive into a new file: one that is there already is left alone.
+pub(super) fn save(file: &Path, archive: &[u8]) -> anyhow::Result<()> {
     OpenOptions::new()
         .write(true)
         .create_new(true)
-        .open(&file)
-        .and_then(|mut opened| opened.write_all(&archive))
-        .with_context(|| format!("{shown} cannot be written"))?;
-    println!("{shown}: {} bytes; tar xf {shown}", archive.len());
-    Ok(())
+        .open(file)
+        .and_then(|mut opened| opened.write_all(archive))
+        .with_context(|| format!("{} cannot be written", file.display()))
 }
 
 /// The name that the service gives the archive: a name alone, whatever was sent.

@@ -3,7 +3,6 @@
 mod frontier;
 mod pictures;
 
-use super::text::wrapped;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::Profile;
 use albireo_eval::average_precision::{Classes, Interpolation};
@@ -17,6 +16,7 @@ use albireo_eval::result::{ClipResult, Provenance};
 use albireo_eval::run::{Settings, run_stored};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, PolicySpec, Sweep, resolve};
+use albireo_eval::text::wrapped;
 use albireo_eval::{energy_fit, paper, paper_text, published, summary, table};
 use anyhow::Context;
 use clap::{Args, Subcommand};

@@ -27,5 +27,6 @@ pub mod spec;
 pub mod statistics;
 pub mod summary;
 pub mod table;
+pub mod text;
 pub mod trace;
 pub mod worst;

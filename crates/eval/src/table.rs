@@ -2,6 +2,7 @@
 
 use crate::result::Provenance;
 use crate::summary::{Difference, PolicySummary};
+use crate::text::wrapped;
 use std::fmt::Write;
 
 /// Columns a table may take.
@@ -214,27 +215,7 @@ fn foot(text: &mut String, summaries: &[PolicySummary], left_out: &[String]) {
         ));
     }
     for note in notes {
-        text.push_str(&wrap(&note));
+        text.push_str(&wrapped(&note, WIDTH));
+        text.push('\n');
     }
-}
-
-/// Breaks `note` into lines of at most [`WIDTH`] columns.
-fn wrap(note: &str) -> String {
-    let mut text = String::new();
-    let mut used = 0;
-    for word in note.split_whitespace() {
-        let length = word.chars().count();
-        if used > 0 && used + 1 + length > WIDTH {
-            text.push('\n');
-            used = 0;
-        }
-        if used > 0 {
-            text.push(' ');
-            used += 1;
-        }
-        text.push_str(word);
-        used += length;
-    }
-    text.push('\n');
-    text
 }

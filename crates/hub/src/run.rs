@@ -11,17 +11,15 @@ use crate::store::{EnergyBy, EnergyQuery, Resolution, Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::notify::{self, Look};
-use albireo_service::supervise::TaskFailed;
+use albireo_service::supervise::{Supervisor, TaskTally};
 use albireo_service::{logging, session};
 use axum::http::Method;
 use parking_lot::Mutex;
-use std::collections::HashMap;
-use std::future::Future;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
-use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
+use tracing::Span;
 use zenoh::Session;
 
 /// What a hub's session needs beyond what is configured. A long lease, because a storm of joining nodes can keep a
@@ -175,10 +173,17 @@ async fn parts(
         desires: Arc::clone(&view.desires),
         events: changed.clone(),
     });
-    let mut tasks = Tasks::default();
-    tasks.spawn("writer", writer.run(queue));
-    tasks.spawn(
+    // A hub that has lost a task would look well and do half of its work: it ends, and is started anew.
+    // Their end ends the hub, so that no readiness has to name them.
+    let mut tasks = Supervisor::new(
+        albireo_service::readiness::Readiness::default(),
+        TaskTally::default(),
+        shutdown.clone(),
+    );
+    tasks.essential("writer", Span::none(), writer.run(queue));
+    tasks.essential(
         "events",
+        Span::none(),
         view.events
             .clone()
             .follow(store.clone(), changed, shutdown.clone()),
@@ -194,7 +199,7 @@ async fn parts(
         shutdown: shutdown.clone(),
     })
     .await?;
-    tasks.spawn("presence", hearing);
+    tasks.essential("presence", Span::none(), hearing);
     view.attach_session(session.clone(), listening.pokes.clone());
     let reports = session
         .declare_queryable(config.keys()?.report())
@@ -224,7 +229,11 @@ async fn parts(
     readiness.release("database");
     if let Some(tuner) = tuner {
         view.attach_tuner(Arc::clone(&tuner));
-        tasks.spawn("tuning", tuning::follow(tuner, shutdown.clone()));
+        tasks.essential(
+            "tuning",
+            Span::none(),
+            tuning::follow(tuner, shutdown.clone()),
+        );
     }
     // Who was known tells where it stands now, and not at its next period.
     for node in view.fleet.names() {
@@ -242,17 +251,9 @@ async fn parts(
         .collect();
     tracing::info!(?zenoh, "ready");
 
-    let failed = tokio::select! {
-        // Tasks end at the shutdown, and that is no failure.
-        biased;
-        () = shutdown.cancelled() => None,
-        failed = tasks.failed() => Some(failed),
-    };
-    if let Some(failed) = &failed {
-        // Whoever starts the hub starts it anew; what was not acknowledged is sent again.
-        tracing::error!(%failed, "the hub ends");
-        shutdown.cancel();
-    }
+    let watched = tasks.watch().await;
+    // After a failure what still runs has to be told.
+    shutdown.cancel();
     readiness.hold("zenoh", "the hub stops");
     // With the queryable the queue's only sender goes: the writer commits what waits, and ends.
     drop(reports);
@@ -269,43 +270,7 @@ async fn parts(
     if tokio::time::timeout(STOP_LIMIT, stop).await.is_err() {
         tracing::warn!("not everything could be committed before the end; the nodes keep it");
     }
-    failed.map_or(Ok(()), |failed| Err(failed.into()))
-}
-
-/// The hub's tasks. Each runs until the hub stops; a hub that has lost one would look well and do half of its work.
-#[derive(Default)]
-struct Tasks {
-    running: JoinSet<&'static str>,
-    names: HashMap<tokio::task::Id, &'static str>,
-}
-
-impl Tasks {
-    fn spawn(&mut self, name: &'static str, task: impl Future<Output = ()> + Send + 'static) {
-        let handle = self.running.spawn(async move {
-            task.await;
-            name
-        });
-        self.names.insert(handle.id(), name);
-    }
-
-    /// The first one that ends.
-    async fn failed(&mut self) -> TaskFailed {
-        match self.running.join_next().await {
-            Some(Ok(task)) => TaskFailed {
-                task: task.to_owned(),
-                reason: "ended by itself".to_owned(),
-            },
-            Some(Err(error)) => TaskFailed {
-                task: (self.names.get(&error.id()).copied().unwrap_or("unknown")).to_owned(),
-                reason: format!("failed: {error}"),
-            },
-            None => std::future::pending().await,
-        }
-    }
-
-    async fn finish(&mut self) {
-        while self.running.join_next().await.is_some() {}
-    }
+    Ok(watched?)
 }
 
 /// Nodes with what they used, and a time of the day on which they did.

@@ -10,7 +10,8 @@ mod list;
 
 pub use list::{Entry, Role};
 
-use files::{write_private, write_public};
+use files::write_private;
+pub use files::write_public;
 use list::List;
 use rcgen::{
     BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa,

@@ -4,6 +4,7 @@ use super::run::Comparison;
 use super::schedule::schedule;
 use super::summary::{Basis, Change, Figure, Mean, PolicySummary, Summary};
 use super::verdict::paragraphs;
+use crate::text::wrapped;
 use std::fmt::Write;
 
 /// Widest label; what is longer is cut.
@@ -261,19 +262,7 @@ fn exact(value: f64) -> String {
 
 /// Adds a paragraph, broken at blanks, and an empty line.
 fn wrap(text: &mut String, paragraph: &str) {
-    let mut width = 0;
-    for word in paragraph.split_whitespace() {
-        let length = word.chars().count();
-        if width > 0 && width + 1 + length > LINE {
-            text.push('\n');
-            width = 0;
-        } else if width > 0 {
-            text.push(' ');
-            width += 1;
-        }
-        text.push_str(word);
-        width += length;
-    }
+    text.push_str(&wrapped(paragraph, LINE));
     text.push_str("\n\n");
 }
 

@@ -6,9 +6,9 @@
 use super::{Dialect, StoreError};
 use serde::Serialize;
 use serde::ser::{SerializeTuple, Serializer};
-use sqlx::Any;
 use sqlx::any::AnyArguments;
 use sqlx::query::Query;
+use sqlx::{Any, AssertSqlSafe};
 
 /// What a column is read from the array as.
 pub(crate) trait Column {
@@ -117,9 +117,9 @@ fn of_values<T: Serialize>(
             let sql = sql.get_or_insert_with(|| {
                 let row = vec!["?"; values.len() / size].join(",");
                 let list = vec![format!("({row})"); size].join(",");
-                text.replace("{ROWS}", &format!("(VALUES {list}) AS r"))
+                dialect.sql(&text.replace("{ROWS}", &format!("(VALUES {list}) AS r")))
             });
-            let query = sqlx::query(dialect.sql(sql));
+            let query = sqlx::query(AssertSqlSafe(sql.0.clone()));
             statements.push(values.into_iter().fold(query, bind));
         }
         rest = chunks.remainder();

@@ -331,13 +331,12 @@ impl Tuner {
             return Err(error.into());
         }
         let rollout = rollout.clone();
-        let state =
-            serde_json::to_string(&Campaign::Rollout(rollout.clone())).map_err(StoreError::from)?;
-        if rollout.phase.has_ended() {
-            self.write(async |writing| writing.save_campaign(id, Some(now), &state).await)
-                .await?;
+        let campaign = Campaign::Rollout(rollout.clone());
+        if campaign.has_ended() {
+            self.save(id, &campaign, now).await?;
             campaigns.running.remove(&id);
         } else {
+            let state = serde_json::to_string(&campaign).map_err(StoreError::from)?;
             let driver = self.driver.clone();
             self.write(async |writing| {
                 writing

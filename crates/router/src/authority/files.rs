@@ -23,8 +23,11 @@ pub(super) fn write_private(file: &Path, text: &str) -> Result<(), AuthorityErro
     write(file, text, 0o600)
 }
 
-/// What anybody may read.
-pub(super) fn write_public(file: &Path, text: &str) -> Result<(), AuthorityError> {
+/// Writes a file that anybody may read, whole or not at all, and synced.
+///
+/// # Errors
+/// When it cannot be written, with its name.
+pub fn write_public(file: &Path, text: &str) -> Result<(), AuthorityError> {
     write(file, text, 0o644)
 }
 

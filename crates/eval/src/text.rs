@@ -1,7 +1,7 @@
 //! Text for a terminal.
 
 /// `text` broken at blanks into lines of at most `width` columns; a longer word has a line of its own.
-pub(super) fn wrapped(text: &str, width: usize) -> String {
+pub fn wrapped(text: &str, width: usize) -> String {
     let mut lines = String::new();
     let mut used = 0;
     for word in text.split_whitespace() {
