@@ -74,7 +74,7 @@ elif [ -n "${RESTART:-}" ]; then
      until [ "$(ss -Htn state established "( sport = :$router_port )" | wc -l)" -gt "$sessions" ]; do sleep 0.2; done
      echo "after the router's restart: all sessions connected after $((($(date +%s%N) - restarted) / 1000000)) ms"
      "$albireo" fleet --hub $hub set-u 4e-4 --select all --wait 30s | tail -n 1
-     trap 'kill $router' EXIT TERM; sleep 1000 & wait) &
+     trap 'kill $router $!' EXIT TERM; sleep 1000 > /dev/null 2>&1 & wait) &
     watcher=$!
 fi
 "$albireo" simulate --nodes "$nodes" --sessions "$sessions" --for "$seconds" --connect "$place" \

@@ -23,6 +23,10 @@ aarch64-unknown-linux-gnu) architecture=arm64 machine=aarch64 ;;
     exit 1
     ;;
 esac
+[ -n "$(ls "$(rustc --print target-libdir --target "$target")"/libstd-*.rlib 2>/dev/null)" ] || {
+    echo "Rust's standard library for $target is not there: rustup target add $target" >&2
+    exit 1
+}
 strip="strip"
 run=()
 if [ "$target" != "$host" ]; then

@@ -3,6 +3,8 @@
 mod support;
 
 mod cameras;
+#[cfg(feature = "hub")]
+mod check_online;
 mod command_line;
 mod compare;
 mod delivery;

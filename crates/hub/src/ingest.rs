@@ -26,7 +26,7 @@ use crate::config::IngestConfig;
 use albireo_wire::{FleetKeys, RefusalReason};
 use bytes::Bytes;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use zenoh::query::Query;
 
@@ -54,6 +54,7 @@ pub(crate) struct Intake {
     room: Arc<Semaphore>,
     room_bytes: usize,
     replies: Replies,
+    busy_after: Duration,
     busy_retry_ms: u64,
     counters: Arc<IngestCounters>,
 }
@@ -72,6 +73,7 @@ impl Intake {
             room: Arc::new(Semaphore::new(room_bytes)),
             room_bytes,
             replies,
+            busy_after: Duration::from_millis(config.busy_after_ms),
             busy_retry_ms: config.busy_retry_ms,
             counters,
         };
@@ -89,6 +91,10 @@ impl Intake {
                 .replies
                 .refuse(query, refusal(RefusalReason::Unreadable, detail, None));
         };
+        // Written in time or not at all: what a node has given up waiting for it sends again.
+        if self.counters.waited() > self.busy_after {
+            return self.busy(query);
+        }
         // A copy, so that what waits holds no buffers of the network.
         let payload = Bytes::copy_from_slice(&payload.to_bytes());
         let needed = u32::try_from(payload.len().clamp(1, self.room_bytes)).unwrap_or(u32::MAX);

@@ -309,3 +309,54 @@ async fn postgres_two_hubs_on_one_database_store_a_report_once() {
     one.stop().await;
     two.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_are_stored() {
+    use sqlx::Connection as _;
+    sqlx::any::install_default_drivers();
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(&sqlite(folder.path()));
+    config.database.timeout_ms = 600_000;
+    config.ingest.busy_after_ms = 20;
+    let hub = Hub::start(config.clone()).await;
+    let session = uplink(&hub.zenoh).await;
+    let start = now_ns() - 3_600_000_000_000;
+    // Somebody else writes, and the hub's commit waits.
+    let mut other = sqlx::AnyConnection::connect(&config.database.url)
+        .await
+        .unwrap();
+    sqlx::query("BEGIN IMMEDIATE")
+        .execute(&mut other)
+        .await
+        .unwrap();
+    let mut under_way = tokio::task::JoinSet::new();
+    let busy = 'told: {
+        for number in 0..1000 {
+            let batch = batch(&format!("car-{number}"), &instance('c'), 0..=1, start);
+            let session = session.clone();
+            under_way.spawn(async move { deliver(&session, &batch).await });
+            let answer = std::time::Duration::from_millis(100);
+            if let Ok(Some(said)) = tokio::time::timeout(answer, under_way.join_next()).await {
+                break 'told said.unwrap();
+            }
+        }
+        panic!("no batch was answered");
+    };
+    let Said::Refused(refusal) = busy else {
+        panic!("{busy:?}")
+    };
+    assert_eq!(refusal.reason, RefusalReason::Busy);
+    assert_eq!(refusal.retry_after_ms, Some(config.ingest.busy_retry_ms));
+    sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+    // What was taken is written; and then batches are taken again.
+    while let Some(said) = under_way.join_next().await {
+        let said = said.unwrap();
+        let refused =
+            matches!(&said, Said::Refused(refusal) if refusal.reason == RefusalReason::Busy);
+        assert!(refused || said == Said::Stored(1), "{said:?}");
+    }
+    let last = batch("car-last", &instance('d'), 0..=1, start);
+    assert_eq!(deliver(&session, &last).await, Said::Stored(1));
+    session.close().await.unwrap();
+    hub.stop().await;
+}

@@ -14,8 +14,8 @@ mod evidence;
 pub mod frame;
 pub mod http;
 mod intake;
-
 pub mod name;
+pub mod online;
 pub mod outbox;
 pub mod power;
 mod publishing;

@@ -83,7 +83,8 @@ fn outcome(line: &Value) -> String {
 
 fn judge(counts: &Value) -> Ended {
     let has = |name: &str| counts[name].as_u64().unwrap_or(0) > 0;
-    if has("refused") || has("timed_out") {
+    // Without counts the answer broke off: what became of the nodes is not known.
+    if !counts.is_object() || has("refused") || has("timed_out") {
         Ended::Failed
     } else if has("waiting") || has("pending") || has("superseded") {
         Ended::Open

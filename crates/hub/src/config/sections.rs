@@ -119,7 +119,10 @@ pub struct IngestConfig {
     pub commit_ms: u64,
     /// Most reports of one commit.
     pub commit_reports: usize,
-    /// What a node is told to wait when the queue is full, milliseconds.
+    /// A batch that comes while those before it wait longer than this is answered "busy" at once, milliseconds. To be
+    /// well below the time nodes wait for an answer: what is written after that is sent once more for nothing.
+    pub busy_after_ms: u64,
+    /// What a node is told to wait when it is answered "busy", milliseconds.
     pub busy_retry_ms: u64,
     /// What a node is told to wait when the database cannot be written, milliseconds.
     pub unavailable_retry_ms: u64,
@@ -132,6 +135,7 @@ impl Default for IngestConfig {
             queue_bytes: 32 << 20,
             commit_ms: 100,
             commit_reports: 4000,
+            busy_after_ms: 3_000,
             busy_retry_ms: 2_000,
             unavailable_retry_ms: 5_000,
         }
@@ -154,6 +158,7 @@ impl IngestConfig {
             1,
             100_000,
         );
+        findings.count("ingest.busy_after_ms", self.busy_after_ms, 1, 3_600_000);
         findings.count("ingest.busy_retry_ms", self.busy_retry_ms, 1, 3_600_000);
         findings.count(
             "ingest.unavailable_retry_ms",

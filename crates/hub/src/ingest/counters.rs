@@ -5,7 +5,7 @@ use parking_lot::Mutex;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Ages of acknowledgements and commits that the percentiles are of.
 const KEPT: usize = 4096;
@@ -19,6 +19,7 @@ macro_rules! counters {
             acknowledged_after: Ages,
             committed_in: Ages,
             queued: AtomicU64,
+            in_hand_since: Mutex<Option<Instant>>,
             queued_bytes: AtomicU64,
         }
 
@@ -109,6 +110,18 @@ impl IngestCounters {
 
     pub(crate) fn committed_in(&self, took: Duration) {
         self.committed_in.add(took);
+    }
+
+    /// When the batch came that was taken from the queue last; nothing once all is written.
+    pub(crate) fn in_hand(&self, since: Option<Instant>) {
+        *self.in_hand_since.lock() = since;
+    }
+
+    /// How long what is being written has waited: a batch that comes now waits as long at least, where as many come as
+    /// before.
+    pub(crate) fn waited(&self) -> Duration {
+        let since = *self.in_hand_since.lock();
+        since.map_or(Duration::ZERO, |since| since.elapsed())
     }
 
     /// Counts a batch among those that wait, until what is returned is dropped.

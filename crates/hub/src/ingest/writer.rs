@@ -64,6 +64,9 @@ impl IngestWriter {
         while open || !self.ready.is_empty() {
             let begun = Instant::now();
             if self.ready.is_empty() {
+                if queue.is_empty() {
+                    self.setup.counters.in_hand(None);
+                }
                 // Presence is written also when no report comes.
                 let idle = Duration::from_millis(250).max(pause);
                 tokio::select! {
@@ -112,6 +115,7 @@ impl IngestWriter {
     }
 
     fn read(&mut self, waiting: Waiting) {
+        self.setup.counters.in_hand(Some(waiting.since));
         match decode(&waiting.node, &waiting.payload) {
             Ok(batch) => self.ready.push_back((waiting, batch)),
             Err(error) => {

@@ -90,6 +90,7 @@ impl Tuner {
                 "there is no node of that name".to_owned(),
             ));
         }
+        lines.sort_by(|a, b| a.node.cmp(&b.node));
         let awaited = nodes.iter().map(|(node, _)| node.clone()).collect();
         let (tell, follow) = mpsc::unbounded_channel();
         let generation = if nodes.is_empty() {

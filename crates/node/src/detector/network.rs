@@ -115,6 +115,12 @@ impl DetectorNetwork {
         self.reader.head_name()
     }
 
+    /// The execution provider that runs it: not the first configured where that one does not work and falling back is
+    /// allowed.
+    pub fn provider(&self) -> ExecutionProvider {
+        self.session.provider()
+    }
+
     /// What the model wants to see.
     pub fn input_format(&self) -> InputFormat {
         self.preparation.format()

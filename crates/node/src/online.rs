@@ -1,0 +1,232 @@
+//! Tries what a configuration names, as a node would use it: the models on their execution provider, cameras that the
+//! node opens, the router, the hub. For `albireo check --online`.
+
+use crate::config::{CameraConfig, NodeConfig};
+use crate::detector::{DetectorConfig, DetectorNetwork};
+use crate::frame::{EncodedPicture, FrameFault, Picture};
+use crate::screen::ScreenHandle;
+use crate::source::{LiveSource, SourceSink};
+use albireo_service::clock::milliseconds;
+use albireo_service::config::{ZenohConfig, ZenohMode};
+use albireo_service::session;
+use albireo_wire::FleetKeys;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::sync::mpsc::{Sender, channel};
+use tokio_util::sync::CancellationToken;
+use zenoh::{Session, Wait};
+
+/// Pictures the detector is timed on, after its warm-up.
+const PICTURES: usize = 9;
+
+/// How long a router and a hub are waited for.
+const ANSWER: Duration = Duration::from_secs(10);
+
+/// What was seen of one thing that a configuration names.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Tried {
+    /// The key of the configuration.
+    pub key: String,
+    /// What was seen, or why it does not work.
+    pub outcome: Result<String, String>,
+}
+
+/// Tries everything the configuration names, and tells each as it is known. Nothing is published, and a node that runs
+/// beside is not disturbed, but that a camera which serves one client at a time refuses the second.
+pub async fn try_all(config: &NodeConfig, mut tell: impl FnMut(Tried)) {
+    let mut told = |key: &str, outcome| {
+        tell(Tried {
+            key: key.to_owned(),
+            outcome,
+        });
+    };
+    let detector = config.detector.clone();
+    let seen = tokio::task::spawn_blocking(move || try_detector(&detector)).await;
+    told(
+        "detector",
+        seen.unwrap_or_else(|error| Err(error.to_string())),
+    );
+    match ScreenHandle::start(&config.screen, config.detector.onnxruntime.as_deref()).await {
+        Ok(None) => {}
+        Ok(Some(screen)) => {
+            let [_, _, rows, columns] = screen.input_format().shape();
+            told("screen", Ok(format!("input shape {rows} x {columns}")));
+        }
+        Err(error) => told("screen", Err(error.to_string())),
+    }
+    for camera in &config.cameras {
+        if camera.source.is_some() {
+            let key = format!("camera.{}.source", camera.name);
+            told(&key, try_source(config, camera).await);
+        }
+    }
+    let fleet = config.keys().map(|keys| keys.fleet());
+    if config.uplink.is_set() {
+        let uplink = config.uplink.clone();
+        let opening = tokio::task::spawn_blocking(move || session::open_uplink(&uplink));
+        let opened = match tokio::time::timeout(ANSWER, opening).await {
+            Ok(Ok(opened)) => opened.map_err(|error| format!("{error:#}")),
+            Ok(Err(error)) => Err(error.to_string()),
+            Err(_) => Err(late(&config.uplink.connect)),
+        };
+        told("uplink.connect", told_hub(opened, fleet).await);
+    } else if !config.zenoh.connect.is_empty() && config.zenoh.config_file.is_none() {
+        // As a client that listens nowhere: the ports are the running node's.
+        let client = ZenohConfig {
+            mode: ZenohMode::Client,
+            listen: Vec::new(),
+            ..config.zenoh.clone()
+        };
+        let opening = session::open(&client, config.frame.max_payload_bytes, |_| {});
+        let opened = match tokio::time::timeout(ANSWER, opening).await {
+            Ok(opened) => opened.map_err(|error| format!("{error:#}")),
+            Err(_) => Err(late(&config.zenoh.connect)),
+        };
+        let reached = match opened {
+            Err(reason) => Err(reason),
+            Ok(session) => {
+                close(session).await;
+                Ok(format!("{} answers", config.zenoh.connect.join(", ")))
+            }
+        };
+        told("zenoh.connect", reached);
+    }
+}
+
+fn late(endpoints: &[String]) -> String {
+    let seconds = ANSWER.as_secs();
+    format!("{} did not answer in {seconds} s", endpoints.join(", "))
+}
+
+/// Which provider runs the model, and how long a run takes.
+fn try_detector(config: &DetectorConfig) -> Result<String, String> {
+    let begun = Instant::now();
+    let mut network = DetectorNetwork::open(config).map_err(|error| error.to_string())?;
+    let loaded = begun.elapsed();
+    let prepared = network
+        .preparation()
+        .prepare(&Picture::black(network.input_format().size))
+        .map_err(|error| error.to_string())?;
+    let mut took = Vec::with_capacity(PICTURES);
+    for _ in 0..PICTURES {
+        let begun = Instant::now();
+        let found = network.detect(&prepared);
+        found.map_err(|error| error.0)?;
+        took.push(begun.elapsed());
+    }
+    took.sort();
+    let median = took.get(PICTURES / 2).copied().unwrap_or_default();
+    let provider = network.provider();
+    let mut text = format!(
+        "runs on {}, {:.1} ms a picture (median of {PICTURES}), loaded in {:.1} s",
+        provider.as_str(),
+        milliseconds(median),
+        loaded.as_secs_f64(),
+    );
+    if let Some(first) = config.providers.first()
+        && *first != provider
+    {
+        text.push_str(&format!(
+            "; `{}` does not work here, and detector.may_fall_back = true lets the next one in the list run",
+            first.as_str()
+        ));
+    }
+    Ok(text)
+}
+
+/// Hands on whether the first picture came, or why not.
+struct FirstPicture(Sender<Result<String, String>>);
+
+impl SourceSink for FirstPicture {
+    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, _anew: bool) {
+        let seen = match picture {
+            Ok(picture) => Ok(format!(
+                "a picture came, {} kB as {}",
+                picture.bytes.len().div_ceil(1000),
+                picture.format.as_str()
+            )),
+            Err(fault) => Err(format!("a picture came that cannot be used: {fault}")),
+        };
+        // Only the first is waited for.
+        let _ = self.0.try_send(seen);
+    }
+
+    fn fails(&mut self, reason: &str) {
+        let _ = self.0.try_send(Err(reason.to_owned()));
+    }
+}
+
+async fn try_source(config: &NodeConfig, camera: &CameraConfig) -> Result<String, String> {
+    let Some(settings) = camera.source_settings(config.frame) else {
+        return Err("it has no source".to_owned());
+    };
+    // The source's own patience with the first picture is twice its silence.
+    let patience = 2 * settings.silence.min(Duration::from_secs(300)) + ANSWER;
+    let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
+    let source = found
+        .map_err(|error| error.to_string())?
+        .map_err(|error| error.to_string())?;
+    let (sender, mut seen) = channel(1);
+    let stop = CancellationToken::new();
+    let source = Arc::new(source);
+    let running = source.run(FirstPicture(sender), stop.clone());
+    let waiting = async {
+        let first = tokio::time::timeout(patience, seen.recv()).await;
+        stop.cancel();
+        match first {
+            Ok(Some(seen)) => seen,
+            Ok(None) => Err("its reader ended".to_owned()),
+            Err(_) => Err(format!("no picture in {} s", patience.as_secs())),
+        }
+    };
+    let (ended, seen) = tokio::join!(running, waiting);
+    ended?;
+    seen
+}
+
+/// Whether somebody takes reports behind the session.
+async fn told_hub(
+    opened: Result<Session, String>,
+    keys: Result<FleetKeys, albireo_wire::KeyError>,
+) -> Result<String, String> {
+    let session = opened?;
+    let keys = keys.map_err(|error| error.to_string())?;
+    let seen = hub_behind(&session, keys.report()).await;
+    close(session).await;
+    match seen {
+        Ok(true) => Ok("the router answers, and a hub takes reports".to_owned()),
+        Ok(false) => Err(format!(
+            "the router answers, but nobody takes reports: is the hub running, with hub.prefix as node.prefix, and does \
+             the router's access control let this node's certificate use `{}`?",
+            keys.report()
+        )),
+        Err(error) => Err(session::plain(&error)),
+    }
+}
+
+async fn hub_behind(session: &Session, key: String) -> zenoh::Result<bool> {
+    let querier = session.declare_querier(key).await?;
+    let (sender, mut matches) = channel(1);
+    let _listener = querier
+        .matching_listener()
+        .callback(move |status| {
+            if status.matching() {
+                let _ = sender.try_send(());
+            }
+        })
+        .await?;
+    if querier.matching_status().await?.matching() {
+        return Ok(true);
+    }
+    Ok(matches!(
+        tokio::time::timeout(ANSWER, matches.recv()).await,
+        Ok(Some(()))
+    ))
+}
+
+async fn close(session: Session) {
+    let closed = tokio::task::spawn_blocking(move || session.close().wait()).await;
+    if let Ok(Err(error)) = closed {
+        tracing::debug!(%error, "session not closed cleanly");
+    }
+}
