@@ -13,7 +13,8 @@ target=${TARGET:-$host}
 out=target/dist
 packages=${PACKAGES:-yes}
 version=$(awk -F'"' '/^\[workspace.package\]/ { found = 1 } found && /^version/ { print $2; exit }' Cargo.toml)
-options=(--locked --release --target "$target" --features turbojpeg)
+options=(--locked --release --features turbojpeg)
+built=target/release
 
 case $target in
 x86_64-unknown-linux-gnu) architecture=amd64 machine=x86_64 ;;
@@ -28,8 +29,10 @@ esac
     exit 1
 }
 strip="strip"
-run=()
+run=() deb=()
 if [ "$target" != "$host" ]; then
+    options+=(--target "$target")
+    built=target/$target/release deb=(--target "$target")
     # Debian's cross toolchain: gcc-aarch64-linux-gnu g++-aarch64-linux-gnu; qemu-user runs what it makes.
     export CARGO_TARGET_AARCH64_UNKNOWN_LINUX_GNU_LINKER=aarch64-linux-gnu-gcc
     export CC_aarch64_unknown_linux_gnu=aarch64-linux-gnu-gcc CXX_aarch64_unknown_linux_gnu=aarch64-linux-gnu-g++
@@ -43,9 +46,9 @@ fi
 
 mkdir -p "$out"
 cargo build "${options[@]}" --no-default-features
-cp "target/$target/release/albireo" "$out/albireo-node-$version-$machine"
+cp "$built/albireo" "$out/albireo-node-$version-$machine"
 cargo build "${options[@]}"
-cp "target/$target/release/albireo" "$out/albireo-$version-$machine"
+cp "$built/albireo" "$out/albireo-$version-$machine"
 "$strip" "$out/albireo-node-$version-$machine" "$out/albireo-$version-$machine"
 
 # What is made once and is the same for every machine.
@@ -72,11 +75,11 @@ if [ "$packages" = yes ]; then
     if cargo deb --version >/dev/null 2>&1; then
         for variant in program node hub router; do
             case $variant in
-            node) built=$out/albireo-node-$version-$machine ;;
-            *) built=$out/albireo-$version-$machine ;;
+            node) program=$out/albireo-node-$version-$machine ;;
+            *) program=$out/albireo-$version-$machine ;;
             esac
-            cp "$built" "target/$target/release/albireo"
-            cargo deb --no-build --no-strip --target "$target" --variant "$variant" --output "$out/"
+            cp "$program" "$built/albireo"
+            cargo deb --no-build --no-strip "${deb[@]}" --variant "$variant" --output "$out/"
         done
     else
         echo "no cargo-deb: packages are left out (cargo install cargo-deb)" >&2

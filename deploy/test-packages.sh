@@ -4,6 +4,7 @@
 #
 #   sudo deploy/test-packages.sh          # needs debootstrap, systemd-container, curl; some 400 MB in the temporary folder
 #
+# shellcheck disable=SC2016 # what stands in single quotes is for the shell inside
 # SUITE: another Debian than bookworm. BASE: a folder that keeps the bare system for the next time.
 set -euo pipefail
 cd "$(dirname "$0")/.."
