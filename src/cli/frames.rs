@@ -2,6 +2,7 @@
 
 mod sender;
 mod session;
+mod shared;
 
 #[cfg(feature = "eval")]
 pub(crate) use sender::SentFrame;
@@ -40,6 +41,14 @@ pub struct FrameTarget {
 }
 
 impl FrameTarget {
+    /// Whether frames go to this machine alone, where sender and node can share memory.
+    pub(crate) fn is_here(&self) -> bool {
+        let endpoints = self.connect.iter().chain(&self.listen);
+        endpoints
+            .into_iter()
+            .all(|endpoint| shared::is_here(endpoint))
+    }
+
     /// The key to publish on.
     ///
     /// # Errors

@@ -109,7 +109,9 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
     let Some(session) = connected(&arguments.target, &shutdown).await else {
         return Ok(());
     };
-    let sender = FrameSender::declare(&session, &key, Haste::Drop).await?;
+    let sender = FrameSender::declare(&session, &key, Haste::Drop)
+        .await?
+        .sharing_memory(arguments.target.is_here());
     tracing::info!(source = source.name(), key, "publishing");
     let told = key.clone();
     sender

@@ -133,7 +133,9 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
     } else {
         Haste::Drop
     };
-    let sender = FrameSender::declare(&session, &key, haste).await?;
+    let sender = FrameSender::declare(&session, &key, haste)
+        .await?
+        .sharing_memory(arguments.target.is_here());
     if arguments.wait_for_subscriber.is_some() {
         tokio::select! {
             waited = sender.wait_for_receiver(patience) => waited?,

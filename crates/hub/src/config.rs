@@ -71,6 +71,8 @@ fn default_zenoh() -> ZenohConfig {
     ZenohConfig {
         mode: ZenohMode::Router,
         listen: vec!["tcp/127.0.0.1:7448".to_owned()],
+        // Its nodes are on other machines.
+        shared_memory: false,
         ..ZenohConfig::default()
     }
 }

@@ -192,6 +192,9 @@ impl Intake {
 
     /// Takes one sample as it arrives.
     pub(crate) fn take(&self, sample: &Sample) {
+        if sample.payload().as_shm().is_some() {
+            self.board.count_shared_frame();
+        }
         self.place(|arrival, format, limits| read_sample(sample, arrival, format, limits));
     }
 

@@ -1,5 +1,6 @@
 //! Sends frames to a node: as a camera does, or so that none is missed.
 
+use super::shared::SharedFrames;
 use albireo_node::frame::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAnswer, FrameAttachment, read};
 use anyhow::{Context, anyhow, bail};
@@ -9,6 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::time::Instant;
 use zenoh::Wait;
+use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
 use zenoh::query::Querier;
@@ -57,7 +59,10 @@ enum Way {
 
 /// Sends frames on one key.
 #[derive(Clone, Debug)]
-pub struct FrameSender(Way);
+pub struct FrameSender {
+    way: Way,
+    shared: Option<Arc<SharedFrames>>,
+}
 
 impl FrameSender {
     /// A sender for frames on `key`.
@@ -76,7 +81,7 @@ impl FrameSender {
                     .timeout(TURN)
                     .await
                     .map_err(refused)?;
-                return Ok(Self(Way::Ask(Arc::new(querier))));
+                return Ok(Self::by(Way::Ask(Arc::new(querier))));
             }
         };
         let publisher = session
@@ -84,7 +89,19 @@ impl FrameSender {
             .congestion_control(congestion)
             .await
             .map_err(refused)?;
-        Ok(Self(Way::Put(Arc::new(publisher))))
+        Ok(Self::by(Way::Put(Arc::new(publisher))))
+    }
+
+    const fn by(way: Way) -> Self {
+        Self { way, shared: None }
+    }
+
+    /// Places frames in shared memory, for a node on this machine to read in place. A node that cannot gets them as
+    /// bytes.
+    #[must_use]
+    pub fn sharing_memory(mut self, yes: bool) -> Self {
+        self.shared = yes.then(Arc::default);
+        self
     }
 
     /// Waits until somebody takes what is sent.
@@ -94,7 +111,7 @@ impl FrameSender {
     pub async fn wait_for_receiver(&self, patience: Duration) -> anyhow::Result<()> {
         let zenoh = |error: zenoh::Error| anyhow!("waiting for a receiver: {error}");
         // Listening comes before looking, so that none is missed in between.
-        let (key, listener, matching) = match &self.0 {
+        let (key, listener, matching) = match &self.way {
             Way::Put(publisher) => (
                 publisher.key_expr(),
                 publisher.matching_listener().await.map_err(zenoh)?,
@@ -118,7 +135,7 @@ impl FrameSender {
                 }
             }
         });
-        let want = match &self.0 {
+        let want = match &self.way {
             Way::Put(_) => "is it configured for this camera",
             Way::Ask(_) => "has its camera delivery = \"every\"",
         };
@@ -139,7 +156,7 @@ impl FrameSender {
         changed: impl FnMut(bool) + Send + 'static,
     ) -> anyhow::Result<()> {
         let zenoh = |error: zenoh::Error| anyhow!("looking for a receiver: {error}");
-        let Way::Put(publisher) = &self.0 else {
+        let Way::Put(publisher) = &self.way else {
             bail!("only who puts frames does not hear whether they are taken");
         };
         let told = Arc::new(Mutex::new((changed, None)));
@@ -168,7 +185,7 @@ impl FrameSender {
     #[cfg_attr(not(feature = "eval"), allow(dead_code))]
     pub(crate) async fn heard(&self) -> anyhow::Result<Arc<AtomicBool>> {
         let heard = Arc::new(AtomicBool::new(false));
-        if let Way::Ask(_) = &self.0 {
+        if let Way::Ask(_) = &self.way {
             // Each frame is answered.
             heard.store(true, Ordering::Relaxed);
             return Ok(heard);
@@ -186,8 +203,8 @@ impl FrameSender {
     /// # Errors
     /// When Zenoh refuses it, or the frames of this sender are asked for.
     pub(crate) fn put(&self, frame: &OutgoingFrame) -> anyhow::Result<()> {
-        match &self.0 {
-            Way::Put(publisher) => put(publisher, frame),
+        match &self.way {
+            Way::Put(publisher) => put(publisher, self.shared.as_deref(), frame),
             Way::Ask(_) => bail!("this sender's frames wait to be taken"),
         }
     }
@@ -198,16 +215,16 @@ impl FrameSender {
     /// When Zenoh refuses it, or no node takes it.
     #[cfg_attr(not(feature = "eval"), allow(dead_code))]
     pub(crate) async fn send(&self, frame: OutgoingFrame) -> anyhow::Result<SentFrame> {
-        match &self.0 {
+        match &self.way {
             Way::Put(publisher) => {
-                let publisher = Arc::clone(publisher);
+                let (publisher, shared) = (Arc::clone(publisher), self.shared.clone());
                 // A put that has to wait for room blocks its thread.
-                tokio::task::spawn_blocking(move || put(&publisher, &frame))
+                tokio::task::spawn_blocking(move || put(&publisher, shared.as_deref(), &frame))
                     .await
                     .context("publishing a frame")??;
                 Ok(SentFrame::Gone)
             }
-            Way::Ask(querier) => ask(querier, frame).await,
+            Way::Ask(querier) => ask(querier, self.shared.clone(), frame).await,
         }
     }
 }
@@ -221,9 +238,20 @@ fn encoding(format: PictureFormat) -> String {
     }
 }
 
-fn put(publisher: &Publisher<'_>, frame: &OutgoingFrame) -> anyhow::Result<()> {
+/// A picture's bytes, in shared memory where there is some.
+fn payload(shared: Option<&SharedFrames>, picture: &[u8]) -> ZBytes {
+    shared
+        .and_then(|shared| shared.place(picture))
+        .unwrap_or_else(|| ZBytes::from(picture))
+}
+
+fn put(
+    publisher: &Publisher<'_>,
+    shared: Option<&SharedFrames>,
+    frame: &OutgoingFrame,
+) -> anyhow::Result<()> {
     publisher
-        .put(frame.picture.bytes.as_ref())
+        .put(payload(shared, frame.picture.bytes.as_ref()))
         .encoding(encoding(frame.picture.format))
         .attachment(serde_json::to_vec(&frame.attachment)?)
         .wait()
@@ -231,17 +259,22 @@ fn put(publisher: &Publisher<'_>, frame: &OutgoingFrame) -> anyhow::Result<()> {
 }
 
 /// Gives a frame to the node and waits until it is taken; again where it was not.
-async fn ask(querier: &Arc<Querier<'static>>, frame: OutgoingFrame) -> anyhow::Result<SentFrame> {
+async fn ask(
+    querier: &Arc<Querier<'static>>,
+    shared: Option<Arc<SharedFrames>>,
+    frame: OutgoingFrame,
+) -> anyhow::Result<SentFrame> {
     let until = Instant::now() + TURN;
     let attachment = serde_json::to_vec(&frame.attachment)?;
     loop {
         let (asking, attachment) = (Arc::clone(querier), attachment.clone());
         let (bytes, format) = (frame.picture.bytes.clone(), frame.picture.format);
+        let shared = shared.clone();
         // What has to wait for room in the network blocks its thread.
         let asked = tokio::task::spawn_blocking(move || {
             asking
                 .get()
-                .payload(bytes.as_ref())
+                .payload(payload(shared.as_deref(), bytes.as_ref()))
                 .encoding(encoding(format))
                 .attachment(attachment)
                 .wait()

@@ -16,6 +16,7 @@ use parking_lot::Mutex;
 use prometheus_client::metrics::histogram::Histogram;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
@@ -78,6 +79,8 @@ pub struct CameraSnapshot {
     pub latest: Option<Arc<DetectionsMessage>>,
     /// Time since the newest frame was processed.
     pub last_frame_age: Option<Duration>,
+    /// Frames that came in memory which their sender shares.
+    pub shared_frames: u64,
     /// What to try, when nothing is skipped although objects are followed.
     pub advice: Option<Advice>,
 }
@@ -145,6 +148,7 @@ pub struct CameraBoard {
     longest_pause: Option<u32>,
     history: Mutex<History>,
     latest_frame: Mutex<Option<LatestFrame>>,
+    shared_frames: AtomicU64,
     total_latency: [Histogram; 5],
     detector_latency: Histogram,
     events: broadcast::Sender<SharedEvent>,
@@ -193,6 +197,7 @@ impl CameraBoard {
             longest_pause: setup.longest_pause,
             history: Mutex::default(),
             latest_frame: Mutex::default(),
+            shared_frames: AtomicU64::new(0),
             total_latency: std::array::from_fn(|_| Histogram::new(LATENCY_BUCKETS_S)),
             detector_latency: Histogram::new(LATENCY_BUCKETS_S),
             events,
@@ -296,6 +301,11 @@ impl CameraBoard {
         (rounded != in_force).then_some(rounded)
     }
 
+    /// Counts a frame that came in memory which its sender shares.
+    pub(crate) fn count_shared_frame(&self) {
+        self.shared_frames.fetch_add(1, Ordering::Relaxed);
+    }
+
     /// Adds frames that were not processed, each kind under its own name.
     pub fn record_dropped(&self, more: &DroppedFrames) {
         self.counts.lock().dropped += more;
@@ -322,6 +332,7 @@ impl CameraBoard {
             boxes: counts.boxes.clone(),
             latest: counts.latest.clone(),
             last_frame_age: counts.last_frame.map(|instant| instant.elapsed()),
+            shared_frames: self.shared_frames.load(Ordering::Relaxed),
             advice: self.advice(&counts),
         }
     }

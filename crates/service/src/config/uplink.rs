@@ -44,7 +44,7 @@ impl Default for UplinkConfig {
             verify_name: true,
             user: None,
             password_file: None,
-            lease_ms: 30_000,
+            lease_ms: 120_000,
             retry_max_ms: 30_000,
             reopen_s: 300,
             liveliness: false,
@@ -100,6 +100,8 @@ impl UplinkConfig {
         insert("transport/link/tx/batch_size", 8192.into())?;
         insert("transport/link/rx/buffer_size", 8192.into())?;
         insert("transport/link/rx/max_message_size", (1 << 20).into())?;
+        // A few kilobytes a minute, to another machine.
+        insert("transport/shared_memory/enabled", false.into())?;
         insert("transport/link/tx/lease", self.lease_ms.into())?;
         let mut tls = serde_json::Map::new();
         for (key, file) in [

@@ -41,6 +41,8 @@ pub struct ZenohConfig {
     pub listen: Vec<String>,
     /// Whether to look for others on the local network by multicast.
     pub multicast_scouting: bool,
+    /// Whether a camera on this machine may place its frames in memory that the node reads in place.
+    pub shared_memory: bool,
     /// A Zenoh configuration file (JSON5). When it is given, the other keys of this section are not used.
     pub config_file: Option<PathBuf>,
 }
@@ -52,6 +54,7 @@ impl Default for ZenohConfig {
             connect: Vec::new(),
             listen: vec!["tcp/127.0.0.1:7447".to_owned()],
             multicast_scouting: false,
+            shared_memory: true,
             config_file: None,
         }
     }
@@ -78,6 +81,13 @@ impl ZenohConfig {
         insert("connect/endpoints", self.connect.clone().into())?;
         insert("listen/endpoints", self.listen.clone().into())?;
         insert("scouting/multicast/enabled", self.multicast_scouting.into())?;
+        insert("transport/shared_memory/enabled", self.shared_memory.into())?;
+        // What others place is read; what the node itself sends goes as bytes: Zenoh's own placing of what is large can
+        // lose a race (eclipse-zenoh/zenoh#2628).
+        insert(
+            "transport/shared_memory/transport_optimization/enabled",
+            false.into(),
+        )?;
         // Zenoh drops what is above its own bound without a word: with room above ours, a frame that is too large
         // comes this far and is counted.
         let largest = max_payload_bytes

@@ -62,6 +62,18 @@ pub(super) fn cameras(
     )?;
     family(
         encoder,
+        "camera_shared_memory_frames",
+        "Frames that came in memory which their sender on this machine shares, and were read in place",
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                let labels = vec![("camera", camera.name())];
+                family.counter(labels, snapshot.shared_frames as f64)
+            })
+        },
+    )?;
+    family(
+        encoder,
         "camera_energy_joules",
         "Energy of the clips that ended, each camera's share by the time the detector ran for it, over the time that \
          samples cover; `power_info` says whether it is measured or estimated",
