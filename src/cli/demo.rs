@@ -149,6 +149,8 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
     let mut config = NodeConfig::default();
     config.node.name = "demo".to_owned();
     config.zenoh.listen = vec![endpoint.to_owned()];
+    // Who looks at a demonstration wants to see each clip arrive.
+    config.outbox.gather_reports = 1;
     config.detector.model = arguments.models.join("detector.onnx");
     config.screen.model = Some(arguments.models.join("screen.onnx"));
     config.policy.select(&arguments.policy)?;

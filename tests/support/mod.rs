@@ -126,7 +126,14 @@ impl Node {
         let addresses = format!(
             "http.listen = \"127.0.0.1:0\"\nzenoh.listen = {listen}\nlog.format = \"json\"\n"
         );
-        std::fs::write(&file, addresses + settings).expect("the configuration is written");
+        // Each report goes at once, unless gathering is what is tested.
+        let at_once = if settings.contains("gather_reports") {
+            ""
+        } else {
+            "outbox.gather_reports = 1\n"
+        };
+        std::fs::write(&file, addresses + at_once + settings)
+            .expect("the configuration is written");
         let mut child = albireo()
             .args(["node", "--config"])
             .arg(&file)

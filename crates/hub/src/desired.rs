@@ -27,6 +27,7 @@ impl Desires {
             knob: value.map(|value| value.knob),
             watched_for_s: watched
                 .map(|left| u32::try_from(left.as_secs() + 1).unwrap_or(u32::MAX)),
+            signs_of_life: true,
             ..Desired::nothing()
         }
     }

@@ -7,6 +7,7 @@
 mod backoff;
 mod delivery;
 mod desired;
+mod gathering;
 mod query;
 mod status;
 mod watched;
@@ -22,6 +23,7 @@ use albireo_service::session;
 use albireo_wire::{Desired, FleetKeys, PullRequest, VERSION};
 use backoff::Backoff;
 use delivery::Delivery;
+use gathering::Gathering;
 use query::{Asked, Patience, ask};
 use status::StatusTeller;
 use std::collections::BTreeMap;
@@ -90,6 +92,7 @@ impl Uplink {
         let mut worker = Worker {
             teller: StatusTeller::new(setup.labels.clone()),
             watched: Watched::new(setup.limits),
+            gathering: Gathering::new(&setup.config),
             delivery: Delivery::new(outbox.clone(), node, &setup.config),
             reconnect: Backoff::new(setup.config.retry_min_ms, setup.config.retry_max_ms),
             setup,
@@ -97,6 +100,7 @@ impl Uplink {
             poked: Arc::new(AtomicU64::new(0)),
             pull_due: true,
             last_answer: Instant::now(),
+            signs_of_life: false,
         };
         let thread = std::thread::Builder::new()
             .name("uplink".to_owned())
@@ -142,6 +146,9 @@ struct Worker {
     pull_due: bool,
     last_answer: Instant,
     watched: Watched,
+    /// The hub that answered in this session reads signs of life.
+    signs_of_life: bool,
+    gathering: Gathering,
 }
 
 enum Served {
@@ -274,6 +281,9 @@ impl Worker {
         let mut revision = 0;
         let mut last_try = None;
         self.pull_due = true;
+        // Another hub may answer than the last time.
+        self.signs_of_life = false;
+        self.gathering.begin();
         loop {
             let stopping = self.stop.load(Ordering::Acquire);
             self.look_after_disk();
@@ -291,7 +301,11 @@ impl Worker {
             let mut again = false;
             // Once the node stops, a pause is over: there is no later.
             let last_chance = stopping && last_try.is_none();
-            if connected && (last_chance || self.delivery.is_due(Instant::now())) {
+            let now = Instant::now();
+            let waiting = self.setup.outbox.counts().waiting;
+            let worth_it = self.gathering.is_worth_it(waiting, now)
+                || (waiting > 0 && self.watched.is_on(now));
+            if connected && (last_chance || (worth_it && self.delivery.is_due(now))) {
                 again = self.deliver(&reports);
             }
             if stopping {
@@ -302,8 +316,7 @@ impl Worker {
             }
             if let Way::Own(uplink) = &self.setup.way {
                 let stale = Duration::from_secs(uplink.reopen_s.max(10));
-                let waits = self.setup.outbox.counts().waiting > 0;
-                if !waits {
+                if !worth_it {
                     self.last_answer = Instant::now();
                 } else if self.last_answer.elapsed() > stale {
                     return Ok(Served::Stale);
@@ -329,6 +342,9 @@ impl Worker {
         let delivered = self.delivery.send(reports, patience);
         if delivered.answered {
             self.last_answer = Instant::now();
+        }
+        if delivered.again {
+            self.gathering.sent();
         }
         if delivered.new_instance {
             self.teller.full_is_due();
@@ -365,6 +381,7 @@ impl Worker {
     }
 
     fn take(&mut self, desired: &Desired) {
+        self.signs_of_life = desired.signs_of_life;
         if self
             .setup
             .desired
@@ -384,12 +401,13 @@ impl Worker {
         let period = Duration::from_secs(self.setup.config.status_s.max(1));
         let message = self.teller.due(
             period,
+            self.signs_of_life,
             &self.setup.board,
             &self.setup.outbox,
             &self.setup.desired,
         );
-        match message.map(|message| serde_json::to_vec(&message)) {
-            Some(Ok(json)) => status.put(json).wait(),
+        match message {
+            Ok(Some(payload)) => status.put(payload).wait(),
             _ => Ok(()),
         }
     }

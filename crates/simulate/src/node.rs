@@ -4,7 +4,7 @@ use super::options::{Behaviour, Options};
 use albireo_wire::{
     CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired, DomainEnergy,
     DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, KnobSource, KnobValue,
-    NodeStatus, OutboxStatus, Percentiles, RefusedDesired, ReportAnswer, ReportBatch,
+    NodeStatus, OutboxStatus, Percentiles, RefusedDesired, ReportAnswer, ReportBatch, SignOfLife,
     StatusMessage, VERSION,
 };
 use rand_core::{RngCore, SeedableRng};
@@ -48,6 +48,9 @@ pub(crate) struct SimNode {
     refuses: bool,
     seq: u64,
     full_due: bool,
+    /// The hub reads signs of life.
+    signs_of_life: bool,
+    told_generation: Option<u64>,
 }
 
 impl SimNode {
@@ -79,6 +82,8 @@ impl SimNode {
             refuses: share(4) < options.refusing_share,
             seq: 0,
             full_due: true,
+            signs_of_life: false,
+            told_generation: None,
             seed,
         }
     }
@@ -132,6 +137,7 @@ impl SimNode {
     /// Takes what is desired. Returns whether the status has to be told at once.
     pub(crate) fn take(&mut self, desired: &Desired) -> bool {
         self.full_due |= desired.send_full_status;
+        self.signs_of_life = desired.signs_of_life;
         let seen = self
             .refused
             .as_ref()
@@ -167,6 +173,17 @@ impl SimNode {
     /// The value in force.
     pub(crate) fn u(&self) -> f64 {
         self.values.last().map_or(FIRST_U, |(_, u)| *u)
+    }
+
+    /// The payload of the next status; a sign of life where the hub reads those and nothing changed.
+    pub(crate) fn status_payload(&mut self, now_ns: u64) -> Result<Vec<u8>, serde_json::Error> {
+        let told = self.told_generation.replace(self.generation) == Some(self.generation);
+        let message = self.status(now_ns);
+        if !self.signs_of_life || message.full.is_some() || !told {
+            return serde_json::to_vec(&message);
+        }
+        let (run, seq, waiting) = (message.run(), message.seq, message.waiting);
+        SignOfLife { run, seq, waiting }.to_payload()
     }
 
     /// The next status; in full at the first, after a change, and when it was asked for.

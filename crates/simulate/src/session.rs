@@ -93,7 +93,9 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
         ("listen/endpoints", serde_json::json!([])),
         ("scouting/multicast/enabled", serde_json::json!(false)),
         ("scouting/gossip/enabled", serde_json::json!(false)),
-        ("transport/link/tx/lease", serde_json::json!(30_000)),
+        // As a node's uplink.
+        ("transport/shared_memory/enabled", serde_json::json!(false)),
+        ("transport/link/tx/lease", serde_json::json!(120_000)),
         ("transport/link/tx/batch_size", serde_json::json!(8_192)),
         ("transport/link/rx/buffer_size", serde_json::json!(8_192)),
     ] {
@@ -331,8 +333,7 @@ impl Player {
 
     async fn status(&mut self, index: usize) {
         let place = &mut self.places[index];
-        let message = place.node.status(now_ns());
-        let Ok(payload) = serde_json::to_vec(&message) else {
+        let Ok(payload) = place.node.status_payload(now_ns()) else {
             return;
         };
         let put = self

@@ -44,6 +44,9 @@ pub struct Desired {
     /// The hub missed a status: send the full one.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub send_full_status: bool,
+    /// The hub reads signs of life in their short form.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub signs_of_life: bool,
 }
 
 impl Desired {
@@ -55,6 +58,7 @@ impl Desired {
             knob: None,
             watched_for_s: None,
             send_full_status: false,
+            signs_of_life: false,
         }
     }
 }

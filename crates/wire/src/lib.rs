@@ -35,6 +35,6 @@ pub use report::{
 pub use states::{DetectorCalls, DroppedFrames, FrameStates};
 pub use status::{
     CameraState, CameraStatus, HealthState, HealthStatus, KnobSource, NodeStatus, OutboxStatus,
-    RefusedDesired, StatusMessage,
+    RefusedDesired, SignOfLife, StatusMessage, run_number,
 };
 pub use version::{MessageError, VERSION, read};

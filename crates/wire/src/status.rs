@@ -1,6 +1,7 @@
 //! How a node is, `{prefix}/@status/{node}`: in full when something changed, otherwise a short sign of life every
 //! 30 seconds.
 
+use crate::version::{MessageError, VERSION};
 use crate::{EnergyQuality, KnobValue};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -31,6 +32,71 @@ pub struct StatusMessage {
     /// All of it, when something in it changed since the last message.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full: Option<Box<NodeStatus>>,
+}
+
+impl StatusMessage {
+    /// The number of its run; see [`run_number`].
+    pub fn run(&self) -> u32 {
+        run_number(&self.instance, self.machine.as_deref(), self.started_ns)
+    }
+}
+
+/// A sign of life of a run in which nothing has changed since its last status but the number of reports that wait: some
+/// twenty bytes in the place of two hundred, twice a minute for as long as a node lives. On the wire the array
+/// `[v, run, seq, waiting]`, on the key of the status. Sent where the hub has said that it reads them
+/// ([`Desired::signs_of_life`](crate::Desired::signs_of_life)).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SignOfLife {
+    /// The run whose last status still holds.
+    pub run: u32,
+    /// Number of this message within the run; statuses and signs of life are counted together.
+    pub seq: u64,
+    /// Reports that wait in the outbox.
+    pub waiting: u64,
+}
+
+impl SignOfLife {
+    /// The bytes that are sent.
+    ///
+    /// # Errors
+    /// None that can happen: numbers can always be written.
+    pub fn to_payload(&self) -> Result<Vec<u8>, serde_json::Error> {
+        serde_json::to_vec(&(VERSION, self.run, self.seq, self.waiting))
+    }
+
+    /// Reads one.
+    ///
+    /// # Errors
+    /// [`MessageError`] when it is not an array of four numbers, or of another version.
+    pub fn read(payload: &[u8]) -> Result<Self, MessageError> {
+        let (found, run, seq, waiting): (u32, u32, u64, u64) = serde_json::from_slice(payload)?;
+        if found != VERSION {
+            return Err(MessageError::Version { found });
+        }
+        Ok(Self { run, seq, waiting })
+    }
+
+    /// Whether a payload on the key of the status is one of these and not a [`StatusMessage`].
+    pub fn is_one(payload: &[u8]) -> bool {
+        payload.first() == Some(&b'[')
+    }
+}
+
+/// A number for a run of a node's process, the same at both ends: FNV-1a (32 bits) over instance, machine and time of the
+/// start, with a zero byte between them.
+pub fn run_number(instance: &str, machine: Option<&str>, started_ns: u64) -> u32 {
+    let started = started_ns.to_le_bytes();
+    let parts = [
+        instance.as_bytes(),
+        &[0],
+        machine.unwrap_or_default().as_bytes(),
+        &[0],
+        &started,
+    ];
+    let bytes = parts.into_iter().flatten();
+    bytes.fold(0x811c_9dc5, |hash, byte| {
+        (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193)
+    })
 }
 
 /// Whether a node works as it should.

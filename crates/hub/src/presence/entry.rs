@@ -4,9 +4,12 @@ use super::fleet::{NodeView, Remembered};
 use super::news::NodeNews;
 use super::state::{PresenceState, Token};
 use super::today::Today;
-use albireo_wire::{HealthState, NodeStatus, StatusMessage};
+use albireo_wire::{HealthState, NodeStatus, SignOfLife, StatusMessage, VERSION, run_number};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+
+/// A node is not poked more often.
+const POKE_EVERY: Duration = Duration::from_secs(5);
 
 /// One run of a node's process.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -23,6 +26,27 @@ impl Run {
             machine: message.machine.clone(),
             started_ns: message.started_ns,
         }
+    }
+
+    /// What a sign of life of this run says, with what its last status said; nothing when it is of another run.
+    fn alive(&self, sign: SignOfLife) -> Option<StatusMessage> {
+        let Self {
+            instance,
+            machine,
+            started_ns,
+        } = self;
+        (run_number(instance, machine.as_deref(), *started_ns) == sign.run).then(|| StatusMessage {
+            v: VERSION,
+            instance: instance.clone(),
+            machine: machine.clone(),
+            started_ns: *started_ns,
+            seq: sign.seq,
+            t_ns: 0,
+            health: HealthState::Ready,
+            waiting: sign.waiting,
+            generation: 0,
+            full: None,
+        })
     }
 }
 
@@ -104,6 +128,26 @@ impl Entry {
             entry.status_dirty = false;
         }
         entry
+    }
+
+    /// Whether the node is to be poked to tell all: it is missing, and the last poke was a while ago.
+    pub(super) fn ask_for_all(&mut self, now: Instant) -> bool {
+        let due = |poked: Instant| now.saturating_duration_since(poked) >= POKE_EVERY;
+        let poke = self.needs_full && self.poked.is_none_or(due);
+        if poke {
+            self.poked = Some(now);
+        }
+        poke
+    }
+
+    /// A sign of life as the status it stands for: all but its numbers is as before. Nothing when it is of a run that is
+    /// not known.
+    pub(super) fn alive(&self, sign: SignOfLife) -> Option<StatusMessage> {
+        Some(StatusMessage {
+            health: self.health,
+            generation: self.generation,
+            ..self.run.as_ref()?.alive(sign)?
+        })
     }
 
     /// Another run than before. One after the other is a restart; a run that comes back after another was heard lives

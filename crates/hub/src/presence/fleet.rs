@@ -6,7 +6,7 @@ use super::state::{Facts, Limits, PresenceState, Token, judge};
 use super::today::{TodaysEnergy, Used, day_of};
 use crate::config::PresenceConfig;
 use albireo_service::clock::unix_milliseconds;
-use albireo_wire::{NodeStatus, StatusMessage};
+use albireo_wire::{NodeStatus, SignOfLife, StatusMessage};
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
@@ -20,8 +20,6 @@ use utoipa::ToSchema;
 const MOST_NEWS: usize = 2000;
 /// Most notices that wait for the database; further ones are only counted.
 const MOST_NOTICES: usize = 1000;
-/// A node is not poked more often.
-const POKE_EVERY: Duration = Duration::from_secs(5);
 
 /// A node as it is shown.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -210,12 +208,27 @@ impl Fleet {
             self.mark(&name, entry);
         }
         self.settle(&name, entry, now, now_ms);
-        let due = |poked: Instant| now.saturating_duration_since(poked) >= POKE_EVERY;
-        let poke = entry.needs_full && entry.poked.is_none_or(due);
-        if poke {
-            entry.poked = Some(now);
+        entry.ask_for_all(now)
+    }
+
+    /// Takes a sign of life; whether the node should be poked to tell all.
+    pub(crate) fn alive(&self, node: &str, sign: SignOfLife, now: Instant, now_ms: i64) -> bool {
+        let known = self
+            .nodes
+            .read()
+            .get(node)
+            .and_then(|entry| entry.alive(sign));
+        if let Some(message) = known {
+            return self.heard(node, &message, now, now_ms);
         }
-        poke
+        // Of a run that was not heard of: a hub that has just started, or messages that were lost.
+        self.statuses.fetch_add(1, Ordering::Relaxed);
+        let mut nodes = self.nodes.write();
+        let entry = nodes
+            .entry(node.into())
+            .or_insert_with(|| Entry::new(now_ms));
+        entry.needs_full = true;
+        entry.ask_for_all(now)
     }
 
     /// Takes what happened to a liveliness token.

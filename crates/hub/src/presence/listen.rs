@@ -8,7 +8,9 @@ use crate::desired::Desires;
 use crate::error::HubError;
 use crate::ingest::{Replies, refusal};
 use albireo_service::clock::unix_milliseconds;
-use albireo_wire::{FleetKeys, Poke, PullRequest, RefusalReason, StatusMessage, VERSION};
+use albireo_wire::{
+    FleetKeys, Poke, PullRequest, RefusalReason, SignOfLife, StatusMessage, VERSION,
+};
 use bytes::Bytes;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -239,12 +241,16 @@ async fn take(
                 fleet.token(&node, present, Instant::now(), unix_milliseconds())
             }
             Heard::Status { node, payload } => {
-                match albireo_wire::read::<StatusMessage>(&payload) {
-                    Ok(message) => {
-                        if fleet.heard(&node, &message, Instant::now(), unix_milliseconds()) {
-                            pokes.poke(&node, 0);
-                        }
-                    }
+                let (now, now_ms) = (Instant::now(), unix_milliseconds());
+                let heard = if SignOfLife::is_one(&payload) {
+                    SignOfLife::read(&payload).map(|sign| fleet.alive(&node, sign, now, now_ms))
+                } else {
+                    albireo_wire::read::<StatusMessage>(&payload)
+                        .map(|message| fleet.heard(&node, &message, now, now_ms))
+                };
+                match heard {
+                    Ok(true) => pokes.poke(&node, 0),
+                    Ok(false) => {}
                     Err(error) => {
                         counters.unreadable.fetch_add(1, Ordering::Relaxed);
                         tracing::debug!(node, %error, "a status cannot be read");

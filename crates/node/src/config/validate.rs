@@ -55,6 +55,9 @@ impl NodeConfig {
         findings.count("outbox.memory_reports", figure, 1, 1_000_000);
         let figure = outbox.batch_reports as u64;
         findings.count("outbox.batch_reports", figure, 1, 1000);
+        let figure = outbox.gather_reports as u64;
+        findings.count("outbox.gather_reports", figure, 1, 1000);
+        findings.count("outbox.gather_s", outbox.gather_s, 0, 86_400);
         findings.count(
             "outbox.answer_timeout_ms",
             outbox.answer_timeout_ms,

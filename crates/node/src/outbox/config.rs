@@ -15,6 +15,11 @@ pub struct OutboxConfig {
     pub memory_reports: usize,
     /// Most reports in one batch.
     pub batch_reports: usize,
+    /// Reports that are gathered before a batch is sent: each batch costs some hundred bytes. While somebody watches the
+    /// node at the hub, and at the start, a report is sent at once.
+    pub gather_reports: usize,
+    /// The longest a report waits for others, seconds.
+    pub gather_s: u64,
     /// How long a hub may take to answer a batch, milliseconds.
     pub answer_timeout_ms: u64,
     /// First pause after a batch that was not acknowledged, milliseconds; it doubles, with jitter.
@@ -34,6 +39,8 @@ impl Default for OutboxConfig {
             max_age_days: 90,
             memory_reports: 2000,
             batch_reports: 400,
+            gather_reports: 8,
+            gather_s: 600,
             answer_timeout_ms: 10_000,
             retry_min_ms: 1000,
             retry_max_ms: 60_000,

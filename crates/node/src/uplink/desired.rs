@@ -185,8 +185,7 @@ mod tests {
             v: VERSION,
             generation,
             knob: Some(KnobValue { name: "u", value }),
-            send_full_status: false,
-            watched_for_s: None,
+            ..Desired::nothing()
         }
     }
 

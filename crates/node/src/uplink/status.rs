@@ -4,7 +4,10 @@ use super::DesiredKeeper;
 use crate::board::Board;
 use crate::outbox::Outbox;
 use albireo_service::clock::unix_nanoseconds;
-use albireo_wire::{CameraState, CameraStatus, NodeStatus, StatusMessage, VERSION};
+use albireo_wire::{
+    CameraState, CameraStatus, HealthState, NodeStatus, SignOfLife, StatusMessage, VERSION,
+    run_number,
+};
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
@@ -20,6 +23,8 @@ pub(super) struct StatusTeller {
     started_ns: u64,
     seq: u64,
     told: Option<NodeStatus>,
+    /// Health and generation that were told last: a sign of life says that they hold.
+    held: Option<(HealthState, u64)>,
     told_at: Option<Instant>,
     full_due: bool,
 }
@@ -31,6 +36,7 @@ impl StatusTeller {
             started_ns: unix_nanoseconds(),
             seq: 0,
             told: None,
+            held: None,
             told_at: None,
             full_due: true,
         }
@@ -41,40 +47,55 @@ impl StatusTeller {
         self.full_due = true;
     }
 
-    /// A message, if one is due: in full at a change, a short one every `period`.
+    /// The payload of a message, if one is due: in full at a change, a short one every `period`; a sign of life where
+    /// `signs_of_life` are read and nothing but numbers has changed.
+    ///
+    /// # Errors
+    /// None that can happen: a status can always be written.
     pub(super) fn due(
         &mut self,
         period: Duration,
+        signs_of_life: bool,
         board: &Board,
         outbox: &Outbox,
         desired: &DesiredKeeper,
-    ) -> Option<StatusMessage> {
+    ) -> Result<Option<Vec<u8>>, serde_json::Error> {
         let since = self.told_at.map(|at| at.elapsed());
         if since.is_some_and(|since| since < LEAST_PAUSE) {
-            return None;
+            return Ok(None);
         }
         let status = self.status(board, outbox, desired);
         let changed = !self.told.as_ref().is_some_and(|told| same(told, &status));
         if !changed && !self.full_due && since.is_some_and(|since| since < period) {
-            return None;
+            return Ok(None);
+        }
+        let now = (status.health.state, desired.generation_in_force());
+        let waiting = status.outbox.waiting;
+        let short = signs_of_life && !changed && !self.full_due && self.held == Some(now);
+        let seq = self.seq;
+        self.seq += 1;
+        self.held = Some(now);
+        self.told_at = Some(Instant::now());
+        if short {
+            let (instance, machine) = (outbox.instance(), outbox.machine());
+            let run = run_number(&instance, machine.as_deref(), self.started_ns);
+            return SignOfLife { run, seq, waiting }.to_payload().map(Some);
         }
         let message = StatusMessage {
             v: VERSION,
             instance: outbox.instance(),
             machine: outbox.machine(),
             started_ns: self.started_ns,
-            seq: self.seq,
+            seq,
             t_ns: unix_nanoseconds(),
-            health: status.health.state,
-            waiting: status.outbox.waiting,
-            generation: desired.generation_in_force(),
+            health: now.0,
+            waiting,
+            generation: now.1,
             full: (changed || self.full_due).then(|| Box::new(status.clone())),
         };
-        self.seq += 1;
         self.told = Some(status);
-        self.told_at = Some(Instant::now());
         self.full_due = false;
-        Some(message)
+        serde_json::to_vec(&message).map(Some)
     }
 
     fn status(&self, board: &Board, outbox: &Outbox, desired: &DesiredKeeper) -> NodeStatus {

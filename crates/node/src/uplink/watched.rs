@@ -59,6 +59,11 @@ impl Watched {
         self.until = Some(until);
     }
 
+    /// Whether somebody watches.
+    pub(super) fn is_on(&self, now: Instant) -> bool {
+        self.until.is_some_and(|until| now < until)
+    }
+
     /// Sends what is due, with what is declared for it in `shown`: nothing is while nobody watches.
     ///
     /// # Errors
