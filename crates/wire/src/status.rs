@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
-/// A sign of life, with the full status when it changed or was asked for.
+/// A sign of life, with the full status when it changed or was asked for. To a hub that reads it, the array
+/// `[v, run, seq, waiting]` goes in its place where nothing else has changed.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StatusMessage {
     /// Version.
@@ -211,4 +212,30 @@ pub struct OutboxStatus {
     pub lost: u64,
     /// Whether reports survive a power loss; `false` without a state directory or when its disk fails.
     pub durable: bool,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_sign_of_life_is_an_array_of_four_numbers_and_no_status() {
+        let sign = SignOfLife {
+            run: run_number(
+                "0123456789abcdef0123456789abcdef",
+                Some("01234567"),
+                1_795_333_414_616_000_000,
+            ),
+            seq: 33,
+            waiting: 3,
+        };
+        let payload = sign.to_payload().unwrap();
+        assert_eq!(payload, b"[1,509983003,33,3]");
+        assert!(SignOfLife::is_one(&payload));
+        assert_eq!(SignOfLife::read(&payload).unwrap(), sign);
+        assert!(!SignOfLife::is_one(b"{\"v\":1}"));
+        for wrong in [&b"[2,1,33,3]"[..], b"[1,1,33]", b"[1,-1,33,3]", b"[]", b"["] {
+            assert!(SignOfLife::read(wrong).is_err());
+        }
+    }
 }

@@ -3,7 +3,7 @@
 use super::fleet::Remembered;
 use super::*;
 use crate::config::PresenceConfig;
-use albireo_wire::{HealthState, StatusMessage, VERSION};
+use albireo_wire::{HealthState, SignOfLife, StatusMessage, VERSION};
 use std::time::{Duration, Instant};
 
 const LIMITS: Limits = Limits {
@@ -199,4 +199,46 @@ fn a_poke_for_a_lost_status_comes_at_most_every_few_seconds() {
     assert!(!fleet.heard("a", &life(3), start + Duration::from_secs(1), 0));
     assert!(fleet.heard("a", &life(9), start + Duration::from_secs(6), 0));
     assert!(fleet.needs_full_status("a"));
+}
+
+#[test]
+fn a_sign_of_life_stands_for_the_last_status_of_its_run_and_one_of_another_run_asks_for_all() {
+    let fleet = Fleet::new(&PresenceConfig::default());
+    let start = Instant::now();
+    let at = |seconds| start + Duration::from_secs(seconds);
+    let full = serde_json::json!({
+        "version": "0.1.0", "cameras": [], "policy": "albireo", "model": "m.onnx", "power_source": "none",
+        "power_quality": "unavailable", "health": {"state": "degraded", "reasons": {"screen": "it is away"}},
+        "outbox": {"waiting": 0, "lost": 0, "durable": true},
+    });
+    let first = StatusMessage {
+        health: HealthState::Degraded,
+        generation: 7,
+        full: Some(serde_json::from_value(full).unwrap()),
+        ..life(0)
+    };
+    assert!(!fleet.heard("a", &first, at(0), 0));
+    let (run, waiting) = (first.run(), 3);
+    let sign = |seq| SignOfLife { run, seq, waiting };
+    assert!(!fleet.alive("a", sign(1), at(90), 90_000));
+    fleet.sweep(at(180), 180_000);
+    let view = fleet.view("a").unwrap();
+    assert_eq!(
+        view.state,
+        PresenceState::Degraded,
+        "heard 90 s ago, as it was"
+    );
+    assert_eq!((view.waiting, view.generation), (3, 7));
+    // One was lost, and what it said with it.
+    assert!(fleet.alive("a", sign(3), at(181), 181_000));
+    assert!(fleet.needs_full_status("a"));
+    // Of another run nothing is known: it is not taken for this one.
+    let other = SignOfLife {
+        run: run + 1,
+        seq: 0,
+        waiting: 0,
+    };
+    assert!(fleet.alive("a", other, at(200), 200_000));
+    assert!(fleet.alive("b", other, at(200), 200_000));
+    assert_eq!(fleet.view("b").unwrap().state, PresenceState::Silent);
 }

@@ -1,0 +1,247 @@
+//! Frames of 1920x1080 from a sender on the node's machine at 30 a second: raw pixels in shared memory, raw pixels as
+//! bytes over TCP, and a JPEG file of some 36 kB, in turns within one run. Nearly every frame is a `P` frame, whose pixels
+//! nobody needs.
+//!
+//! ```text
+//! cargo bench --bench shared_memory [-- ROUNDS]
+//! ```
+//!
+//! Tells per frame: from the put to the detections' arrival here (median and 99 %), and processor time of node and sender.
+
+#![allow(clippy::expect_used, clippy::print_stdout)]
+
+use albireo::cli::frames::{FrameSender, Haste, OutgoingFrame, open_session};
+use albireo_core::geometry::PictureSize;
+use albireo_node::frame::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
+use albireo_wire::{DetectionsMessage, FrameAttachment, VERSION, read};
+use bytes::Bytes;
+use std::collections::HashMap;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::sync::mpsc::unbounded_channel;
+
+const SIZE: PictureSize = PictureSize::new(1920, 1080);
+const RATE: f64 = 30.0;
+/// Frames of one turn, and those before it that do not count.
+const FRAMES: u64 = 300;
+const WARM_UP: u64 = 30;
+
+/// Grey stripes with some noise: as raw pixels 3.1 MB.
+fn raw() -> EncodedPicture {
+    let pixels = SIZE.width as usize * SIZE.height as usize;
+    let mut noise = 1_u32;
+    let mut bytes = Vec::with_capacity(pixels * 3 / 2);
+    for at in 0..pixels {
+        noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        let stripe = if (at / 97) % 19 < 9 { 90 } else { 120 };
+        bytes.push(stripe + u8::from(noise >> 24 > 253) * 20);
+    }
+    bytes.resize(pixels * 3 / 2, 128);
+    EncodedPicture {
+        format: PictureFormat::Nv12,
+        bytes: Bytes::from(bytes),
+        size: SIZE,
+    }
+}
+
+/// A soft picture, whose file is as small as a camera's.
+fn jpeg() -> EncodedPicture {
+    let pixels = SIZE.width as usize * SIZE.height as usize;
+    let mut bytes: Vec<u8> = (0..pixels)
+        .map(|at| (at % SIZE.width as usize * 255 / SIZE.width as usize) as u8)
+        .collect();
+    bytes.resize(pixels * 3 / 2, 128);
+    let soft = EncodedPicture {
+        format: PictureFormat::Nv12,
+        bytes: Bytes::from(bytes),
+        size: SIZE,
+    };
+    EncodedPicture {
+        format: PictureFormat::Jpeg,
+        bytes: to_jpeg(&soft, &FrameLimits::default()).expect("a picture is coded"),
+        size: SIZE,
+    }
+}
+
+struct Node(Child);
+
+impl Drop for Node {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A node whose detector runs on one frame of a thousand.
+fn node(folder: &std::path::Path, port: u16) -> Node {
+    let file = folder.join("node.toml");
+    let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models/detector.onnx");
+    let text = format!(
+        "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{port}\"]\nlog.level = \"warn\"\n\
+         detector.model = \"{models}\"\npower.source = \"none\"\npolicy.name = \"fixed-skip\"\n\
+         policy.fixed_skip.n = 1000\n"
+    );
+    std::fs::write(&file, text).expect("the configuration is written");
+    let child = Command::new(env!("CARGO_BIN_EXE_albireo"))
+        .args(["node", "--config"])
+        .arg(&file)
+        .stdin(Stdio::null())
+        .spawn()
+        .expect("the node starts");
+    Node(child)
+}
+
+/// Processor time of a process, user and system.
+fn processor_time(pid: &str) -> Duration {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("/proc is there");
+    let fields: Vec<u64> = stat
+        .rsplit(") ")
+        .next()
+        .unwrap_or_default()
+        .split(' ')
+        .filter_map(|field| field.parse().ok())
+        .collect();
+    // Without the state, which is no number: user and system time are the 11th and 12th.
+    let ticks: u64 = fields.iter().skip(10).take(2).sum();
+    Duration::from_millis(ticks * 10)
+}
+
+/// What one turn came to, in milliseconds a frame.
+struct Turn {
+    latencies: Vec<f64>,
+    node_ms: f64,
+    sender_ms: f64,
+    missing: u64,
+}
+
+async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, first: u64) -> Turn {
+    let endpoint = [format!("tcp/127.0.0.1:{port}")];
+    let session = open_session(&endpoint, &[], Duration::from_secs(20))
+        .await
+        .expect("the node is there");
+    let (tell, mut arrived) = unbounded_channel();
+    let _detections = session
+        .declare_subscriber("albireo/node/front/detections")
+        .callback(move |sample| {
+            let now = Instant::now();
+            if let Ok(message) = read::<DetectionsMessage>(&sample.payload().to_bytes()) {
+                let _ = tell.send((message.seq, now));
+            }
+        })
+        .await
+        .expect("a subscriber");
+    let sender = FrameSender::declare(&session, "albireo/node/front/frame", Haste::Drop)
+        .await
+        .expect("a sender")
+        .sharing_memory(sharing);
+    sender
+        .wait_for_receiver(Duration::from_secs(20))
+        .await
+        .expect("the node listens");
+    let mut sent = HashMap::new();
+    let mut clock = tokio::time::interval(Duration::from_secs_f64(1.0 / RATE));
+    let pid = pid.to_string();
+    let mut began = (Duration::ZERO, Duration::ZERO);
+    for number in 0..WARM_UP + FRAMES {
+        clock.tick().await;
+        if number == WARM_UP {
+            began = (processor_time(&pid), processor_time("self"));
+        }
+        let seq = first + number;
+        let frame = OutgoingFrame {
+            picture: picture.clone(),
+            attachment: FrameAttachment {
+                v: VERSION,
+                seq: Some(seq),
+                width: Some(SIZE.width),
+                height: Some(SIZE.height),
+                ..FrameAttachment::default()
+            },
+        };
+        if number >= WARM_UP {
+            sent.insert(seq, Instant::now());
+        }
+        sender.put(&frame).expect("Zenoh takes a frame");
+    }
+    let mut latencies = Vec::new();
+    while let Ok(Some((seq, at))) =
+        tokio::time::timeout(Duration::from_secs(1), arrived.recv()).await
+    {
+        if let Some(put) = sent.remove(&seq) {
+            latencies.push((at - put).as_secs_f64() * 1e3);
+        }
+    }
+    let ended = (processor_time(&pid), processor_time("self"));
+    session.close().await.expect("the session is closed");
+    latencies.sort_by(f64::total_cmp);
+    let a_frame = |time: Duration| time.as_secs_f64() * 1e3 / FRAMES as f64;
+    Turn {
+        latencies,
+        node_ms: a_frame(ended.0 - began.0),
+        sender_ms: a_frame(ended.1 - began.1),
+        missing: sent.len() as u64,
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values.get(values.len() / 2).copied().unwrap_or(f64::NAN)
+}
+
+#[tokio::main]
+async fn main() {
+    let rounds: usize = std::env::args()
+        .skip(1)
+        .find_map(|argument| argument.parse().ok())
+        .unwrap_or(3);
+    let folder = tempfile::tempdir().expect("a folder");
+    let port = std::net::TcpListener::bind("127.0.0.1:0")
+        .and_then(|listener| listener.local_addr())
+        .expect("a port")
+        .port();
+    let node = node(folder.path(), port);
+    let (raw, jpeg) = (Arc::new(raw()), Arc::new(jpeg()));
+    println!(
+        "1920x1080 at {RATE} frames/s, {rounds} rounds of {FRAMES} frames; milliseconds a frame; JPEG of {} kB",
+        jpeg.bytes.len() / 1000
+    );
+    println!(
+        "{:<24} {:>8} {:>8} {:>10} {:>10} {:>8}",
+        "", "median", "99 %", "node cpu", "sender cpu", "missing"
+    );
+    let ways = [
+        ("raw, shared memory", true, &raw),
+        ("raw, as bytes", false, &raw),
+        ("JPEG, as bytes", false, &jpeg),
+    ];
+    let mut turns: [Vec<Turn>; 3] = Default::default();
+    let mut first = 0;
+    for _ in 0..rounds {
+        for ((_, sharing, picture), turns) in ways.iter().zip(&mut turns) {
+            turns.push(turn(port, node.0.id(), *sharing, picture, first).await);
+            first += WARM_UP + FRAMES;
+        }
+    }
+    for ((name, ..), turns) in ways.iter().zip(&turns) {
+        let at = |share: f64| {
+            median(
+                turns
+                    .iter()
+                    .map(|turn| {
+                        let place = (turn.latencies.len() as f64 * share) as usize;
+                        turn.latencies.get(place).copied().unwrap_or(f64::NAN)
+                    })
+                    .collect(),
+            )
+        };
+        println!(
+            "{name:<24} {:>8.3} {:>8.3} {:>10.3} {:>10.3} {:>8}",
+            at(0.5),
+            at(0.99),
+            median(turns.iter().map(|turn| turn.node_ms).collect()),
+            median(turns.iter().map(|turn| turn.sender_ms).collect()),
+            turns.iter().map(|turn| turn.missing).sum::<u64>()
+        );
+    }
+}
