@@ -3,6 +3,7 @@
 //! `albireo eval` answers what frame skipping costs in accuracy and what it saves. It drives the very
 //! policies the node runs, on stored detections or on pictures.
 
+pub mod against_detector;
 pub mod average_precision;
 pub mod compare;
 pub mod conclusion;

@@ -1,7 +1,7 @@
 //! The files of a comparison: `frontier.md`, `frontier.json`, `frontier.csv`, and a figure a view as SVG
 //! and PNG.
 
-use super::comparison::{Study, ViewStudy};
+use super::comparison::{EqualSkip, HINDSIGHT_NAMES, Study, ViewStudy};
 use super::operating_point::OperatingPoint;
 use super::text;
 use crate::pareto::{self, Choice};
@@ -74,6 +74,7 @@ fn rows(study: &Study) -> Result<Vec<u8>, String> {
 fn points(view: &ViewStudy) -> Vec<&OperatingPoint> {
     let equal = view.even.iter().chain(&view.in_tracker);
     let equal = equal.chain(&view.published);
+    let equal = equal.chain(&view.adaptive).chain(&view.hindsight);
     std::iter::once(&view.without_skips)
         .chain(equal.flat_map(|equal| [&equal.other, &equal.ours]))
         .chain(view.vanilla.iter().map(|reference| &reference.point))
@@ -92,16 +93,16 @@ fn figure(view: &ViewStudy, name: &'static str) -> Figure {
         drawn.push(point(&equal.ours, setting, false));
     }
     drawn.extend((view.even.iter()).map(|equal| point(&equal.other, String::new(), false)));
-    for equal in &view.published {
-        let value = equal.other.value.unwrap_or_default();
-        let setting = if value < 0.01 {
-            format!("{value:e}")
-        } else {
-            value.to_string()
-        };
-        drawn.push(point(&equal.other, setting, false));
-    }
+    let (policies, bounds): (Vec<_>, Vec<_>) = (view.published.iter().chain(&view.adaptive))
+        .map(|equal| &equal.other)
+        .partition(|other| !other.is_bound());
+    drawn.extend((policies.into_iter()).map(|other| point(other, setting(other), false)));
     mark_frontier(&mut drawn);
+    // What no policy can be is drawn, and is on nobody's frontier.
+    drawn.extend((bounds.into_iter()).map(|other| point(other, setting(other), false)));
+    let in_tracker = |equal: &&EqualSkip| equal.other.policy == HINDSIGHT_NAMES[0];
+    let hindsight = view.hindsight.iter().filter(in_tracker);
+    drawn.extend(hindsight.map(|equal| point(&equal.other, String::new(), false)));
     Figure::tradeoff(
         name,
         format!("Accuracy against skip rate: {}", view.view.name),
@@ -109,6 +110,14 @@ fn figure(view: &ViewStudy, name: &'static str) -> Figure {
         ["Frames without the detector, %", "AP@50"],
         drawn,
     )
+}
+
+fn setting(point: &OperatingPoint) -> String {
+    match point.value {
+        Some(value) if value < 0.01 => format!("{value:e}"),
+        Some(value) => value.to_string(),
+        None => String::new(),
+    }
 }
 
 fn point(point: &OperatingPoint, setting: String, baseline: bool) -> Point {
@@ -219,6 +228,9 @@ mod tests {
         for part in [
             "albireo:3e-4",
             "fixed-skip-in-tracker:2",
+            "adaptive-rate:0.1",
+            "frame-drop-ideal-cue:5",
+            "best-n (hindsight)",
             "10 % of the frames lost",
         ] {
             assert!(text.contains(part), "{part} is missing:\n{text}");
