@@ -209,8 +209,13 @@ fn grid(knob: &Knob, step: usize) -> f64 {
     between(knob.useful_minimum, knob.useful_maximum, share)
 }
 
+/// With three digits: nobody wants to put more into a configuration.
+fn three_digits(value: f64) -> f64 {
+    format!("{value:.2e}").parse().unwrap_or(value)
+}
+
 fn between(low: f64, high: f64, share: f64) -> f64 {
-    low * (high / low).powf(share)
+    three_digits(low * (high / low).powf(share))
 }
 
 struct Search<'a> {

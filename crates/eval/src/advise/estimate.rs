@@ -11,11 +11,20 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Estimate {
     /// The figure.
+    #[serde(serialize_with = "rounded")]
     pub value: f64,
     /// Lower end of the interval.
+    #[serde(serialize_with = "rounded")]
     pub low: f64,
     /// Upper end.
+    #[serde(serialize_with = "rounded")]
     pub high: f64,
+}
+
+/// Four digits: no recording tells more.
+fn rounded<S: serde::Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+    let rounded = format!("{value:.3e}").parse().unwrap_or(*value);
+    serializer.serialize_f64(rounded)
 }
 
 impl Estimate {
@@ -84,6 +93,17 @@ mod tests {
     use super::*;
 
     const SHARE: [f64; 2] = [0.0, 1.0];
+
+    #[test]
+    fn as_json_it_has_the_digits_it_means() {
+        let found = Estimate {
+            value: 2.0 / 3.0,
+            low: 0.0,
+            high: 20_123.456,
+        };
+        let text = serde_json::to_string(&found).unwrap();
+        assert_eq!(text, r#"{"value":0.6667,"low":0.0,"high":20120.0}"#);
+    }
 
     #[test]
     fn blocks_that_agree_leave_little_doubt_and_blocks_that_do_not_much() {

@@ -44,8 +44,7 @@ const DROPS: [f64; 3] = [3.0, 5.0, 10.0];
 const HINDSIGHT: [f64; 5] = [0.38, 0.49, 0.60, 0.70, 0.80];
 
 /// Names of the oracle, with the objects of expected-loss and in the published form.
-pub(super) const HINDSIGHT_NAMES: [&str; 2] =
-    ["best-n-in-tracker (hindsight)", "best-n (hindsight)"];
+const HINDSIGHT_NAMES: [&str; 2] = ["best-n-in-tracker (hindsight)", "best-n (hindsight)"];
 
 /// Differences clip by clip, positive where expected-loss is better.
 #[derive(Clone, Debug, PartialEq, Serialize)]

@@ -1,7 +1,7 @@
 //! The files of a comparison: `frontier.md`, `frontier.json`, `frontier.csv`, and a figure a view as SVG
 //! and PNG.
 
-use super::comparison::{EqualSkip, HINDSIGHT_NAMES, Study, ViewStudy};
+use super::comparison::{Study, ViewStudy};
 use super::operating_point::OperatingPoint;
 use super::text;
 use crate::pareto::{self, Choice};
@@ -93,16 +93,12 @@ fn figure(view: &ViewStudy, name: &'static str) -> Figure {
         drawn.push(point(&equal.ours, setting, false));
     }
     drawn.extend((view.even.iter()).map(|equal| point(&equal.other, String::new(), false)));
-    let (policies, bounds): (Vec<_>, Vec<_>) = (view.published.iter().chain(&view.adaptive))
-        .map(|equal| &equal.other)
-        .partition(|other| !other.is_bound());
-    drawn.extend((policies.into_iter()).map(|other| point(other, setting(other), false)));
+    // What no policy can be stands in the tables: a figure of ten families is no longer read.
+    let policies = view.published.iter().chain(&view.adaptive);
+    let policies = policies.map(|equal| &equal.other);
+    let policies = policies.filter(|other| !other.is_bound());
+    drawn.extend(policies.map(|other| point(other, setting(other), false)));
     mark_frontier(&mut drawn);
-    // What no policy can be is drawn, and is on nobody's frontier.
-    drawn.extend((bounds.into_iter()).map(|other| point(other, setting(other), false)));
-    let in_tracker = |equal: &&EqualSkip| equal.other.policy == HINDSIGHT_NAMES[0];
-    let hindsight = view.hindsight.iter().filter(in_tracker);
-    drawn.extend(hindsight.map(|equal| point(&equal.other, String::new(), false)));
     Figure::tradeoff(
         name,
         format!("Accuracy against skip rate: {}", view.view.name),
