@@ -26,8 +26,12 @@ pub fn render(advice: &Advice) -> String {
     };
     let _ = writeln!(
         text,
-        "Recording: {} clips, {} frames{length}, {} boxes of the detector at confidence {} or more.",
-        advice.clips, advice.frames, advice.boxes, advice.confidence
+        "Recording: {} clip{}, {} frames{length}, {} boxes of the detector at confidence {} or more.",
+        advice.clips,
+        if advice.clips == 1 { "" } else { "s" },
+        advice.frames,
+        advice.boxes,
+        advice.confidence
     );
     let _ = writeln!(text, "Target: {}.\n", advice.target);
     let _ = writeln!(
@@ -177,7 +181,11 @@ fn percent(estimate: Option<Estimate>) -> String {
 fn share(estimate: Option<Estimate>) -> String {
     let bare = |value: f64| {
         let text = format!("{value:.3}");
-        text.strip_prefix('0').map_or(text.clone(), str::to_owned)
+        // As wide as any other: `.953`, and 1 for all of them.
+        let short = text.strip_suffix(".000").unwrap_or(&text);
+        short
+            .strip_prefix("0.")
+            .map_or_else(|| short.to_owned(), |rest| format!(".{rest}"))
     };
     estimate.map_or_else(
         || "-".to_owned(),
