@@ -25,6 +25,7 @@ mod man;
 mod node;
 mod power;
 mod publish;
+mod rate;
 #[cfg(feature = "eval")]
 pub mod replay;
 #[cfg(feature = "hub")]
@@ -140,7 +141,7 @@ enum Command {
 impl Arguments {
     /// The command line with its help, made to fit a terminal.
     pub fn fitted_command() -> clap::Command {
-        help::fitted(Self::command())
+        help::grouped(help::fitted(Self::command()))
     }
 
     /// The arguments of this process. Ends it with a message when they make no sense.

@@ -79,12 +79,14 @@ fn period(policy: &mut dyn Policy, outcome: &mut Outcome, start: usize) -> Vec<(
 fn no_frame_allocates_once_the_buffers_have_grown() {
     use FrameState::{AI, E, EI, I, P};
     let _profiler = dhat::Profiler::builder().testing().build();
-    let cases: [(&str, &[FrameState]); 9] = [
+    let cases: [(&str, &[FrameState]); 11] = [
         ("albireo:3e-4", &[P, I, AI]),
         ("vanilla", &[I]),
         ("fixed-skip:2", &[P, I]),
         ("ctd:0.5", &[P, I]),
         ("statues:75", &[P, I]),
+        ("adaptive-rate:0.5", &[P, I]),
+        ("frame-drop:4", &[P, I]),
         ("erd-only", &[E, EI]),
         ("kill-only:5e-4", &[P, I]),
         ("expected-loss:0.5", &[P, I, AI]),

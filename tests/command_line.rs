@@ -166,11 +166,10 @@ fn every_subcommand_has_help_with_examples() {
     let help = text(&albireo(&["--help"], &[]).stdout);
     let commands: Vec<_> = help
         .lines()
-        .skip_while(|line| *line != "Commands:")
-        .skip(1)
-        .take_while(|line| !line.is_empty())
-        // What is said of a command goes on further to the right.
-        .filter(|line| !line.starts_with("   "))
+        .skip_while(|line| *line != "Node:")
+        .take_while(|line| *line != "Options:")
+        // Headings stand at the left; what is said of a command goes on further to the right.
+        .filter(|line| line.starts_with("  ") && !line.starts_with("   "))
         .filter_map(|line| line.split_whitespace().next())
         .filter(|command| *command != "help")
         .collect();

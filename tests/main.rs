@@ -27,6 +27,7 @@ mod detector_session;
 mod documentation;
 mod end_to_end;
 mod eval_agreement;
+mod eval_audit;
 mod eval_coco;
 mod eval_command;
 mod eval_paper;

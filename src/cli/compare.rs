@@ -73,10 +73,10 @@ pub(super) struct Arguments {
     #[arg(long, help_heading = PLAYING, default_value_t = 20.0, value_parser = above_zero)]
     seconds: f64,
     /// Frames per second of a source that has none of its own
-    #[arg(long, help_heading = PLAYING, value_name = "FPS", value_parser = above_zero)]
+    #[arg(long, help_heading = PLAYING, value_name = "FPS", value_parser = super::rate::parse_rate)]
     rate: Option<f64>,
     /// Play so many times as fast as the clip's own rate
-    #[arg(long, help_heading = PLAYING, value_name = "FACTOR", default_value_t = 1.0, value_parser = above_zero, conflicts_with = "unpaced")]
+    #[arg(long, help_heading = PLAYING, value_name = "FACTOR", default_value_t = 1.0, value_parser = factor, conflicts_with = "unpaced")]
     speed: f64,
     /// Play as fast as the node takes the frames; none is dropped then
     #[arg(long, help_heading = PLAYING)]
@@ -109,6 +109,14 @@ fn above_zero(text: &str) -> Result<f64, String> {
     match text.parse::<f64>() {
         Ok(value) if value > 0.0 && value <= 1e6 => Ok(value),
         _ => Err("must be a number above 0".to_owned()),
+    }
+}
+
+/// A pace that a clock can keep: a clip of 10 frames a second at a thousandth of it is a picture in 100 s.
+fn factor(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.001..=1000.0).contains(&value) => Ok(value),
+        _ => Err("must be a number from 0.001 to 1000".to_owned()),
     }
 }
 

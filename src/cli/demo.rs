@@ -47,7 +47,7 @@ pub(super) struct Arguments {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Frames per second
-    #[arg(long, value_name = "FPS", default_value_t = 10.0)]
+    #[arg(long, value_name = "FPS", default_value_t = 10.0, value_parser = super::rate::parse_rate)]
     rate: f64,
     /// Play a video or a folder of pictures in place of the synthetic dashcam
     #[arg(

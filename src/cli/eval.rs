@@ -1,5 +1,7 @@
 //! `albireo eval`: accuracy, skip rate, time and energy of policies on recordings.
 
+mod advise;
+mod audit;
 mod frontier;
 mod pictures;
 
@@ -27,6 +29,8 @@ const EXAMPLES: &str = "\
 Examples:
   albireo eval recorded DIR --policy albireo --sweep u=3e-4,5e-4,7e-4,1e-3
       what each threshold costs in accuracy and saves in detector calls
+  albireo eval advise drive.mp4 --target recall=0.95
+      policy, knob and screen for your road and your detector
   albireo eval frontier DIR --out results
       expected-loss against every other policy at the same number of detector calls
   albireo eval recorded DIR --profile reference --screen detections --traces traces
@@ -96,6 +100,12 @@ enum What {
     Pictures(pictures::FolderArguments),
     /// The same on the synthetic dashcam, with its exact ground truth.
     Synth(pictures::SynthArguments),
+    /// Propose policy, knob and screen for a target, from a recording with your own detector.
+    Advise(advise::AdviseArguments),
+    /// Test on recordings what a node's audit claims: recall and precision against the detector, beside the truth.
+    Audit(audit::AuditArguments),
+    /// Compare one price for all cameras with equal budgets, recordings as cameras.
+    Price(audit::PriceArguments),
     /// Compare expected-loss with every other policy at equal skip rates, on recorded detections.
     Frontier(frontier::FrontierArguments),
     /// Judge settings of expected-loss on each recording by values chosen on all others.
@@ -221,6 +231,9 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         What::Video(arguments) => pictures::videos(arguments),
         What::Pictures(arguments) => pictures::folders(arguments),
         What::Synth(arguments) => pictures::synthetic(arguments),
+        What::Advise(arguments) => advise::run(arguments),
+        What::Audit(arguments) => audit::run(arguments),
+        What::Price(arguments) => audit::run_price(arguments),
         What::Frontier(arguments) => frontier::run(arguments),
         What::LeaveOneOut(arguments) => frontier::run_leave_one_out(arguments),
         What::Paper { files, json } => recompute(files, json.as_deref()),

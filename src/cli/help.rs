@@ -2,6 +2,7 @@
 //! too long has its explanation below it.
 
 use clap::Command;
+use std::fmt::Write;
 
 /// Columns of a terminal.
 pub(crate) const WIDTH: usize = 80;
@@ -14,6 +15,76 @@ pub(super) fn fitted(command: Command) -> Command {
         Some(text) => command.after_help(fit(&text)),
         None => command,
     }
+}
+
+/// The subcommands in groups, each named for what somebody is about to do.
+const GROUPS: [(&str, &[&str]); 5] = [
+    ("Node", &["node", "detect", "power"]),
+    ("Cameras", &["publish", "replay", "synth"]),
+    ("Fleet", &["hub", "fleet", "diag", "router", "simulate"]),
+    ("Evaluation", &["demo", "compare", "eval"]),
+    (
+        "Setup",
+        &["check", "cert", "acl", "man", "completions", "help"],
+    ),
+];
+
+/// The list of subcommands under headings, in the place of one long list. One that is in no group comes last, under none.
+pub(super) fn grouped(command: Command) -> Command {
+    // Clap makes `help` when it parses; here it is only spoken of.
+    let help =
+        Command::new("help").about("Print this message or the help of the given subcommand(s)");
+    let (heading, literal) = {
+        let styles = command.get_styles();
+        (*styles.get_header(), *styles.get_literal())
+    };
+    let width = (command.get_subcommands())
+        .map(|sub| sub.get_name().len())
+        .max()
+        .unwrap_or(0);
+    let mut text = "{before-help}{about-with-newline}\n{usage-heading} {usage}\n".to_owned();
+    let entry = |text: &mut String, sub: &Command| {
+        let about = sub.get_about().map(ToString::to_string).unwrap_or_default();
+        let name = sub.get_name();
+        let indent = " ".repeat(width + 4);
+        let lines = filled(about.split_whitespace(), &indent, &indent).join("\n");
+        // Writing to a string cannot fail.
+        let _ = writeln!(
+            text,
+            "  {literal}{name}{literal:#}{}{}",
+            " ".repeat(width + 2 - name.len()),
+            lines.trim_start()
+        );
+    };
+    let visible = |sub: &&Command| !sub.is_hide_set();
+    for (name, members) in GROUPS {
+        let subs = (command.get_subcommands()).chain([&help]).filter(visible);
+        let subs: Vec<_> = subs
+            .filter(|sub| members.contains(&sub.get_name()))
+            .collect();
+        if !subs.is_empty() {
+            let _ = writeln!(text, "\n{heading}{name}:{heading:#}");
+            for name in members {
+                for sub in subs.iter().filter(|sub| sub.get_name() == *name) {
+                    entry(&mut text, sub);
+                }
+            }
+        }
+    }
+    let rest = (command.get_subcommands())
+        .filter(visible)
+        .filter(|sub| !(GROUPS.iter()).any(|(_, members)| members.contains(&sub.get_name())));
+    for (index, sub) in rest.enumerate() {
+        if index == 0 {
+            text.push('\n');
+        }
+        entry(&mut text, sub);
+    }
+    let _ = write!(
+        text,
+        "\n{heading}Options:{heading:#}\n{{options}}{{after-help}}"
+    );
+    command.help_template(text)
 }
 
 /// Fills paragraphs and folds examples. A line that begins with a blank, or ends with a colon, stands for itself.
@@ -131,6 +202,37 @@ mod tests {
         let mut seen = 0;
         look(command, "albireo", &mut seen);
         assert!(seen > 20, "{seen}");
+    }
+
+    #[test]
+    fn every_subcommand_is_in_a_group_and_shown_once_under_its_heading() {
+        let mut command = grouped(fitted(super::super::Arguments::command()));
+        let help = command.render_help().to_string();
+        let mut heading = String::new();
+        let mut shown: Vec<(String, String)> = Vec::new();
+        for line in help.lines() {
+            assert!(line.chars().count() <= WIDTH, "{line}");
+            if let Some(name) = line.strip_suffix(':') {
+                heading = name.to_owned();
+            } else if let Some(name) = line
+                .strip_prefix("  ")
+                .and_then(|line| line.split(' ').next())
+                && !name.is_empty()
+            {
+                shown.push((heading.clone(), name.to_owned()));
+            }
+        }
+        for sub in command.get_subcommands() {
+            let name = sub.get_name();
+            let group = GROUPS.iter().find(|(_, members)| members.contains(&name));
+            let (group, _) = group.unwrap_or_else(|| panic!("{name} is in no group"));
+            let places: Vec<_> = (shown.iter())
+                .filter(|(heading, shown)| shown == name && heading != "Examples")
+                .map(|(heading, _)| heading.as_str())
+                .collect();
+            assert_eq!(places, [*group], "{name}:\n{help}");
+        }
+        assert!(help.contains("--version"), "{help}");
     }
 
     #[test]

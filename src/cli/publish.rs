@@ -49,7 +49,7 @@ pub(super) struct Arguments {
     #[command(flatten)]
     target: FrameTarget,
     /// Frames per second, at most
-    #[arg(long, value_name = "FPS", value_parser = parse_rate)]
+    #[arg(long, value_name = "FPS", value_parser = super::rate::parse_rate)]
     rate: Option<f64>,
     /// How an RTSP camera sends its packets
     #[arg(long, value_enum, default_value_t)]
@@ -64,13 +64,6 @@ pub(super) struct Arguments {
     /// Open the camera anew after so long without a picture
     #[arg(long, value_name = "SECONDS", default_value_t = 15)]
     source_timeout: u64,
-}
-
-fn parse_rate(text: &str) -> Result<f64, String> {
-    match text.parse::<f64>() {
-        Ok(rate) if rate > 0.0 && rate <= 1000.0 => Ok(rate),
-        _ => Err("must be a number above 0, at most 1000".to_owned()),
-    }
 }
 
 pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {

@@ -77,10 +77,12 @@ fn parse_rate(text: &str) -> Result<Rate, String> {
     if text == "max" {
         return Ok(Rate::Unpaced);
     }
-    match text.parse::<f64>() {
-        Ok(rate) if rate > 0.0 && rate <= 1000.0 => Ok(Rate::PerSecond(rate)),
-        _ => Err("must be `max` or a number above 0, at most 1000".to_owned()),
-    }
+    super::rate::parse_rate(text)
+        .map(Rate::PerSecond)
+        .map_err(|_| {
+            let (least, most) = (super::rate::LEAST, super::rate::MOST);
+            format!("must be `max` or a number from {least} to {most}")
+        })
 }
 
 fn parse_seconds(text: &str) -> Result<f64, String> {
@@ -259,7 +261,7 @@ mod tests {
         let rate = |text| parse(&["synth", "--rate", text]).map(|parsed| parsed.rate);
         assert_eq!(rate("12.5").unwrap(), Some(Rate::PerSecond(12.5)));
         assert_eq!(rate("max").unwrap(), Some(Rate::Unpaced));
-        for text in ["0", "-1", "nan", "inf", "fast"] {
+        for text in ["0", "-1", "1e-30", "nan", "inf", "fast"] {
             assert!(rate(text).is_err(), "{text}");
         }
         assert!(parse(&["synth", "--clip-seconds", "0"]).is_err());

@@ -129,6 +129,20 @@ impl From<&GroundTruthBox> for ObjectLine {
 /// Runs `albireo synth`.
 pub fn run(arguments: &SynthArguments) -> Result<()> {
     let out = &arguments.out;
+    let settings = |seed| DashcamSettings {
+        seed,
+        size: arguments.size,
+        frame_rate: arguments.frame_rate,
+        clip_seconds: arguments.clip_seconds,
+    };
+    // What cannot be filmed is refused before anything is written.
+    Dashcam::new(settings(0))?;
+    let last = (arguments.frames.saturating_sub(1))
+        .checked_mul(arguments.every)
+        .and_then(|way| way.checked_add(arguments.first));
+    if last.is_none() {
+        bail!("--first, --frames and --every: the number of the last frame is too large");
+    }
     std::fs::create_dir_all(out)
         .with_context(|| format!("cannot make the folder {}", out.display()))?;
     let listing = out.join("ground_truth.jsonl");
@@ -141,18 +155,13 @@ pub fn run(arguments: &SynthArguments) -> Result<()> {
     let file =
         File::create(&listing).with_context(|| format!("cannot write {}", listing.display()))?;
     let mut listing = BufWriter::new(file);
-    let total = arguments.seeds.0.len() as u64 * arguments.frames;
+    let total = (arguments.seeds.0.len() as u64).saturating_mul(arguments.frames);
     let progress = ProgressBar::new(total).with_style(
         ProgressStyle::with_template("{bar:40} {pos}/{len} frames, {per_sec}, {eta} left")
             .unwrap_or_else(|_| ProgressStyle::default_bar()),
     );
     for &seed in &arguments.seeds.0 {
-        let mut dashcam = Dashcam::new(DashcamSettings {
-            seed,
-            size: arguments.size,
-            frame_rate: arguments.frame_rate,
-            clip_seconds: arguments.clip_seconds,
-        })?;
+        let mut dashcam = Dashcam::new(settings(seed))?;
         for number in 0..arguments.frames {
             let frame = dashcam.frame(arguments.first + number * arguments.every);
             write_frame(arguments, seed, &frame, &mut listing)?;

@@ -17,6 +17,8 @@
 //! | `fixed-skip[:n]` | on every n-th frame | the last boxes again (profile `paper`) or predicted ones (`reference`) | the paper's baseline |
 //! | `ctd[:threshold]` | when the confidence in a prediction falls below the threshold, without objects, and after 8 frames | predicted boxes | Ding et al. |
 //! | `statues[:component_size]` | when more pixels than this changed in one piece since the last frame | the last boxes again | Kim et al. |
+//! | `adaptive-rate[:drift]` | when objects have moved by so many of their sizes at the speed they had | predicted boxes | after Contoli et al. |
+//! | `frame-drop[:n]` | on every n-th frame, and when something shows up that no object explains | predicted boxes | after Henning et al. |
 //! | `erd-only` | when the screen, asked on every frame, says "not empty" | none | the paper's baseline |
 //! | `kill-only[:u]` | as albireo, but without the screen: always without objects | predicted boxes | ablation: 8 dimensions, no rescue |
 //! | `kill+erd[:u]` | as albireo | as albireo | ablation: 8 dimensions, no rescue |
@@ -33,6 +35,7 @@ use crate::geometry::{BoundingBox, PictureSize};
 use serde::{Deserialize, Serialize};
 
 mod ablation;
+mod adaptive_rate;
 mod albireo;
 mod albireo_settings;
 mod cause;
@@ -44,6 +47,7 @@ mod detector_boxes;
 mod erd_only;
 mod expected_loss;
 mod fixed_skip;
+mod frame_drop;
 mod published_threshold;
 mod record;
 mod reporting;
@@ -55,6 +59,7 @@ mod tests;
 mod tracker;
 mod vanilla;
 
+pub use adaptive_rate::{AdaptiveRate, AdaptiveRateSettings};
 pub use albireo::Albireo;
 pub use albireo_settings::{AlbireoSettings, Profile};
 pub use albireo_settings::{DetectorFrameBoxes, PeriodicCap, ReportedConfidence};
@@ -69,6 +74,7 @@ pub use expected_loss::{CallRule, ExpectedLossAssociation, InTracker, Life, Surp
 pub use fixed_skip::FixedSkip;
 pub use fixed_skip::FixedSkipSettings;
 pub use fixed_skip::SkippedBoxes;
+pub use frame_drop::{FrameDrop, FrameDropSettings};
 pub use published_threshold::published_threshold;
 pub use record::ObjectRecord;
 pub use statues::Statues;

@@ -213,6 +213,14 @@ pub enum DataError {
         /// What to do about it.
         help: String,
     },
+    /// A file or folder cannot be written.
+    #[error("cannot write {}: {source}", path.display())]
+    Write {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
     /// A line of a text file is broken.
     #[error("{}:{line}: {what}", path.display())]
     Line {
@@ -239,6 +247,13 @@ impl DataError {
             path: path.to_owned(),
             source,
             help: help.into(),
+        }
+    }
+
+    pub(crate) fn write(path: &Path, source: std::io::Error) -> Self {
+        Self::Write {
+            path: path.to_owned(),
+            source,
         }
     }
 

@@ -9,6 +9,7 @@
 //! `reference`), all others by the boxes and confidences that they report.
 
 mod comparison;
+mod hindsight;
 mod leave_one_out;
 mod operating_point;
 mod report;

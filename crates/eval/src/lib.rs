@@ -3,6 +3,9 @@
 //! `albireo eval` answers what frame skipping costs in accuracy and what it saves. It drives the very
 //! policies the node runs, on stored detections or on pictures.
 
+pub mod advise;
+pub mod against_detector;
+pub mod audit_study;
 pub mod average_precision;
 pub mod compare;
 pub mod conclusion;
@@ -15,6 +18,7 @@ pub mod paper;
 pub mod paper_text;
 pub mod pareto;
 pub mod pictures;
+pub mod price_study;
 pub mod published;
 pub mod recommendation;
 pub mod replay;

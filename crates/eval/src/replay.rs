@@ -70,7 +70,6 @@ pub fn replay(
     decay_u: f64,
     keep_trace: bool,
 ) -> Result<Replay, SourceError> {
-    policy.reset();
     let rejected_before = policy.rejected_detections();
     let picture = source.picture();
     let frames = source.frames();
@@ -81,10 +80,64 @@ pub fn replay(
         rejected_detections: 0,
         trace: keep_trace.then(Vec::new),
     };
-    let mut outcome = Outcome::default();
     let mut objects = Vec::new();
+    drive(policy, source, &mut |policy, played| {
+        result.frames.push(played.record);
+        objects.clear();
+        collect_objects(policy, &mut objects);
+        match &mut result.boxes_last_confidence {
+            None => result.boxes.push(
+                (played.outcome.boxes.iter())
+                    .map(|output| score_reported(output, picture))
+                    .collect(),
+            ),
+            Some(last) => {
+                let (decayed, undecayed) =
+                    score_as_published(&objects, played.outcome, picture, decay_u);
+                result.boxes.push(decayed);
+                last.push(undecayed);
+            }
+        }
+        if let Some(trace) = &mut result.trace {
+            trace.push(TraceFrame {
+                frame: played.head.index,
+                state: played.outcome.state,
+                tau_max: played.outcome.tau_max,
+                active: played.outcome.active,
+                objects: objects.clone(),
+            });
+        }
+    })?;
+    result.rejected_detections = policy.rejected_detections() - rejected_before;
+    Ok(result)
+}
+
+/// One frame that a policy was taken through.
+pub(crate) struct Played<'a> {
+    /// Its number among the frames of the source.
+    pub frame: usize,
+    /// What the policy was told of it.
+    pub head: FrameHead,
+    /// What happened.
+    pub record: FrameRecord,
+    /// State and boxes.
+    pub outcome: &'a Outcome,
+}
+
+/// Takes `policy` from its initial state through all frames of `source`, and shows each to `each`.
+///
+/// # Errors
+/// [`SourceError`] when the source cannot give what the policy asks for.
+pub(crate) fn drive(
+    policy: &mut dyn Policy,
+    source: &mut dyn ClipEvidence,
+    each: &mut dyn FnMut(&dyn Policy, &Played<'_>),
+) -> Result<(), SourceError> {
+    policy.reset();
+    let picture = source.picture();
+    let mut outcome = Outcome::default();
     let mut next_index = 0;
-    for frame in 0..frames {
+    for frame in 0..source.frames() {
         let step = source.step(frame).max(1);
         let index = next_index + u64::from(step) - 1;
         next_index = index + 1;
@@ -94,35 +147,15 @@ pub fn replay(
             picture,
         };
         let record = decide_frame(policy, source, head, frame, &mut outcome)?;
-        result.frames.push(record);
-        objects.clear();
-        collect_objects(policy, &mut objects);
-        match &mut result.boxes_last_confidence {
-            None => result.boxes.push(
-                outcome
-                    .boxes
-                    .iter()
-                    .map(|output| score_reported(output, picture))
-                    .collect(),
-            ),
-            Some(last) => {
-                let (decayed, undecayed) = score_as_published(&objects, &outcome, picture, decay_u);
-                result.boxes.push(decayed);
-                last.push(undecayed);
-            }
-        }
-        if let Some(trace) = &mut result.trace {
-            trace.push(TraceFrame {
-                frame: index,
-                state: outcome.state,
-                tau_max: outcome.tau_max,
-                active: outcome.active,
-                objects: objects.clone(),
-            });
-        }
+        let played = Played {
+            frame,
+            head,
+            record,
+            outcome: &outcome,
+        };
+        each(&*policy, &played);
     }
-    result.rejected_detections = policy.rejected_detections() - rejected_before;
-    Ok(result)
+    Ok(())
 }
 
 /// One frame of a clip as evidence; notes what was asked for, and times it.

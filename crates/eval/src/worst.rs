@@ -2,15 +2,31 @@
 
 use crate::average_precision::{Classes, Interpolation, ScoredBox, TruthBox, accuracy};
 use crate::data::Clip;
+use crate::footage::{FootageError, FrameSource};
 use crate::replay::Replay;
+use crate::result::ClipResult;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::FrameState;
+use albireo_node::frame::EncodedPicture;
+use std::path::PathBuf;
 
 /// Frames of a clip that are kept for each policy.
 const KEPT: usize = 2;
 
 /// Frames between two that are kept, so that they show two things.
 const APART: usize = 20;
+
+/// Policies whose frames are kept with their pictures, and shown.
+pub(crate) const SHOWN_POLICIES: usize = 8;
+
+/// Where the picture of a frame is.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FramePicture {
+    /// In a file of the data set.
+    File(PathBuf),
+    /// As it came from the footage.
+    Encoded(EncodedPicture),
+}
 
 /// A frame without the detector on which objects were lost that the detector would have found.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +43,40 @@ pub struct WorstFrame {
     pub truth: Vec<Corners>,
     /// The policy's boxes.
     pub found: Vec<Corners>,
+    /// What is to be seen, where that is at hand.
+    pub shown: Option<FramePicture>,
+}
+
+/// Gives the frames in `results`, one clip's, the pictures of `source`, which is played again from its start as far as the
+/// last of them.
+///
+/// # Errors
+/// [`FootageError`] when the source cannot be played again; the frames keep their boxes then.
+pub fn attach_pictures(
+    source: &mut dyn FrameSource,
+    results: &mut [ClipResult],
+) -> Result<(), FootageError> {
+    let mut wanted: Vec<&mut WorstFrame> = (results.iter_mut())
+        .filter(|result| !result.worst.is_empty())
+        .take(SHOWN_POLICIES)
+        .flat_map(|result| &mut result.worst)
+        .collect();
+    wanted.sort_by_key(|worst| worst.frame);
+    if wanted.is_empty() {
+        return Ok(());
+    }
+    source.rewind()?;
+    let mut wanted = wanted.into_iter().peekable();
+    for frame in 0.. {
+        if wanted.peek().is_none() {
+            break;
+        }
+        let Some(picture) = source.next()? else { break };
+        while let Some(worst) = wanted.next_if(|worst| worst.frame == frame) {
+            worst.shown = Some(FramePicture::Encoded(picture.clone()));
+        }
+    }
+    Ok(())
 }
 
 /// The frames of `replayed` that lost most, the worst first.
@@ -74,6 +124,7 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
             found: (replayed.boxes[frame].iter())
                 .map(|found| found.corners)
                 .collect(),
+            shown: clip.pictures.get(frame).cloned().map(FramePicture::File),
         });
     }
     kept

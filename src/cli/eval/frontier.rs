@@ -74,7 +74,7 @@ pub(super) fn run_leave_one_out(arguments: &LeaveOneOutArguments) -> anyhow::Res
     Ok(())
 }
 
-fn progress(steps: usize, what: &str) -> anyhow::Result<ProgressBar> {
+pub(super) fn progress(steps: usize, what: &str) -> anyhow::Result<ProgressBar> {
     let template = format!("{{bar:40}} {{pos}}/{{len}} {what}, {{elapsed}}, {{eta}} left");
     let style = ProgressStyle::with_template(&template).context("the progress bar's template")?;
     Ok(ProgressBar::new(steps as u64).with_style(style))

@@ -2,6 +2,7 @@
 //! policy on what it found.
 
 use super::{LOOKED, RunArguments, listed, policies, print_conclusion, projected_power, settings};
+use crate::cli::rate::parse_rate;
 use crate::cli::size::parse_size;
 use crate::cli::synth::{Seeds, parse_seeds};
 use albireo_core::geometry::PictureSize;
@@ -17,6 +18,7 @@ use albireo_eval::result::{ClipResult, Spread};
 use albireo_eval::run::Settings;
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::PolicySpec;
+use albireo_eval::worst::attach_pictures;
 use albireo_eval::{summary, table};
 use albireo_node::detector::{ClassNames, DetectorConfig, ExecutionProvider, HeadName};
 use albireo_node::frame::ColorOrder;
@@ -54,7 +56,7 @@ pub(super) struct FolderArguments {
     #[arg(required = true)]
     folders: Vec<PathBuf>,
     /// Frames a second.
-    #[arg(long = "rate", alias = "frame-rate", default_value_t = PictureFolder::RATE)]
+    #[arg(long = "rate", alias = "frame-rate", default_value_t = PictureFolder::RATE, value_parser = parse_rate)]
     frame_rate: f64,
     #[command(flatten)]
     truth: TruthArguments,
@@ -80,7 +82,7 @@ pub(super) struct SynthArguments {
     #[arg(long, default_value = "1280x720", value_parser = parse_size)]
     size: PictureSize,
     /// Frames a second.
-    #[arg(long = "rate", alias = "frame-rate", default_value_t = 10.0)]
+    #[arg(long = "rate", alias = "frame-rate", default_value_t = 10.0, value_parser = parse_rate)]
     frame_rate: f64,
     #[command(flatten)]
     pass: PassArguments,
@@ -102,7 +104,7 @@ struct TruthArguments {
 
 /// The models of the pass and what is kept of it.
 #[derive(Debug, Args)]
-struct PassArguments {
+pub(super) struct PassArguments {
     /// The detector: an ONNX file.
     #[arg(long, help_heading = LOOKED, value_name = "MODEL", default_value = "models/detector.onnx")]
     detector: PathBuf,
@@ -157,10 +159,6 @@ pub(super) fn videos(arguments: &VideoArguments) -> anyhow::Result<()> {
 /// Runs `albireo eval pictures`.
 pub(super) fn folders(arguments: &FolderArguments) -> anyhow::Result<()> {
     let rate = arguments.frame_rate;
-    ensure!(
-        rate > 0.0 && rate <= 1000.0,
-        "--rate {rate} is not between 0 and 1000"
-    );
     let mut sources = Vec::new();
     for folder in &arguments.folders {
         ensure!(folder.exists(), "{}: no such folder", folder.display());
@@ -200,8 +198,8 @@ pub(super) fn synthetic(arguments: &SynthArguments) -> anyhow::Result<()> {
             };
             let mut clip = DashcamClip::new(settings, number)?;
             let mut pictured = evaluation.pass(&mut clip)?;
-            pictured.clip.truth = Some(clip.into_truth());
-            evaluation.run(pictured)?;
+            pictured.clip.truth = Some(clip.take_truth());
+            evaluation.run(pictured, &mut clip)?;
         }
     }
     evaluation.finish("Synthetic dashcam")
@@ -287,26 +285,7 @@ impl<'a> Evaluation<'a> {
         if let Some(truth) = &truth {
             truth.check(&names)?;
         }
-        let observer = Observer::start(
-            &DetectorConfig {
-                model: pass.detector.clone(),
-                head: pass.head,
-                class_names: pass.class_names.clone().map(ClassNames::File),
-                // The evaluation has a mapping of its own.
-                report_classes: Some(Vec::new()),
-                confidence: LOWEST_CONFIDENCE,
-                providers: vec![pass.provider],
-                timeout_ms: TIMEOUT_MS,
-                ..DetectorConfig::default()
-            },
-            &ScreenConfig {
-                model: pass.screen_model.clone(),
-                color_order: pass.screen_color_order,
-                empty_class: usize::from(pass.screen_empty_class),
-                timeout_ms: TIMEOUT_MS,
-                ..ScreenConfig::default()
-            },
-        )?;
+        let observer = start_observer(pass)?;
         Ok(Self {
             pass,
             keep_grey: looks_at_pixels(&policies)?,
@@ -330,53 +309,26 @@ impl<'a> Evaluation<'a> {
         if let Some(truth) = &mut self.truth {
             pictured.clip.truth = truth.of(&pictured.clip, self.clips == 1, &mut self.report)?;
         }
-        self.run(pictured)
+        self.run(pictured, source)
     }
 
     /// The detector's pass over a clip.
     fn pass(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<PicturedClip> {
-        let known = source.frames();
-        let total = match (known, self.pass.frames) {
-            (Some(known), Some(most)) => Some(known.min(most)),
-            (known, most) => known.or(most),
-        };
-        let (bar, style) = match total {
-            Some(total) => (
-                ProgressBar::new(total),
-                "{msg}: {bar:30} {pos}/{len} frames, {per_sec}, {eta} left",
-            ),
-            None => (
-                ProgressBar::new_spinner(),
-                "{msg}: {spinner} {pos} frames, {per_sec}, {elapsed}",
-            ),
-        };
-        bar.set_style(ProgressStyle::with_template(style).context("the progress bar's template")?);
-        bar.set_message(source.name().to_owned());
         let settings = PassSettings {
             keep_grey: self.keep_grey,
             keep_thumbnails: self.arguments.screen == ScreenRule::Agnostic,
-            most_frames: self
-                .pass
-                .frames
-                .map(|most| usize::try_from(most).unwrap_or(usize::MAX)),
+            most_frames: most_frames(self.pass),
         };
-        if bar.is_hidden() {
-            eprintln!(
-                "{}: looking at {} frames",
-                source.name(),
-                total.map_or_else(|| "its".to_owned(), |total| total.to_string())
-            );
-        }
-        let observer = &mut self.observer;
-        let pictured = collect(source, observer, &settings, &mut self.report, &mut || {
-            bar.inc(1);
-        });
-        bar.finish_and_clear();
-        Ok(pictured?)
+        pass_over(source, &mut self.observer, &settings, &mut self.report)
     }
 
-    /// Every policy over a clip, judged against its ground truth if it has some, else against Vanilla.
-    fn run(&mut self, mut pictured: PicturedClip) -> anyhow::Result<()> {
+    /// Every policy over a clip, judged against its ground truth if it has some, else against Vanilla. The frames that
+    /// lost most get their pictures from `source` once more: to keep all until it is known which they are takes memory.
+    fn run(
+        &mut self,
+        mut pictured: PicturedClip,
+        source: &mut dyn FrameSource,
+    ) -> anyhow::Result<()> {
         self.times.extend_from_slice(&pictured.times);
         if self.pass.save_detections.is_some() {
             self.kept.push(pictured.clip.clone());
@@ -388,7 +340,12 @@ impl<'a> Evaluation<'a> {
             pictured.clip.truth = Some(truth);
             &mut self.against_vanilla
         };
-        let results = run_pictured(&pictured, &self.policies, &self.settings, &|| ())?;
+        let mut results = run_pictured(&pictured, &self.policies, &self.settings, &|| ())?;
+        if let Err(error) = attach_pictures(source, &mut results) {
+            let name = &pictured.clip.name;
+            let note = format!("{name}: no pictures of the frames that lost most: {error}");
+            self.report.notes.push(note);
+        }
         judged.0.push(results);
         Ok(())
     }
@@ -504,6 +461,114 @@ impl<'a> Evaluation<'a> {
         }
         rows
     }
+}
+
+/// Loads the models of the pass.
+fn start_observer(pass: &PassArguments) -> anyhow::Result<Observer> {
+    Ok(Observer::start(
+        &DetectorConfig {
+            model: pass.detector.clone(),
+            head: pass.head,
+            class_names: pass.class_names.clone().map(ClassNames::File),
+            // The evaluation has a mapping of its own.
+            report_classes: Some(Vec::new()),
+            confidence: LOWEST_CONFIDENCE,
+            providers: vec![pass.provider],
+            timeout_ms: TIMEOUT_MS,
+            ..DetectorConfig::default()
+        },
+        &ScreenConfig {
+            model: pass.screen_model.clone(),
+            color_order: pass.screen_color_order,
+            empty_class: usize::from(pass.screen_empty_class),
+            timeout_ms: TIMEOUT_MS,
+            ..ScreenConfig::default()
+        },
+    )?)
+}
+
+fn most_frames(pass: &PassArguments) -> Option<usize> {
+    (pass.frames).map(|most| usize::try_from(most).unwrap_or(usize::MAX))
+}
+
+/// The detector's pass over a clip, with a bar on a terminal and a line elsewhere.
+fn pass_over(
+    source: &mut dyn FrameSource,
+    observer: &mut Observer,
+    settings: &PassSettings,
+    report: &mut LoadReport,
+) -> anyhow::Result<PicturedClip> {
+    let most = settings.most_frames.map(|most| most as u64);
+    let total = match (source.frames(), most) {
+        (Some(known), Some(most)) => Some(known.min(most)),
+        (known, most) => known.or(most),
+    };
+    let (bar, style) = match total {
+        Some(total) => (
+            ProgressBar::new(total),
+            "{msg}: {bar:30} {pos}/{len} frames, {per_sec}, {eta} left",
+        ),
+        None => (
+            ProgressBar::new_spinner(),
+            "{msg}: {spinner} {pos} frames, {per_sec}, {elapsed}",
+        ),
+    };
+    bar.set_style(ProgressStyle::with_template(style).context("the progress bar's template")?);
+    bar.set_message(source.name().to_owned());
+    if bar.is_hidden() {
+        eprintln!(
+            "{}: looking at {} frames",
+            source.name(),
+            total.map_or_else(|| "its".to_owned(), |total| total.to_string())
+        );
+    }
+    let pictured = collect(source, observer, settings, report, &mut || bar.inc(1));
+    bar.finish_and_clear();
+    Ok(pictured?)
+}
+
+/// The detector's pass over videos and folders of pictures, with what the agnostic screen sees. `rate` is the frames a
+/// second of folders.
+pub(super) fn look_at(
+    paths: &[PathBuf],
+    rate: Option<f64>,
+    pass: &PassArguments,
+) -> anyhow::Result<Vec<PicturedClip>> {
+    let mut observer = start_observer(pass)?;
+    let settings = PassSettings {
+        keep_grey: false,
+        keep_thumbnails: true,
+        most_frames: most_frames(pass),
+    };
+    let mut report = LoadReport::default();
+    let mut looked = Vec::new();
+    for path in paths {
+        let mut source: Box<dyn FrameSource> = if path.is_dir() {
+            Box::new(PictureFolder::open(
+                path,
+                rate.unwrap_or(PictureFolder::RATE),
+            )?)
+        } else {
+            let file = path.to_string_lossy();
+            let encoding = VideoEncoding::default();
+            Box::new(Video::open(&file, None, encoding, Ffmpeg::default())?)
+        };
+        looked.push(pass_over(
+            source.as_mut(),
+            &mut observer,
+            &settings,
+            &mut report,
+        )?);
+    }
+    for line in report.lines() {
+        eprintln!("{line}");
+    }
+    if let Some(folder) = &pass.save_detections {
+        let clips: Vec<Clip> = looked.iter().map(|seen| seen.clip.clone()).collect();
+        recorded::write(folder, &clips)?;
+        eprintln!("Detections written to {}", folder.display());
+    }
+    Ok(looked)
 }
 
 fn name_of(head: HeadName) -> String {

@@ -4,11 +4,14 @@ use crate::cli::frames::{FrameSender, OutgoingFrame, SentFrame};
 use albireo_eval::footage::{FrameSource, Stopper};
 use albireo_node::frame::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
-use anyhow::{anyhow, bail};
+use anyhow::{Context, anyhow};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::sync::mpsc;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
+
+/// Longest time between two frames: that of the least rate that can be asked for.
+const LONGEST_PERIOD: Duration = Duration::from_secs(1000);
 
 /// How fast frames are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -190,16 +193,16 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
         Rate::PerSecond(rate) => rate,
         Rate::Source | Rate::Unpaced => source.rate(),
     };
-    if !(rate.is_finite() && rate > 0.0) {
-        bail!("{rate} frames per second is not a rate");
-    }
+    // Of a source that tells its own rate nobody has checked it.
+    let period = (Duration::try_from_secs_f64(1.0 / rate).ok())
+        .filter(|period| *period <= LONGEST_PERIOD)
+        .with_context(|| format!("{rate} frames per second is not a rate: give one with --rate"))?;
     let _stop = StopOnDrop(source.stopper());
     let is_live = source.is_live();
     let mut prepared = prepare(source, options.repeat);
     let mut clips = Clips::new(options);
     let mut sent = Sent::default();
     let mut begun = None;
-    let period = Duration::from_secs_f64(1.0 / rate);
     let mut due = Instant::now();
     while options.frames.is_none_or(|most| sent.frames < most) {
         let next = tokio::select! {

@@ -2,8 +2,9 @@
 
 use super::ablation::Ablation;
 use super::{
-    Albireo, AlbireoSettings, Ctd, CtdSettings, ErdOnly, ExpectedLoss, FixedSkip,
-    FixedSkipSettings, InTracker, Policy, Profile, Statues, StatuesSettings, Vanilla,
+    AdaptiveRate, AdaptiveRateSettings, Albireo, AlbireoSettings, Ctd, CtdSettings, ErdOnly,
+    ExpectedLoss, FixedSkip, FixedSkipSettings, FrameDrop, FrameDropSettings, InTracker, Policy,
+    Profile, Statues, StatuesSettings, Vanilla,
 };
 use serde::{Deserialize, Serialize};
 
@@ -33,6 +34,10 @@ pub struct PolicyConfig {
     pub ctd: CtdSettings,
     /// Settings of `statues`.
     pub statues: StatuesSettings,
+    /// Settings of `adaptive-rate`.
+    pub adaptive_rate: AdaptiveRateSettings,
+    /// Settings of `frame-drop`.
+    pub frame_drop: FrameDropSettings,
     /// Single settings of `expected-loss`, and of the schedules that share its objects, that differ from
     /// the default: the fields of [`ExpectedLossSettings`](super::ExpectedLossSettings), as deep as it
     /// goes.
@@ -52,6 +57,8 @@ impl Default for PolicyConfig {
             fixed_skip: FixedSkipSettings::default(),
             ctd: CtdSettings::default(),
             statues: StatuesSettings::default(),
+            adaptive_rate: AdaptiveRateSettings::default(),
+            frame_drop: FrameDropSettings::default(),
             expected_loss: Table::new(),
             in_tracker: InTracker::default(),
         }
@@ -128,6 +135,8 @@ const POLICIES: &[Entry] = &[
     entry(FixedSkip::NAME, FixedSkip::from_config, Some(|c| &mut c.fixed_skip.n)),
     entry(Ctd::NAME, Ctd::from_config, Some(|c| &mut c.ctd.threshold)),
     entry(Statues::NAME, Statues::from_config, Some(|c| &mut c.statues.component_size)),
+    entry(AdaptiveRate::NAME, AdaptiveRate::from_config, Some(|c| &mut c.adaptive_rate.drift)),
+    entry(FrameDrop::NAME, FrameDrop::from_config, Some(|c| &mut c.frame_drop.n)),
     entry(ErdOnly::NAME, ErdOnly::from_config, None),
     entry(KILL_ONLY.name(), |c| Albireo::ablated(KILL_ONLY, c), Some(|c| &mut c.u)),
     entry(KILL_ERD.name(), |c| Albireo::ablated(KILL_ERD, c), Some(|c| &mut c.u)),
@@ -145,6 +154,7 @@ pub const KNOB_NAMES: &[&str] = &[
     "threshold",
     "component_size",
     "skip_rate",
+    "drift",
 ];
 
 /// The names that [`PolicyConfig::name`] can have.

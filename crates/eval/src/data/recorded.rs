@@ -203,9 +203,9 @@ fn class(row: &Row<'_>, index: usize) -> Result<ClassId, DataError> {
 /// the same doubles back. Files that are there are replaced.
 ///
 /// # Errors
-/// [`DataError::Read`] when a file cannot be written.
+/// [`DataError::Write`] when a file cannot be written.
 pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
-    let failed = |path: &Path, error| DataError::read(path, error, "is the folder writable?");
+    let failed = DataError::write;
     let detections = folder.join("detections");
     let truths = folder.join("groundtruth");
     for needed in [&detections, &truths] {

@@ -38,7 +38,7 @@ pub(super) fn read(
 pub(super) fn write(folder: &Path, clip: &Clip) -> Result<(), DataError> {
     let folder = folder.join("screen");
     let path = folder.join(format!("{}.csv", clip.name));
-    let failed = |error| DataError::read(&path, error, "is the folder writable?");
+    let failed = |error| DataError::write(&path, error);
     let Some(verdicts) = &clip.screen else {
         return match std::fs::remove_file(&path) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(failed(error)),

@@ -1,11 +1,12 @@
 //! The comparison itself: expected-loss against schedules in the same tracker, and against the paper's
 //! policies, each at equal skip rate.
 
+use super::hindsight::Hindsight;
 use super::operating_point::{Candidate, FrontierError, OperatingPoint};
 use super::view::{View, ViewedClip};
 use crate::data::Clip;
 use crate::statistics::{PairedT, mean, paired_t};
-use albireo_core::policy::{ExpectedLoss, Vanilla};
+use albireo_core::policy::{AdaptiveRate, ExpectedLoss, FixedSkip, Vanilla};
 use serde::Serialize;
 
 /// Skip rates at which expected-loss is compared with even spacing.
@@ -32,6 +33,18 @@ const PUBLISHED: [&str; 11] = [
 
 /// The number of skipped frames of FixedSkip, with the objects of expected-loss.
 const IN_TRACKER: [f64; 3] = [2.0, 3.0, 5.0];
+
+/// Settings of the adaptive rate after Contoli et al.
+const DRIFTS: [f64; 4] = [0.05, 0.1, 0.2, 0.4];
+
+/// Frames from call to call without an event, of frame dropping after Henning et al.
+const DROPS: [f64; 3] = [3.0, 5.0, 10.0];
+
+/// Skip rates at which the best fixed N in hindsight is taken.
+const HINDSIGHT: [f64; 5] = [0.38, 0.49, 0.60, 0.70, 0.80];
+
+/// Names of the oracle, with the objects of expected-loss and in the published form.
+const HINDSIGHT_NAMES: [&str; 2] = ["best-n-in-tracker (hindsight)", "best-n (hindsight)"];
 
 /// Differences clip by clip, positive where expected-loss is better.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -108,6 +121,10 @@ pub struct ViewStudy {
     pub in_tracker: Vec<EqualSkip>,
     /// Against the paper's policies.
     pub published: Vec<EqualSkip>,
+    /// Against policies after other papers: an adaptive rate, and frame dropping with an ideal cue for new objects.
+    pub adaptive: Vec<EqualSkip>,
+    /// Against the best fixed N of each clip, known after the fact.
+    pub hindsight: Vec<EqualSkip>,
     /// Vanilla.
     pub vanilla: Vec<Reference>,
 }
@@ -122,7 +139,13 @@ pub struct Study {
 }
 
 /// Number of comparisons in one view, for a progress bar.
-const STEPS: usize = 1 + SKIP_RATES.len() + IN_TRACKER.len() + PUBLISHED.len();
+const STEPS: usize = 1
+    + SKIP_RATES.len()
+    + IN_TRACKER.len()
+    + PUBLISHED.len()
+    + DRIFTS.len()
+    + DROPS.len()
+    + HINDSIGHT_NAMES.len() * HINDSIGHT.len();
 
 impl Study {
     /// How often `done` is called for so many views.
@@ -191,6 +214,25 @@ fn study_view(view: &View, clips: &[Clip], done: &dyn Fn()) -> Result<ViewStudy,
         .iter()
         .map(|asked| against(Candidate::published(asked)?.run(&viewed)?))
         .collect::<Result<Vec<_>, FrontierError>>()?;
+    let adaptive = (DRIFTS.iter())
+        .map(|drift| Candidate::as_reported(&format!("{}:{drift}", AdaptiveRate::NAME)))
+        .chain(DROPS.map(Candidate::frame_drop_with_ideal_cue))
+        .map(|candidate| against(candidate?.run(&viewed)?))
+        .collect::<Result<Vec<_>, FrontierError>>()?;
+    let mut hindsight = Vec::new();
+    for name in HINDSIGHT_NAMES {
+        let oracle = Hindsight::new(
+            name,
+            |n| match name == HINDSIGHT_NAMES[0] {
+                true => Candidate::as_reported(&format!("{}:{n}", ExpectedLoss::FIXED_SKIP_NAME)),
+                false => Candidate::published(&format!("{}:{n}", FixedSkip::NAME)),
+            },
+            &viewed,
+        )?;
+        for skip_rate in HINDSIGHT {
+            hindsight.push(against(oracle.at_skip_rate(skip_rate))?);
+        }
+    }
     let vanilla = VANILLA_CONFIDENCES
         .iter()
         .map(|&confidence| {
@@ -213,6 +255,8 @@ fn study_view(view: &View, clips: &[Clip], done: &dyn Fn()) -> Result<ViewStudy,
         even,
         in_tracker,
         published,
+        adaptive,
+        hindsight,
         vanilla,
     })
 }

@@ -1,12 +1,17 @@
 //! A policy at one setting on all clips, and the setting at which it skips a given share of the frames.
 
 use super::view::{ViewedClip, ViewedEvidence};
+use crate::against_detector::{ComparedFrame, against_detector};
 use crate::average_precision::{Classes, Interpolation, accuracy};
 use crate::replay::{Scoring, replay};
 use crate::scoring::DEFAULT_DECAY_U;
 use crate::source::SourceError;
 use crate::statistics::mean;
-use albireo_core::policy::{Albireo, Knob, PolicyConfig, PolicyConfigError, Profile};
+use albireo_core::detection::Detection;
+use albireo_core::geometry::BoundingBox;
+use albireo_core::policy::{
+    Albireo, FrameDrop, Knob, Policy, PolicyConfig, PolicyConfigError, Profile,
+};
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 use serde::Serialize;
 
@@ -47,7 +52,12 @@ pub enum FrontierError {
 pub struct Candidate {
     config: PolicyConfig,
     scoring: Scoring,
+    /// `frame-drop` is told beforehand what the detector sees of each frame.
+    ideal_cue: bool,
 }
+
+/// The name of `frame-drop` with that cue.
+const IDEAL_CUE: &str = "frame-drop-ideal-cue";
 
 /// What a policy did with one clip.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -80,10 +90,16 @@ pub struct OperatingPoint {
 }
 
 impl OperatingPoint {
-    fn new(candidate: &Candidate, value: Option<f64>, clips: Vec<ClipFigures>) -> Self {
+    /// Whether this is what no system can do: it knows what it has not looked at.
+    pub(super) fn is_bound(&self) -> bool {
+        self.policy == IDEAL_CUE
+    }
+
+    /// The means over `clips`.
+    pub(crate) fn of(policy: String, value: Option<f64>, clips: Vec<ClipFigures>) -> Self {
         let over = |of: fn(&ClipFigures) -> f64| mean(clips.iter().map(of)).unwrap_or_default();
         Self {
-            policy: candidate.config.name.clone(),
+            policy,
             value,
             skip_rate: over(|clip| clip.skip_rate),
             ap50: over(|clip| clip.ap50),
@@ -120,7 +136,30 @@ impl Candidate {
             policy: asked.to_owned(),
             source,
         })?;
-        Ok(Self { config, scoring })
+        Ok(Self {
+            config,
+            scoring,
+            ideal_cue: false,
+        })
+    }
+
+    /// `frame-drop` at `n` with a second sensor that is as good as the detector, and free.
+    ///
+    /// # Errors
+    /// [`FrontierError::Policy`] when `n` is out of range.
+    pub(super) fn frame_drop_with_ideal_cue(n: f64) -> Result<Self, FrontierError> {
+        Ok(Self {
+            ideal_cue: true,
+            ..Self::as_reported(&format!("{}:{n}", FrameDrop::NAME))?
+        })
+    }
+
+    fn name(&self) -> String {
+        if self.ideal_cue {
+            IDEAL_CUE.to_owned()
+        } else {
+            self.config.name.clone()
+        }
     }
 
     /// This policy with one setting of expected-loss, by its path such as `life.least_visible`, at `value`.
@@ -143,11 +182,34 @@ impl Candidate {
         Ok(varied)
     }
 
-    fn build(&self) -> Result<Box<dyn albireo_core::policy::Policy>, FrontierError> {
+    fn build(&self) -> Result<Box<dyn Policy>, FrontierError> {
         self.config.build().map_err(|source| FrontierError::Policy {
             policy: self.config.name.clone(),
             source,
         })
+    }
+
+    /// The policy for `clip`.
+    fn build_for(&self, clip: &ViewedClip) -> Result<Box<dyn Policy>, FrontierError> {
+        if !self.ideal_cue {
+            return self.build();
+        }
+        let seen = |detections: &Vec<Detection>| -> Vec<BoundingBox> {
+            let boxes = detections.iter();
+            boxes.map(|detection| detection.bounding_box).collect()
+        };
+        // By index, which counts lost frames too: nothing is asked about those.
+        let mut cue = Vec::new();
+        for (&step, detections) in clip.steps.iter().zip(&clip.detections) {
+            cue.resize(cue.len() + step.saturating_sub(1) as usize, Vec::new());
+            cue.push(seen(detections));
+        }
+        let built = FrameDrop::with_cue(&self.config, cue.into());
+        let policy = built.map_err(|source| FrontierError::Policy {
+            policy: self.name(),
+            source,
+        })?;
+        Ok(Box::new(policy))
     }
 
     fn knob(&self) -> Result<Option<(Knob, f64)>, FrontierError> {
@@ -176,7 +238,23 @@ impl Candidate {
     pub fn run(&self, clips: &[ViewedClip]) -> Result<OperatingPoint, FrontierError> {
         let value = self.knob()?.map(|(_, value)| value);
         let figures = over_clips(clips, |clip| self.run_clip(clip, true))?;
-        Ok(OperatingPoint::new(self, value, figures))
+        Ok(OperatingPoint::of(self.name(), value, figures))
+    }
+
+    /// What the policy shows on the frames of `clip` without the detector, beside what the detector finds there.
+    ///
+    /// # Errors
+    /// [`FrontierError`] when the policy cannot be built or fails.
+    pub fn against_detector(&self, clip: &ViewedClip) -> Result<Vec<ComparedFrame>, FrontierError> {
+        let mut policy = self.build_for(clip)?;
+        let mut source = ViewedEvidence(clip);
+        against_detector(policy.as_mut(), &mut source, &clip.detections).map_err(|source| {
+            FrontierError::Source {
+                policy: self.name(),
+                clip: clip.name.clone(),
+                source,
+            }
+        })
     }
 
     /// The setting at which the mean skip rate over `clips` is nearest to `skip_rate`, found by bisection:
@@ -217,7 +295,7 @@ impl Candidate {
 
     /// Accuracy is left at zero unless `judged`.
     fn run_clip(&self, clip: &ViewedClip, judged: bool) -> Result<ClipFigures, FrontierError> {
-        let mut policy = self.build()?;
+        let mut policy = self.build_for(clip)?;
         let decay_u = match policy.knob() {
             Some(knob) if knob.name == Albireo::KNOB.name => self.config.u,
             _ => DEFAULT_DECAY_U,

@@ -74,6 +74,7 @@ fn rows(study: &Study) -> Result<Vec<u8>, String> {
 fn points(view: &ViewStudy) -> Vec<&OperatingPoint> {
     let equal = view.even.iter().chain(&view.in_tracker);
     let equal = equal.chain(&view.published);
+    let equal = equal.chain(&view.adaptive).chain(&view.hindsight);
     std::iter::once(&view.without_skips)
         .chain(equal.flat_map(|equal| [&equal.other, &equal.ours]))
         .chain(view.vanilla.iter().map(|reference| &reference.point))
@@ -92,15 +93,11 @@ fn figure(view: &ViewStudy, name: &'static str) -> Figure {
         drawn.push(point(&equal.ours, setting, false));
     }
     drawn.extend((view.even.iter()).map(|equal| point(&equal.other, String::new(), false)));
-    for equal in &view.published {
-        let value = equal.other.value.unwrap_or_default();
-        let setting = if value < 0.01 {
-            format!("{value:e}")
-        } else {
-            value.to_string()
-        };
-        drawn.push(point(&equal.other, setting, false));
-    }
+    // What no policy can be stands in the tables: a figure of ten families is no longer read.
+    let policies = view.published.iter().chain(&view.adaptive);
+    let policies = policies.map(|equal| &equal.other);
+    let policies = policies.filter(|other| !other.is_bound());
+    drawn.extend(policies.map(|other| point(other, setting(other), false)));
     mark_frontier(&mut drawn);
     Figure::tradeoff(
         name,
@@ -109,6 +106,14 @@ fn figure(view: &ViewStudy, name: &'static str) -> Figure {
         ["Frames without the detector, %", "AP@50"],
         drawn,
     )
+}
+
+fn setting(point: &OperatingPoint) -> String {
+    match point.value {
+        Some(value) if value < 0.01 => format!("{value:e}"),
+        Some(value) => value.to_string(),
+        None => String::new(),
+    }
 }
 
 fn point(point: &OperatingPoint, setting: String, baseline: bool) -> Point {
@@ -219,6 +224,9 @@ mod tests {
         for part in [
             "albireo:3e-4",
             "fixed-skip-in-tracker:2",
+            "adaptive-rate:0.1",
+            "frame-drop-ideal-cue:5",
+            "best-n (hindsight)",
             "10 % of the frames lost",
         ] {
             assert!(text.contains(part), "{part} is missing:\n{text}");

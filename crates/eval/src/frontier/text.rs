@@ -15,7 +15,9 @@ pub fn render(study: &Study) -> String {
         "\nAP@50 and mAP@50:95: classes pooled, all points, unweighted mean over the clips. Δ: \
          expected-loss minus the other at the same mean skip rate, percentage points, with the 95 % \
          confidence interval of the paired t-test over clips, and its p. Worse: clips on which \
-         expected-loss has the lower AP@50, and the largest loss.\n",
+         expected-loss has the lower AP@50, and the largest loss. `frame-drop-ideal-cue` is told of every new object as \
+         soon as the detector would see it, and pays nothing for that; `best-n` has for each clip the fixed interval that \
+         serves it best, chosen after the fact with the ground truth: bounds, no policies.\n",
     );
     text
 }
@@ -71,7 +73,10 @@ fn render_view(text: &mut String, study: &ViewStudy) {
         other,
         ours,
         difference,
-    } in study.in_tracker.iter().chain(&study.published)
+    } in (study.in_tracker.iter())
+        .chain(&study.published)
+        .chain(&study.adaptive)
+        .chain(&study.hindsight)
     {
         let setting = other.value.map_or(String::new(), |value| {
             if value < 0.01 {

@@ -37,9 +37,9 @@ impl DashcamClip {
         })
     }
 
-    /// Ground truth of the frames taken so far: the objects a detector is expected to find.
-    pub fn into_truth(self) -> Vec<Vec<TruthBox>> {
-        self.truth
+    /// Takes the ground truth of the frames taken so far: the objects a detector is expected to find.
+    pub fn take_truth(&mut self) -> Vec<Vec<TruthBox>> {
+        std::mem::take(&mut self.truth)
     }
 }
 

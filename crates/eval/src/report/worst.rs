@@ -2,15 +2,13 @@
 
 use crate::result::ClipResult;
 use crate::table::short;
-use crate::worst::WorstFrame;
+use crate::worst::{FramePicture, SHOWN_POLICIES, WorstFrame};
 use albireo_core::geometry::Corners;
+use albireo_node::frame::{PictureFormat, read_picture_file};
 use maud::{Markup, html};
 
 /// Frames that are shown of each policy.
 const SHOWN: usize = 3;
-
-/// Most policies that are shown.
-const POLICIES: usize = 8;
 
 /// The frames of each policy that lost most, over all clips; nothing where nothing was lost.
 pub(super) fn frames(results: &[ClipResult]) -> Markup {
@@ -29,8 +27,11 @@ pub(super) fn frames(results: &[ClipResult]) -> Markup {
             p.legend {
                 "Frames without the detector on which most objects were lost that it would have found: "
                 span.truth-word { "ground truth" } ", " span.found-word { "the policy's boxes" } "."
+                @if results.iter().flat_map(|result| &result.worst).all(|worst| worst.shown.is_none()) {
+                    " The recording has detections and no pictures, so only boxes are drawn."
+                }
             }
-            @for policy in policies.into_iter().take(POLICIES) {
+            @for policy in policies.into_iter().take(SHOWN_POLICIES) {
                 h3 { (short(policy)) }
                 div.frames {
                     @for (clip, worst) in worst_of(results, policy) {
@@ -67,6 +68,9 @@ fn picture(clip: &str, worst: &WorstFrame) -> Markup {
             svg viewBox={ "0 0 " (width) " " (height) } role="img"
                 aria-label={ (worst.truth.len()) " objects, " (worst.found.len()) " boxes" } {
                 rect.ground width=(width) height=(height) {}
+                @if let Some(picture) = worst.shown.as_ref().and_then(data_uri) {
+                    image href=(picture) width=(width) height=(height) {}
+                }
                 @for truth in &worst.truth { (rectangle("truth", truth, stroke)) }
                 @for found in &worst.found { (rectangle("found", found, stroke)) }
             }
@@ -77,11 +81,99 @@ fn picture(clip: &str, worst: &WorstFrame) -> Markup {
     }
 }
 
+/// The picture as a part of the page: a file that is opened elsewhere must not lack its pictures. `None` for one that
+/// cannot be read or that no browser shows.
+fn data_uri(picture: &FramePicture) -> Option<String> {
+    let (format, bytes) = match picture {
+        FramePicture::Encoded(picture) => (picture.format, picture.bytes.clone()),
+        FramePicture::File(path) => {
+            let read = read_picture_file(path).ok()?;
+            (read.format, read.bytes)
+        }
+    };
+    let kind = match format {
+        PictureFormat::Jpeg => "jpeg",
+        PictureFormat::Png => "png",
+        _ => return None,
+    };
+    Some(format!("data:image/{kind};base64,{}", base64(&bytes)))
+}
+
+/// RFC 4648, section 4.
+fn base64(bytes: &[u8]) -> String {
+    const DIGITS: &[u8; 64] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let mut text = String::with_capacity(bytes.len().div_ceil(3) * 4);
+    for group in bytes.chunks(3) {
+        let byte = |index: usize| u32::from(group.get(index).copied().unwrap_or(0));
+        let number = byte(0) << 16 | byte(1) << 8 | byte(2);
+        for digit in 0..4 {
+            // A group of n bytes has n + 1 digits.
+            text.push(if digit <= group.len() {
+                char::from(DIGITS[(number >> (18 - 6 * digit) & 63) as usize])
+            } else {
+                '='
+            });
+        }
+    }
+    text
+}
+
 fn rectangle(class: &str, corners: &Corners, stroke: f64) -> Markup {
     let round = |value: f64| (value * 10.0).round() / 10.0;
     html! {
         rect class=(class) x=(round(corners.x1)) y=(round(corners.y1))
             width=(round(corners.x2 - corners.x1).max(0.0)) height=(round(corners.y2 - corners.y1).max(0.0))
             stroke-width=(round(stroke)) {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_core::geometry::PictureSize;
+    use albireo_core::policy::FrameState;
+
+    #[test]
+    fn base64_is_that_of_the_standard() {
+        // RFC 4648, section 10.
+        for (plain, encoded) in [
+            ("", ""),
+            ("f", "Zg=="),
+            ("fo", "Zm8="),
+            ("foo", "Zm9v"),
+            ("foob", "Zm9vYg=="),
+            ("fooba", "Zm9vYmE="),
+            ("foobar", "Zm9vYmFy"),
+        ] {
+            assert_eq!(base64(plain.as_bytes()), encoded);
+        }
+        assert_eq!(base64(&[0xff, 0xef, 0xbe]), "/+++");
+    }
+
+    #[test]
+    fn a_picture_lies_under_the_boxes_and_one_that_is_gone_leaves_them() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("1.jpg");
+        let encoder = jpeg_encoder::Encoder::new_file(&file, 80).unwrap();
+        encoder
+            .encode(&[0; 3 * 16 * 16], 16, 16, jpeg_encoder::ColorType::Rgb)
+            .unwrap();
+        let mut worst = WorstFrame {
+            frame: 3,
+            state: FrameState::P,
+            lost: 1,
+            picture: PictureSize::new(16, 16),
+            truth: vec![Corners::default()],
+            found: Vec::new(),
+            shown: Some(FramePicture::File(file)),
+        };
+        let drawn = picture("a clip", &worst).into_string();
+        let image = drawn
+            .find("data:image/jpeg;base64,/9j/")
+            .expect("the picture");
+        assert!(image < drawn.find("class=\"truth\"").expect("the box"));
+        worst.shown = Some(FramePicture::File(folder.path().join("gone.jpg")));
+        let drawn = picture("a clip", &worst).into_string();
+        assert!(!drawn.contains("<image") && drawn.contains("class=\"truth\""));
     }
 }

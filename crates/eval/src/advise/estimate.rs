@@ -1,0 +1,136 @@
+//! Figures of a recording with their intervals.
+//!
+//! Frames that follow each other are alike, so that a thousand of them do not tell a thousand times as much as one. The
+//! recording is therefore cut into blocks of consecutive frames, and every figure is a ratio of sums over the blocks,
+//! whose spread between the blocks says how well it is known (the variance of a ratio estimator, with Student's t).
+
+use serde::Serialize;
+use statrs::distribution::{ContinuousCDF, StudentsT};
+
+/// A figure, and between what it lies at a confidence of 95 % on other hours like these.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// The figure.
+    #[serde(serialize_with = "rounded")]
+    pub value: f64,
+    /// Lower end of the interval.
+    #[serde(serialize_with = "rounded")]
+    pub low: f64,
+    /// Upper end.
+    #[serde(serialize_with = "rounded")]
+    pub high: f64,
+}
+
+/// Four digits: no recording tells more.
+fn rounded<S: serde::Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+    let rounded = format!("{value:.3e}").parse().unwrap_or(*value);
+    serializer.serialize_f64(rounded)
+}
+
+impl Estimate {
+    /// The ratio of the sums of `parts`, a numerator and a denominator each; `None` where the denominators add up to
+    /// nothing. Of a single part nobody knows the spread: the interval is everything then, from `least` to `most`.
+    pub(super) fn ratio(
+        parts: impl Iterator<Item = (f64, f64)> + Clone,
+        [least, most]: [f64; 2],
+    ) -> Option<Self> {
+        let mut count = 0.0;
+        let (mut numerator, mut denominator) = (0.0, 0.0);
+        for (above, below) in parts.clone() {
+            // A block that can say nothing does not count.
+            if below > 0.0 {
+                count += 1.0;
+                numerator += above;
+                denominator += below;
+            }
+        }
+        if denominator <= 0.0 {
+            return None;
+        }
+        let value = numerator / denominator;
+        let squares: f64 = parts
+            .filter(|(_, below)| *below > 0.0)
+            .map(|(above, below)| (above - value * below).powi(2))
+            .sum();
+        let reach = StudentsT::new(0.0, 1.0, count - 1.0)
+            .ok()
+            .map(|t| t.inverse_cdf(0.975) * (squares * count / (count - 1.0)).sqrt() / denominator);
+        Some(match reach {
+            Some(reach) if reach.is_finite() => Self {
+                value,
+                low: (value - reach).max(least),
+                high: (value + reach).min(most),
+            },
+            _ => Self {
+                value,
+                low: least,
+                high: most,
+            },
+        })
+    }
+
+    /// The figure times `factor`, which is above zero.
+    pub(super) fn times(self, factor: f64) -> Self {
+        Self {
+            value: self.value * factor,
+            low: self.low * factor,
+            high: self.high * factor,
+        }
+    }
+
+    /// The figure and `more`, which is known exactly.
+    pub(super) fn plus(self, more: f64) -> Self {
+        Self {
+            value: self.value + more,
+            low: self.low + more,
+            high: self.high + more,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHARE: [f64; 2] = [0.0, 1.0];
+
+    #[test]
+    fn as_json_it_has_the_digits_it_means() {
+        let found = Estimate {
+            value: 2.0 / 3.0,
+            low: 0.0,
+            high: 20_123.456,
+        };
+        let text = serde_json::to_string(&found).unwrap();
+        assert_eq!(text, r#"{"value":0.6667,"low":0.0,"high":20120.0}"#);
+    }
+
+    #[test]
+    fn blocks_that_agree_leave_little_doubt_and_blocks_that_do_not_much() {
+        let alike = [(9.0, 10.0), (18.0, 20.0), (9.0, 10.0), (9.0, 10.0)];
+        let sure = Estimate::ratio(alike.into_iter(), SHARE).unwrap();
+        assert!((sure.value - 0.9).abs() < 1e-12);
+        assert!(sure.high - sure.low < 1e-9);
+        let apart = [(10.0, 10.0), (14.0, 20.0), (10.0, 10.0), (11.0, 10.0)];
+        let unsure = Estimate::ratio(apart.into_iter(), SHARE).unwrap();
+        assert!(unsure.low < 0.7 && unsure.high == 1.0, "{unsure:?}");
+    }
+
+    #[test]
+    fn one_block_says_nothing_of_the_spread_and_none_says_nothing() {
+        let one = Estimate::ratio([(9.0, 10.0), (0.0, 0.0)].into_iter(), SHARE).unwrap();
+        assert_eq!((one.low, one.high), (0.0, 1.0));
+        assert_eq!(Estimate::ratio([(0.0, 0.0)].into_iter(), SHARE), None);
+    }
+
+    #[test]
+    fn the_interval_is_students_where_all_blocks_weigh_the_same() {
+        // 1, 2, 3, 4 a block: mean 2.5, standard error 0.645497, t(3) = 3.182446.
+        let parts = [1.0, 2.0, 3.0, 4.0].map(|value| (value, 1.0));
+        let found = Estimate::ratio(parts.into_iter(), [0.0, 10.0]).unwrap();
+        assert!(
+            (found.low - (2.5 - 3.182_446 * 0.645_497)).abs() < 1e-4,
+            "{found:?}"
+        );
+    }
+}

@@ -1,0 +1,205 @@
+//! The advice in words: a table of the candidates, what they come to, and the lines for `node.toml`.
+
+use super::choose::{Advice, HeldOut, Proposal};
+use super::estimate::Estimate;
+use super::target::Target;
+use super::trial::Screen;
+use crate::text::wrapped;
+use albireo_core::policy::short;
+use std::fmt::Write;
+
+/// Columns of the text.
+const WIDTH: usize = 100;
+
+/// Below this share of frames nobody would say that something is skipped.
+const NOTHING: f64 = 0.005;
+
+// Writing to a string cannot fail, so the results are dropped throughout.
+
+/// The advice, 100 columns wide.
+pub fn render(advice: &Advice) -> String {
+    let mut text = String::new();
+    let length = match advice.seconds {
+        Some(seconds) if seconds >= 120.0 => format!(", {:.0} minutes", seconds / 60.0),
+        Some(seconds) => format!(", {seconds:.0} s"),
+        None => String::new(),
+    };
+    let _ = writeln!(
+        text,
+        "Recording: {} clip{}, {} frames{length}, {} boxes of the detector at confidence {} or more.",
+        advice.clips,
+        if advice.clips == 1 { "" } else { "s" },
+        advice.frames,
+        advice.boxes,
+        advice.confidence
+    );
+    let _ = writeln!(text, "Target: {}.\n", advice.target);
+    let _ = writeln!(
+        text,
+        "  {:<20} {:<17} {:<8} {:>14} {:>17} {:>17}",
+        "policy", "knob", "screen", "skipped", "recall", "precision"
+    );
+    for (index, proposal) in advice.proposals.iter().enumerate() {
+        let mark = match (index, proposal.meets_target) {
+            (0, true) => '*',
+            (_, true) => ' ',
+            (_, false) => '-',
+        };
+        let _ = writeln!(
+            text,
+            "{mark} {:<20} {:<17} {:<8} {:>14} {:>17} {:>17}",
+            proposal.policy,
+            format!("{} = {}", proposal.knob, digits(proposal.value)),
+            proposal.screen.as_str(),
+            percent(proposal.skip_rate),
+            share(proposal.recall),
+            share(proposal.precision),
+        );
+    }
+    if advice
+        .proposals
+        .iter()
+        .any(|proposal| !proposal.meets_target)
+    {
+        text.push_str(
+            "  -: cannot meet the target inside its knob's useful range; the nearest end of it\n",
+        );
+    }
+    text.push('\n');
+    for sentence in sentences(advice) {
+        let _ = writeln!(text, "{}", wrapped(&sentence, WIDTH));
+    }
+    if let Some(best) = advice.best().filter(|best| skips(best)) {
+        let _ = write!(text, "\nPut into node.toml:\n\n{}", best.node_toml);
+    }
+    text
+}
+
+fn sentences(advice: &Advice) -> Vec<String> {
+    let mut sentences = Vec::new();
+    match advice.best() {
+        None => sentences.push(
+            "No candidate meets the target on this recording: ask for less, or name other policies with --policy."
+                .to_owned(),
+        ),
+        Some(best) if !skips(best) => sentences.push(
+            "At this target nothing can be skipped here: `vanilla`, the detector on every frame, does the same."
+                .to_owned(),
+        ),
+        Some(best) => sentences.push(proposed(best, advice.energy_model.as_deref())),
+    }
+    let worth = advice.best().filter(|best| skips(best));
+    if let Some(held_out) = worth.and_then(|best| best.held_out) {
+        sentences.push(checked(&held_out, advice.target));
+    }
+    sentences.push(
+        "Recall and precision are against the detector, on the frames without it: a policy that goes on showing an object \
+         which the detector misses loses precision here although it may be right. In brackets: between what they lie on \
+         other hours like these (95 %)."
+            .to_owned(),
+    );
+    sentences
+}
+
+fn skips(proposal: &Proposal) -> bool {
+    proposal.skip_rate.is_some_and(|rate| rate.value >= NOTHING)
+}
+
+fn proposed(best: &Proposal, energy_model: Option<&str>) -> String {
+    let mut text = format!(
+        "Proposed: {} with {} = {}{}. The detector is skipped on {} of the frames; of its boxes there {} are shown",
+        best.policy,
+        best.knob,
+        digits(best.value),
+        match best.screen {
+            Screen::None => String::new(),
+            screen => format!(" and the screen `{}`", screen.as_str()),
+        },
+        percent(best.skip_rate),
+        percent(best.recall),
+    );
+    if let Some(load) = best.detector_ms_per_s {
+        let _ = write!(text, ", at {} ms of detector a second", amount(load));
+    }
+    text.push('.');
+    if let (Some(saved), Some(model)) = (best.energy_saved, energy_model) {
+        let _ = write!(
+            text,
+            " Energy saved on frames, projected with {model}: {}",
+            percent(Some(saved))
+        );
+        if let Some(watts) = best.watts {
+            let _ = write!(text, ", {} W a camera", amount(watts));
+        }
+        text.push('.');
+    }
+    text
+}
+
+fn checked(held_out: &HeldOut, target: Target) -> String {
+    let held = match target {
+        Target::Recall(least) => held_out.recall.is_none_or(|recall| recall.value >= least),
+        _ => true,
+    };
+    format!(
+        "Sought on every second stretch of the recording and tried on those between, the same search gives a recall of {} \
+         at {} skipped{}.",
+        share(held_out.recall),
+        percent(held_out.skip_rate),
+        if held {
+            ""
+        } else {
+            ": below the target, so record more before you rely on it"
+        }
+    )
+}
+
+fn digits(value: f64) -> String {
+    if value > 0.0 && value < 0.01 {
+        format!("{value:e}")
+    } else {
+        short((value * 1e4).round() / 1e4)
+    }
+}
+
+/// `24 % [21, 27]`.
+fn percent(estimate: Option<Estimate>) -> String {
+    estimate.map_or_else(
+        || "-".to_owned(),
+        |Estimate { value, low, high }| {
+            format!(
+                "{:.0} % [{:.0}, {:.0}]",
+                value * 100.0,
+                low * 100.0,
+                high * 100.0
+            )
+        },
+    )
+}
+
+/// `.953 [.941, .965]`.
+fn share(estimate: Option<Estimate>) -> String {
+    let bare = |value: f64| {
+        let text = format!("{value:.3}");
+        // As wide as any other: `.953`, and 1 for all of them.
+        let short = text.strip_suffix(".000").unwrap_or(&text);
+        short
+            .strip_prefix("0.")
+            .map_or_else(|| short.to_owned(), |rest| format!(".{rest}"))
+    };
+    estimate.map_or_else(
+        || "-".to_owned(),
+        |Estimate { value, low, high }| format!("{} [{}, {}]", bare(value), bare(low), bare(high)),
+    )
+}
+
+/// `3.2 [2.9, 3.5]`, with as many digits as it needs.
+fn amount(estimate: Estimate) -> String {
+    let places = match estimate.value.abs() {
+        value if value >= 100.0 => 0,
+        value if value >= 10.0 => 1,
+        _ => 2,
+    };
+    let Estimate { value, low, high } = estimate;
+    format!("{value:.places$} [{low:.places$}, {high:.places$}]")
+}

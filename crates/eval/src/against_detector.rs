@@ -1,0 +1,67 @@
+//! A policy's boxes beside the detector's own, on every frame that it answered without the detector: what the audit of a
+//! node estimates from a sample.
+
+use crate::replay::drive;
+use crate::source::{ClipEvidence, SourceError};
+use albireo_core::audit::AuditSums;
+use albireo_core::detection::Detection;
+use albireo_core::policy::{FrameState, Policy};
+
+/// One frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ComparedFrame {
+    /// Its index in the stream, which counts lost frames too: what the audit draws by.
+    pub index: u64,
+    /// Its state.
+    pub state: FrameState,
+    /// The detector was needed and could not be had.
+    pub degraded: bool,
+    /// Whether the empty-scene screen was asked.
+    pub screen: bool,
+    /// The comparison; `None` on a frame of the detector, which is the reference, and on a degraded one.
+    pub sums: Option<Box<AuditSums>>,
+}
+
+/// Takes `policy` from its initial state through all frames of `source`, and compares what it shows on frames without
+/// the detector with `detected`, what the detector finds in each frame.
+///
+/// # Errors
+/// [`SourceError`] when the source cannot give what the policy asks for.
+pub fn against_detector(
+    policy: &mut dyn Policy,
+    source: &mut dyn ClipEvidence,
+    detected: &[Vec<Detection>],
+) -> Result<Vec<ComparedFrame>, SourceError> {
+    let mut compared = Vec::with_capacity(source.frames());
+    let mut pause = 0_u32;
+    drive(policy, source, &mut |_, played| {
+        pause = pause.saturating_add(played.head.step);
+        let outcome = played.outcome;
+        let skipped = outcome.state.is_skipped() && !outcome.degraded;
+        compared.push(ComparedFrame {
+            index: played.head.index,
+            state: outcome.state,
+            degraded: outcome.degraded,
+            screen: played.record.screen,
+            sums: skipped.then(|| {
+                let mut sums = Box::<AuditSums>::default();
+                let found = detected.get(played.frame).map_or(&[][..], Vec::as_slice);
+                sums.add(&outcome.boxes, found, outcome.state, pause);
+                sums
+            }),
+        });
+        if played.record.detector {
+            pause = 0;
+        }
+    })?;
+    Ok(compared)
+}
+
+/// The sums of all compared frames.
+pub fn total(frames: &[ComparedFrame]) -> AuditSums {
+    let mut total = AuditSums::default();
+    for sums in frames.iter().filter_map(|frame| frame.sums.as_deref()) {
+        total.merge(sums);
+    }
+    total
+}

@@ -1,0 +1,30 @@
+//! Frames a second as an argument.
+
+/// Fewest frames a second that anything here plays, sends or takes: one in 17 minutes. A period is computed from them, and
+/// one of a billion years is a slip of the finger.
+pub(super) const LEAST: f64 = 0.001;
+
+/// Most frames a second.
+pub(super) const MOST: f64 = 1000.0;
+
+/// Reads a number of frames a second.
+pub(super) fn parse_rate(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(rate) if (LEAST..=MOST).contains(&rate) => Ok(rate),
+        _ => Err(format!("must be a number from {LEAST} to {MOST}")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_rate_that_no_clock_can_keep_is_refused_in_words() {
+        assert_eq!(parse_rate("12.5"), Ok(12.5));
+        for text in ["0", "-1", "1e-30", "1e-4", "1001", "nan", "inf", "fast"] {
+            let refused = parse_rate(text).unwrap_err();
+            assert_eq!(refused, "must be a number from 0.001 to 1000", "{text}");
+        }
+    }
+}
