@@ -79,7 +79,7 @@ fn period(policy: &mut dyn Policy, outcome: &mut Outcome, start: usize) -> Vec<(
 fn no_frame_allocates_once_the_buffers_have_grown() {
     use FrameState::{AI, E, EI, I, P};
     let _profiler = dhat::Profiler::builder().testing().build();
-    let cases: [(&str, &[FrameState]); 9] = [
+    let cases: [(&str, &[FrameState]); 10] = [
         ("albireo:3e-4", &[P, I, AI]),
         ("vanilla", &[I]),
         ("fixed-skip:2", &[P, I]),
@@ -88,6 +88,7 @@ fn no_frame_allocates_once_the_buffers_have_grown() {
         ("erd-only", &[E, EI]),
         ("kill-only:5e-4", &[P, I]),
         ("expected-loss:0.5", &[P, I, AI]),
+        ("expected-loss+flow:0.5", &[P, I, AI]),
         ("fixed-skip-in-tracker:2", &[P, I, AI]),
     ];
     for (asked, states) in cases {

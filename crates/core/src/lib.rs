@@ -6,6 +6,7 @@
 //! and answers with frame state and boxes.
 
 pub mod detection;
+pub mod flow;
 pub mod geometry;
 pub mod kalman;
 pub mod objects;

@@ -46,6 +46,12 @@ pub(super) struct Object {
     pub miss_probability: f64,
     /// The detector's box of this frame, if it found the object.
     pub seen: Option<BoundingBox>,
+    /// Whether optical flow followed it into this frame.
+    pub followed: bool,
+    /// The share of points that agreed when it was looked at last.
+    pub agreement: f64,
+    /// What the looks since the last detection leave of the belief that it is what is followed, 0 to 1.
+    pub health: f64,
 }
 
 impl Object {
@@ -72,6 +78,9 @@ impl Object {
             last_score: detection.confidence,
             miss_probability: 0.0,
             seen: Some(detection.bounding_box),
+            followed: false,
+            agreement: 1.0,
+            health: 1.0,
         }
     }
 
@@ -81,6 +90,7 @@ impl Object {
         self.since_match = self.since_match.saturating_add(1);
         self.since_detector = self.since_detector.saturating_add(1);
         self.seen = None;
+        self.followed = false;
     }
 
     /// Takes its detection; returns the mean squared normalised innovation `n = ¼ Σ min(y²/S, largest)`.
@@ -104,6 +114,7 @@ impl Object {
         let rate = settings.confidence.rate.max(1.0 / f64::from(self.hits));
         self.mean_score += rate * (detection.confidence - self.mean_score);
         self.seen = Some(detection.bounding_box);
+        self.health = 1.0;
         n
     }
 
@@ -117,14 +128,37 @@ impl Object {
     /// Computes the probability π that the predicted box is off by too much, from the variance of its
     /// error relative to its sides, `σ² = α·(4·p_x/w² + 4·p_y/h² + p_lw + p_lh)`:
     /// `π = exp(−0.25 / (2σ²))`, the probability that a Rayleigh variable of that variance exceeds 1/2.
-    pub(crate) fn judge(&mut self) {
-        let variance = self.alpha * self.filter.relative_variance();
-        self.miss_probability = fading(0.125 / variance);
+    ///
+    /// What optical flow takes from its health is a probability of its own: `1 − (1 − π)·h^weight`.
+    pub(crate) fn judge(&mut self, health_weight: f64) {
+        self.miss_probability = self.missing(self.filter.relative_variance(), health_weight);
+    }
+
+    /// The miss probability with that relative variance of the box.
+    fn missing(&self, relative_variance: f64, health_weight: f64) -> f64 {
+        let off = fading(0.125 / (self.alpha * relative_variance));
+        if self.health < 1.0 {
+            1.0 - (1.0 - off) * self.health.powf(health_weight)
+        } else {
+            off
+        }
+    }
+
+    /// By how much the miss probability is expected to be less after a look that measures with these variances.
+    pub(crate) fn gain_of_look(&self, variance: &[f64; 4], health_weight: f64) -> f64 {
+        let followed = self.filter.variance_if_followed(variance);
+        let gain = self.miss_probability - self.missing(followed, health_weight);
+        self.agreement * gain
     }
 
     /// What losing the object would cost now: `m · miss^misses · π`.
     pub(crate) fn expected_loss(&self, miss: f64) -> f64 {
-        self.mean_score * power(miss, self.misses) * self.miss_probability
+        self.weight(miss) * self.miss_probability
+    }
+
+    /// What the object weighs: `m · miss^misses`.
+    pub(crate) fn weight(&self, miss: f64) -> f64 {
+        self.mean_score * power(miss, self.misses)
     }
 
     /// The confidence to report; see [`Confidence`].

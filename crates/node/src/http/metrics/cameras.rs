@@ -42,7 +42,7 @@ pub(super) fn cameras(
     family(
         encoder,
         "boxes",
-        "Boxes reported, by class and by how each is known (detected, predicted, rescued)",
+        "Boxes reported, by class and by how each is known (detected, predicted, followed, rescued)",
         MetricType::Counter,
         |family| {
             cameras.iter().try_for_each(|(camera, snapshot)| {
@@ -57,6 +57,17 @@ pub(super) fn cameras(
                         ];
                         family.counter(labels, *count as f64)
                     })
+            })
+        },
+    )?;
+    family(
+        encoder,
+        "looks",
+        "Frames of which a small grey picture was decoded, to follow boxes by optical flow in it",
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                family.counter(vec![("camera", camera.name())], snapshot.looks as f64)
             })
         },
     )?;
