@@ -67,8 +67,8 @@ impl Tracker {
             if (from.width, from.height) != (to.width, to.height) {
                 return None;
             }
-            shift = shift.map(|shift| shift * 2.0);
-            let [x, y] = point.map(|place| place / power(index));
+            shift = [shift[0] * 2.0, shift[1] * 2.0];
+            let (x, y) = (point[0] / power(index), point[1] / power(index));
             textured = false;
             if !inside(from, x, y) {
                 continue;

@@ -69,7 +69,8 @@ impl Template {
         if right < ON_A_PIXEL && below < ON_A_PIXEL {
             self.fill::<false>(level, first, [0; 2])
         } else {
-            self.fill::<true>(level, first, [right, below].map(fourteen_bits))
+            let shares = [fourteen_bits(right), fourteen_bits(below)];
+            self.fill::<true>(level, first, shares)
         }
     }
 
@@ -91,7 +92,8 @@ impl Template {
         let mut next = || {
             let below = Slopes::of::<BETWEEN>(rows.next()?, right)?;
             let row_inside = i16x8::splat(-i16::from((0..level.height as i32).contains(&y)));
-            let inside = columns.map(|columns| columns & row_inside);
+            // Not `map`, which is not inlined reliably; so throughout.
+            let inside = [columns[0] & row_inside, columns[1] & row_inside];
             let steepness = Steepness::between(&above, &middle, &below, inside);
             above = std::mem::replace(&mut middle, below);
             y += 1;
@@ -124,8 +126,9 @@ impl Template {
                 *sum += row.round_float();
             }
         }
-        self.squares = squares.map(f32x4::reduce_add);
-        self.own = own.map(i32x4::reduce_add);
+        let [xx, xy, yy] = squares;
+        self.squares = [xx.reduce_add(), xy.reduce_add(), yy.reduce_add()];
+        self.own = [own[0].reduce_add(), own[1].reduce_add()];
         Some(())
     }
 
@@ -188,9 +191,11 @@ impl Template {
         }
         for (difference, sums) in self.differences.iter_mut().zip(sums) {
             // Of eleven times eleven products of 11 and 14 bits at most: they fit.
-            let [x, y] = sums.map(|sum| FINENESS * sum.reduce_add());
-            *difference =
-                [x - self.own[0], y - self.own[1]].map(|sum| sum as f32 / FINENESS as f32);
+            let axis = |axis: usize| {
+                let sum = FINENESS * sums[axis].reduce_add() - self.own[axis];
+                sum as f32 / FINENESS as f32
+            };
+            *difference = [axis(0), axis(1)];
         }
         Some(())
     }
@@ -211,6 +216,11 @@ fn fourteen_bits(share: f32) -> i16 {
 /// Which of the sixteen places from column `left` on belong to the window and to a picture of this width: all bits
 /// or none.
 fn columns_inside(left: i32, width: usize) -> Row {
+    if left >= 0 && left + SIDE as i32 <= width as i32 {
+        const { assert!(SIDE == 11) };
+        let rest = i16x8::new([-1, -1, -1, 0, 0, 0, 0, 0]);
+        return [i16x8::splat(-1), rest];
+    }
     let place = |half: i32| {
         let inside: [i16; 8] = std::array::from_fn(|index| {
             let place = 8 * half + index as i32;
@@ -239,21 +249,14 @@ impl Slopes {
         let pixels = [sixteen(row, 0)?, sixteen(row, 1)?, sixteen(row, 2)?];
         let [left, values, right] = if BETWEEN {
             let share = i16x8::splat(right);
-            let mixed = |a: Row, b: Row| -> Row {
-                [0, 1].map(|half| {
-                    // 128·255 is the most that fits; 32 times the step comes out.
-                    let step = ((b[half] - a[half]) << 7u32).mul_keep_high(share);
-                    (a[half] << 3u32) + ((step + i16x8::splat(2)) >> 2u32)
-                })
-            };
             let last = sixteen(row, 3)?;
             [
-                mixed(pixels[0], pixels[1]),
-                mixed(pixels[1], pixels[2]),
-                mixed(pixels[2], last),
+                between(pixels[0], pixels[1], share),
+                between(pixels[1], pixels[2], share),
+                between(pixels[2], last, share),
             ]
         } else {
-            pixels.map(|row| row.map(|pixels| pixels << 3u32))
+            [eighths(pixels[0]), eighths(pixels[1]), eighths(pixels[2])]
         };
         Some(Self {
             values,
@@ -298,19 +301,35 @@ impl Steepness {
             self.values[half] + ((step + i16x8::splat(2)) >> 2u32)
         };
         let gradient = |a: i16x8, b: i16x8| a + ((b - a) << 1u32).mul_keep_high(coarse);
-        let half = |half: usize| {
-            (
-                gradient(self.across[half], below.across[half]),
-                gradient(self.down[half], below.down[half]),
-            )
-        };
-        let (first, second) = (half(0), half(1));
         Self {
             values: [values(0), values(1)],
-            across: [first.0, second.0],
-            down: [first.1, second.1],
+            across: [
+                gradient(self.across[0], below.across[0]),
+                gradient(self.across[1], below.across[1]),
+            ],
+            down: [
+                gradient(self.down[0], below.down[0]),
+                gradient(self.down[1], below.down[1]),
+            ],
         }
     }
+}
+
+/// Pixels in eighths of grey values.
+#[inline(always)]
+fn eighths(pixels: Row) -> Row {
+    [pixels[0] << 3u32, pixels[1] << 3u32]
+}
+
+/// The same for places between these pixels and those to their right, of which they have so many 2⁻¹⁴.
+#[inline(always)]
+fn between(left: Row, right: Row, share: i16x8) -> Row {
+    let half = |half: usize| {
+        // 128·255 is the most that fits; 32 times the step comes out.
+        let step = ((right[half] - left[half]) << 7u32).mul_keep_high(share);
+        (left[half] << 3u32) + ((step + i16x8::splat(2)) >> 2u32)
+    };
+    [half(0), half(1)]
 }
 
 /// Scharr's mixture, times 16.

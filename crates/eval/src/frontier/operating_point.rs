@@ -253,6 +253,9 @@ impl Candidate {
         // Bisected on the square root: fine where the knob is small, without shunning zero.
         let (mut low, mut high) = (knob.minimum.sqrt(), knob.maximum.sqrt());
         let mut best = (f64::INFINITY, self.clone());
+        // Nearer than half a frame cannot be come.
+        let frames: usize = clips.iter().map(|clip| clip.steps.len()).sum();
+        let near = 2e-4f64.max(0.5 / frames.max(1) as f64);
         for _ in 0..18 {
             let middle = (low + high) / 2.0;
             let candidate = self.at(&knob, middle * middle)?;
@@ -261,7 +264,7 @@ impl Candidate {
             if (reached - skip_rate).abs() < best.0 {
                 best = ((reached - skip_rate).abs(), candidate);
             }
-            if best.0 < 2e-4 {
+            if best.0 <= near {
                 break;
             }
             if reached < skip_rate {

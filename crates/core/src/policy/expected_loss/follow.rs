@@ -42,6 +42,9 @@ pub(super) struct Follower {
 /// The typical spread before anything was followed.
 const FIRST_SPREAD: f64 = 0.01;
 
+/// No followed box is farther from the filter's, picture heights and natural logarithms.
+const LARGEST_OFFSET: f64 = 1.0;
+
 /// How fast the typical spread follows.
 const SPREAD_RATE: f64 = 0.05;
 
@@ -109,10 +112,13 @@ impl Follower {
     }
 
     fn follow(&mut self, settings: &Flow, object: &mut Object, scale: [f64; 2]) {
-        let Some(then) = object.filter.remembered() else {
+        let Some(mut then) = object.filter.remembered() else {
             return;
         };
-        let now = object.filter.position();
+        let now = object.trail();
+        for (then, offset) in then.iter_mut().zip(object.offset.unwrap_or_default()) {
+            *then += offset;
+        }
         let sides = [
             then[LOG_WIDTH].exp() * scale[0],
             then[LOG_HEIGHT].exp() * scale[1],
@@ -142,7 +148,13 @@ impl Follower {
         let smaller = sides[0].min(sides[1]) / scale[1];
         let variance = variance(settings, object, motion.spread, smaller, scale[1]);
         object.filter.follow(&moved, &variance);
+        let filtered = object.filter.position();
+        object.offset = Some(std::array::from_fn(|axis| {
+            // No box is carried away by more than a few of its sides.
+            (then[axis] + moved[axis] - filtered[axis]).clamp(-LARGEST_OFFSET, LARGEST_OFFSET)
+        }));
         object.followed = true;
+        object.trailing = true;
         object.agreement = agreement;
         object.health *= 1.0 - settings.doubt * (1.0 - reliability(settings, agreement, &motion));
     }
@@ -199,14 +211,16 @@ mod tests {
     fn a_box_is_followed_where_prediction_cannot_know_its_motion() {
         let flow = ride("expected-loss+flow:1", usize::MAX);
         let blind = ride("expected-loss:1", usize::MAX);
-        let from = |source| move |(found, _): &(BoxSource, f64)| *found == source;
-        assert!(flow.skipped.iter().all(from(BoxSource::Followed)));
-        assert!(blind.skipped.iter().all(from(BoxSource::Predicted)));
-        assert!(
-            flow.skipped.iter().all(|(_, off)| *off < 0.5),
-            "{:?}",
-            flow.skipped
-        );
+        let worst = |skipped: &[(BoxSource, f64)]| {
+            let off = skipped.iter().map(|(_, off)| *off);
+            off.fold(0.0, f64::max)
+        };
+        // It looks where that is worth its price, and is never as far off as prediction.
+        let followed = |(source, _): &(BoxSource, f64)| *source == BoxSource::Followed;
+        assert!(flow.skipped.iter().any(followed));
+        assert!(!blind.skipped.iter().any(followed));
+        assert!(worst(&flow.skipped) < 0.5, "{:?}", flow.skipped);
+        assert!(worst(&blind.skipped) > 1.0, "{:?}", blind.skipped);
         assert!(
             flow.calls.len() < blind.calls.len(),
             "{:?} {:?}",

@@ -1,7 +1,7 @@
 //! What is remembered of one object, its predicted miss probability and its confidence.
 
 use super::motion::{LARGEST_LOG, Measured, MotionFilter, X, Y};
-use super::settings::{Confidence, ExpectedLossSettings, Surprise};
+use super::settings::{Confidence, ExpectedLossSettings, Pixels, Surprise};
 use crate::detection::{ClassId, Detection};
 use crate::geometry::BoundingBox;
 use crate::policy::{ObjectId, ObjectRecord};
@@ -52,6 +52,10 @@ pub(super) struct Object {
     pub agreement: f64,
     /// What the looks since the last detection leave of the belief that it is what is followed, 0 to 1.
     pub health: f64,
+    /// Where boxes are followed, how far the box that is followed lies from the filter's: see [`Object::trail`].
+    pub offset: Option<Measured>,
+    /// Whether it was followed since its last detection.
+    pub trailing: bool,
 }
 
 impl Object {
@@ -81,6 +85,8 @@ impl Object {
             followed: false,
             agreement: 1.0,
             health: 1.0,
+            trailing: false,
+            offset: (settings.pixels == Pixels::Flow).then_some([0.0; 4]),
         }
     }
 
@@ -115,7 +121,24 @@ impl Object {
         self.mean_score += rate * (detection.confidence - self.mean_score);
         self.seen = Some(detection.bounding_box);
         self.health = 1.0;
+        self.trailing = false;
+        if let Some(offset) = &mut self.offset {
+            let own = self.filter.position();
+            let share = settings.flow.detected;
+            *offset = std::array::from_fn(|axis| share * (measured[axis] - own[axis]));
+        }
         n
+    }
+
+    /// The box that is followed, in the filter's terms. It begins between the detector's box and the filter's and is
+    /// moved by what flow measures, not by what the filter makes of that: a filter that is right about speed is late
+    /// with what the detector saw.
+    pub(crate) fn trail(&self) -> Measured {
+        let own = self.filter.position();
+        match self.offset {
+            Some(offset) => std::array::from_fn(|axis| own[axis] + offset[axis]),
+            None => own,
+        }
     }
 
     /// The detector looked and did not find it. Whether it stays.
@@ -200,7 +223,15 @@ impl Object {
     pub(crate) fn bounding_box(&self, aspect: f64) -> BoundingBox {
         let own = self.filter_box(aspect);
         match self.seen {
-            None => own,
+            None => match self.offset.filter(|_| self.trailing) {
+                Some([x, y, log_width, log_height]) => BoundingBox {
+                    center_x: own.center_x + x / aspect,
+                    center_y: own.center_y + y,
+                    width: own.width * log_width.exp(),
+                    height: own.height * log_height.exp(),
+                },
+                None => own,
+            },
             Some(seen) => BoundingBox {
                 center_x: (own.center_x + seen.center_x) / 2.0,
                 center_y: (own.center_y + seen.center_y) / 2.0,

@@ -51,6 +51,8 @@ pub struct Flow {
     pub price: f64,
     /// No box is followed over more frames than this from the last picture that was looked at.
     pub longest_gap: u32,
+    /// Where the followed box begins: the share of the detector's box against the filter's.
+    pub detected: f64,
     /// Noise of the centre's measured shift, in s.
     pub center_noise: f64,
     /// Noise of the same, pixels of the grey picture.
@@ -77,6 +79,7 @@ impl Default for Flow {
             levels: 3,
             price: 0.05,
             longest_gap: 5,
+            detected: 0.8,
             center_noise: 0.01,
             pixel_noise: 0.1,
             size_noise: 0.01,
@@ -420,6 +423,7 @@ impl ExpectedLossSettings {
                 ("call.crowd_prior", call.crowd_prior, 0.0, 1e6),
                 ("call.least_crowd", call.least_crowd, 1e-3, 1e6),
                 ("flow.price", flow.price, 0.0, 1.0),
+                ("flow.detected", flow.detected, 0.0, 1.0),
                 ("flow.center_noise", flow.center_noise, 1e-4, 10.0),
                 ("flow.pixel_noise", flow.pixel_noise, 0.0, 100.0),
                 ("flow.size_noise", flow.size_noise, 1e-4, 10.0),
