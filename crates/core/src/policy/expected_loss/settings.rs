@@ -75,9 +75,9 @@ impl Default for Flow {
     fn default() -> Self {
         Self {
             width: 320,
-            grid: 6,
+            grid: 4,
             levels: 3,
-            price: 0.05,
+            price: 0.01,
             longest_gap: 5,
             detected: 0.8,
             center_noise: 0.01,
