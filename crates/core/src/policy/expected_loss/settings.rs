@@ -47,7 +47,8 @@ pub struct Flow {
     pub grid: u32,
     /// Sizes of the picture that points are searched in, coarse to fine.
     pub levels: u32,
-    /// What a look costs, as a share of what a call of the detector costs.
+    /// What a look costs, as a share of what a call of the detector costs. At 0 every skipped frame with objects is
+    /// looked at.
     pub price: f64,
     /// No box is followed over more frames than this from the last picture that was looked at.
     pub longest_gap: u32,
@@ -77,7 +78,7 @@ impl Default for Flow {
             width: 320,
             grid: 4,
             levels: 3,
-            price: 0.01,
+            price: 0.0,
             longest_gap: 5,
             detected: 0.8,
             center_noise: 0.01,
