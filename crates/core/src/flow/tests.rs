@@ -93,7 +93,7 @@ proptest! {
         prop_assert!((motion.shift[0] - shift_x).abs() < 0.1, "{:?}", motion);
         prop_assert!((motion.shift[1] - shift_y).abs() < 0.1, "{:?}", motion);
         // Half a pixel over a small box's side is more than a hundredth of it.
-        let relative = 0.01f64.max(0.5 / width.min(height));
+        let relative = 0.01f64.max(0.5 / f64::min(width, height));
         prop_assert!((motion.scale - scale).abs() < relative, "{:?}", motion);
         prop_assert!(motion.spread < relative, "{:?}", motion);
         prop_assert!(motion.forward_backward < 0.1, "{:?}", motion);
