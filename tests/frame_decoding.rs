@@ -336,7 +336,6 @@ fn small_grey_is_the_smallest_fraction_that_is_wide_enough() {
         (1920, 1080, 320, (480, 270)),
         (639, 360, 320, (639, 360)),
         (200, 100, 320, (200, 100)),
-        (768, 1, 320, (768, 1)),
     ] {
         let bytes = vec![77; width as usize * height as usize];
         let raw = encoded(PictureFormat::Gray8, width, height, bytes);
