@@ -334,7 +334,7 @@ fn small_grey_is_the_smallest_fraction_that_is_wide_enough() {
         (1280, 720, 320, (320, 180)),
         (960, 540, 320, (480, 270)),
         (1920, 1080, 320, (480, 270)),
-        (639, 360, 320, (639, 360)),
+        (638, 360, 320, (638, 360)),
         (200, 100, 320, (200, 100)),
     ] {
         let bytes = vec![77; width as usize * height as usize];
