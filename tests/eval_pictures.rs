@@ -12,8 +12,8 @@ use albireo_core::policy::Profile;
 use albireo_eval::data::{Clip, LoadReport, StoredDetection, recorded};
 use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
 use albireo_eval::pictures::{
-    LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes, against_vanilla, collect,
-    looks_at_pixels, run_pictured,
+    LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsAsked, StepTimes,
+    against_vanilla, collect, looks_at_pixels, run_pictured,
 };
 use albireo_eval::replay::Scoring;
 use albireo_eval::result::{ClipResult, Provenance};
@@ -82,6 +82,7 @@ fn look(
     let keep = PassSettings {
         keep_thumbnails: true,
         keep_grey: true,
+        keep_small: None,
         most_frames: None,
     };
     collect(
@@ -274,12 +275,14 @@ fn by_hand(frames: usize) -> PicturedClip {
         },
         thumbnails: Vec::new(),
         grey: Vec::new(),
+        small: Vec::new(),
+        small_width: None,
         times: vec![
             StepTimes {
                 decode: 100.0,
                 detector: 1000.0,
                 screen: 10.0,
-                grey: 0.0,
+                ..StepTimes::default()
             };
             frames
         ],
@@ -334,8 +337,11 @@ fn against_itself_vanilla_is_perfect_and_low_detections_are_no_truth() {
 #[test]
 fn only_a_policy_that_looks_at_pixels_makes_the_pass_keep_them() {
     let nonempty = ScreenRule::Nonempty;
-    assert!(!looks_at_pixels(&specs(&NO_PIXELS, nonempty)).unwrap());
-    assert!(looks_at_pixels(&specs(&["albireo", "statues:75"], nonempty)).unwrap());
+    let asked = |policies: &[&str]| looks_at_pixels(&specs(policies, nonempty)).unwrap();
+    assert_eq!(asked(&NO_PIXELS), PixelsAsked::default());
+    assert!(asked(&["albireo", "statues:75"]).half);
+    let flow = asked(&["expected-loss", "expected-loss+flow"]);
+    assert_eq!((flow.half, flow.small), (false, Some(320)));
 }
 
 /// YOLOX-Nano and the upstream screen over a real clip.

@@ -5,7 +5,7 @@
 use albireo_core::geometry::PictureSize;
 use albireo_node::frame::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode,
-    decode_grey_half, to_jpeg,
+    decode_grey_half, decode_small_grey, to_jpeg,
 };
 use bytes::Bytes;
 use png::{BitDepth, ColorType};
@@ -326,6 +326,30 @@ fn grey_is_halved_by_area() {
     assert_eq!(into.pixels, [25, 128, 1, 201]);
     let thin = encoded(PictureFormat::Gray8, 5, 1, vec![0; 5]);
     assert!(decode_grey_half(&thin, &FrameLimits::default(), &mut into).is_err());
+}
+
+#[test]
+fn small_grey_is_the_smallest_fraction_that_is_wide_enough() {
+    for (width, height, least, expected) in [
+        (1280, 720, 320, (320, 180)),
+        (960, 540, 320, (480, 270)),
+        (1920, 1080, 320, (480, 270)),
+        (638, 360, 320, (638, 360)),
+        (200, 100, 320, (200, 100)),
+    ] {
+        let bytes = vec![77; width as usize * height as usize];
+        let raw = encoded(PictureFormat::Gray8, width, height, bytes);
+        for picture in [raw, rgb_jpeg(width, height, false)] {
+            let mut into = Picture::default();
+            decode_small_grey(&picture, &FrameLimits::default(), least, &mut into).unwrap();
+            let expected = PictureSize::new(expected.0, expected.1);
+            assert_eq!(
+                (into.size, into.pixels.len() as u64),
+                (expected, expected.pixels())
+            );
+            assert_eq!(into.source_size, PictureSize::new(width, height));
+        }
+    }
 }
 
 #[test]

@@ -7,6 +7,7 @@
 
 pub mod audit;
 pub mod detection;
+pub mod flow;
 pub mod geometry;
 pub mod kalman;
 pub mod objects;

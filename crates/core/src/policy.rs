@@ -23,9 +23,11 @@
 //! | `kill-only[:u]` | as albireo, but without the screen: always without objects | predicted boxes | ablation: 8 dimensions, no rescue |
 //! | `kill+erd[:u]` | as albireo | as albireo | ablation: 8 dimensions, no rescue |
 //! | `kill+erd-10d[:u]` | as albireo | as albireo | ablation: no rescue |
+//! | `albireo+flow[:u]` | as albireo | boxes followed by optical flow, measurements of the filter | ablation |
 //! | `expected-loss[:lambda]` | when the expected loss of another predicted frame exceeds the price λ of a call | predicted boxes | our own |
 //! | `fixed-skip-in-tracker[:n]` | on every n-th frame | predicted boxes of expected-loss | comparison: the object keeping alone |
 //! | `even-skip-in-tracker[:skip_rate]` | evenly spaced, at any rate | predicted boxes of expected-loss | comparison: the object keeping alone |
+//! | `expected-loss+flow[:lambda]` and the two above with `+flow` | the same | boxes followed by optical flow in a small grey picture where that is worth its price, else predicted | our own |
 //!
 //! It knows no clock, no picture format and no network, and a frame that needs nothing costs no decoding. The live
 //! node, the evaluation and the tests all drive it by [`decide`], with evidence of their own.
@@ -37,6 +39,7 @@ use serde::{Deserialize, Serialize};
 mod ablation;
 mod adaptive_rate;
 mod albireo;
+mod albireo_flow;
 mod albireo_settings;
 mod cause;
 mod changed_region;
@@ -71,6 +74,7 @@ pub use decide::{EvidenceAtHand, EvidenceSource, FrameEvidence, decide, decide_a
 pub(crate) use erd_only::ErdOnly;
 pub use expected_loss::{Call, Confidence, ExpectedLoss, ExpectedLossSettings, Motion, Trigger};
 pub use expected_loss::{CallRule, ExpectedLossAssociation, InTracker, Life, Surprise};
+pub use expected_loss::{Flow, Pixels};
 pub use fixed_skip::FixedSkip;
 pub use fixed_skip::FixedSkipSettings;
 pub use fixed_skip::SkippedBoxes;
@@ -102,6 +106,12 @@ pub enum Need {
     Screen,
     /// The picture in grey at half its size in each direction.
     GreyPicture,
+    /// The picture in grey at a whole fraction of its size (a half, a quarter, …) that leaves at least so many columns,
+    /// as small as that allows; as it is when it has less than twice as many.
+    SmallGreyPicture {
+        /// Columns.
+        width: u32,
+    },
     /// The detector's detections.
     Detections,
 }
@@ -128,8 +138,8 @@ pub enum Evidence<'a> {
     /// What the detector found, in the detector's order.
     Detections(&'a [Detection]),
     /// What was asked for cannot be had for this frame (the session failed or took too long). A policy
-    /// that asked for the screen goes on as if it had said "not empty", and one that asked for the grey
-    /// picture as if it had changed; one that asked for detections answers the frame from what it
+    /// that asked for the screen goes on as if it had said "not empty", one that asked for the grey picture
+    /// as if it had changed or without looking at it; one that asked for detections answers the frame from what it
     /// remembers and marks the outcome `degraded`.
     Unavailable,
 }
@@ -187,6 +197,8 @@ pub enum BoxSource {
     Detected,
     /// The detector did not look at this frame; the filter says so, or an earlier frame does.
     Predicted,
+    /// The detector did not look at this frame, but optical flow followed the object into it.
+    Followed,
     /// The detector looked and missed it; the filter says it is still there. Only a policy that rescues
     /// makes the frame [`FrameState::AI`] by it: `ctd` does not.
     Rescued,
@@ -370,6 +382,11 @@ pub trait Policy: Send + Sync {
     fn foresee(&self, next: FrameHead) -> Need {
         let _ = next;
         Need::Nothing
+    }
+
+    /// The grey pictures that this policy may ask for; `None` when it never asks for any.
+    fn pictures(&self) -> Option<Need> {
+        None
     }
 
     /// Most frames that may follow each other without the detector while objects are followed, where the policy limits

@@ -22,6 +22,9 @@ use std::collections::BTreeMap;
 pub(crate) const IOU_THRESHOLDS: [f64; 10] =
     [0.50, 0.55, 0.60, 0.65, 0.70, 0.75, 0.80, 0.85, 0.90, 0.95];
 
+/// The place of 0.75 in [`IOU_THRESHOLDS`].
+const AT_75: usize = 5;
+
 /// A box to be judged.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ScoredBox {
@@ -68,8 +71,14 @@ pub enum Classes {
 pub struct Accuracy {
     /// Average precision at IoU 0.50, 0 to 1.
     pub ap50: f64,
+    /// Average precision at IoU 0.75, 0 to 1.
+    pub ap75: f64,
     /// Mean of the average precisions at IoU 0.50 to 0.95, 0 to 1.
     pub map: f64,
+    /// F1, the harmonic mean of precision and recall, at IoU 0.50 and the confidence where it is highest.
+    pub f1_50: f64,
+    /// The same at IoU 0.75.
+    pub f1_75: f64,
     /// Share of all predictions that match at IoU 0.50; 0 without predictions.
     pub precision: f64,
     /// Share of the ground truth that is matched at IoU 0.50.
@@ -98,7 +107,10 @@ pub fn accuracy(
             let mean = |of: fn(&Accuracy) -> f64| by_class.values().map(of).sum::<f64>() / count;
             (!by_class.is_empty()).then(|| Accuracy {
                 ap50: mean(|class| class.ap50),
+                ap75: mean(|class| class.ap75),
                 map: mean(|class| class.map),
+                f1_50: mean(|class| class.f1_50),
+                f1_75: mean(|class| class.f1_75),
                 precision: mean(|class| class.precision),
                 recall: mean(|class| class.recall),
                 predictions: predictions.iter().map(Vec::len).sum(),
@@ -188,13 +200,15 @@ impl Matching {
         }
         let mut points = Vec::new();
         let mut sum = 0.0;
-        let mut ap50 = 0.0;
+        let (mut ap50, mut ap75) = (0.0, 0.0);
         for threshold in 0..IOU_THRESHOLDS.len() {
             self.precision_at_hits(threshold, &mut points);
             let area = area(&points, self.truths, interpolation);
             sum += area;
-            if threshold == 0 {
-                ap50 = area;
+            match threshold {
+                0 => ap50 = area,
+                AT_75 => ap75 = area,
+                _ => {}
             }
         }
         let hits = self
@@ -204,7 +218,10 @@ impl Matching {
             .count();
         Some(Accuracy {
             ap50,
+            ap75,
             map: sum / IOU_THRESHOLDS.len() as f64,
+            f1_50: self.best_f1(0),
+            f1_75: self.best_f1(AT_75),
             precision: if self.matched.is_empty() {
                 0.0
             } else {
@@ -214,6 +231,16 @@ impl Matching {
             predictions: self.matched.len(),
             truths: self.truths,
         })
+    }
+
+    /// The highest F1 over all confidences, `2·hits / (predictions + truths)` of the predictions above one.
+    fn best_f1(&self, threshold: usize) -> f64 {
+        let mut hits = 0;
+        let f1 = self.matched.iter().enumerate().map(|(rank, matched)| {
+            hits += usize::from(matched >> threshold & 1);
+            2.0 * hits as f64 / (rank + 1 + self.truths) as f64
+        });
+        f1.fold(0.0, f64::max)
     }
 
     /// The precision after each prediction that matches, in order; entry `k` is at recall

@@ -96,6 +96,8 @@ fn least_squares(rows: &[&PublishedRow], totals: &[f64]) -> Result<Costs, FitErr
         detector,
         predicted,
         screen,
+        // The published runs never look.
+        look: 0.0,
     })
 }
 

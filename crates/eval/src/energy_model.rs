@@ -10,7 +10,7 @@ use albireo_core::policy::FrameState;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
-/// Cost of the three kinds of work on a frame.
+/// Cost of the kinds of work on a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Costs {
@@ -20,6 +20,13 @@ pub struct Costs {
     pub predicted: f64,
     /// A call of the empty-scene screen (states E and E+I).
     pub screen: f64,
+    /// A look at a small grey picture: decoding it and following the boxes into it (policies `…+flow`).
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub look: f64,
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 impl Costs {
@@ -33,6 +40,7 @@ impl Costs {
             ("detector", self.detector),
             ("predicted", self.predicted),
             ("screen", self.screen),
+            ("look", self.look),
         ] {
             if !(value.is_finite() && value >= 0.0) {
                 return Err(format!(
@@ -159,12 +167,14 @@ impl EnergyModel {
             result.states.p as f64,
             result.screen_frames as f64,
         ];
-        let busy_s = self.time_ms.total(work) / 1e3;
+        let looks = result.looked_frames as f64;
+        let busy_s = (self.time_ms.total(work) + self.time_ms.look * looks) / 1e3;
         if result.frame_time.is_none() {
             let times = result
                 .sequence
                 .iter()
-                .map(|&state| self.time_ms.total(work_of(state)))
+                .zip(looks_of(result))
+                .map(|(&state, look)| self.time_ms.total(work_of(state)) + self.time_ms.look * look)
                 .collect();
             result.frame_time = Spread::of(times).map(|milliseconds| FrameTime {
                 milliseconds,
@@ -172,7 +182,7 @@ impl EnergyModel {
             });
         }
         if result.energy.is_none() {
-            let mut joules = self.energy_j.total(work);
+            let mut joules = self.energy_j.total(work) + self.energy_j.look * looks;
             let mut duration_s = busy_s;
             if let (Some(idle), Some(rate)) = (self.idle_power_w, result.frame_rate) {
                 duration_s = busy_s.max(result.frames as f64 / rate);
@@ -198,16 +208,28 @@ impl EnergyModel {
         result
             .sequence
             .iter()
-            .filter_map(|&state| {
+            .zip(looks_of(result))
+            .filter_map(|(&state, look)| {
                 let work = work_of(state);
-                let busy = self.time_ms.total(work) / 1e3;
+                let busy = (self.time_ms.total(work) + self.time_ms.look * look) / 1e3;
                 let span = busy.max(interval);
                 let idle = self.idle_power_w.unwrap_or(0.0) * (span - busy);
                 time += span;
-                (span > 0.0).then(|| (time, (self.energy_j.total(work) + idle) / span))
+                let joules = self.energy_j.total(work) + self.energy_j.look * look + idle;
+                (span > 0.0).then_some((time, joules / span))
             })
             .collect()
     }
+}
+
+/// Looks at each frame of a clip; none where that is not known.
+fn looks_of(result: &ClipResult) -> impl Iterator<Item = f64> {
+    let looked = result
+        .looked
+        .iter()
+        .copied()
+        .chain(std::iter::repeat(false));
+    looked.map(|looked| f64::from(u8::from(looked)))
 }
 
 /// Pieces of work of a frame: detector, predicted, screen.
@@ -234,11 +256,13 @@ mod tests {
                 detector: 4.0,
                 predicted: 0.5,
                 screen: 1.0,
+                look: 0.1,
             },
             time_ms: Costs {
                 detector: 50.0,
                 predicted: 5.0,
                 screen: 10.0,
+                look: 2.0,
             },
             idle_power_w: None,
             left_out: None,
@@ -276,6 +300,23 @@ mod tests {
         let time = result.frame_time.expect("projected");
         assert!((time.milliseconds.mean - 35.0).abs() < 1e-12);
         assert_eq!(time.provenance, Provenance::Projected);
+    }
+
+    #[test]
+    fn a_look_at_a_picture_costs_what_the_model_says() {
+        let mut blind = result(&[FrameState::I, FrameState::P]);
+        let mut looking = blind.clone();
+        looking.looked_frames = 2;
+        looking.looked = vec![true, true];
+        model().apply(&mut blind);
+        model().apply(&mut looking);
+        let joules = |result: &ClipResult| result.energy.expect("projected").joules;
+        let time = |result: &ClipResult| result.frame_time.expect("projected").milliseconds.mean;
+        assert!((joules(&looking) - joules(&blind) - 0.2).abs() < 1e-12);
+        assert!((time(&looking) - time(&blind) - 2.0).abs() < 1e-12);
+        let trace = model().power_trace(&looking);
+        let total = trace[0].1 * trace[0].0 + trace[1].1 * (trace[1].0 - trace[0].0);
+        assert!((total - joules(&looking)).abs() < 1e-9);
     }
 
     #[test]

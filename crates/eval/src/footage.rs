@@ -6,6 +6,7 @@ mod folder;
 mod open;
 mod source;
 mod synthetic;
+mod thinned;
 mod video;
 
 pub use error::FootageError;
@@ -13,4 +14,5 @@ pub use folder::PictureFolder;
 pub use open::SourceName;
 pub use source::{FrameSource, Stopper, clip_name};
 pub use synthetic::Synthetic;
+pub use thinned::{Sieve, Thinned};
 pub use video::{Ffmpeg, Video, VideoEncoding};

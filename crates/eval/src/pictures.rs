@@ -14,7 +14,7 @@ pub use observer::ObserveError;
 pub use observer::Observer;
 pub use pass::PassError;
 pub use pass::{PassSettings, PicturedClip, StepTimes, collect};
-pub use replayed::{looks_at_pixels, run_pictured};
+pub use replayed::{PixelsAsked, looks_at_pixels, run_pictured};
 pub use synthetic::DashcamClip;
 pub use truth::TruthError;
 pub use truth::{GroundTruth, TruthFormat, against_vanilla};

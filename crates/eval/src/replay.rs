@@ -37,6 +37,8 @@ pub struct FrameRecord {
     pub detector: bool,
     /// The empty-scene screen ran.
     pub screen: bool,
+    /// A grey picture was looked at.
+    pub looked: bool,
     /// Time inside the policy.
     pub decision: Duration,
     /// Time spent waiting for evidence: decoding, screen, detector. Near zero for stored detections.
@@ -164,6 +166,7 @@ struct ClipFrame<'a> {
     frame: usize,
     detector: bool,
     screen: bool,
+    looked: bool,
     waited: Duration,
 }
 
@@ -180,8 +183,9 @@ impl EvidenceAtHand for ClipFrame<'_> {
                     .screen_says_empty(self.frame)?
                     .map(|empty| Evidence::Screen { empty })
             }
-            Need::GreyPicture => {
-                let grey = self.clip.grey_picture(self.frame)?;
+            Need::GreyPicture | Need::SmallGreyPicture { .. } => {
+                let grey = self.clip.grey_picture(self.frame, need)?;
+                self.looked |= grey.is_some();
                 grey.map(Evidence::GreyPicture)
             }
             Need::Detections => {
@@ -208,6 +212,7 @@ fn decide_frame(
         frame,
         detector: false,
         screen: false,
+        looked: false,
         waited: Duration::ZERO,
     };
     let start = Instant::now();
@@ -219,6 +224,7 @@ fn decide_frame(
         degraded: outcome.degraded,
         detector: source.detector,
         screen: source.screen,
+        looked: source.looked,
         decision: start.elapsed().saturating_sub(source.waited),
         evidence: source.waited,
     })

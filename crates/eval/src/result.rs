@@ -175,6 +175,8 @@ pub struct ClipResult {
     pub detector_frames: usize,
     /// Frames on which the empty-scene screen ran.
     pub screen_frames: usize,
+    /// Frames of which a grey picture was looked at.
+    pub looked_frames: usize,
     /// Frames in which the detector finds something, looked at by this policy or not; 0 where only stored
     /// detections were evaluated.
     pub occupied_frames: usize,
@@ -201,6 +203,9 @@ pub struct ClipResult {
     /// The states frame by frame.
     #[serde(skip)]
     pub sequence: Vec<FrameState>,
+    /// Whether a grey picture was looked at, frame by frame.
+    #[serde(skip)]
+    pub looked: Vec<bool>,
     /// The frames that lost most against the detector, where they were asked for.
     #[serde(skip)]
     pub worst: Vec<WorstFrame>,
@@ -230,6 +235,7 @@ impl ClipResult {
             states,
             detector_frames: count(|frame| frame.detector),
             screen_frames: count(|frame| frame.screen),
+            looked_frames: count(|frame| frame.looked),
             occupied_frames: 0,
             false_empty_frames: 0,
             degraded_frames: count(|frame| frame.degraded),
@@ -248,6 +254,7 @@ impl ClipResult {
             frame_time: None,
             energy: None,
             sequence: replay.frames.iter().map(|frame| frame.state).collect(),
+            looked: replay.frames.iter().map(|frame| frame.looked).collect(),
             worst: Vec::new(),
         }
     }

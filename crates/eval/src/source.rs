@@ -4,7 +4,7 @@ use crate::data::Clip;
 use crate::run::Settings;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::GreyPicture;
+use albireo_core::policy::{GreyPicture, Need};
 use albireo_node::screen::{ScreenConfig, ScreenJudge, ScreenKind, Thumbnail};
 use serde::{Deserialize, Serialize};
 
@@ -37,11 +37,15 @@ pub trait ClipEvidence {
     /// [`SourceError`] when the source has no screen.
     fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError>;
 
-    /// The picture in grey at half its size.
+    /// The picture in grey, as small as `need` has it.
     ///
     /// # Errors
-    /// [`SourceError::NoPictures`] when the source has no pictures.
-    fn grey_picture(&mut self, frame: usize) -> Result<Option<GreyPicture<'_>>, SourceError>;
+    /// [`SourceError::NoPictures`] when the source has no such pictures.
+    fn grey_picture(
+        &mut self,
+        frame: usize,
+        need: Need,
+    ) -> Result<Option<GreyPicture<'_>>, SourceError>;
 }
 
 /// Evidence that a source cannot give.
@@ -241,7 +245,11 @@ impl ClipEvidence for StoredEvidence<'_> {
         })
     }
 
-    fn grey_picture(&mut self, _frame: usize) -> Result<Option<GreyPicture<'_>>, SourceError> {
+    fn grey_picture(
+        &mut self,
+        _frame: usize,
+        _need: Need,
+    ) -> Result<Option<GreyPicture<'_>>, SourceError> {
         Err(SourceError::NoPictures)
     }
 }

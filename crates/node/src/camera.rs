@@ -196,6 +196,9 @@ impl Camera {
             detector: times.detector(),
             knob: message.knob,
         });
+        if times.looked {
+            self.board.record_look();
+        }
         self.board.record_screen(self.evidence.screen_counts());
         self.board.record_frame(Arc::new(message));
     }

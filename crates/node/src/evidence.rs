@@ -29,6 +29,8 @@ pub struct Times {
     pub detector_span: Option<(Instant, Instant)>,
     /// The run that answered, and this frame's part in it.
     pub(crate) detector_run: Option<DetectorRun>,
+    /// Whether a grey picture was looked at.
+    pub looked: bool,
     /// All of it together: what is left of the frame's time is the policy's own.
     pub evidence: Duration,
 }
@@ -132,16 +134,22 @@ impl LiveEvidence {
             Need::Nothing => {}
             Need::Screen => empty = self.screen(encoded).await?,
             Need::GreyPicture => self.look(encoded, Stage::Grey).await?,
+            Need::SmallGreyPicture { width } => {
+                self.look(encoded, Stage::SmallGrey(width)).await?;
+                self.times.looked = true;
+            }
             Need::Detections => self.detected = self.detect(encoded, next()).await?,
         }
         self.times.evidence += start.elapsed();
         let known = match need {
             Need::Nothing => None,
             Need::Screen => empty.map(|empty| Evidence::Screen { empty }),
-            Need::GreyPicture => Some(Evidence::GreyPicture(GreyPicture {
-                size: self.frame.grey.size,
-                pixels: &self.frame.grey.pixels,
-            })),
+            Need::GreyPicture | Need::SmallGreyPicture { .. } => {
+                Some(Evidence::GreyPicture(GreyPicture {
+                    size: self.frame.grey.size,
+                    pixels: &self.frame.grey.pixels,
+                }))
+            }
             Need::Detections => {
                 let detected = self.detected.as_ref();
                 detected.map(|detected| Evidence::Detections(&detected.detections))

@@ -20,7 +20,7 @@ mod ros2;
 mod sequence;
 
 pub use config::{Delivery, FrameLimits, PayloadFormat};
-pub use decode::{decode, decode_grey_half, to_jpeg};
+pub use decode::{decode, decode_grey_half, decode_small_grey, to_jpeg};
 pub use fault::FrameFault;
 pub use letterbox::{ColorOrder, Fit, InputFormat, Letterbox, TensorLayout, ValueRange};
 pub use letterbox::{InputMapping, LetterboxError};

@@ -6,12 +6,13 @@ use crate::cli::rate::parse_rate;
 use crate::cli::size::parse_size;
 use crate::cli::synth::{Seeds, parse_seeds};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::FrameState;
+use albireo_core::policy::{ExpectedLoss, FrameState, Need, PolicyConfig};
 use albireo_eval::data::{Clip, LoadReport, recorded};
-use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Video, VideoEncoding};
+use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Thinned, Video, VideoEncoding};
+use albireo_eval::frontier::{SettingValue, pixel_steps, pixel_study, render_pixels, write_pixels};
 use albireo_eval::pictures::{
-    DashcamClip, GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, StepTimes,
-    TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
+    DashcamClip, GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsAsked,
+    StepTimes, TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
 };
 use albireo_eval::report::Report;
 use albireo_eval::result::{ClipResult, Spread};
@@ -43,10 +44,33 @@ pub(super) struct VideoArguments {
     encoding: VideoEncoding,
     #[command(flatten)]
     truth: TruthArguments,
+    /// Thin the videos to so many frames a second, as if the camera were slower. With --equal-skip it may be given
+    /// several times (0: as recorded), and each is compared
+    #[arg(
+        long,
+        value_name = "FPS",
+        conflicts_with = "ground_truth",
+        value_delimiter = ','
+    )]
+    fps: Vec<f64>,
+    #[command(flatten)]
+    equal: EqualArguments,
     #[command(flatten)]
     pass: PassArguments,
     #[command(flatten)]
     run: RunArguments,
+}
+
+/// The comparison with and without pixels.
+#[derive(Debug, Args)]
+struct EqualArguments {
+    /// Instead of the policies asked for, compare expected-loss with and without optical flow, evenly spaced calls with
+    /// and without it, and albireo, all turned until they skip this share of the frames
+    #[arg(long, value_name = "SKIP,…", value_delimiter = ',')]
+    equal_skip: Vec<f64>,
+    /// A setting of expected-loss other than its own in that comparison; may be given again
+    #[arg(long, value_name = "SETTING=VALUE", requires = "equal_skip")]
+    setting: Vec<SettingValue>,
 }
 
 /// Arguments of `albireo eval pictures`.
@@ -84,6 +108,8 @@ pub(super) struct SynthArguments {
     /// Frames a second.
     #[arg(long = "rate", alias = "frame-rate", default_value_t = 10.0, value_parser = parse_rate)]
     frame_rate: f64,
+    #[command(flatten)]
+    equal: EqualArguments,
     #[command(flatten)]
     pass: PassArguments,
     #[command(flatten)]
@@ -149,9 +175,14 @@ pub(super) fn videos(arguments: &VideoArguments) -> anyhow::Result<()> {
         .collect();
     let mut evaluation =
         Evaluation::start(&arguments.pass, &arguments.run, &arguments.truth, names)?;
+    evaluation.compare_at(&arguments.equal, &arguments.fps)?;
+    let thin = arguments.fps.first().filter(|_| evaluation.equal.is_none());
     for file in &arguments.files {
         let mut video = Video::open(file, None, arguments.encoding, Ffmpeg::default())?;
-        evaluation.look(&mut video)?;
+        match thin {
+            Some(&rate) => evaluation.look(&mut Thinned::new(&mut video, rate))?,
+            None => evaluation.look(&mut video)?,
+        }
     }
     evaluation.finish(&title("Video", &arguments.files))
 }
@@ -188,6 +219,7 @@ pub(super) fn synthetic(arguments: &SynthArguments) -> anyhow::Result<()> {
         truth_format: None,
     };
     let mut evaluation = Evaluation::start(&arguments.pass, &arguments.run, &no_files, Vec::new())?;
+    evaluation.compare_at(&arguments.equal, &[])?;
     for &seed in &arguments.seeds.0 {
         for number in 0..arguments.clips {
             let settings = DashcamSettings {
@@ -223,13 +255,24 @@ struct Evaluation<'a> {
     /// Number of clips of the run that ground truth may be for.
     clips: usize,
     observer: Observer,
-    keep_grey: bool,
+    keep: PixelsAsked,
+    /// The comparison at equal skip rates, if that is what is asked for.
+    equal: Option<EqualSkipRates>,
     report: LoadReport,
     judged: Judged,
     against_vanilla: Judged,
     times: Vec<StepTimes>,
     /// The clips without their pictures, for `--save-detections`.
     kept: Vec<Clip>,
+}
+
+/// What is compared at equal skip rates.
+struct EqualSkipRates {
+    skip_rates: Vec<f64>,
+    settings: Vec<SettingValue>,
+    /// Frames a second; `None` for as recorded.
+    rates: Vec<Option<f64>>,
+    clips: Vec<PicturedClip>,
 }
 
 /// Results that are judged alike, a list of policies for each clip.
@@ -288,7 +331,8 @@ impl<'a> Evaluation<'a> {
         let observer = start_observer(pass)?;
         Ok(Self {
             pass,
-            keep_grey: looks_at_pixels(&policies)?,
+            keep: looks_at_pixels(&policies)?,
+            equal: None,
             arguments,
             settings,
             policies,
@@ -303,6 +347,67 @@ impl<'a> Evaluation<'a> {
         })
     }
 
+    /// Keeps the clips and compares at equal skip rates in the end, if that is what is asked for.
+    fn compare_at(&mut self, equal: &EqualArguments, rates: &[f64]) -> anyhow::Result<()> {
+        for rate in rates {
+            ensure!(
+                (0.0..=1000.0).contains(rate),
+                "--fps {rate} is not between 0 and 1000"
+            );
+        }
+        if equal.equal_skip.is_empty() {
+            ensure!(
+                rates.len() <= 1,
+                "--fps: give one, or compare with --equal-skip"
+            );
+            ensure!(
+                !rates.contains(&0.0),
+                "--fps 0: leave it out for all frames"
+            );
+            return Ok(());
+        }
+        for skip_rate in &equal.equal_skip {
+            ensure!(
+                *skip_rate > 0.0 && *skip_rate <= 0.95,
+                "--equal-skip {skip_rate} is not above 0 and at most 0.95"
+            );
+        }
+        let mut flow = PolicyConfig::default();
+        flow.select(ExpectedLoss::FLOW_NAME)?;
+        if let Some(Need::SmallGreyPicture { width }) = flow.build()?.pictures() {
+            self.keep.small = Some(width);
+        }
+        let rates = rates
+            .iter()
+            .map(|rate| Some(*rate).filter(|rate| *rate > 0.0));
+        let rates: Vec<_> = rates.collect();
+        self.equal = Some(EqualSkipRates {
+            skip_rates: equal.equal_skip.clone(),
+            settings: equal.setting.clone(),
+            rates: if rates.is_empty() { vec![None] } else { rates },
+            clips: Vec::new(),
+        });
+        Ok(())
+    }
+
+    /// Compares at equal skip rates.
+    fn compare(&self, equal: &EqualSkipRates) -> anyhow::Result<()> {
+        let steps = pixel_steps(equal.rates.len(), equal.skip_rates.len());
+        let bar = ProgressBar::new(steps as u64);
+        let confidence = self.settings.confidence;
+        let done = || bar.inc(1);
+        let (rates, skips) = (&equal.rates, &equal.skip_rates);
+        let settings = &equal.settings;
+        let studies = pixel_study(&equal.clips, rates, skips, confidence, settings, &done)?;
+        bar.finish_and_clear();
+        print!("{}", render_pixels(&studies));
+        if let Some(folder) = &self.arguments.out {
+            write_pixels(&studies, folder)?;
+            eprintln!("Written to {}", folder.display());
+        }
+        Ok(())
+    }
+
     /// Looks at a clip, finds its ground truth, and runs every policy over it.
     fn look(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
         let mut pictured = self.pass(source)?;
@@ -315,7 +420,8 @@ impl<'a> Evaluation<'a> {
     /// The detector's pass over a clip.
     fn pass(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<PicturedClip> {
         let settings = PassSettings {
-            keep_grey: self.keep_grey,
+            keep_grey: self.keep.half,
+            keep_small: self.keep.small,
             keep_thumbnails: self.arguments.screen == ScreenRule::Agnostic,
             most_frames: most_frames(self.pass),
         };
@@ -340,6 +446,10 @@ impl<'a> Evaluation<'a> {
             pictured.clip.truth = Some(truth);
             &mut self.against_vanilla
         };
+        if let Some(equal) = &mut self.equal {
+            equal.clips.push(pictured);
+            return Ok(());
+        }
         let mut results = run_pictured(&pictured, &self.policies, &self.settings, &|| ())?;
         if let Err(error) = attach_pictures(source, &mut results) {
             let name = &pictured.clip.name;
@@ -358,6 +468,9 @@ impl<'a> Evaluation<'a> {
         if let Some(folder) = &self.pass.save_detections {
             recorded::write(folder, &self.kept)?;
             eprintln!("Detections written to {}", folder.display());
+        }
+        if let Some(equal) = &self.equal {
+            self.compare(equal)?;
         }
         let mut settings = listed(&self.arguments);
         settings.extend(self.models());
@@ -433,15 +546,20 @@ impl<'a> Evaluation<'a> {
         if let Some(screen) = &self.pass.screen_model {
             rows.push(("Screen model".to_owned(), screen.display().to_string()));
         }
-        let steps: [(&str, bool, StepTime); 4] = [
+        let steps: [(&str, bool, StepTime); 5] = [
             ("Time of the detector", true, |times| times.detector),
             ("Time of the screen", self.observer.has_screen(), |times| {
                 times.screen
             }),
             ("Time of decoding", true, |times| times.decode),
-            ("Time of decoding to grey", self.keep_grey, |times| {
+            ("Time of decoding to grey", self.keep.half, |times| {
                 times.grey
             }),
+            (
+                "Time of decoding to a small grey picture",
+                self.keep.small.is_some(),
+                |times| times.small,
+            ),
         ];
         for (name, present, time) in steps {
             let spread = Spread::of(self.times.iter().map(time).collect());

@@ -1172,7 +1172,7 @@ export interface components {
          * @description Where a reported box comes from.
          * @enum {string}
          */
-        BoxSource: "detected" | "predicted" | "rescued";
+        BoxSource: "detected" | "predicted" | "followed" | "rescued";
         /**
          * @description Why the detector was called for a frame, whether or not it answered. Where several things call it at once, the one
          *     named first here is said.

@@ -11,6 +11,7 @@ import type { BoxSource } from "./types";
 const LINES: Record<BoxSource, { colour: string; dash: number[] }> = {
   detected: { colour: "#4fb3ff", dash: [] },
   predicted: { colour: "#6be28f", dash: [9, 6] },
+  followed: { colour: "#d6e26b", dash: [14, 3] },
   rescued: { colour: "#ffb454", dash: [2, 4] },
 };
 
@@ -146,6 +147,9 @@ export function Picture() {
         </li>
         <li>
           <i class="line predicted" /> predicted, detector not asked
+        </li>
+        <li>
+          <i class="line followed" /> followed by optical flow
         </li>
         <li>
           <i class="line rescued" /> missed by the detector, kept

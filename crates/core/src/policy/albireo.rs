@@ -15,7 +15,7 @@ use super::{
 use crate::detection::Detection;
 use crate::geometry::BoundingBox;
 use crate::kalman::Filter;
-use crate::objects::{Missed, ObjectStates};
+use crate::objects::{Missed, ObjectState, ObjectStates};
 
 /// How far the frame in hand has come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,6 +146,47 @@ impl Albireo {
         cause
     }
 
+    /// What frame `index` needs, by what the objects have come to.
+    fn choose(&mut self, index: u64) -> Need {
+        let called = self.survey();
+        self.cause = if self.active == 0 {
+            Some(CallCause::NoObjects)
+        } else {
+            called.or_else(|| {
+                let due = self.periodic_cap_is_due(index);
+                due.then_some(CallCause::PeriodicCap)
+            })
+        };
+        let (progress, need) = if self.active == 0 && self.settings.asks_screen {
+            (AlbireoPhase::AwaitsScreen, Need::Screen)
+        } else if self.cause.is_some() {
+            (
+                AlbireoPhase::AwaitsDetections { screened: false },
+                Need::Detections,
+            )
+        } else {
+            (AlbireoPhase::Decided(FrameState::P), Need::Nothing)
+        };
+        self.progress = progress;
+        need
+    }
+
+    /// Takes boxes that were measured on the frame in hand without the detector, each with what its variance is
+    /// multiplied by, and says anew what the frame needs.
+    pub(super) fn follow(
+        &mut self,
+        measured: impl FnMut(&ObjectState) -> Option<(BoundingBox, f64)>,
+    ) -> Need {
+        self.objects.measure(measured);
+        let index = self.frame.map_or(0, |frame| frame.index);
+        self.choose(index)
+    }
+
+    /// The objects, oldest first.
+    pub(super) fn states(&self) -> &[ObjectState] {
+        self.objects.states()
+    }
+
     fn periodic_cap_is_due(&self, index: u64) -> bool {
         let cap = self.settings.periodic_cap;
         match self.settings.periodic_cap_counts {
@@ -208,27 +249,7 @@ impl Policy for Albireo {
         let frames = frame.step.max(1);
         self.since_detector = self.since_detector.saturating_add(frames);
         self.objects.predict(frame.picture, frames);
-        let called = self.survey();
-        self.cause = if self.active == 0 {
-            Some(CallCause::NoObjects)
-        } else {
-            called.or_else(|| {
-                let due = self.periodic_cap_is_due(frame.index);
-                due.then_some(CallCause::PeriodicCap)
-            })
-        };
-        let (progress, need) = if self.active == 0 && self.settings.asks_screen {
-            (AlbireoPhase::AwaitsScreen, Need::Screen)
-        } else if self.cause.is_some() {
-            (
-                AlbireoPhase::AwaitsDetections { screened: false },
-                Need::Detections,
-            )
-        } else {
-            (AlbireoPhase::Decided(FrameState::P), Need::Nothing)
-        };
-        self.progress = progress;
-        need
+        self.choose(frame.index)
     }
 
     /// A screen that is unavailable leaves the frame without its verdict: the detector is asked, and the

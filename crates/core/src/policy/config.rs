@@ -1,6 +1,7 @@
 //! The `[policy]` section of the configuration, and the list of policies it can name.
 
 use super::ablation::Ablation;
+use super::albireo_flow::AlbireoFlow;
 use super::{
     AdaptiveRate, AdaptiveRateSettings, Albireo, AlbireoSettings, Ctd, CtdSettings, ErdOnly,
     ExpectedLoss, FixedSkip, FixedSkipSettings, FrameDrop, FrameDropSettings, InTracker, Policy,
@@ -144,6 +145,10 @@ const POLICIES: &[Entry] = &[
     entry(ExpectedLoss::NAME, ExpectedLoss::from_config, Some(|c| &mut c.lambda)),
     entry(IN_TRACKER_FIXED, ExpectedLoss::fixed_skip, Some(|c| &mut c.in_tracker.n)),
     entry(IN_TRACKER_EVEN, ExpectedLoss::even_skip, Some(|c| &mut c.in_tracker.skip_rate)),
+    entry(AlbireoFlow::NAME, AlbireoFlow::from_config, Some(|c| &mut c.u)),
+    entry(ExpectedLoss::FLOW_NAME, |c| ExpectedLoss::from_config(&c.with_flow()), Some(|c| &mut c.lambda)),
+    entry(ExpectedLoss::FIXED_SKIP_FLOW_NAME, |c| ExpectedLoss::fixed_skip(&c.with_flow()), Some(|c| &mut c.in_tracker.n)),
+    entry(ExpectedLoss::EVEN_SKIP_FLOW_NAME, |c| ExpectedLoss::even_skip(&c.with_flow()), Some(|c| &mut c.in_tracker.skip_rate)),
 ];
 
 /// The names of the policies' knobs, as each declares its own.
@@ -218,6 +223,13 @@ impl PolicyConfig {
             .parse()
             .map_err(|_| wrong("the argument must be a number"))?;
         Ok(())
+    }
+
+    /// The same with `pixels = "flow"` in the settings of expected-loss.
+    fn with_flow(&self) -> Self {
+        let mut config = self.clone();
+        config.expected_loss.insert("pixels".into(), "flow".into());
+        config
     }
 
     /// The settings of Albireo: the profile's, with single ones in their place.

@@ -101,7 +101,7 @@ impl<S: EvidenceAtHand> EvidenceSource for AtHand<'_, S> {
 pub struct FrameEvidence<'a> {
     /// Whether the empty-scene screen says that nothing is in view.
     pub empty: Option<bool>,
-    /// The picture in grey.
+    /// The picture in grey, of the size that is asked for.
     pub grey: Option<GreyPicture<'a>>,
     /// What the detector finds.
     pub detections: Option<&'a [Detection]>,
@@ -132,7 +132,9 @@ impl EvidenceAtHand for FrameEvidence<'_> {
         let known = match need {
             Need::Nothing => None,
             Need::Screen => self.empty.map(|empty| Evidence::Screen { empty }),
-            Need::GreyPicture => self.grey.map(Evidence::GreyPicture),
+            Need::GreyPicture | Need::SmallGreyPicture { .. } => {
+                self.grey.map(Evidence::GreyPicture)
+            }
             Need::Detections => self.detections.map(Evidence::Detections),
         };
         Ok(known.unwrap_or(Evidence::Unavailable))

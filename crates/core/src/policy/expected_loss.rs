@@ -14,6 +14,7 @@
 //! | matching: by overlap, then by Mahalanobis distance, both optimal | [`association`] |
 //! | the velocity a new object should be expected to have | [`velocity`] |
 //! | how much may have appeared since the last call | [`birth`] |
+//! | boxes followed by optical flow, and what that says of them | [`follow`] |
 //! | when the detector is called | below, and [`trigger`] |
 //! | every number | [`settings`] |
 //!
@@ -36,9 +37,15 @@
 //! not as much more often as a threshold on L would have it. [`CallRule::Frame`] is that threshold.
 //!
 //! Lost frames advance everything but the sums: a frame that never came cannot be answered badly.
+//!
+//! With `pixels = "flow"` there are three choices a frame, under one price: answer blind, look, call. A look at a
+//! grey picture follows the boxes ([`follow`]) and costs `price·λ` where a call costs λ. It is taken when the
+//! boxes that it is expected to save on this frame are worth that, and always before a call, which it may spare;
+//! the frames that were looked at count their looks among their losses.
 
 mod association;
 mod birth;
+mod follow;
 mod motion;
 mod object;
 mod objects;
@@ -47,13 +54,16 @@ mod trigger;
 mod velocity;
 
 use super::{
-    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
-    Policy, PolicyConfig, PolicyConfigError, config::with_overrides, tracker::check_setting,
+    CallCause, Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, ObjectRecord,
+    Outcome, Policy, PolicyConfig, PolicyConfigError, config::with_overrides,
+    tracker::check_setting,
 };
 use crate::detection::Detection;
 use birth::BirthRate;
+use follow::Follower;
+pub(super) use follow::grey_view;
 use objects::Objects;
-pub use settings::{Call, Confidence, ExpectedLossSettings, Motion};
+pub use settings::{Call, Confidence, ExpectedLossSettings, Flow, Motion, Pixels};
 pub use settings::{CallRule, ExpectedLossAssociation, InTracker, Life, Surprise};
 use trigger::Pause;
 pub use trigger::Trigger;
@@ -63,6 +73,8 @@ pub use trigger::Trigger;
 enum ExpectedLossPhase {
     /// The screen was asked.
     AwaitsScreen,
+    /// A grey picture was asked for. Without it the detector would be called if `due`.
+    AwaitsPicture { due: bool, screened: bool },
     /// The detector was asked, after the screen said "not empty" or without its verdict.
     AwaitsDetections { screened: bool },
     /// The screen said "empty".
@@ -83,12 +95,14 @@ pub struct ExpectedLoss {
     /// N̄, the moving average of the summed confidence of reported boxes.
     crowd: f64,
     pause: Pause,
+    /// What looks at pictures, if anything does.
+    follower: Option<Box<Follower>>,
     /// Whether the detector has answered since the stream began.
     started: bool,
     progress: ExpectedLossPhase,
     /// Why the detector is called for the frame in hand.
     cause: Option<CallCause>,
-    /// L of the frame in hand.
+    /// L of the frame in hand, the price of a look included.
     loss: f64,
     /// g of the frame in hand.
     weight: f64,
@@ -103,6 +117,12 @@ impl ExpectedLoss {
     pub const FIXED_SKIP_NAME: &'static str = Trigger::FixedSkip { n: 1.0 }.policy_name();
     /// The name with evenly spaced detector calls.
     pub const EVEN_SKIP_NAME: &'static str = Trigger::Even { skip_rate: 0.0 }.policy_name();
+    /// The name with `pixels = "flow"`.
+    pub const FLOW_NAME: &'static str = "expected-loss+flow";
+    /// The name with a detector call on one frame of N and `pixels = "flow"`.
+    pub const FIXED_SKIP_FLOW_NAME: &'static str = "fixed-skip-in-tracker+flow";
+    /// The name with evenly spaced detector calls and `pixels = "flow"`.
+    pub const EVEN_SKIP_FLOW_NAME: &'static str = "even-skip-in-tracker+flow";
 
     /// λ, the price of a detector call. At 0 every frame runs the detector.
     pub const KNOB: Knob = Trigger::ExpectedLoss { lambda: 0.0 }.knob();
@@ -128,6 +148,8 @@ impl ExpectedLoss {
             births: BirthRate::new(&settings.call),
             crowd: settings.call.crowd_prior,
             pause: Pause::START,
+            follower: (settings.pixels == Pixels::Flow)
+                .then(|| Box::new(Follower::new(&settings.flow))),
             started: false,
             progress: ExpectedLossPhase::Skipped,
             cause: None,
@@ -172,13 +194,13 @@ impl ExpectedLoss {
         self.weight
     }
 
-    /// Sums up what would be lost on this frame without the detector.
-    fn survey(&mut self) {
+    /// Sums up what would be lost on this frame without the detector, and adds what it has `cost` already.
+    fn survey(&mut self, cost: f64) {
         let call = &self.settings.call;
-        self.objects.judge();
+        self.objects.judge(self.settings.flow.health_weight);
         let aspect = self.objects.aspect();
         let mut tau_max = f64::NEG_INFINITY;
-        let mut loss = self.births.expected_loss(call, self.pause.frames);
+        let mut loss = cost + self.births.expected_loss(call, self.pause.frames);
         for object in self.objects.iter() {
             loss += object.expected_loss(call.miss);
             tau_max = tau_max.max(object.tau(aspect));
@@ -188,6 +210,80 @@ impl ExpectedLoss {
         self.weight = self.pause.weigh(call.rule, loss, crowd);
         self.active = self.objects.len();
         self.tau_max = (self.active > 0).then_some(tau_max);
+    }
+
+    /// Why the detector is called when the losses are of that weight.
+    fn call_at(&self, weight: f64) -> Option<CallCause> {
+        match self.started {
+            false => Some(CallCause::Start),
+            true => (self.pause).call(&self.trigger, &self.settings.call, weight),
+        }
+    }
+
+    /// What a look costs, in boxes.
+    fn price_of_look(&self) -> f64 {
+        let crowd = self.crowd.max(self.settings.call.least_crowd);
+        match self.trigger {
+            Trigger::ExpectedLoss { lambda } => self.settings.flow.price * lambda * crowd,
+            // A schedule knows no prices.
+            Trigger::FixedSkip { .. } | Trigger::Even { .. } => 0.0,
+        }
+    }
+
+    /// Whether a look is expected to save as much as it costs; or is the last chance to go on following.
+    fn is_worth_a_look(&self, follower: &Follower) -> bool {
+        if !follower.can_follow() || self.active == 0 {
+            return false;
+        }
+        let (flow, miss) = (&self.settings.flow, self.settings.call.miss);
+        if follower.is_last_chance(flow) {
+            return true;
+        }
+        let gain = |object| {
+            let variance = follower.expected_variance(flow, object);
+            object.weight(miss) * object.gain_of_look(&variance, flow.health_weight)
+        };
+        self.objects.iter().map(gain).sum::<f64>() >= self.price_of_look()
+    }
+
+    /// Asks for the picture, if pictures are looked at, and else for the detector.
+    fn call(&mut self, screened: bool) -> Need {
+        if self.follower.is_some() {
+            return self.ask_for_picture(true, screened);
+        }
+        self.progress = ExpectedLossPhase::AwaitsDetections { screened };
+        Need::Detections
+    }
+
+    fn ask_for_picture(&mut self, due: bool, screened: bool) -> Need {
+        self.progress = ExpectedLossPhase::AwaitsPicture { due, screened };
+        self.picture_need()
+    }
+
+    fn picture_need(&self) -> Need {
+        Need::SmallGreyPicture {
+            width: self.settings.flow.width,
+        }
+    }
+
+    /// Follows the boxes into the picture and decides anew. A call that the screen demands stands.
+    fn look(&mut self, picture: GreyPicture<'_>, screened: bool) -> Need {
+        let aspect = self.objects.aspect();
+        if let Some(follower) = &mut self.follower {
+            let objects = self.objects.as_mut_slice();
+            follower.look(&self.settings.flow, objects, aspect, picture);
+        }
+        self.survey(self.price_of_look());
+        if !screened {
+            self.cause = self.call_at(self.weight);
+        }
+        if self.cause.is_some() {
+            self.progress = ExpectedLossPhase::AwaitsDetections { screened };
+            Need::Detections
+        } else {
+            self.progress = ExpectedLossPhase::Skipped;
+            Need::Nothing
+        }
     }
 
     fn take_detections(&mut self, detections: &[Detection]) {
@@ -207,7 +303,12 @@ fn wrong_setting(reason: String) -> PolicyConfigError {
 
 impl Policy for ExpectedLoss {
     fn name(&self) -> &'static str {
-        self.trigger.policy_name()
+        match (self.settings.pixels, self.trigger) {
+            (Pixels::Off, trigger) => trigger.policy_name(),
+            (Pixels::Flow, Trigger::ExpectedLoss { .. }) => Self::FLOW_NAME,
+            (Pixels::Flow, Trigger::FixedSkip { .. }) => Self::FIXED_SKIP_FLOW_NAME,
+            (Pixels::Flow, Trigger::Even { .. }) => Self::EVEN_SKIP_FLOW_NAME,
+        }
     }
 
     fn knob(&self) -> Option<Knob> {
@@ -236,21 +337,28 @@ impl Policy for ExpectedLoss {
                 self.objects.predict(&self.settings);
             }
         }
-        self.survey();
-        self.cause = match self.started {
-            false => Some(CallCause::Start),
-            true => (self.pause).call(&self.trigger, &self.settings.call, self.weight),
-        };
-        let (progress, need) = if self.cause.is_none() {
-            (ExpectedLossPhase::Skipped, Need::Nothing)
-        } else if self.active == 0 && self.settings.call.ask_screen_when_empty {
-            (ExpectedLossPhase::AwaitsScreen, Need::Screen)
-        } else {
-            let progress = ExpectedLossPhase::AwaitsDetections { screened: false };
-            (progress, Need::Detections)
-        };
-        self.progress = progress;
-        need
+        self.survey(0.0);
+        if let Some(follower) = &mut self.follower {
+            follower.advance(&self.settings.flow, step);
+        }
+        self.cause = self.call_at(self.weight);
+        if self.cause.is_some() {
+            if self.active == 0 && self.settings.call.ask_screen_when_empty {
+                self.progress = ExpectedLossPhase::AwaitsScreen;
+                return Need::Screen;
+            }
+            return self.call(false);
+        }
+        let follower = self.follower.as_deref();
+        if follower.is_some_and(|follower| self.is_worth_a_look(follower)) {
+            return self.ask_for_picture(false, false);
+        }
+        self.progress = ExpectedLossPhase::Skipped;
+        Need::Nothing
+    }
+
+    fn pictures(&self) -> Option<Need> {
+        self.follower.as_ref().map(|_| self.picture_need())
     }
 
     /// The screen can only spare a call that is due: one that never says "empty" changes no decision. If
@@ -268,8 +376,24 @@ impl Policy for ExpectedLoss {
                 if screened {
                     self.cause = Some(CallCause::Screen);
                 }
+                self.call(screened)
+            }
+            (ExpectedLossPhase::AwaitsPicture { screened, .. }, Evidence::GreyPicture(picture)) => {
+                self.look(picture, screened)
+            }
+            (
+                ExpectedLossPhase::AwaitsPicture {
+                    due: true,
+                    screened,
+                },
+                _,
+            ) => {
                 self.progress = ExpectedLossPhase::AwaitsDetections { screened };
                 Need::Detections
+            }
+            (ExpectedLossPhase::AwaitsPicture { .. }, _) => {
+                self.progress = ExpectedLossPhase::Skipped;
+                Need::Nothing
             }
             (
                 ExpectedLossPhase::AwaitsDetections { screened },
@@ -292,6 +416,9 @@ impl Policy for ExpectedLoss {
         if !detected {
             self.pause.skip(self.loss);
         }
+        if let Some(follower) = &mut self.follower {
+            follower.remember(self.objects.as_mut_slice());
+        }
         outcome.state = match self.progress {
             ExpectedLossPhase::Empty => FrameState::E,
             ExpectedLossPhase::Detected { screened: true } => FrameState::EI,
@@ -301,7 +428,9 @@ impl Policy for ExpectedLoss {
         };
         outcome.degraded = matches!(
             self.progress,
-            ExpectedLossPhase::AwaitsScreen | ExpectedLossPhase::AwaitsDetections { .. }
+            ExpectedLossPhase::AwaitsScreen
+                | ExpectedLossPhase::AwaitsPicture { due: true, .. }
+                | ExpectedLossPhase::AwaitsDetections { .. }
         );
         outcome.cause = self.cause;
         outcome.tau_max = self.tau_max;
@@ -313,6 +442,9 @@ impl Policy for ExpectedLoss {
         self.births = BirthRate::new(&self.settings.call);
         self.crowd = self.settings.call.crowd_prior;
         self.pause = Pause::START;
+        if let Some(follower) = &mut self.follower {
+            follower.clear();
+        }
         self.started = false;
         self.progress = ExpectedLossPhase::Skipped;
         self.cause = None;

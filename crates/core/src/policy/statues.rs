@@ -148,6 +148,10 @@ impl Policy for Statues {
         Ok(())
     }
 
+    fn pictures(&self) -> Option<Need> {
+        Some(Need::GreyPicture)
+    }
+
     fn begin(&mut self, _: FrameHead) -> Need {
         self.progress = StatuesPhase::AwaitsPicture;
         self.cause = None;

@@ -112,3 +112,64 @@ impl Run {
             .collect()
     }
 }
+
+/// The size of the pictures of [`ride`].
+const GREY: PictureSize = PictureSize::new(320, 180);
+
+/// A textured world that has moved to the right by so many pixels.
+fn textured(shift: f64) -> Vec<u8> {
+    let value = |index: usize| {
+        let (x, y) = ((index % 320) as f64 - shift, (index / 320) as f64);
+        let waves = [(0.31, 0.11), (-0.17, 0.29), (0.07, -0.41), (0.53, 0.23)];
+        let sum: f64 = waves.iter().map(|(a, b)| (a * x + b * y).sin()).sum();
+        (128.0 + 28.0 * sum) as u8
+    };
+    (0..320 * 180).map(value).collect()
+}
+
+/// What became of a [`ride`].
+pub(super) struct Ride {
+    /// Source of each box on frames without the detector, and how far it is off, pixels of the small picture.
+    pub skipped: Vec<(BoxSource, f64)>,
+    /// Frames with the detector.
+    pub calls: Vec<usize>,
+}
+
+/// The policy `asked` for in a world that moves by 3 pixels a frame and is hidden from frame `hidden` on, for 12
+/// frames; the detector sees a box ride on it all the while.
+pub(super) fn ride(asked: &str, hidden: usize) -> Ride {
+    let mut run = Run::new(asked, Profile::Paper);
+    let mut ride = Ride {
+        skipped: Vec::new(),
+        calls: Vec::new(),
+    };
+    for index in 0..12 {
+        let shift = 3.0 * index as f64;
+        let pixels = match index < hidden {
+            true => textured(shift),
+            false => vec![60; 320 * 180],
+        };
+        let found = [Detection {
+            bounding_box: BoundingBox::new((100.0 + shift) / 320.0, 0.5, 0.2, 0.25),
+            class: ClassId(0),
+            confidence: 0.9,
+        }];
+        let size = GREY;
+        let known = FrameEvidence {
+            grey: Some(GreyPicture {
+                size,
+                pixels: &pixels,
+            }),
+            ..FrameEvidence::in_view(&found)
+        };
+        if !run.frame(1, known).is_skipped() {
+            ride.calls.push(index);
+            continue;
+        }
+        for (source, x, _) in run.reported() {
+            ride.skipped
+                .push((source, (320.0 * x - 100.0 - shift).abs()));
+        }
+    }
+    ride
+}

@@ -95,7 +95,7 @@ fn play_foreseeing(
         let evidence = match need {
             Need::Nothing => None,
             Need::Screen => event.screen.map(|empty| Evidence::Screen { empty }),
-            Need::GreyPicture => event.grey.map(|_| {
+            Need::GreyPicture | Need::SmallGreyPicture { .. } => event.grey.map(|_| {
                 Evidence::GreyPicture(GreyPicture {
                     size: PictureSize::new(16, 8),
                     pixels: &grey,
@@ -132,7 +132,7 @@ fn check(name: &str, outcome: &Outcome, answered: usize) {
             (0.0..=1.0).contains(&reported.confidence),
             "{name}: {reported:?}"
         );
-        let predicted = reported.source == BoxSource::Predicted;
+        let predicted = matches!(reported.source, BoxSource::Predicted | BoxSource::Followed);
         assert_eq!(predicted, state.is_skipped(), "{name}: {reported:?}");
     }
     if state == FrameState::E {
@@ -209,6 +209,38 @@ proptest! {
     }
 }
 
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
+
+    #[test]
+    fn without_pictures_flow_decides_to_the_last_bit_as_if_it_were_off(
+        events in events(),
+        knob in 0.0..1.0f64,
+    ) {
+        let names = ["expected-loss", "fixed-skip-in-tracker", "even-skip-in-tracker", "albireo"];
+        for name in names {
+            let built = [String::new(), "+flow".to_owned()].map(|suffix| {
+                let mut config = PolicyConfig::default();
+                config.select(&format!("{name}{suffix}")).unwrap();
+                config.build().unwrap()
+            });
+            let [mut off, mut flow] = built;
+            let range = off.knob().unwrap();
+            let value = range.useful_minimum + knob * (range.useful_maximum - range.useful_minimum);
+            off.set_knob(value).unwrap();
+            flow.set_knob(value).unwrap();
+            let mut index = 0;
+            for event in &events {
+                let event = Event { given_up: None, grey: None, ..event.clone() };
+                index += u64::from(event.step);
+                let (without, _) = play(&mut *off, index, &event);
+                let (with, _) = play(&mut *flow, index, &event);
+                prop_assert_eq!(without, with, "{} at {}", name, value);
+            }
+        }
+    }
+}
+
 #[test]
 fn a_policy_that_can_foresee_does_where_it_is_certain_and_only_there() {
     let found = [(0.3, 0.9, false), (0.7, 0.8, false)];
@@ -230,6 +262,7 @@ fn a_policy_that_can_foresee_does_where_it_is_certain_and_only_there() {
         ("fixed-skip:1", Need::Detections),
         ("fixed-skip:2", Need::Nothing),
         ("expected-loss", Need::Nothing),
+        ("expected-loss+flow", Need::Nothing),
     ] {
         let mut config = PolicyConfig::default();
         config.select(asked).unwrap();

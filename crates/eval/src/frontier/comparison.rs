@@ -284,6 +284,7 @@ mod tests {
                 skip_rate,
                 ap50,
                 map: ap50 / 2.0,
+                ..ClipFigures::default()
             })
             .collect();
         OperatingPoint {

@@ -194,7 +194,7 @@ mod tests {
             clip: "a clip".to_owned(),
             skip_rate: 0.5,
             ap50,
-            map: 0.0,
+            ..ClipFigures::default()
         });
         OperatingPoint {
             policy: "a policy".to_owned(),

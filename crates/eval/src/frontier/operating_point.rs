@@ -58,9 +58,35 @@ pub struct Candidate {
 
 /// The name of `frame-drop` with that cue.
 const IDEAL_CUE: &str = "frame-drop-ideal-cue";
+/// A setting of `[policy.expected_loss]` at another value, `flow.price=0.1` on the command line.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SettingValue {
+    path: String,
+    value: serde_json::Value,
+}
+
+/// A [`SettingValue`] that cannot be read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is not of the form SETTING=VALUE, for instance flow.price=0.1")]
+pub struct NotASetting(String);
+
+impl std::str::FromStr for SettingValue {
+    type Err = NotASetting;
+
+    fn from_str(text: &str) -> Result<Self, NotASetting> {
+        let (path, value) = text
+            .split_once('=')
+            .ok_or_else(|| NotASetting(text.to_owned()))?;
+        Ok(Self {
+            path: path.trim().to_owned(),
+            // What is no number or truth value is a word.
+            value: serde_json::from_str(value).unwrap_or_else(|_| value.into()),
+        })
+    }
+}
 
 /// What a policy did with one clip.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct ClipFigures {
     /// Name of the clip.
     pub clip: String,
@@ -68,8 +94,14 @@ pub struct ClipFigures {
     pub skip_rate: f64,
     /// AP@50.
     pub ap50: f64,
+    /// AP@75.
+    pub ap75: f64,
     /// mAP@50:95.
     pub map: f64,
+    /// Best F1 at IoU 0.50 and 0.75.
+    pub f1: [f64; 2],
+    /// Share of its frames of which a grey picture was looked at.
+    pub looked: f64,
 }
 
 /// A policy at one setting.
@@ -182,6 +214,31 @@ impl Candidate {
         Ok(varied)
     }
 
+    /// This policy with these settings of expected-loss beside those it has.
+    ///
+    /// # Errors
+    /// [`FrontierError::Policy`] when there is no such setting or it cannot have the value.
+    pub(crate) fn with_settings(&self, settings: &[SettingValue]) -> Result<Self, FrontierError> {
+        let mut varied = self.clone();
+        for setting in settings {
+            let mut table = &mut varied.config.expected_loss;
+            let mut path = setting.path.split('.').peekable();
+            while let Some(key) = path.next() {
+                if path.peek().is_none() {
+                    table.insert(key.to_owned(), setting.value.clone());
+                    break;
+                }
+                let inner = table.entry(key).or_insert_with(|| serde_json::json!({}));
+                let serde_json::Value::Object(inner) = inner else {
+                    break;
+                };
+                table = inner;
+            }
+        }
+        varied.build()?;
+        Ok(varied)
+    }
+
     fn build(&self) -> Result<Box<dyn Policy>, FrontierError> {
         self.config.build().map_err(|source| FrontierError::Policy {
             policy: self.config.name.clone(),
@@ -273,6 +330,9 @@ impl Candidate {
         // Bisected on the square root: fine where the knob is small, without shunning zero.
         let (mut low, mut high) = (knob.minimum.sqrt(), knob.maximum.sqrt());
         let mut best = (f64::INFINITY, self.clone());
+        // Nearer than half a frame cannot be come.
+        let frames: usize = clips.iter().map(|clip| clip.steps.len()).sum();
+        let near = 2e-4f64.max(0.5 / frames.max(1) as f64);
         for _ in 0..18 {
             let middle = (low + high) / 2.0;
             let candidate = self.at(&knob, middle * middle)?;
@@ -281,7 +341,7 @@ impl Candidate {
             if (reached - skip_rate).abs() < best.0 {
                 best = ((reached - skip_rate).abs(), candidate);
             }
-            if best.0 < 2e-4 {
+            if best.0 <= near {
                 break;
             }
             if reached < skip_rate {
@@ -319,11 +379,23 @@ impl Candidate {
                 accuracy(&replayed.boxes, &clip.truth, classes, area)
             })
             .flatten();
-        Ok(ClipFigures {
+        let looked = replayed.frames.iter().filter(|frame| frame.looked);
+        let looked = looked.count() as f64 / replayed.frames.len().max(1) as f64;
+        let figures = ClipFigures {
             clip: clip.name.clone(),
             skip_rate,
-            ap50: accuracy.map_or(0.0, |accuracy| accuracy.ap50),
-            map: accuracy.map_or(0.0, |accuracy| accuracy.map),
+            looked,
+            ..ClipFigures::default()
+        };
+        Ok(match accuracy {
+            None => figures,
+            Some(accuracy) => ClipFigures {
+                ap50: accuracy.ap50,
+                ap75: accuracy.ap75,
+                map: accuracy.map,
+                f1: [accuracy.f1_50, accuracy.f1_75],
+                ..figures
+            },
         })
     }
 }

@@ -5,10 +5,12 @@ use crate::data::Clip;
 use crate::source::{ClipEvidence, SourceError};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::GreyPicture;
+use albireo_core::policy::{GreyPicture, Need};
+use albireo_node::frame::Picture;
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::Serialize;
+use std::sync::Arc;
 
 /// A way to look at recordings.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -64,6 +66,8 @@ impl View {
             steps: Vec::new(),
             detections: Vec::new(),
             truth: Vec::new(),
+            grey: Vec::new(),
+            grey_width: None,
         };
         let mut step = 0;
         for (detections, truth) in detections.iter().zip(truth).step_by(self.every.max(1)) {
@@ -108,6 +112,10 @@ pub struct ViewedClip {
     pub detections: Vec<Vec<Detection>>,
     /// What is in each frame.
     pub truth: Vec<Vec<TruthBox>>,
+    /// Each frame in grey; empty where there are no pictures.
+    pub grey: Vec<Arc<Picture>>,
+    /// The width that was asked for when these were made.
+    pub grey_width: Option<u32>,
 }
 
 /// The evidence of a viewed clip; the screen never says "empty".
@@ -134,8 +142,22 @@ impl ClipEvidence for ViewedEvidence<'_> {
         Ok(Some(false))
     }
 
-    fn grey_picture(&mut self, _frame: usize) -> Result<Option<GreyPicture<'_>>, SourceError> {
-        Err(SourceError::NoPictures)
+    fn grey_picture(
+        &mut self,
+        frame: usize,
+        need: Need,
+    ) -> Result<Option<GreyPicture<'_>>, SourceError> {
+        let wanted = match need {
+            Need::SmallGreyPicture { width } => Some(width),
+            _ => None,
+        };
+        let kept = self.0.grey.get(frame).filter(|_| wanted.is_some());
+        let kept = kept.filter(|_| wanted == self.0.grey_width);
+        let picture = kept.ok_or(SourceError::NoPictures)?;
+        Ok(Some(GreyPicture {
+            size: picture.size,
+            pixels: &picture.pixels,
+        }))
     }
 }
 

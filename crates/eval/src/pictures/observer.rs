@@ -8,6 +8,7 @@ use albireo_node::detector::{
 };
 use albireo_node::frame::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
+    decode_small_grey,
 };
 use albireo_node::screen::{ScreenConfig, ScreenHandle, decoding_target};
 use std::sync::Arc;
@@ -191,10 +192,28 @@ impl Observer {
         &self,
         encoded: &EncodedPicture,
     ) -> Result<(Picture, Duration), ObserveError> {
-        let start = Instant::now();
-        let mut grey = Picture::default();
-        decode_grey_half(encoded, &self.limits, &mut grey)?;
-        grey.pixels.shrink_to_fit();
-        Ok((grey, start.elapsed()))
+        timed(|grey| decode_grey_half(encoded, &self.limits, grey))
     }
+
+    /// The picture in grey, not much wider than `width`, and the time that took.
+    ///
+    /// # Errors
+    /// [`ObserveError::Picture`] when it cannot be decoded.
+    pub(crate) fn small_grey(
+        &self,
+        encoded: &EncodedPicture,
+        width: u32,
+    ) -> Result<(Picture, Duration), ObserveError> {
+        timed(|grey| decode_small_grey(encoded, &self.limits, width, grey))
+    }
+}
+
+fn timed(
+    decode: impl FnOnce(&mut Picture) -> Result<(), FrameFault>,
+) -> Result<(Picture, Duration), ObserveError> {
+    let start = Instant::now();
+    let mut grey = Picture::default();
+    decode(&mut grey)?;
+    grey.pixels.shrink_to_fit();
+    Ok((grey, start.elapsed()))
 }

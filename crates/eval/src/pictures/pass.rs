@@ -6,12 +6,15 @@ use crate::footage::{FootageError, FrameSource};
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_node::frame::Picture;
 use albireo_node::screen::Thumbnail;
+use std::sync::Arc;
 
 /// What to keep of the pass.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct PassSettings {
     /// Whether to keep the grey pictures at half size: a quarter of a byte for each pixel of the clip.
     pub keep_grey: bool,
+    /// Width of the small grey pictures to keep.
+    pub keep_small: Option<u32>,
     /// Whether to keep what the agnostic screen sees of each picture.
     pub keep_thumbnails: bool,
     /// Look at no more frames than this.
@@ -29,6 +32,8 @@ pub struct StepTimes {
     pub screen: f64,
     /// Decoding to grey at half size; 0 where that is not kept.
     pub grey: f64,
+    /// Decoding to a small grey picture; 0 where that is not kept.
+    pub small: f64,
 }
 
 /// A clip of which everything a policy may ask is known.
@@ -39,6 +44,10 @@ pub struct PicturedClip {
     pub clip: Clip,
     /// The grey picture of each frame at half size; empty when not kept.
     pub grey: Vec<Picture>,
+    /// The small grey picture of each frame; empty when not kept.
+    pub small: Vec<Arc<Picture>>,
+    /// The width that was asked for when these were made.
+    pub small_width: Option<u32>,
     /// What the agnostic screen sees of each frame; empty when not kept.
     pub thumbnails: Vec<Option<Thumbnail>>,
     /// The time of each step on each frame.
@@ -100,7 +109,8 @@ pub fn collect(
     let mut size = None;
     let mut detections = Vec::new();
     let mut verdicts = Vec::new();
-    let (mut grey, mut thumbnails, mut times) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut grey, mut small) = (Vec::new(), Vec::new());
+    let (mut thumbnails, mut times) = (Vec::new(), Vec::new());
     while settings.most_frames.is_none_or(|most| times.len() < most) {
         let next = source.next()?;
         let Some(encoded) = next else { break };
@@ -124,7 +134,7 @@ pub fn collect(
             decode: observed.decode.as_secs_f64() * 1e3,
             detector: observed.detector.as_secs_f64() * 1e3,
             screen: observed.screen.map_or(0.0, |time| time.as_secs_f64() * 1e3),
-            grey: 0.0,
+            ..StepTimes::default()
         };
         if settings.keep_thumbnails {
             thumbnails.push(Thumbnail::of(observer.picture()));
@@ -133,6 +143,11 @@ pub fn collect(
             let (picture, time) = observer.grey_half(&encoded).map_err(failed)?;
             grey.push(picture);
             step.grey = time.as_secs_f64() * 1e3;
+        }
+        if let Some(width) = settings.keep_small {
+            let (picture, time) = observer.small_grey(&encoded, width).map_err(failed)?;
+            small.push(Arc::new(picture));
+            step.small = time.as_secs_f64() * 1e3;
         }
         verdicts.push(observed.empty);
         detections.push(stored(&observed, first, &name, frame, report));
@@ -163,6 +178,8 @@ pub fn collect(
             pictures: Vec::new(),
         },
         grey,
+        small,
+        small_width: settings.keep_small,
         thumbnails,
         times,
     })

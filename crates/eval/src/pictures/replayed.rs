@@ -8,7 +8,7 @@ use crate::source::{ClipEvidence, ScreenRule, SourceError, StoredEvidence};
 use crate::spec::PolicySpec;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{FrameHead, FrameState, GreyPicture, Need};
+use albireo_core::policy::{FrameState, GreyPicture, Need};
 
 /// Which steps a frame needed.
 #[derive(Clone, Copy, Debug, Default)]
@@ -16,6 +16,7 @@ struct Asked {
     detector: bool,
     screen: bool,
     grey: bool,
+    small: bool,
 }
 
 /// A [`PicturedClip`] as evidence. Remembers what was asked for, and so what it would have cost.
@@ -69,6 +70,7 @@ impl<'a> PictureEvidence<'a> {
                     (asked.detector, times.detector),
                     (real_screen, times.screen),
                     (asked.grey, times.grey),
+                    (asked.small, times.small),
                 ] {
                     if needed {
                         time += step;
@@ -103,43 +105,60 @@ impl ClipEvidence for PictureEvidence<'_> {
         self.stored.screen_says_empty(frame)
     }
 
-    fn grey_picture(&mut self, frame: usize) -> Result<Option<GreyPicture<'_>>, SourceError> {
-        let grey = self
-            .pictured
-            .grey
-            .get(frame)
-            .ok_or(SourceError::NoPictures)?;
+    fn grey_picture(
+        &mut self,
+        frame: usize,
+        need: Need,
+    ) -> Result<Option<GreyPicture<'_>>, SourceError> {
+        let pictured = self.pictured;
+        let kept = match need {
+            Need::SmallGreyPicture { width } if pictured.small_width == Some(width) => {
+                pictured.small.get(frame).map(AsRef::as_ref)
+            }
+            Need::GreyPicture => pictured.grey.get(frame),
+            _ => None,
+        };
+        let picture = kept.ok_or(SourceError::NoPictures)?;
         if let Some(asked) = self.asked.get_mut(frame) {
-            asked.grey = true;
+            match need {
+                Need::GreyPicture => asked.grey = true,
+                _ => asked.small = true,
+            }
         }
         Ok(Some(GreyPicture {
-            size: grey.size,
-            pixels: &grey.pixels,
+            size: picture.size,
+            pixels: &picture.pixels,
         }))
     }
 }
 
-/// Whether any of `policies` asks for grey pictures, so that the pass must keep them.
+/// The grey pictures that policies ask for, so that the pass must keep them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PixelsAsked {
+    /// Those at half size.
+    pub half: bool,
+    /// Small ones, of this width.
+    pub small: Option<u32>,
+}
+
+/// Which grey pictures `policies` ask for.
 ///
 /// # Errors
 /// [`RunError::Policy`] when one cannot be built.
-pub fn looks_at_pixels(policies: &[PolicySpec]) -> Result<bool, RunError> {
-    let head = FrameHead {
-        index: 0,
-        step: 1,
-        picture: PictureSize::new(2, 2),
-    };
+pub fn looks_at_pixels(policies: &[PolicySpec]) -> Result<PixelsAsked, RunError> {
+    let mut asked = PixelsAsked::default();
     for policy in policies {
         let built = policy.config.build().map_err(|source| RunError::Policy {
             policy: policy.label.clone(),
             source,
-        });
-        // Nothing is known at the first frame, so a policy that compares pictures wants the first of them.
-        if built?.begin(head) == Need::GreyPicture {
-            return Ok(true);
+        })?;
+        match built.pictures() {
+            Some(Need::GreyPicture) => asked.half = true,
+            Some(Need::SmallGreyPicture { width }) => asked.small = Some(width),
+            _ => {}
         }
     }
-    Ok(false)
+    Ok(asked)
 }
 
 /// Every policy over one clip, in parallel; the results in order of policies. Frame times are composed of

@@ -87,7 +87,11 @@ impl ClipEvidence for Patchy {
     fn screen_says_empty(&mut self, frame: usize) -> Result<Option<bool>, SourceError> {
         Ok((frame == 0).then_some(false))
     }
-    fn grey_picture(&mut self, frame: usize) -> Result<Option<GreyPicture<'_>>, SourceError> {
+    fn grey_picture(
+        &mut self,
+        frame: usize,
+        _: Need,
+    ) -> Result<Option<GreyPicture<'_>>, SourceError> {
         let size = PictureSize::new(2, 1);
         Ok((frame == 0).then_some(GreyPicture {
             size,

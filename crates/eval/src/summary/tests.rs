@@ -23,6 +23,9 @@ fn result(clip: &str, policy: &str, ap50: Option<f64>, skipped: usize) -> ClipRe
     result.accuracy = ap50.map(|ap50| Accuracy {
         ap50,
         map: ap50 / 2.0,
+        ap75: ap50 / 2.0,
+        f1_50: ap50,
+        f1_75: ap50 / 2.0,
         precision: 1.0,
         recall: 1.0,
         predictions: 1,

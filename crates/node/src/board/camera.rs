@@ -69,6 +69,8 @@ pub struct CameraSnapshot {
     pub dropped: DroppedFrames,
     /// What the empty-scene screen has counted.
     pub screen: ScreenCounts,
+    /// Frames of which a small grey picture was looked at, to follow boxes by optical flow.
+    pub looks: u64,
     /// Clips ended.
     pub clips: u64,
     /// Energy of these clips, joules, over the time that samples cover.
@@ -99,6 +101,7 @@ struct Counts {
     calls: DetectorCalls,
     dropped: DroppedFrames,
     screen: ScreenCounts,
+    looks: u64,
     clips: u64,
     clip_joules: f64,
     boxes: BTreeMap<(Arc<str>, &'static str), u64>,
@@ -126,6 +129,7 @@ const fn source_name(source: BoxSource) -> &'static str {
     match source {
         BoxSource::Detected => "detected",
         BoxSource::Predicted => "predicted",
+        BoxSource::Followed => "followed",
         BoxSource::Rescued => "rescued",
     }
 }
@@ -230,6 +234,11 @@ impl CameraBoard {
         self.counts.lock().screen = screen;
     }
 
+    /// Counts a frame of which a grey picture was looked at.
+    pub(crate) fn record_look(&self) {
+        self.counts.lock().looks += 1;
+    }
+
     /// Counts a processed frame by what was published for it, and tells it to subscribers.
     pub fn record_frame(&self, detections: Arc<DetectionsMessage>) {
         let latency = &detections.latency_ms;
@@ -327,6 +336,7 @@ impl CameraBoard {
             calls: counts.calls,
             dropped: counts.dropped,
             screen: counts.screen,
+            looks: counts.looks,
             clips: counts.clips,
             clip_joules: counts.clip_joules,
             boxes: counts.boxes.clone(),

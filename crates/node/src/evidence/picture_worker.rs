@@ -3,6 +3,7 @@
 use crate::detector::{Preparation, PreparedPicture};
 use crate::frame::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
+    decode_small_grey,
 };
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::Need;
@@ -15,6 +16,8 @@ use tokio::task::JoinHandle;
 pub(super) enum Stage {
     /// Grey at half its size.
     Grey,
+    /// Grey, not much wider than this.
+    SmallGrey(u32),
     /// The decoded picture.
     Picture,
     /// The detector's input, and the decoded picture with it.
@@ -27,6 +30,7 @@ impl Stage {
         match need {
             Need::Nothing => None,
             Need::GreyPicture => Some(Self::Grey),
+            Need::SmallGreyPicture { width } => Some(Self::SmallGrey(width)),
             Need::Screen => Some(Self::Picture),
             Need::Detections => Some(Self::Prepared),
         }
@@ -43,7 +47,8 @@ pub(super) struct PreparedFrame {
     pub(super) prepared: Option<PreparedPicture>,
     /// The picture in grey, if there is one.
     pub(super) grey: Picture,
-    greyed: bool,
+    /// Which of the grey pictures that is.
+    greyed: Option<Stage>,
     /// How long decoding took, grey included.
     pub(super) decode: Option<Duration>,
 }
@@ -51,13 +56,13 @@ pub(super) struct PreparedFrame {
 impl PreparedFrame {
     /// Whether nothing has been made of the picture yet.
     fn is_empty(&self) -> bool {
-        !(self.decoded || self.greyed)
+        !self.decoded && self.greyed.is_none()
     }
 
     /// Whether nothing more has to be done for `look`.
     pub(super) fn has(&self, stage: Stage) -> bool {
         match stage {
-            Stage::Grey => self.greyed,
+            Stage::Grey | Stage::SmallGrey(_) => self.greyed == Some(stage),
             Stage::Picture => self.decoded,
             Stage::Prepared => self.prepared.is_some(),
         }
@@ -73,9 +78,15 @@ impl PreparedFrame {
     ) -> Result<(), FrameFault> {
         let start = Instant::now();
         match stage {
-            Stage::Grey => {
-                decode_grey_half(encoded, limits, &mut self.grey)?;
-                self.greyed = true;
+            Stage::Grey | Stage::SmallGrey(_) => {
+                self.greyed = None;
+                match stage {
+                    Stage::SmallGrey(width) => {
+                        decode_small_grey(encoded, limits, width, &mut self.grey)?;
+                    }
+                    _ => decode_grey_half(encoded, limits, &mut self.grey)?,
+                }
+                self.greyed = Some(stage);
                 self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
             }
             Stage::Picture => {

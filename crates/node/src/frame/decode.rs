@@ -111,6 +111,31 @@ pub fn decode_grey_half(
     into: &mut Picture,
 ) -> Result<(), FrameFault> {
     decode(picture, limits, PixelLayout::Gray8, None, into)?;
+    halve(into)
+}
+
+/// Decodes `picture` in grey at a whole fraction of its size (a half, a quarter, …), the smallest that leaves `width`
+/// columns; at its full size when it has less than twice as many. JPEG files are scaled while they are decoded, if the
+/// program was built with the feature `turbojpeg`.
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_small_grey(
+    picture: &EncodedPicture,
+    limits: &FrameLimits,
+    width: u32,
+    into: &mut Picture,
+) -> Result<(), FrameFault> {
+    let least = PictureSize::new(width.max(1), 1);
+    decode(picture, limits, PixelLayout::Gray8, Some(least), into)?;
+    while into.size.width / 2 >= least.width && into.size.height >= 2 {
+        halve(into)?;
+    }
+    Ok(())
+}
+
+/// Halves a grey picture in each direction, in place.
+fn halve(into: &mut Picture) -> Result<(), FrameFault> {
     let PictureSize { width, height } = into.size;
     let half = PictureSize::new(width / 2, height / 2);
     if half.pixels() == 0 {

@@ -22,6 +22,7 @@
 //! ```
 //!
 //! and afterwards both log-sides move at the mean of their velocities: what comes nearer keeps its shape.
+//! Where optical flow follows a box, it measures a difference of two positions: see [`Earlier`].
 
 use super::settings::Motion;
 
@@ -67,6 +68,66 @@ impl Axis {
     }
 }
 
+/// Where the object was at an earlier frame, as the filter has it since: position a, its variance, and its
+/// covariances with position and velocity now.
+///
+/// What optical flow measures is `x − a`, a difference of two positions that the filter is unsure of in the same
+/// way. Keeping a copy of the earlier state with its covariances makes it an ordinary measurement (Roumeliotis and
+/// Burdick, "Stochastic Cloning", ICRA 2002).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Earlier {
+    a: f64,
+    paa: f64,
+    pxa: f64,
+    pva: f64,
+}
+
+impl Earlier {
+    /// The state now.
+    fn of(axis: &Axis) -> Self {
+        Self {
+            a: axis.x,
+            paa: axis.p00,
+            pxa: axis.p00,
+            pva: axis.p01,
+        }
+    }
+
+    fn predict(&mut self, g: f64) {
+        self.pxa += self.pva;
+        self.pva *= g;
+    }
+
+    /// `axis` is about to take a measurement z of x with variance `r`.
+    fn update(&mut self, axis: &Axis, z: f64, r: f64) {
+        let s = axis.p00 + r;
+        let gain = self.pxa / s;
+        self.a += gain * (z - axis.x);
+        self.paa -= gain * self.pxa;
+        self.pva -= axis.p01 / s * self.pxa;
+        self.pxa *= 1.0 - axis.p00 / s;
+    }
+
+    /// The variance of `x − a` measured with variance `r`, and the covariance of x with it.
+    fn difference(&self, axis: &Axis, r: f64) -> (f64, f64) {
+        let s = axis.p00 - 2.0 * self.pxa + self.paa + r;
+        (s, axis.p00 - self.pxa)
+    }
+
+    /// `axis` takes a measurement d of x − a with variance `r`. What is left of the earlier state is of no use.
+    fn measure(&self, axis: &mut Axis, d: f64, r: f64) {
+        let (s, covariance) = self.difference(axis, r);
+        let y = d - (axis.x - self.a);
+        let (c0, c1) = (covariance, axis.p01 - self.pva);
+        let (k0, k1) = (c0 / s, c1 / s);
+        axis.x += k0 * y;
+        axis.v += k1 * y;
+        axis.p00 -= k0 * c0;
+        axis.p01 -= k0 * c1;
+        axis.p11 -= k1 * c1;
+    }
+}
+
 /// A box as the filter measures it: centre and logarithms of the sides.
 pub(super) type Measured = [f64; 4];
 
@@ -76,6 +137,8 @@ pub(super) struct MotionFilter {
     pub axes: [Axis; 4],
     /// Width and height: the exponentials of the log-sides, which are asked for often.
     sides: [f64; 2],
+    /// Where it was in the last picture that was looked at.
+    earlier: Option<[Earlier; 4]>,
 }
 
 impl MotionFilter {
@@ -101,6 +164,7 @@ impl MotionFilter {
                 p11: (deviation[axis] * unit[axis]).powi(2),
             }),
             sides,
+            earlier: None,
         }
     }
 
@@ -140,19 +204,76 @@ impl MotionFilter {
             axis.predict(1.0, g_size, q_size);
             axis.x = axis.x.clamp(-LARGEST_LOG, LARGEST_LOG);
         }
+        if let Some(earlier) = &mut self.earlier {
+            let g = [g_center, g_center, g_size, g_size];
+            for (earlier, g) in earlier.iter_mut().zip(g) {
+                earlier.predict(g);
+            }
+        }
         self.refresh_sides();
     }
 
     /// Takes a measurement; returns the four squared normalised innovations y²/S.
     pub(crate) fn update(&mut self, settings: &Motion, measured: &Measured) -> [f64; 4] {
         let r = measurement_variance(settings, self.size());
+        if let Some(earlier) = &mut self.earlier {
+            for (axis, earlier) in earlier.iter_mut().enumerate() {
+                earlier.update(&self.axes[axis], measured[axis], r[axis]);
+            }
+        }
         let innovations =
             std::array::from_fn(|axis| self.axes[axis].update(measured[axis], r[axis]));
+        self.share_growth();
+        self.refresh_sides();
+        innovations
+    }
+
+    /// What comes nearer keeps its shape.
+    fn share_growth(&mut self) {
         let growth = (self.axes[LOG_WIDTH].v + self.axes[LOG_HEIGHT].v) / 2.0;
         self.axes[LOG_WIDTH].v = growth;
         self.axes[LOG_HEIGHT].v = growth;
+    }
+
+    /// Remembers where the object is now, for [`follow`](Self::follow) to measure from.
+    pub(crate) fn remember(&mut self) {
+        self.earlier = Some(std::array::from_fn(|axis| Earlier::of(&self.axes[axis])));
+    }
+
+    /// Where the object was when it was remembered.
+    pub(crate) fn remembered(&self) -> Option<Measured> {
+        let earlier = self.earlier?;
+        Some(std::array::from_fn(|axis| earlier[axis].a))
+    }
+
+    /// Takes how far it has moved and grown since then, with the variances of that.
+    pub(crate) fn follow(&mut self, moved: &Measured, variance: &[f64; 4]) {
+        let Some(earlier) = self.earlier.take() else {
+            return;
+        };
+        for (axis, earlier) in earlier.iter().enumerate() {
+            earlier.measure(&mut self.axes[axis], moved[axis], variance[axis]);
+        }
+        for axis in [LOG_WIDTH, LOG_HEIGHT] {
+            let axis = &mut self.axes[axis];
+            axis.x = axis.x.clamp(-LARGEST_LOG, LARGEST_LOG);
+        }
+        self.share_growth();
         self.refresh_sides();
-        innovations
+    }
+
+    /// [`relative_variance`](Self::relative_variance) as it would be after [`follow`](Self::follow), whatever is
+    /// measured.
+    pub(crate) fn variance_if_followed(&self, variance: &[f64; 4]) -> f64 {
+        let Some(earlier) = &self.earlier else {
+            return self.relative_variance();
+        };
+        let mut axes = self.axes;
+        for ((axis, earlier), r) in axes.iter_mut().zip(earlier).zip(variance) {
+            let (s, covariance) = earlier.difference(axis, *r);
+            axis.p00 -= covariance * covariance / s;
+        }
+        relative_variance(&axes, self.sides)
     }
 
     /// The variances S of the innovations to come.
@@ -174,13 +295,13 @@ impl MotionFilter {
     /// The relative variance of the box: `4·p_x/w² + 4·p_y/h² + p_lw + p_lh`. A variance of one half
     /// means an edge that is off by about half a side.
     pub(crate) fn relative_variance(&self) -> f64 {
-        let [x, y, log_width, log_height] = &self.axes;
-        let [width, height] = self.sides;
-        4.0 * x.p00 / (width * width)
-            + 4.0 * y.p00 / (height * height)
-            + log_width.p00
-            + log_height.p00
+        relative_variance(&self.axes, self.sides)
     }
+}
+
+fn relative_variance(axes: &[Axis; 4], [width, height]: [f64; 2]) -> f64 {
+    let [x, y, log_width, log_height] = axes;
+    4.0 * x.p00 / (width * width) + 4.0 * y.p00 / (height * height) + log_width.p00 + log_height.p00
 }
 
 /// R of the four axes for a box of size `s`.
@@ -251,6 +372,62 @@ mod tests {
             assert!((axis.update(z, 0.04) - y * y / s).abs() < 1e-12);
             textbook.update(z, 0.04);
             assert!(textbook.differs(&axis) < 1e-12);
+        }
+    }
+
+    /// A textbook filter of position, velocity and the earlier position.
+    #[test]
+    fn a_measured_shift_is_a_measurement_of_a_difference() {
+        use nalgebra::{Matrix3, RowVector3, Vector3};
+        let mut axis = Axis {
+            x: 1.0,
+            v: 0.2,
+            p00: 0.3,
+            p01: 0.05,
+            p11: 0.1,
+        };
+        let mut earlier = Earlier::of(&axis);
+        let mut x = Vector3::new(axis.x, axis.v, axis.x);
+        let copy = Matrix3::new(1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0);
+        let now = Matrix3::new(
+            axis.p00, axis.p01, 0.0, axis.p01, axis.p11, 0.0, 0.0, 0.0, 0.0,
+        );
+        let mut p = copy * now * copy.transpose();
+        let (g, q) = (0.97, 0.02);
+        let take =
+            |x: &mut Vector3<f64>, p: &mut Matrix3<f64>, h: RowVector3<f64>, z: f64, r: f64| {
+                let s = (h * *p * h.transpose())[0] + r;
+                let k = *p * h.transpose() / s;
+                *x += k * (z - (h * *x)[0]);
+                *p = (Matrix3::identity() - k * h) * *p;
+            };
+        for round in 0..3 {
+            axis.predict(1.0, g, q);
+            earlier.predict(g);
+            let f = Matrix3::new(1.0, 1.0, 0.0, 0.0, g, 0.0, 0.0, 0.0, 1.0);
+            let noise = Vector3::new(0.5, 1.0, 0.0);
+            x = f * x;
+            p = f * p * f.transpose() + noise * noise.transpose() * q;
+            if round == 1 {
+                // A detection in between.
+                earlier.update(&axis, 1.6, 0.04);
+                axis.update(1.6, 0.04);
+                take(&mut x, &mut p, RowVector3::new(1.0, 0.0, 0.0), 1.6, 0.04);
+            }
+        }
+        let (s, covariance) = earlier.difference(&axis, 0.01);
+        let expected = axis.p00 - covariance * covariance / s;
+        earlier.measure(&mut axis, 0.7, 0.01);
+        take(&mut x, &mut p, RowVector3::new(1.0, 0.0, -1.0), 0.7, 0.01);
+        for (ours, theirs) in [
+            (axis.x, x[0]),
+            (axis.v, x[1]),
+            (axis.p00, p[(0, 0)]),
+            (axis.p01, p[(0, 1)]),
+            (axis.p11, p[(1, 1)]),
+            (axis.p00, expected),
+        ] {
+            assert!((ours - theirs).abs() < 1e-12, "{ours} {theirs}");
         }
     }
 

@@ -1,7 +1,7 @@
 //! What is remembered of one object, its predicted miss probability and its confidence.
 
 use super::motion::{LARGEST_LOG, Measured, MotionFilter, X, Y};
-use super::settings::{Confidence, ExpectedLossSettings, Surprise};
+use super::settings::{Confidence, ExpectedLossSettings, Pixels, Surprise};
 use crate::detection::{ClassId, Detection};
 use crate::geometry::BoundingBox;
 use crate::policy::{ObjectId, ObjectRecord};
@@ -46,6 +46,16 @@ pub(super) struct Object {
     pub miss_probability: f64,
     /// The detector's box of this frame, if it found the object.
     pub seen: Option<BoundingBox>,
+    /// Whether optical flow followed it into this frame.
+    pub followed: bool,
+    /// The share of points that agreed when it was looked at last.
+    pub agreement: f64,
+    /// What the looks since the last detection leave of the belief that it is what is followed, 0 to 1.
+    pub health: f64,
+    /// Where boxes are followed, how far the box that is followed lies from the filter's: see [`Object::trail`].
+    pub offset: Option<Measured>,
+    /// Whether it was followed since its last detection.
+    pub trailing: bool,
 }
 
 impl Object {
@@ -72,6 +82,11 @@ impl Object {
             last_score: detection.confidence,
             miss_probability: 0.0,
             seen: Some(detection.bounding_box),
+            followed: false,
+            agreement: 1.0,
+            health: 1.0,
+            trailing: false,
+            offset: (settings.pixels == Pixels::Flow).then_some([0.0; 4]),
         }
     }
 
@@ -81,6 +96,7 @@ impl Object {
         self.since_match = self.since_match.saturating_add(1);
         self.since_detector = self.since_detector.saturating_add(1);
         self.seen = None;
+        self.followed = false;
     }
 
     /// Takes its detection; returns the mean squared normalised innovation `n = ¼ Σ min(y²/S, largest)`.
@@ -104,7 +120,25 @@ impl Object {
         let rate = settings.confidence.rate.max(1.0 / f64::from(self.hits));
         self.mean_score += rate * (detection.confidence - self.mean_score);
         self.seen = Some(detection.bounding_box);
+        self.health = 1.0;
+        self.trailing = false;
+        if let Some(offset) = &mut self.offset {
+            let own = self.filter.position();
+            let share = settings.flow.detected;
+            *offset = std::array::from_fn(|axis| share * (measured[axis] - own[axis]));
+        }
         n
+    }
+
+    /// The box that is followed, in the filter's terms. It begins between the detector's box and the filter's and is
+    /// moved by what flow measures, not by what the filter makes of that: a filter that is right about speed is late
+    /// with what the detector saw.
+    pub(crate) fn trail(&self) -> Measured {
+        let own = self.filter.position();
+        match self.offset {
+            Some(offset) => std::array::from_fn(|axis| own[axis] + offset[axis]),
+            None => own,
+        }
     }
 
     /// The detector looked and did not find it. Whether it stays.
@@ -117,14 +151,37 @@ impl Object {
     /// Computes the probability π that the predicted box is off by too much, from the variance of its
     /// error relative to its sides, `σ² = α·(4·p_x/w² + 4·p_y/h² + p_lw + p_lh)`:
     /// `π = exp(−0.25 / (2σ²))`, the probability that a Rayleigh variable of that variance exceeds 1/2.
-    pub(crate) fn judge(&mut self) {
-        let variance = self.alpha * self.filter.relative_variance();
-        self.miss_probability = fading(0.125 / variance);
+    ///
+    /// What optical flow takes from its health is a probability of its own: `1 − (1 − π)·h^weight`.
+    pub(crate) fn judge(&mut self, health_weight: f64) {
+        self.miss_probability = self.missing(self.filter.relative_variance(), health_weight);
+    }
+
+    /// The miss probability with that relative variance of the box.
+    fn missing(&self, relative_variance: f64, health_weight: f64) -> f64 {
+        let off = fading(0.125 / (self.alpha * relative_variance));
+        if self.health < 1.0 {
+            1.0 - (1.0 - off) * self.health.powf(health_weight)
+        } else {
+            off
+        }
+    }
+
+    /// By how much the miss probability is expected to be less after a look that measures with these variances.
+    pub(crate) fn gain_of_look(&self, variance: &[f64; 4], health_weight: f64) -> f64 {
+        let followed = self.filter.variance_if_followed(variance);
+        let gain = self.miss_probability - self.missing(followed, health_weight);
+        self.agreement * gain
     }
 
     /// What losing the object would cost now: `m · miss^misses · π`.
     pub(crate) fn expected_loss(&self, miss: f64) -> f64 {
-        self.mean_score * power(miss, self.misses) * self.miss_probability
+        self.weight(miss) * self.miss_probability
+    }
+
+    /// What the object weighs: `m · miss^misses`.
+    pub(crate) fn weight(&self, miss: f64) -> f64 {
+        self.mean_score * power(miss, self.misses)
     }
 
     /// The confidence to report; see [`Confidence`].
@@ -166,7 +223,15 @@ impl Object {
     pub(crate) fn bounding_box(&self, aspect: f64) -> BoundingBox {
         let own = self.filter_box(aspect);
         match self.seen {
-            None => own,
+            None => match self.offset.filter(|_| self.trailing) {
+                Some([x, y, log_width, log_height]) => BoundingBox {
+                    center_x: own.center_x + x / aspect,
+                    center_y: own.center_y + y,
+                    width: own.width * log_width.exp(),
+                    height: own.height * log_height.exp(),
+                },
+                None => own,
+            },
             Some(seen) => BoundingBox {
                 center_x: (own.center_x + seen.center_x) / 2.0,
                 center_y: (own.center_y + seen.center_y) / 2.0,

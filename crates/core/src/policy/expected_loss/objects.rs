@@ -99,8 +99,15 @@ impl Objects {
 
     /// Computes how far each predicted box can be trusted, once a frame after the last
     /// [`predict`](Self::predict).
-    pub(crate) fn judge(&mut self) {
-        self.objects.iter_mut().for_each(Object::judge);
+    pub(crate) fn judge(&mut self, health_weight: f64) {
+        for object in &mut self.objects {
+            object.judge(health_weight);
+        }
+    }
+
+    /// The objects, to be followed.
+    pub(crate) fn as_mut_slice(&mut self) -> &mut [Object] {
+        &mut self.objects
     }
 
     /// Takes what the detector found: matches, updates, removes, creates. Returns the summed scores of
@@ -183,6 +190,7 @@ impl Objects {
                 continue;
             };
             let source = match (detected, object.seen) {
+                (false, _) if object.followed => BoxSource::Followed,
                 (false, _) => BoxSource::Predicted,
                 (true, Some(_)) => BoxSource::Detected,
                 (true, None) => BoxSource::Rescued,

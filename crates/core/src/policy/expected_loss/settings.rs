@@ -20,6 +20,77 @@ pub struct ExpectedLossSettings {
     pub confidence: Confidence,
     /// When the detector is called.
     pub call: Call,
+    /// What is made of the pixels of frames that are answered without the detector.
+    pub pixels: Pixels,
+    /// How boxes are followed in them.
+    pub flow: Flow,
+}
+
+/// What is made of the pixels of frames that are answered without the detector.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Pixels {
+    /// Nothing: such a frame is not even decoded.
+    #[default]
+    Off,
+    /// The boxes are followed by sparse optical flow, where that is worth its price.
+    Flow,
+}
+
+/// How boxes are followed, and what is believed of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Flow {
+    /// Columns of the grey picture that is asked for.
+    pub width: u32,
+    /// Points along each side of the grid in a box.
+    pub grid: u32,
+    /// Sizes of the picture that points are searched in, coarse to fine.
+    pub levels: u32,
+    /// What a look costs, as a share of what a call of the detector costs. At 0 every skipped frame with objects is
+    /// looked at.
+    pub price: f64,
+    /// No box is followed over more frames than this from the last picture that was looked at.
+    pub longest_gap: u32,
+    /// Where the followed box begins: the share of the detector's box against the filter's.
+    pub detected: f64,
+    /// Noise of the centre's measured shift, in s.
+    pub center_noise: f64,
+    /// Noise of the same, pixels of the grey picture.
+    pub pixel_noise: f64,
+    /// Noise of the measured growth of the log-sides.
+    pub size_noise: f64,
+    /// What the points' spread, in smaller sides of the box, adds to both.
+    pub spread_noise: f64,
+    /// What a spread of one takes from the reliability of a look.
+    pub spread_weight: f64,
+    /// What an unreliable look takes from an object's health at most.
+    pub doubt: f64,
+    /// What is left of an object's health where it could not be followed.
+    pub lost: f64,
+    /// The power of health in the miss probability.
+    pub health_weight: f64,
+}
+
+impl Default for Flow {
+    fn default() -> Self {
+        Self {
+            width: 320,
+            grid: 4,
+            levels: 3,
+            price: 0.0,
+            longest_gap: 5,
+            detected: 0.8,
+            center_noise: 0.01,
+            pixel_noise: 0.1,
+            size_noise: 0.01,
+            spread_noise: 1.0,
+            spread_weight: 4.0,
+            doubt: 0.7,
+            lost: 0.5,
+            health_weight: 1.0,
+        }
+    }
 }
 
 /// Constant velocity of the centre and of the logarithms of the sides, slowly fading.
@@ -275,6 +346,8 @@ impl ExpectedLossSettings {
             life,
             confidence,
             call,
+            pixels: _,
+            flow,
         } = self;
         check_ranges(
             "a number",
@@ -350,6 +423,16 @@ impl ExpectedLossSettings {
                 ("call.crowd_memory", call.crowd_memory, 1.0, 1e6),
                 ("call.crowd_prior", call.crowd_prior, 0.0, 1e6),
                 ("call.least_crowd", call.least_crowd, 1e-3, 1e6),
+                ("flow.price", flow.price, 0.0, 1.0),
+                ("flow.detected", flow.detected, 0.0, 1.0),
+                ("flow.center_noise", flow.center_noise, 1e-4, 10.0),
+                ("flow.pixel_noise", flow.pixel_noise, 0.0, 100.0),
+                ("flow.size_noise", flow.size_noise, 1e-4, 10.0),
+                ("flow.spread_noise", flow.spread_noise, 0.0, 100.0),
+                ("flow.spread_weight", flow.spread_weight, 0.0, 100.0),
+                ("flow.doubt", flow.doubt, 0.0, 1.0),
+                ("flow.lost", flow.lost, 0.0, 1.0),
+                ("flow.health_weight", flow.health_weight, 0.0, 10.0),
             ],
         )?;
         check_ranges(
@@ -359,6 +442,10 @@ impl ExpectedLossSettings {
                 // Every frame of a gap is predicted for every object, so the gap has a limit.
                 ("life.longest_blindness", life.longest_blindness, 1, 300),
                 ("life.hits_to_confirm", life.hits_to_confirm, 1, u32::MAX),
+                ("flow.width", flow.width, 64, 1920),
+                ("flow.grid", flow.grid, 3, 16),
+                ("flow.levels", flow.levels, 1, 6),
+                ("flow.longest_gap", flow.longest_gap, 1, 30),
                 (
                     "call.longest_pause",
                     call.longest_pause,

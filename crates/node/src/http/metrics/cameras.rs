@@ -42,7 +42,7 @@ pub(super) fn cameras(
     family(
         encoder,
         "boxes",
-        "Boxes reported, by class and by how each is known (detected, predicted, rescued)",
+        "Boxes reported, by class and by how each is known (detected, predicted, followed, rescued)",
         MetricType::Counter,
         |family| {
             cameras.iter().try_for_each(|(camera, snapshot)| {
@@ -69,6 +69,17 @@ pub(super) fn cameras(
             cameras.iter().try_for_each(|(camera, snapshot)| {
                 let labels = vec![("camera", camera.name())];
                 family.counter(labels, snapshot.shared_frames as f64)
+            })
+        },
+    )?;
+    family(
+        encoder,
+        "looks",
+        "Frames of which a small grey picture was decoded, to follow boxes by optical flow in it",
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                family.counter(vec![("camera", camera.name())], snapshot.looks as f64)
             })
         },
     )?;

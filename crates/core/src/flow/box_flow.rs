@@ -1,0 +1,289 @@
+//! How a box has moved: a grid of points, followed there and back.
+//!
+//! With p a point, d its shift, c the middle of the box, over the points whose way back ends within
+//! `largest_return` of where they started:
+//!
+//! ```text
+//! scale s  = median over pairs of |p'ᵢ − p'ⱼ| / |pᵢ − pⱼ|
+//! shift    = median of d − (s − 1)(p − c)
+//! residual = d − shift − (s − 1)(p − c)
+//! spread   = median |residual| / smaller side of the box
+//! ```
+//!
+//! Median Flow takes the median of d itself. That is the shift of the points' middle, which is not that of the box
+//! where the points that were kept lie to one side and the box grows.
+
+use super::median::median;
+use super::pyramid::Pyramid;
+use super::tracker::{Tracker, TrackerSettings};
+use crate::geometry::Corners;
+
+/// The settings of the grid and of what is believed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoxFlowSettings {
+    /// Points along each side of the grid, at most 16.
+    pub grid: usize,
+    /// The share of the box's sides that the grid spans.
+    pub inner: f32,
+    /// A point is kept when its way back ends so near to where it started, pixels.
+    pub largest_return: f32,
+    /// Points that must be kept.
+    pub least_points: usize,
+    /// The search for each.
+    pub tracker: TrackerSettings,
+}
+
+impl Default for BoxFlowSettings {
+    fn default() -> Self {
+        Self {
+            grid: 6,
+            inner: 0.7,
+            largest_return: 1.0,
+            least_points: 8,
+            tracker: TrackerSettings::default(),
+        }
+    }
+}
+
+impl BoxFlowSettings {
+    /// The default with so many points along each side of the grid and sizes of the picture.
+    pub fn of(grid: u32, levels: u32) -> Self {
+        let standard = Self::default();
+        Self {
+            grid: grid as usize,
+            tracker: TrackerSettings {
+                levels: levels as usize,
+                ..standard.tracker
+            },
+            ..standard
+        }
+    }
+}
+
+/// Largest number of points along a side of the grid.
+const LARGEST_GRID: usize = 16;
+
+/// How a box has moved.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BoxMotion {
+    /// Of its centre, pixels.
+    pub shift: [f64; 2],
+    /// What its sides are multiplied by.
+    pub scale: f64,
+    /// Median distance between where points started and where their way back ended, pixels.
+    pub forward_backward: f64,
+    /// Median distance of the points from where shift and scale put them, in smaller sides of the box.
+    pub spread: f64,
+}
+
+/// What came of following a box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Followed {
+    /// Points of the grid inside of the picture.
+    pub points: usize,
+    /// Those that came back.
+    pub kept: usize,
+    /// The motion; `None` when too few came back.
+    pub motion: Option<BoxMotion>,
+}
+
+impl Followed {
+    /// Share of the points that came back; 0 without points.
+    pub fn agreement(&self) -> f64 {
+        if self.points == 0 {
+            0.0
+        } else {
+            self.kept as f64 / self.points as f64
+        }
+    }
+}
+
+/// A point of the grid and where it went.
+#[derive(Clone, Copy, Debug)]
+struct Pair {
+    start: [f32; 2],
+    end: [f32; 2],
+}
+
+/// Follows boxes.
+#[derive(Clone, Debug)]
+pub struct BoxFlow {
+    settings: BoxFlowSettings,
+    tracker: Tracker,
+    pairs: Vec<Pair>,
+    returns: Vec<f32>,
+    values: Vec<f32>,
+}
+
+impl BoxFlow {
+    /// With these settings; a grid of more than 16 points a side is one of 16.
+    pub fn new(settings: BoxFlowSettings) -> Self {
+        let grid = settings.grid.min(LARGEST_GRID);
+        let points = grid * grid;
+        Self {
+            settings: BoxFlowSettings { grid, ..settings },
+            tracker: Tracker::new(settings.tracker),
+            pairs: Vec::with_capacity(points),
+            returns: Vec::with_capacity(points),
+            values: Vec::with_capacity(points * points.saturating_sub(1) / 2),
+        }
+    }
+
+    /// The settings in force.
+    pub fn settings(&self) -> &BoxFlowSettings {
+        &self.settings
+    }
+
+    /// Follows the box `area` of the picture `before`, in its pixels, into the picture `after`. The search begins
+    /// at `guess`, how far the box is thought to have moved, pixels.
+    pub fn follow(
+        &mut self,
+        before: &Pyramid,
+        after: &Pyramid,
+        area: Corners,
+        guess: [f64; 2],
+    ) -> Followed {
+        let points = self.track_points(before, after, area, guess);
+        let kept = self.pairs.len();
+        let enough = kept >= self.settings.least_points.max(2);
+        Followed {
+            points,
+            kept,
+            motion: enough.then(|| self.motion(area)).flatten(),
+        }
+    }
+
+    /// Fills `pairs` and `returns`; returns how many points there are to follow.
+    fn track_points(
+        &mut self,
+        before: &Pyramid,
+        after: &Pyramid,
+        area: Corners,
+        guess: [f64; 2],
+    ) -> usize {
+        self.pairs.clear();
+        self.returns.clear();
+        let (width, height) = before.size();
+        let rows = Grid::along(area.y1, area.y2, height, &self.settings);
+        let columns = Grid::along(area.x1, area.x2, width, &self.settings);
+        let (Some(rows), Some(columns)) = (rows, columns) else {
+            return 0;
+        };
+        let guess = guess.map(|shift| shift as f32);
+        let limit = self.settings.largest_return * self.settings.largest_return;
+        let grid = self.settings.grid;
+        for row in 0..grid {
+            for column in 0..grid {
+                let start = [columns.place(column), rows.place(row)];
+                let Some(shift) = self.tracker.track(before, after, start, guess) else {
+                    continue;
+                };
+                let end = [start[0] + shift[0], start[1] + shift[1]];
+                let back = [-guess[0], -guess[1]];
+                let Some(back) = self.tracker.track(after, before, end, back) else {
+                    continue;
+                };
+                let distance = squared(shift, [-back[0], -back[1]]);
+                if distance <= limit {
+                    self.pairs.push(Pair { start, end });
+                    self.returns.push(distance.sqrt());
+                }
+            }
+        }
+        grid * grid
+    }
+
+    fn motion(&mut self, area: Corners) -> Option<BoxMotion> {
+        let scale = self.scale()?;
+        let growth = scale - 1.0;
+        let middle = [
+            ((area.x1 + area.x2) / 2.0) as f32,
+            ((area.y1 + area.y2) / 2.0) as f32,
+        ];
+        let shift = [0, 1].map(|axis| {
+            self.values.clear();
+            self.values.extend(self.pairs.iter().map(|pair| {
+                let grown = growth * (pair.start[axis] - middle[axis]);
+                pair.end[axis] - pair.start[axis] - grown
+            }));
+            median(&mut self.values)
+        });
+        self.values.clear();
+        self.values.extend(self.pairs.iter().map(|pair| {
+            let expected = [0, 1].map(|axis| {
+                pair.start[axis] + shift[axis] + growth * (pair.start[axis] - middle[axis])
+            });
+            squared(pair.end, expected).sqrt()
+        }));
+        let side = (area.x2 - area.x1).min(area.y2 - area.y1);
+        let motion = BoxMotion {
+            shift: shift.map(f64::from),
+            scale: f64::from(scale),
+            forward_backward: f64::from(median(&mut self.returns)),
+            spread: f64::from(median(&mut self.values)) / side,
+        };
+        let finite = motion.shift[0].is_finite()
+            && motion.shift[1].is_finite()
+            && motion.scale.is_finite()
+            && motion.spread.is_finite();
+        (finite && motion.scale > 0.0).then_some(motion)
+    }
+
+    /// The median ratio of distances after and before. The root of a median is the median of the roots.
+    fn scale(&mut self) -> Option<f32> {
+        self.values.clear();
+        for (index, a) in self.pairs.iter().enumerate() {
+            let later = self.pairs.get(index + 1..).unwrap_or_default();
+            self.values.extend(
+                later
+                    .iter()
+                    .map(|b| squared(a.end, b.end) / squared(a.start, b.start)),
+            );
+        }
+        let ratio = median(&mut self.values);
+        (ratio.is_finite() && ratio > 0.0).then(|| ratio.sqrt())
+    }
+}
+
+/// Evenly spaced places along one axis, rounded to whole pixels.
+struct Grid {
+    first: f32,
+    distance: f32,
+}
+
+impl Grid {
+    /// The grid in the part of a side from `low` to `high` that lies in a picture of `length` pixels; `None` if
+    /// there is none.
+    fn along(low: f64, high: f64, length: usize, settings: &BoxFlowSettings) -> Option<Self> {
+        let low = low.max(0.0);
+        let high = high.min(length as f64 - 1.0);
+        // NaN is no order.
+        let is_order = low.partial_cmp(&high) == Some(std::cmp::Ordering::Less);
+        if !is_order || settings.grid == 0 {
+            return None;
+        }
+        let span = (high - low) as f32 * settings.inner;
+        let middle = ((low + high) / 2.0) as f32;
+        let steps = settings.grid - 1;
+        Some(if steps == 0 {
+            Self {
+                first: middle,
+                distance: 0.0,
+            }
+        } else {
+            Self {
+                first: middle - span / 2.0,
+                distance: span / steps as f32,
+            }
+        })
+    }
+
+    fn place(&self, index: usize) -> f32 {
+        (self.first + self.distance * index as f32).round()
+    }
+}
+
+fn squared(a: [f32; 2], b: [f32; 2]) -> f32 {
+    let (dx, dy) = (a[0] - b[0], a[1] - b[1]);
+    dx * dx + dy * dy
+}

@@ -1,0 +1,31 @@
+//! Medians of a buffer that may be put in another order.
+
+/// The median of `values`; the mean of the two in the middle when there are as many above as below. 0
+/// without values.
+pub(super) fn median(values: &mut [f32]) -> f32 {
+    let middle = values.len() / 2;
+    let even = values.len().is_multiple_of(2);
+    if values.is_empty() {
+        return 0.0;
+    }
+    let (below, upper, _) = values.select_nth_unstable_by(middle, f32::total_cmp);
+    let upper = *upper;
+    if !even {
+        return upper;
+    }
+    let lower = below.iter().copied().max_by(f32::total_cmp);
+    lower.map_or(upper, |lower| (lower + upper) / 2.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::median;
+
+    #[test]
+    fn the_median_lies_in_the_middle() {
+        assert_eq!(median(&mut []), 0.0);
+        assert_eq!(median(&mut [3.0]), 3.0);
+        assert_eq!(median(&mut [5.0, 1.0, 3.0]), 3.0);
+        assert_eq!(median(&mut [5.0, 1.0, 3.0, 4.0]), 3.5);
+    }
+}

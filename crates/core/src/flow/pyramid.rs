@@ -1,0 +1,298 @@
+//! Grey pictures at full size, half, a quarter and so on, each with a mirrored border around it.
+
+/// A grey picture that lies somewhere else.
+#[derive(Clone, Copy, Debug)]
+pub struct GreyView<'a> {
+    width: usize,
+    height: usize,
+    stride: usize,
+    bytes: &'a [u8],
+}
+
+impl<'a> GreyView<'a> {
+    /// A picture of `width` columns and `height` rows whose rows begin every `stride` bytes. `None` when a
+    /// side is 0 or above 65,535, the stride is less than the width, or there are not bytes enough.
+    pub fn new(width: usize, height: usize, stride: usize, bytes: &'a [u8]) -> Option<Self> {
+        let sides = 1..=usize::from(u16::MAX);
+        let needed = (height.checked_sub(1)?)
+            .checked_mul(stride)?
+            .checked_add(width)?;
+        let usable = sides.contains(&width)
+            && sides.contains(&height)
+            && stride >= width
+            && bytes.len() >= needed;
+        usable.then_some(Self {
+            width,
+            height,
+            stride,
+            bytes,
+        })
+    }
+
+    /// Columns.
+    pub fn width(&self) -> usize {
+        self.width
+    }
+
+    /// Rows.
+    pub fn height(&self) -> usize {
+        self.height
+    }
+
+    fn row(&self, y: usize) -> &'a [u8] {
+        &self.bytes[y * self.stride..][..self.width]
+    }
+}
+
+/// Pixels around each level. A window whose middle lies in the picture never leaves it.
+pub(super) const BORDER: usize = 16;
+
+/// One level: its pixels with the border around them.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Level {
+    pub width: usize,
+    pub height: usize,
+    stride: usize,
+    pixels: Vec<u8>,
+}
+
+impl Level {
+    fn resize(&mut self, width: usize, height: usize) {
+        self.width = width;
+        self.height = height;
+        self.stride = width + 2 * BORDER;
+        self.pixels.resize(self.stride * (height + 2 * BORDER), 0);
+    }
+
+    /// The pixels of a row of the picture itself.
+    fn row_mut(&mut self, y: usize) -> &mut [u8] {
+        &mut self.pixels[(y + BORDER) * self.stride + BORDER..][..self.width]
+    }
+
+    /// `rows` rows from row `y` on, each with at least `columns` pixels from column `x` on. They may begin and end
+    /// in the border; `None` where they go beyond it.
+    pub(super) fn rows(
+        &self,
+        x: i32,
+        y: i32,
+        rows: usize,
+        columns: usize,
+    ) -> Option<impl Iterator<Item = &[u8]>> {
+        let column = usize::try_from(x + BORDER as i32).ok()?;
+        let row = usize::try_from(y + BORDER as i32).ok()?;
+        if column + columns > self.stride || rows == 0 {
+            return None;
+        }
+        let first = row * self.stride + column;
+        let length = (rows - 1) * self.stride + columns;
+        let area = self.pixels.get(first..first + length)?;
+        Some(area.chunks(self.stride))
+    }
+
+    /// Mirrors the picture into the border about its outermost pixels, which are not repeated.
+    fn mirror(&mut self) {
+        let (width, height, stride) = (self.width, self.height, self.stride);
+        for y in 0..height {
+            let row = &mut self.pixels[(y + BORDER) * stride..][..stride];
+            for distance in 1..=BORDER {
+                let left = reflect(-(distance as isize), width);
+                let right = reflect((width - 1 + distance) as isize, width);
+                row[BORDER - distance] = row[BORDER + left];
+                row[BORDER + width - 1 + distance] = row[BORDER + right];
+            }
+        }
+        for distance in 1..=BORDER {
+            let above = reflect(-(distance as isize), height) + BORDER;
+            let below = reflect((height - 1 + distance) as isize, height) + BORDER;
+            let row = |y: usize| y * stride..(y + 1) * stride;
+            self.pixels
+                .copy_within(row(above), (BORDER - distance) * stride);
+            self.pixels
+                .copy_within(row(below), (BORDER + height - 1 + distance) * stride);
+        }
+    }
+}
+
+/// The place in a row of `length` that place `at` shows when the row is mirrored at its ends for ever.
+fn reflect(at: isize, length: usize) -> usize {
+    let last = length as isize - 1;
+    if last == 0 {
+        return 0;
+    }
+    let folded = at.rem_euclid(2 * last);
+    folded.min(2 * last - folded) as usize
+}
+
+/// A picture at several sizes. Keeps its buffers when it is filled again.
+#[derive(Clone, Debug, Default)]
+pub struct Pyramid {
+    levels: Vec<Level>,
+    used: usize,
+    /// Weighted sums of five rows, with two more at either end.
+    sums: Vec<u16>,
+}
+
+impl Pyramid {
+    /// Takes `picture`, with `levels` sizes at most: none is made that is no larger than a window. Each
+    /// is the one before behind the Gaussian (1 4 6 4 1)/16 in both directions, every second pixel of it,
+    /// rounded: the same numbers as OpenCV's `pyrDown` gives.
+    pub fn fill(&mut self, picture: GreyView<'_>, levels: usize) {
+        if self.levels.is_empty() {
+            self.levels.push(Level::default());
+        }
+        let Some(finest) = self.levels.first_mut() else {
+            return;
+        };
+        finest.resize(picture.width, picture.height);
+        for y in 0..picture.height {
+            finest.row_mut(y).copy_from_slice(picture.row(y));
+        }
+        finest.mirror();
+        self.used = 1;
+        while self.used < levels {
+            if self.levels.len() == self.used {
+                self.levels.push(Level::default());
+            }
+            let Some(([.., larger], [smaller, ..])) = self.levels.split_at_mut_checked(self.used)
+            else {
+                return;
+            };
+            let (width, height) = (larger.width.div_ceil(2), larger.height.div_ceil(2));
+            if width.min(height) <= super::window::SIDE {
+                return;
+            }
+            smaller.resize(width, height);
+            halve(larger, smaller, &mut self.sums);
+            smaller.mirror();
+            self.used += 1;
+        }
+    }
+
+    /// Forgets the picture; the buffers stay.
+    pub fn clear(&mut self) {
+        self.used = 0;
+    }
+
+    /// Whether there is no picture.
+    pub fn is_empty(&self) -> bool {
+        self.used == 0
+    }
+
+    /// Columns and rows of the picture, or 0 without one.
+    pub fn size(&self) -> (usize, usize) {
+        self.levels()
+            .first()
+            .map_or((0, 0), |level| (level.width, level.height))
+    }
+
+    /// The levels, the finest first.
+    pub(super) fn levels(&self) -> &[Level] {
+        self.levels.get(..self.used).unwrap_or_default()
+    }
+}
+
+fn halve(larger: &Level, smaller: &mut Level, sums: &mut Vec<u16>) {
+    let width = larger.width;
+    sums.clear();
+    // The border of two that the sums need is part of the rows' own border.
+    sums.resize(width + 5, 0);
+    for y in 0..smaller.height {
+        let row = |offset: isize| {
+            let at = (2 * y + BORDER).wrapping_add_signed(offset) * larger.stride + BORDER - 2;
+            &larger.pixels[at..][..width + 5]
+        };
+        let rows = [row(-2), row(-1), row(0), row(1), row(2)];
+        let [a, b, c, d, e] = rows;
+        for (((((sum, a), b), c), d), e) in sums.iter_mut().zip(a).zip(b).zip(c).zip(d).zip(e) {
+            *sum = u16::from(*a)
+                + u16::from(*e)
+                + 4 * (u16::from(*b) + u16::from(*d))
+                + 6 * u16::from(*c);
+        }
+        let target = smaller.row_mut(y);
+        for (pixel, five) in target.iter_mut().zip(sums.windows(5).step_by(2)) {
+            let [a, b, c, d, e] = *five else { continue };
+            // At most 256 · 255: rounding overflows 16 bits by nothing but this half.
+            let sum =
+                u32::from(a) + u32::from(e) + 4 * (u32::from(b) + u32::from(d)) + 6 * u32::from(c);
+            *pixel = ((sum + 128) >> 8) as u8;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Against the definition: the weighted mean of 25 pixels, mirrored at the edges.
+        #[test]
+        fn a_level_is_every_second_pixel_behind_the_gaussian(
+            width in 23usize..60,
+            height in 23usize..60,
+            seed in any::<u32>(),
+        ) {
+            let stride = width + 3;
+            let mut state = seed;
+            let bytes: Vec<u8> = (0..stride * height).map(|_| {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                (state >> 24) as u8
+            }).collect();
+            let picture = GreyView::new(width, height, stride, &bytes).unwrap();
+            let mut pyramid = Pyramid::default();
+            pyramid.fill(picture, 2);
+            let levels = pyramid.levels();
+            prop_assert_eq!(levels.len(), 2);
+            let weights = [1u32, 4, 6, 4, 1];
+            let at = |x: isize, y: isize| {
+                u32::from(picture.row(reflect(y, height))[reflect(x, width)])
+            };
+            for y in 0..levels[1].height {
+                for x in 0..levels[1].width {
+                    let mut sum = 0;
+                    for (j, wj) in weights.iter().enumerate() {
+                        for (i, wi) in weights.iter().enumerate() {
+                            sum += wi * wj * at(
+                                (2 * x + i) as isize - 2,
+                                (2 * y + j) as isize - 2,
+                            );
+                        }
+                    }
+                    prop_assert_eq!(u32::from(levels[1].pixels[(y + BORDER) * levels[1].stride + BORDER + x]), (sum + 128) / 256);
+                }
+            }
+            // The border too.
+            for (x, y) in [(-16, -16), (-1, 5), (width as i32 + 15, height as i32 + 15)] {
+                let pixel = levels[0].rows(x, y, 1, 1).unwrap().next().unwrap()[0];
+                prop_assert_eq!(u32::from(pixel), at(x as isize, y as isize));
+            }
+        }
+    }
+
+    #[test]
+    fn a_view_that_is_no_picture_is_refused() {
+        let bytes = [0; 100];
+        assert!(GreyView::new(10, 10, 10, &bytes).is_some());
+        assert!(GreyView::new(8, 10, 10, &bytes[..98]).is_some());
+        for (width, height, stride, length) in [
+            (10, 10, 9, 100),
+            (10, 10, 10, 99),
+            (0, 10, 10, 100),
+            (10, 0, 10, 100),
+            (1, usize::MAX, usize::MAX, 100),
+        ] {
+            assert!(GreyView::new(width, height, stride, &bytes[..length]).is_none());
+        }
+    }
+
+    #[test]
+    fn no_level_is_smaller_than_a_window() {
+        let bytes = [0; 64 * 40];
+        let mut pyramid = Pyramid::default();
+        pyramid.fill(GreyView::new(64, 40, 64, &bytes).unwrap(), 9);
+        assert_eq!(pyramid.levels().len(), 2);
+        pyramid.fill(GreyView::new(8, 8, 8, &bytes).unwrap(), 9);
+        assert_eq!(pyramid.levels().len(), 1);
+    }
+}

@@ -1,0 +1,188 @@
+//! Known warps of a texture that can be computed at any place.
+
+use super::*;
+use crate::geometry::Corners;
+use proptest::prelude::*;
+
+const WIDTH: usize = 320;
+const HEIGHT: usize = 180;
+
+/// A sum of waves of different directions and lengths.
+pub(super) struct Texture {
+    waves: Vec<[f64; 4]>,
+}
+
+impl Texture {
+    pub(super) fn new(seed: u32) -> Self {
+        let mut state = seed;
+        let mut next = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            f64::from(state >> 8) / f64::from(1 << 24)
+        };
+        let waves = (0..40).map(|_| {
+            let length = 6.0 * 10f64.powf(next());
+            let direction = std::f64::consts::TAU * next();
+            let k = std::f64::consts::TAU / length;
+            [
+                k * direction.cos(),
+                k * direction.sin(),
+                std::f64::consts::TAU * next(),
+                1.0 + 0.1 * length,
+            ]
+        });
+        Self {
+            waves: waves.collect(),
+        }
+    }
+
+    fn at(&self, x: f64, y: f64) -> u8 {
+        let value: f64 = self
+            .waves
+            .iter()
+            .map(|[kx, ky, phase, weight]| weight * (kx * x + ky * y + phase).cos())
+            .sum();
+        (128.0 + 7.0 * value).clamp(0.0, 255.0) as u8
+    }
+
+    /// The picture in which what was at p is at `middle + scale·(p − middle) + shift`.
+    pub(super) fn picture(&self, middle: [f64; 2], shift: [f64; 2], scale: f64) -> Vec<u8> {
+        let place = |at: usize, axis: usize| {
+            (at as f64 - middle[axis] - shift[axis]) / scale + middle[axis]
+        };
+        (0..WIDTH * HEIGHT)
+            .map(|index| self.at(place(index % WIDTH, 0), place(index / WIDTH, 1)))
+            .collect()
+    }
+}
+
+pub(super) fn pyramid(bytes: &[u8]) -> Pyramid {
+    let mut pyramid = Pyramid::default();
+    let view = GreyView::new(WIDTH, HEIGHT, WIDTH, bytes).unwrap();
+    pyramid.fill(view, BoxFlowSettings::default().tracker.levels);
+    pyramid
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, ..ProptestConfig::default() })]
+
+    #[test]
+    fn a_box_moves_as_its_picture_does(
+        seed in any::<u32>(),
+        x in 60.0..260.0,
+        y in 50.0..130.0,
+        width in 24.0..80.0,
+        height in 24.0..70.0,
+        shift_x in -9.0..9.0,
+        shift_y in -6.0..6.0,
+        scale in 0.9..1.1,
+    ) {
+        let texture = Texture::new(seed);
+        let before = pyramid(&texture.picture([x, y], [0.0; 2], 1.0));
+        let after = pyramid(&texture.picture([x, y], [shift_x, shift_y], scale));
+        let area = Corners {
+            x1: x - width / 2.0,
+            y1: y - height / 2.0,
+            x2: x + width / 2.0,
+            y2: y + height / 2.0,
+        };
+        let mut flow = BoxFlow::new(BoxFlowSettings::default());
+        let followed = flow.follow(&before, &after, area, [0.0; 2]);
+        prop_assert_eq!(followed.points, 36);
+        prop_assert!(followed.kept >= 24, "{:?}", followed);
+        let motion = followed.motion.unwrap();
+        prop_assert!((motion.shift[0] - shift_x).abs() < 0.1, "{:?}", motion);
+        prop_assert!((motion.shift[1] - shift_y).abs() < 0.1, "{:?}", motion);
+        // Half a pixel over a small box's side is more than a hundredth of it.
+        let relative = 0.01f64.max(0.5 / f64::min(width, height));
+        prop_assert!((motion.scale - scale).abs() < relative, "{:?}", motion);
+        prop_assert!(motion.spread < relative, "{:?}", motion);
+        prop_assert!(motion.forward_backward < 0.1, "{:?}", motion);
+    }
+
+    #[test]
+    fn no_picture_and_no_box_breaks_it(
+        width in 1usize..50,
+        height in 1usize..50,
+        bytes in prop::collection::vec(any::<u8>(), 2500),
+        corners in prop::array::uniform4(prop_oneof![
+            8 => -60.0..60.0,
+            1 => Just(f64::NAN),
+            1 => Just(f64::INFINITY),
+            1 => Just(-1e300),
+        ]),
+        guess in prop_oneof![4 => -50.0..50.0, 1 => Just(f64::NAN), 1 => Just(1e300)],
+        grid in 0usize..20,
+    ) {
+        let settings = BoxFlowSettings { grid, ..BoxFlowSettings::default() };
+        let mut flow = BoxFlow::new(settings);
+        let (mut before, mut after) = (Pyramid::default(), Pyramid::default());
+        before.fill(GreyView::new(width, height, width, &bytes).unwrap(), 4);
+        after.fill(GreyView::new(width, height, 50, &bytes).unwrap(), 4);
+        let [x1, y1, x2, y2] = corners;
+        let area = Corners { x1, y1, x2, y2 };
+        let followed = flow.follow(&before, &after, area, [guess, -guess]);
+        prop_assert!(followed.kept <= followed.points);
+        if let Some(motion) = followed.motion {
+            prop_assert!(motion.scale > 0.0 && motion.scale.is_finite());
+            prop_assert!(motion.shift[0].is_finite() && motion.shift[1].is_finite());
+        }
+    }
+}
+
+#[test]
+fn what_is_hidden_is_not_followed() {
+    let texture = Texture::new(5);
+    let before = texture.picture([0.0; 2], [0.0; 2], 1.0);
+    let other = Texture::new(6).picture([0.0; 2], [0.0; 2], 1.0);
+    let area = Corners {
+        x1: 100.0,
+        y1: 60.0,
+        x2: 160.0,
+        y2: 110.0,
+    };
+    let mut flow = BoxFlow::new(BoxFlowSettings::default());
+    let seen = flow.follow(&pyramid(&before), &pyramid(&before), area, [0.0; 2]);
+    assert_eq!((seen.points, seen.kept), (36, 36));
+    let motion = seen.motion.unwrap();
+    assert_eq!((motion.shift, motion.scale), ([0.0; 2], 1.0));
+    // Something else stands in its place.
+    let hidden = flow.follow(&pyramid(&before), &pyramid(&other), area, [0.0; 2]);
+    assert!(hidden.agreement() < 0.3, "{hidden:?}");
+    // Half of it.
+    let mut half = before.clone();
+    for y in 0..HEIGHT {
+        let row = y * WIDTH + 130..(y + 1) * WIDTH;
+        half[row.clone()].copy_from_slice(&other[row]);
+    }
+    let half = flow.follow(&pyramid(&before), &pyramid(&half), area, [0.0; 2]);
+    assert!((0.2..0.8).contains(&half.agreement()), "{half:?}");
+    // A grey wall has nothing to hold on to.
+    let wall = pyramid(&vec![90; WIDTH * HEIGHT]);
+    let lost = flow.follow(&wall, &wall, area, [0.0; 2]);
+    assert_eq!((lost.points, lost.kept, lost.motion), (36, 0, None));
+}
+
+#[test]
+fn a_guess_finds_what_moved_too_far_to_be_found_without() {
+    let texture = Texture::new(11);
+    let middle = [160.0, 90.0];
+    let shift = [60.0, -20.0];
+    let before = pyramid(&texture.picture(middle, [0.0; 2], 1.0));
+    let after = pyramid(&texture.picture(middle, shift, 1.0));
+    let area = Corners {
+        x1: 130.0,
+        y1: 70.0,
+        x2: 190.0,
+        y2: 110.0,
+    };
+    let mut flow = BoxFlow::new(BoxFlowSettings::default());
+    let found = |followed: Followed| {
+        followed
+            .motion
+            .is_some_and(|m| (m.shift[0] - shift[0]).abs() + (m.shift[1] - shift[1]).abs() < 0.2)
+    };
+    assert!(!found(flow.follow(&before, &after, area, [0.0; 2])));
+    let followed = flow.follow(&before, &after, area, [56.0, -17.0]);
+    assert!(found(followed), "{followed:?}");
+    assert!(followed.agreement() > 0.9, "{followed:?}");
+}

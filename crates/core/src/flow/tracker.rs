@@ -1,0 +1,111 @@
+//! One point from picture to picture, coarse to fine.
+//!
+//! From the coarsest level on, the window around the point is searched for by Gauss-Newton steps
+//! `d ← d − G⁻¹ Σ (J(x + d) − I(x))·∇I`, `G = Σ ∇I ∇Iᵀ`; what is found begins the search one level finer, twice as far. A level without texture leaves the guess as it is, unless it is the finest.
+
+use super::pyramid::Pyramid;
+use super::window::{Template, inside};
+
+/// The settings of the search.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TrackerSettings {
+    /// Sizes of the picture to search, the finest included.
+    pub levels: usize,
+    /// Gauss-Newton steps on each level, at most.
+    pub steps: u32,
+    /// A step of this length, pixels of its level, or less is the last.
+    pub precision: f32,
+    /// Smallest texture of a window that can be found: the smaller eigenvalue of the mean of `∇I ∇Iᵀ`, in
+    /// squared grey values a pixel.
+    pub least_texture: f32,
+}
+
+impl Default for TrackerSettings {
+    fn default() -> Self {
+        Self {
+            levels: 3,
+            steps: 30,
+            precision: 0.01,
+            // OpenCV's default of 1e-4, which is in units of 32².
+            least_texture: 0.1024,
+        }
+    }
+}
+
+/// Searches for points.
+#[derive(Clone, Debug)]
+pub struct Tracker {
+    /// How.
+    pub settings: TrackerSettings,
+    template: Template,
+}
+
+impl Tracker {
+    /// A tracker with these settings.
+    pub const fn new(settings: TrackerSettings) -> Self {
+        Self {
+            settings,
+            template: Template::empty(),
+        }
+    }
+
+    /// How far what is at `point` of the picture `before` has moved in the picture `after`, searched for around the
+    /// shift `guess`. `None` when it lies outside of the pictures or leaves them, has no texture, or the pictures differ in
+    /// size.
+    pub fn track(
+        &mut self,
+        before: &Pyramid,
+        after: &Pyramid,
+        point: [f32; 2],
+        guess: [f32; 2],
+    ) -> Option<[f32; 2]> {
+        let levels = before.levels().iter().zip(after.levels()).enumerate();
+        let count = before.levels().len().min(after.levels().len());
+        let mut shift = guess.map(|shift| shift / power(count));
+        let mut textured = false;
+        for (index, (from, to)) in levels.rev() {
+            if (from.width, from.height) != (to.width, to.height) {
+                return None;
+            }
+            shift = [shift[0] * 2.0, shift[1] * 2.0];
+            let (x, y) = (point[0] / power(index), point[1] / power(index));
+            textured = false;
+            if !inside(from, x, y) {
+                continue;
+            }
+            let taken = self.template.take(from, x, y);
+            if taken.is_none() || self.template.texture() < self.settings.least_texture {
+                continue;
+            }
+            textured = true;
+            let mut last = [0.0; 2];
+            for step in 0..self.settings.steps {
+                let (x, y) = (x + shift[0], y + shift[1]);
+                if !inside(to, x, y) {
+                    break;
+                }
+                let Some([dx, dy]) = self.template.step(to, x, y) else {
+                    break;
+                };
+                shift = [shift[0] + dx, shift[1] + dy];
+                if dx * dx + dy * dy <= self.settings.precision * self.settings.precision {
+                    break;
+                }
+                // Back and forth over the same place: its middle.
+                if step > 0 && (dx + last[0]).abs() < 0.01 && (dy + last[1]).abs() < 0.01 {
+                    shift = [shift[0] - dx / 2.0, shift[1] - dy / 2.0];
+                    break;
+                }
+                last = [dx, dy];
+            }
+        }
+        let finest = after.levels().first()?;
+        let end = [point[0] + shift[0], point[1] + shift[1]];
+        (textured && inside(finest, end[0], end[1])).then_some(shift)
+    }
+}
+
+/// 2 to the power of a level's number.
+fn power(level: usize) -> f32 {
+    (1u32 << level.min(31)) as f32
+}

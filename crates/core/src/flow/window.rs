@@ -1,0 +1,356 @@
+//! The window around a point: what it looks like, how it changes along both axes, and how well a place in
+//! another picture agrees.
+//!
+//! Pixels, gradients and their products are whole numbers, a row of the window worked on as sixteen of 16 bits at once;
+//! those behind the window count for nothing. Between pixels, values and gradients are mixed linearly.
+
+use super::pyramid::Level;
+use wide::{f32x4, i16x8, i32x4, u8x16};
+
+/// Side of the window, pixels.
+pub(super) const SIDE: usize = 11;
+/// Pixels from the middle of the window to its edge.
+const HALF: i32 = (SIDE / 2) as i32;
+/// Gradients are in grey values a pixel times so much.
+const STEEPNESS: f32 = 64.0;
+/// The window's own values are grey values times so much.
+const FINENESS: i32 = 8;
+/// Places nearer to a pixel than this are taken to be on it.
+const ON_A_PIXEL: f32 = 1.0 / 1024.0;
+
+/// A row of the window and what stands behind it.
+type Row = [i16x8; 2];
+
+/// Whether the point lies in the picture.
+pub(super) fn inside(level: &Level, x: f32, y: f32) -> bool {
+    // Written so that NaN lies nowhere.
+    x >= 0.0 && y >= 0.0 && x <= (level.width - 1) as f32 && y <= (level.height - 1) as f32
+}
+
+/// What is searched for, a window with its gradients, and where the search is.
+///
+/// What a Gauss-Newton step needs, `Σ (J(x + d) − I(x))·∇I`, is linear in the shares that the four pixels around a
+/// place have in J: one pass over the window gives the sums for all places between the same pixels, and further
+/// steps among these cost nothing.
+#[derive(Clone, Debug)]
+pub(super) struct Template {
+    dx: [Row; SIDE],
+    dy: [Row; SIDE],
+    /// Sums of dx², dx·dy and dy².
+    squares: [f32; 3],
+    /// Sums of I·dx and I·dy.
+    own: [i32; 2],
+    /// Sums of (J − I)·dx and (J − I)·dy for the four pixels around the place of the last step.
+    differences: [[f32; 2]; 4],
+    /// Where the window has its first pixel there.
+    at: Option<(i32, i32)>,
+}
+
+impl Template {
+    /// No window yet.
+    pub(super) const fn empty() -> Self {
+        Self {
+            dx: [[i16x8::ZERO; 2]; SIDE],
+            dy: [[i16x8::ZERO; 2]; SIDE],
+            squares: [0.0; 3],
+            own: [0; 2],
+            differences: [[0.0; 2]; 4],
+            at: None,
+        }
+    }
+
+    /// Takes the window around (x, y), which must lie in the picture; `None` if it does not. The gradients are Scharr's,
+    /// and zero outside of the picture.
+    pub(super) fn take(&mut self, level: &Level, x: f32, y: f32) -> Option<()> {
+        self.at = None;
+        let (column, right) = split(x);
+        let (row, below) = split(y);
+        let first = (column - HALF, row - HALF);
+        if right < ON_A_PIXEL && below < ON_A_PIXEL {
+            self.fill::<false>(level, first, [0; 2])
+        } else {
+            let shares = [fourteen_bits(right), fourteen_bits(below)];
+            self.fill::<true>(level, first, shares)
+        }
+    }
+
+    /// Takes the window whose first pixel is (left, top), or lies by the shares of a pixel to the right of it and below
+    /// it if `BETWEEN`.
+    fn fill<const BETWEEN: bool>(
+        &mut self,
+        level: &Level,
+        (left, top): (i32, i32),
+        [right, below]: [i16; 2],
+    ) -> Option<()> {
+        // One pixel more on every side.
+        let count = SIDE + 2 + usize::from(BETWEEN);
+        let mut rows = level.rows(left - 1, top - 1, count, 16 + 3)?;
+        let columns = columns_inside(left, level.width);
+        let mut above = Slopes::of::<BETWEEN>(rows.next()?, right)?;
+        let mut middle = Slopes::of::<BETWEEN>(rows.next()?, right)?;
+        let mut y = top;
+        let mut next = || {
+            let below = Slopes::of::<BETWEEN>(rows.next()?, right)?;
+            let row_inside = i16x8::splat(-i16::from((0..level.height as i32).contains(&y)));
+            // Not `map`, which is not inlined reliably; so throughout.
+            let inside = [columns[0] & row_inside, columns[1] & row_inside];
+            let steepness = Steepness::between(&above, &middle, &below, inside);
+            above = std::mem::replace(&mut middle, below);
+            y += 1;
+            Some(steepness)
+        };
+        let mut upper = if BETWEEN { Some(next()?) } else { None };
+        let mut squares = [f32x4::ZERO; 3];
+        let mut own = [i32x4::ZERO; 2];
+        for (dx, dy) in self.dx.iter_mut().zip(&mut self.dy) {
+            let lower = next()?;
+            let row = match &upper {
+                Some(upper) => upper.mixed(&lower, below),
+                None => lower.clone(),
+            };
+            if BETWEEN {
+                upper = Some(lower);
+            }
+            let mut row_squares = [i32x4::ZERO; 3];
+            for half in 0..2 {
+                let (across, down) = (row.across[half], row.down[half]);
+                row_squares[0] += across.dot(across);
+                row_squares[1] += across.dot(down);
+                row_squares[2] += down.dot(down);
+                own[0] += row.values[half].dot(across);
+                own[1] += row.values[half].dot(down);
+            }
+            (*dx, *dy) = (row.across, row.down);
+            // More than a few rows of the steepest squares would not fit.
+            for (sum, row) in squares.iter_mut().zip(row_squares) {
+                *sum += row.round_float();
+            }
+        }
+        let [xx, xy, yy] = squares;
+        self.squares = [xx.reduce_add(), xy.reduce_add(), yy.reduce_add()];
+        self.own = [own[0].reduce_add(), own[1].reduce_add()];
+        Some(())
+    }
+
+    /// The smaller eigenvalue of the mean of `∇I ∇Iᵀ`, in squared grey values a pixel: how well the window can be
+    /// located in the direction it is least textured in.
+    pub(super) fn texture(&self) -> f32 {
+        let [xx, xy, yy] = self.squares;
+        let root = ((xx - yy) * (xx - yy) + 4.0 * xy * xy).sqrt();
+        (xx + yy - root) / (2.0 * (SIDE * SIDE) as f32 * STEEPNESS * STEEPNESS)
+    }
+
+    /// The Gauss-Newton step from (x, y) towards where the window is found in `level`, the same one since the
+    /// window was taken. `None` outside of the picture or without texture.
+    pub(super) fn step(&mut self, level: &Level, x: f32, y: f32) -> Option<[f32; 2]> {
+        let (column, right) = split(x);
+        let (row, below) = split(y);
+        let first = (column - HALF, row - HALF);
+        if self.at != Some(first) {
+            self.at = None;
+            self.compare(level, first)?;
+            self.at = Some(first);
+        }
+        let shares = [
+            (1.0 - right) * (1.0 - below),
+            right * (1.0 - below),
+            (1.0 - right) * below,
+            right * below,
+        ];
+        let mut b = [0.0; 2];
+        for (share, [x, y]) in shares.iter().zip(self.differences) {
+            b[0] += share * x;
+            b[1] += share * y;
+        }
+        let [xx, xy, yy] = self.squares;
+        let determinant = xx * yy - xy * xy;
+        (determinant > f32::EPSILON).then(|| {
+            [
+                STEEPNESS * (xy * b[1] - yy * b[0]) / determinant,
+                STEEPNESS * (xy * b[0] - xx * b[1]) / determinant,
+            ]
+        })
+    }
+
+    /// Fills `differences` for the places between the pixel `(x, y)`, with the window's first pixel there, and the
+    /// next ones to the right and below.
+    fn compare(&mut self, level: &Level, (x, y): (i32, i32)) -> Option<()> {
+        let mut rows = level.rows(x, y, SIDE + 1, 16 + 1)?;
+        let mut sums = [[i32x4::ZERO; 2]; 4];
+        let mut above = side_by_side(rows.next()?)?;
+        for (row, (dx, dy)) in rows.zip(self.dx.iter().zip(&self.dy)) {
+            let below = side_by_side(row)?;
+            for half in 0..2 {
+                let values = [above[0], above[1], below[0], below[1]];
+                for (sums, values) in sums.iter_mut().zip(values) {
+                    sums[0] += values[half].dot(dx[half]);
+                    sums[1] += values[half].dot(dy[half]);
+                }
+            }
+            above = below;
+        }
+        for (difference, sums) in self.differences.iter_mut().zip(sums) {
+            // Of eleven times eleven products of 11 and 14 bits at most: they fit.
+            let axis = |axis: usize| {
+                let sum = FINENESS * sums[axis].reduce_add() - self.own[axis];
+                sum as f32 / FINENESS as f32
+            };
+            *difference = [axis(0), axis(1)];
+        }
+        Some(())
+    }
+}
+
+/// The whole number below a number above −8, and how far it lies below.
+fn split(value: f32) -> (i32, f32) {
+    // Not `floor`, which older processors have no instruction for.
+    let whole = (value + 8.0) as i32 - 8;
+    (whole, value - whole as f32)
+}
+
+/// A share of a pixel, 0 to 1, in units of 2⁻¹⁴.
+fn fourteen_bits(share: f32) -> i16 {
+    ((share * 16_384.0 + 0.5) as i16).clamp(0, 16_383)
+}
+
+/// Which of the sixteen places from column `left` on belong to the window and to a picture of this width: all bits
+/// or none.
+fn columns_inside(left: i32, width: usize) -> Row {
+    if left >= 0 && left + SIDE as i32 <= width as i32 {
+        const { assert!(SIDE == 11) };
+        let rest = i16x8::new([-1, -1, -1, 0, 0, 0, 0, 0]);
+        return [i16x8::splat(-1), rest];
+    }
+    let place = |half: i32| {
+        let inside: [i16; 8] = std::array::from_fn(|index| {
+            let place = 8 * half + index as i32;
+            let inside = place < SIDE as i32 && (0..width as i32).contains(&(left + place));
+            -i16::from(inside)
+        });
+        i16x8::new(inside)
+    };
+    [place(0), place(1)]
+}
+
+/// What a row of pixels has to give to values and gradients, from its second pixel on; in eighths of grey values.
+struct Slopes {
+    values: Row,
+    /// The pixel to the right less the one to the left.
+    steep: Row,
+    /// Pixels mixed with those beside them.
+    smooth: Row,
+}
+
+impl Slopes {
+    /// Of places that lie so many 2⁻¹⁴ of a pixel to the right of the pixels, if `BETWEEN`.
+    #[inline(always)]
+    fn of<const BETWEEN: bool>(row: &[u8], right: i16) -> Option<Self> {
+        let row = row.first_chunk::<19>()?;
+        let pixels = [sixteen(row, 0)?, sixteen(row, 1)?, sixteen(row, 2)?];
+        let [left, values, right] = if BETWEEN {
+            let share = i16x8::splat(right);
+            let last = sixteen(row, 3)?;
+            [
+                between(pixels[0], pixels[1], share),
+                between(pixels[1], pixels[2], share),
+                between(pixels[2], last, share),
+            ]
+        } else {
+            [eighths(pixels[0]), eighths(pixels[1]), eighths(pixels[2])]
+        };
+        Some(Self {
+            values,
+            steep: [right[0] - left[0], right[1] - left[1]],
+            smooth: [
+                smooth(left[0], values[0], right[0]),
+                smooth(left[1], values[1], right[1]),
+            ],
+        })
+    }
+}
+
+/// Values and gradients of one row of the window.
+#[derive(Clone)]
+struct Steepness {
+    values: Row,
+    across: Row,
+    down: Row,
+}
+
+impl Steepness {
+    /// Of the row in the `middle`, where it lies `inside` of window and picture.
+    #[inline(always)]
+    fn between(above: &Slopes, middle: &Slopes, below: &Slopes, inside: Row) -> Self {
+        let across =
+            |half: usize| smooth(above.steep[half], middle.steep[half], below.steep[half]) >> 2u32;
+        let down = |half: usize| (below.smooth[half] - above.smooth[half]) >> 2u32;
+        Self {
+            values: middle.values,
+            across: [across(0) & inside[0], across(1) & inside[1]],
+            down: [down(0) & inside[0], down(1) & inside[1]],
+        }
+    }
+
+    /// Mixed with the row below, of which it takes so many 2⁻¹⁴.
+    #[inline(always)]
+    fn mixed(&self, below: &Self, share: i16) -> Self {
+        let fine = i16x8::splat(share);
+        let coarse = i16x8::splat(2 * share);
+        let values = |half: usize| {
+            let step = ((below.values[half] - self.values[half]) << 4u32).mul_keep_high(fine);
+            self.values[half] + ((step + i16x8::splat(2)) >> 2u32)
+        };
+        let gradient = |a: i16x8, b: i16x8| a + ((b - a) << 1u32).mul_keep_high(coarse);
+        Self {
+            values: [values(0), values(1)],
+            across: [
+                gradient(self.across[0], below.across[0]),
+                gradient(self.across[1], below.across[1]),
+            ],
+            down: [
+                gradient(self.down[0], below.down[0]),
+                gradient(self.down[1], below.down[1]),
+            ],
+        }
+    }
+}
+
+/// Pixels in eighths of grey values.
+#[inline(always)]
+fn eighths(pixels: Row) -> Row {
+    [pixels[0] << 3u32, pixels[1] << 3u32]
+}
+
+/// The same for places between these pixels and those to their right, of which they have so many 2⁻¹⁴.
+#[inline(always)]
+fn between(left: Row, right: Row, share: i16x8) -> Row {
+    let half = |half: usize| {
+        // 128·255 is the most that fits; 32 times the step comes out.
+        let step = ((right[half] - left[half]) << 7u32).mul_keep_high(share);
+        (left[half] << 3u32) + ((step + i16x8::splat(2)) >> 2u32)
+    };
+    [half(0), half(1)]
+}
+
+/// Scharr's mixture, times 16.
+#[inline(always)]
+fn smooth(before: i16x8, middle: i16x8, after: i16x8) -> i16x8 {
+    (before + after) * i16x8::splat(3) + middle * i16x8::splat(10)
+}
+
+/// Sixteen pixels from the first and from the second on.
+#[inline(always)]
+fn side_by_side(row: &[u8]) -> Option<[Row; 2]> {
+    let row = row.first_chunk::<17>()?;
+    Some([sixteen(row, 0)?, sixteen(row, 1)?])
+}
+
+/// Sixteen pixels from place `at` on.
+#[inline(always)]
+fn sixteen(row: &[u8], at: usize) -> Option<Row> {
+    let pixels = u8x16::new(*row.get(at..)?.first_chunk()?);
+    Some([
+        i16x8::from_u8x16_low(pixels),
+        i16x8::from_u8x16_high(pixels),
+    ])
+}

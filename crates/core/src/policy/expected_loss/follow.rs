@@ -1,0 +1,240 @@
+//! Boxes followed by optical flow on the frames that are answered without the detector.
+//!
+//! Between the last picture that was looked at and this one, each box moves by (dx, dy) and grows by the factor s.
+//! The filter takes these as measurements of differences of its state, all sides in picture heights:
+//!
+//! ```text
+//! x − x_then = dx,  y − y_then = dy,  ln w − ln w_then = ln h − ln h_then = ln s
+//! √R_center = √((center_noise·s)² + (pixel_noise pixels)² + (spread_noise·spread·smaller side)²)
+//! √R_size   = √(size_noise² + (spread_noise·spread)²)
+//! ```
+//!
+//! and so the miss probability grows no faster than the flow is unsure. That knows nothing of what the flow is on:
+//! an object that is hidden, turns or leaves takes its points with it. The health h of an object, 1 with each
+//! detection, becomes at each look
+//!
+//! ```text
+//! r = share of the points that agree · max(0, 1 − spread_weight·spread)
+//! h ← h·(1 − doubt·(1 − r)),  and h·lost where flow fails
+//! ```
+//!
+//! and the miss probability `1 − (1 − π)·h^health_weight`.
+
+use super::motion::{LOG_HEIGHT, LOG_WIDTH, X, Y};
+use super::object::Object;
+use super::settings::Flow;
+use crate::flow::{BoxFlow, BoxFlowSettings, BoxMotion, GreyView, Pyramid};
+use crate::geometry::{Corners, PictureSize};
+use crate::policy::GreyPicture;
+
+/// The last picture that was looked at, and what follows boxes from there.
+#[derive(Clone, Debug)]
+pub(super) struct Follower {
+    flow: BoxFlow,
+    before: Pyramid,
+    now: Pyramid,
+    /// Frames since the picture before.
+    age: u32,
+    /// The typical spread of what was followed.
+    spread: f64,
+}
+
+/// The typical spread before anything was followed.
+const FIRST_SPREAD: f64 = 0.01;
+
+/// No followed box is farther from the filter's, picture heights and natural logarithms.
+const LARGEST_OFFSET: f64 = 1.0;
+
+/// How fast the typical spread follows.
+const SPREAD_RATE: f64 = 0.05;
+
+impl Follower {
+    pub(crate) fn new(settings: &Flow) -> Self {
+        Self {
+            flow: BoxFlow::new(BoxFlowSettings::of(settings.grid, settings.levels)),
+            before: Pyramid::default(),
+            now: Pyramid::default(),
+            age: 0,
+            spread: FIRST_SPREAD,
+        }
+    }
+
+    /// Forgets the pictures and what was learnt from them.
+    pub(crate) fn clear(&mut self) {
+        self.before.clear();
+        self.now.clear();
+        self.age = 0;
+        self.spread = FIRST_SPREAD;
+    }
+
+    /// Another `step` frames began.
+    pub(crate) fn advance(&mut self, settings: &Flow, step: u32) {
+        self.now.clear();
+        self.age = self.age.saturating_add(step);
+        if self.age > settings.longest_gap {
+            self.before.clear();
+        }
+    }
+
+    /// Whether there is a picture to follow boxes from.
+    pub(crate) fn can_follow(&self) -> bool {
+        !self.before.is_empty()
+    }
+
+    /// Whether the next frame will be too far from that picture.
+    pub(crate) fn is_last_chance(&self, settings: &Flow) -> bool {
+        self.age >= settings.longest_gap
+    }
+
+    /// Takes the picture of the frame in hand and follows the boxes into it. A picture that has not as many pixels as
+    /// its size says is none.
+    pub(crate) fn look(
+        &mut self,
+        settings: &Flow,
+        objects: &mut [Object],
+        aspect: f64,
+        picture: GreyPicture<'_>,
+    ) {
+        let Some(view) = grey_view(picture) else {
+            return;
+        };
+        let (width, height) = (view.width(), view.height());
+        self.now.fill(view, self.flow.settings().tracker.levels);
+        if self.before.size() != self.now.size() {
+            self.before.clear();
+            return;
+        }
+        // Picture heights to pixels.
+        let scale = [width as f64 / aspect, height as f64];
+        for object in objects {
+            self.follow(settings, object, scale);
+        }
+    }
+
+    fn follow(&mut self, settings: &Flow, object: &mut Object, scale: [f64; 2]) {
+        let Some(mut then) = object.filter.remembered() else {
+            return;
+        };
+        let now = object.trail();
+        for (then, offset) in then.iter_mut().zip(object.offset.unwrap_or_default()) {
+            *then += offset;
+        }
+        let sides = [
+            then[LOG_WIDTH].exp() * scale[0],
+            then[LOG_HEIGHT].exp() * scale[1],
+        ];
+        let middle = [then[X] * scale[0], then[Y] * scale[1]];
+        let area = Corners {
+            x1: middle[0] - sides[0] / 2.0,
+            y1: middle[1] - sides[1] / 2.0,
+            x2: middle[0] + sides[0] / 2.0,
+            y2: middle[1] + sides[1] / 2.0,
+        };
+        let guess = [X, Y].map(|axis| (now[axis] - then[axis]) * scale[axis]);
+        let followed = self.flow.follow(&self.before, &self.now, area, guess);
+        let agreement = followed.agreement();
+        let Some(motion) = followed.motion else {
+            object.health *= settings.lost;
+            object.agreement = 0.0;
+            return;
+        };
+        self.spread += SPREAD_RATE * (motion.spread - self.spread);
+        let moved = [
+            motion.shift[0] / scale[0],
+            motion.shift[1] / scale[1],
+            motion.scale.ln(),
+            motion.scale.ln(),
+        ];
+        let smaller = sides[0].min(sides[1]) / scale[1];
+        let variance = variance(settings, object, motion.spread, smaller, scale[1]);
+        object.filter.follow(&moved, &variance);
+        let filtered = object.filter.position();
+        object.offset = Some(std::array::from_fn(|axis| {
+            // No box is carried away by more than a few of its sides.
+            (then[axis] + moved[axis] - filtered[axis]).clamp(-LARGEST_OFFSET, LARGEST_OFFSET)
+        }));
+        object.followed = true;
+        object.trailing = true;
+        object.agreement = agreement;
+        object.health *= 1.0 - settings.doubt * (1.0 - reliability(settings, agreement, &motion));
+    }
+
+    /// The variances that a look is expected to measure an object's shift and growth with.
+    pub(crate) fn expected_variance(&self, settings: &Flow, object: &Object) -> [f64; 4] {
+        let height = self.before.size().1.max(1) as f64;
+        let [width, tall] = object.filter.sides();
+        variance(settings, object, self.spread, width.min(tall), height)
+    }
+
+    /// The frame in hand is answered: what was seen of it is what the next look begins from.
+    pub(crate) fn remember(&mut self, objects: &mut [Object]) {
+        if self.now.is_empty() {
+            return;
+        }
+        std::mem::swap(&mut self.before, &mut self.now);
+        self.now.clear();
+        self.age = 0;
+        for object in objects {
+            object.filter.remember();
+        }
+    }
+}
+
+/// The picture, unless it has not as many pixels as its size says.
+pub(in crate::policy) fn grey_view(picture: GreyPicture<'_>) -> Option<GreyView<'_>> {
+    let PictureSize { width, height } = picture.size;
+    let whole = picture.pixels.len() as u64 == picture.size.pixels();
+    let (width, height) = (width as usize, height as usize);
+    GreyView::new(width, height, width, picture.pixels).filter(|_| whole)
+}
+
+fn reliability(settings: &Flow, agreement: f64, motion: &BoxMotion) -> f64 {
+    agreement * (1.0 - settings.spread_weight * motion.spread).max(0.0)
+}
+
+/// R of the four axes; `smaller` is the box's smaller side and the picture has `height` rows.
+fn variance(settings: &Flow, object: &Object, spread: f64, smaller: f64, height: f64) -> [f64; 4] {
+    let wide = (settings.spread_noise * spread).powi(2);
+    let center = (settings.center_noise * object.filter.size()).powi(2)
+        + (settings.pixel_noise / height).powi(2)
+        + wide * smaller * smaller;
+    let size = settings.size_noise.powi(2) + wide;
+    [center, center, size, size]
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::policy::BoxSource;
+    use crate::policy::testing::ride;
+
+    #[test]
+    fn a_box_is_followed_where_prediction_cannot_know_its_motion() {
+        let flow = ride("expected-loss+flow:1", usize::MAX);
+        let blind = ride("expected-loss:1", usize::MAX);
+        let worst = |skipped: &[(BoxSource, f64)]| {
+            let off = skipped.iter().map(|(_, off)| *off);
+            off.fold(0.0, f64::max)
+        };
+        // It looks where that is worth its price, and is never as far off as prediction.
+        let followed = |(source, _): &(BoxSource, f64)| *source == BoxSource::Followed;
+        assert!(flow.skipped.iter().any(followed));
+        assert!(!blind.skipped.iter().any(followed));
+        assert!(worst(&flow.skipped) < 0.5, "{:?}", flow.skipped);
+        assert!(worst(&blind.skipped) > 1.0, "{:?}", blind.skipped);
+        assert!(
+            flow.calls.len() < blind.calls.len(),
+            "{:?} {:?}",
+            flow.calls,
+            blind.calls
+        );
+    }
+
+    #[test]
+    fn what_can_no_longer_be_followed_calls_the_detector() {
+        let after = |hidden: usize| {
+            let calls = ride("expected-loss+flow:1", hidden).calls;
+            calls.iter().filter(|index| **index >= 4).count()
+        };
+        assert!(after(4) > after(usize::MAX));
+    }
+}
