@@ -5,6 +5,7 @@
 //! Start with [`policy`]: a [`policy::Policy`] is told that a frame exists, asks for the evidence it needs,
 //! and answers with frame state and boxes.
 
+pub mod audit;
 pub mod detection;
 pub mod geometry;
 pub mod kalman;

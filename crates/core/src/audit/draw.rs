@@ -1,0 +1,46 @@
+//! Which frames are drawn.
+
+/// Draws frames at random by a seed and the frame's number, never by what is in it. It remembers nothing: the same frame
+/// is drawn or not whatever else was asked, so that two runs over the same stream draw the same frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct AuditDraw {
+    seed: u64,
+    /// Hashes below it are drawn.
+    below: u64,
+    all: bool,
+}
+
+impl AuditDraw {
+    /// Draws the share `share` of all frames, 0 to 1; what is outside counts as the nearest end, and no number as 0.
+    pub fn new(share: f64, seed: u64) -> Self {
+        let share = if share.is_nan() {
+            0.0
+        } else {
+            share.clamp(0.0, 1.0)
+        };
+        Self {
+            seed,
+            // From a float the conversion saturates.
+            below: (share * 2f64.powi(64)) as u64,
+            all: share >= 1.0,
+        }
+    }
+
+    /// Whether the frame with this number is drawn.
+    pub const fn draw(&self, frame: u64) -> bool {
+        self.all || mix(mix(self.seed) ^ frame) < self.below
+    }
+
+    /// Whether no frame is ever drawn.
+    pub const fn is_off(&self) -> bool {
+        self.below == 0
+    }
+}
+
+/// The output function of SplitMix64 (S. Vigna's reference code, in the public domain).
+const fn mix(number: u64) -> u64 {
+    let mut z = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
