@@ -11,3 +11,4 @@ pub mod geometry;
 pub mod kalman;
 pub mod objects;
 pub mod policy;
+pub mod target;

@@ -216,6 +216,7 @@ impl SimNode {
                 durable: false,
             },
             refused: self.refused.clone(),
+            target: None,
         }
     }
 
@@ -315,6 +316,7 @@ impl SimNode {
                 }],
             },
             board: None,
+            audit: None,
         }
     }
 }

@@ -242,6 +242,7 @@ pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
             }],
         },
         board: None,
+        audit: None,
     }
 }
 
@@ -307,6 +308,7 @@ pub fn full_status(instance: &str, seq: u64, reasons: &[(&str, &str)]) -> Status
         },
         outbox: OutboxStatus::default(),
         refused: None,
+        target: None,
     };
     StatusMessage {
         health: state,
