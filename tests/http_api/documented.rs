@@ -18,6 +18,8 @@ const ROUTES: [&str; 24] = [
     "get /api/v1/node",
     "get /api/v1/threshold",
     "put /api/v1/threshold",
+    "get /api/v1/target",
+    "put /api/v1/target",
     "get /api/v1/cameras/{camera}/threshold",
     "put /api/v1/cameras/{camera}/threshold",
     "get /api/v1/frame-states",

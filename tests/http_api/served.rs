@@ -67,7 +67,11 @@ pub(crate) fn board(
         )
         .unwrap(),
         policy: "albireo",
-        target: TargetSetup::default(),
+        target: TargetSetup {
+            policy: "albireo",
+            knob: Some(KNOB),
+            ..TargetSetup::default()
+        },
         detector: DetectorFacts {
             model: "detector.onnx".to_owned(),
             requested: vec![ExecutionProvider::Cuda, ExecutionProvider::Cpu],

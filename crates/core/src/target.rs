@@ -293,12 +293,37 @@ struct Lever {
     x: f64,
     least: f64,
     most: f64,
+    /// The value: to the last digit what was given, where it has not moved, and the ends of the range.
+    value: f64,
+    range: KnobRange,
 }
 
 impl Lever {
+    /// At the value `knob`, or the end of the range that is nearer.
+    fn new(range: KnobRange, knob: f64) -> Self {
+        let (least, most) = range.logarithms();
+        // No number is at no end; the accurate one is the safe one.
+        let value = if knob > 0.0 { knob } else { range.least };
+        let value = value.clamp(range.least, range.most);
+        Self {
+            x: value.ln().clamp(least, most),
+            least,
+            most,
+            value,
+            range,
+        }
+    }
+
     /// Moves by `by`, as far as the range goes.
     fn push(&mut self, by: f64) {
         self.x = (self.x + by).clamp(self.least, self.most);
+        self.value = if self.is_at_least() {
+            self.range.least
+        } else if self.is_at_most() {
+            self.range.most
+        } else {
+            self.x.exp()
+        };
     }
 
     fn is_at_least(&self) -> bool {
@@ -341,15 +366,9 @@ impl TargetController {
     /// # Errors
     /// [`TargetError::Value`] when the target's value makes no sense.
     pub fn new(target: Target, range: KnobRange, knob: f64) -> Result<Self, TargetError> {
-        let (least, most) = range.logarithms();
-        let x = if knob > 0.0 { knob.ln() } else { least };
         Ok(Self {
             target: target.check()?,
-            lever: Lever {
-                x: x.clamp(least, most),
-                least,
-                most,
-            },
+            lever: Lever::new(range, knob),
             control: match target {
                 Target::Recall(wanted) => Control::Recall(Box::new(RecallControl::new(wanted))),
                 _ => Control::Load(LoadControl::new(target)),
@@ -366,8 +385,8 @@ impl TargetController {
     }
 
     /// The knob's value.
-    pub fn knob(&self) -> f64 {
-        self.lever.x.exp()
+    pub const fn knob(&self) -> f64 {
+        self.lever.value
     }
 
     /// Takes what was measured since the last step and moves the knob. Once a second, about; a step over no time, or over

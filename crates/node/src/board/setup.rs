@@ -67,7 +67,7 @@ impl BoardSetup {
             target: TargetSetup {
                 policy: policy.name(),
                 knob: policy.knob(),
-                configured: config.target.target(),
+                configured: config.target.hold,
                 range: (config.target.least, config.target.most),
             },
             detector: DetectorFacts {

@@ -314,7 +314,7 @@ async fn what_is_published_is_the_same_to_the_last_bit_with_the_audit_on() {
         assert_eq!(total.shown.boxes, shown as u64);
         let recall = audit.sums.recall().unwrap();
         assert!(
-            recall.rate > 0.3 && recall.low < recall.rate,
+            recall.low < recall.rate && recall.rate > 0.05,
             "{policy}: {recall:?}"
         );
     }

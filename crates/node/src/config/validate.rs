@@ -134,26 +134,15 @@ impl NodeConfig {
     }
 
     fn check_target(&self, knob: Option<Option<Knob>>, findings: &mut Findings) {
-        let targets = self.target.all();
-        if let [first, second, ..] = targets.as_slice() {
-            let (first, second) = (first.name(), second.name());
-            let reason = format!("is there beside target.{first}: one at a time is held");
-            findings.add(format!("target.{second}"), reason);
+        let target = self.target.hold;
+        if let Some(Err(error)) = target.map(Target::check) {
+            findings.add("target.hold", error.to_string());
         }
-        for target in &targets {
-            if let Err(error) = target.check() {
-                findings.add(format!("target.{}", target.name()), error.to_string());
-            }
-        }
-        if targets
-            .iter()
-            .any(|target| matches!(target, Target::Recall(_)))
-            && self.audit.share == 0.0
-        {
-            findings.add("target.recall", "needs an audit: audit.share is 0");
+        if matches!(target, Some(Target::Recall(_))) && self.audit.share == 0.0 {
+            findings.add("target.hold", "`recall` needs an audit: audit.share is 0");
         }
         let (least, most) = (self.target.least, self.target.most);
-        let Some(knob) = knob.filter(|_| !targets.is_empty() || least.is_some() || most.is_some())
+        let Some(knob) = knob.filter(|_| target.is_some() || least.is_some() || most.is_some())
         else {
             return;
         };

@@ -51,7 +51,7 @@ fn a_target_moves_the_knob_of_all_cameras_and_says_where_it_stands() {
     board
         .set_target(Some(Target::SkipRate(0.5)), KnobSource::Local)
         .unwrap();
-    let after = pass(&board, 20);
+    let after = pass(&board, 8);
     assert!(after > 0.3, "{after}");
     assert_eq!(board.cameras()[1].threshold(), Some(after));
     let report = board.target().report();
@@ -96,8 +96,8 @@ fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
 fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited() {
     let folder = tempfile::tempdir().unwrap();
     let state = folder.path().join("state");
-    let configured = |skip_rate| TargetConfig {
-        skip_rate,
+    let configured = |skip_rate: Option<f64>| TargetConfig {
+        hold: skip_rate.map(Target::SkipRate),
         ..TargetConfig::default()
     };
     let first = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
@@ -140,7 +140,7 @@ fn a_policy_without_a_knob_that_can_be_moved_holds_nothing_and_says_why() {
     }
     // A policy that was changed since: what was kept is not held, and the reason stands there.
     let configured = TargetConfig {
-        skip_rate: Some(0.5),
+        hold: Some(Target::SkipRate(0.5)),
         ..TargetConfig::default()
     };
     let board = board(None, "vanilla", configured);
