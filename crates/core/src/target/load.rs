@@ -7,12 +7,21 @@
 use super::{DAY_S, Lever, Measured, Standing, Target, Verdict};
 use std::collections::VecDeque;
 
-/// Seconds over which the load is measured for the controller.
+/// Seconds over which the load is measured for the controller; longer where frames are few.
 const WINDOW_S: f64 = 5.0;
+
+/// Fewest frames of that time: from fewer a share is told by chance.
+const WINDOW_FRAMES: u64 = 50;
 
 /// Seconds over which it is told, and judged whether it is held: the pauses between calls vary, so that five seconds go to
 /// and fro by some ten per cent by themselves.
 const TOLD_S: f64 = 20.0;
+
+/// Fewest frames of that time.
+const TOLD_FRAMES: u64 = 200;
+
+/// Longest time that is looked back for frames, seconds.
+const LONGEST_S: f64 = 60.0;
 
 /// Time constant of the loop, seconds: slow beside the window, and settled after four of them.
 const LOOP_S: f64 = 10.0;
@@ -46,8 +55,8 @@ impl LoadControl {
     pub(super) fn new(target: Target) -> Self {
         Self {
             target,
-            window: Window::new(WINDOW_S),
-            told: Window::new(TOLD_S),
+            window: Window::new(WINDOW_S, WINDOW_FRAMES),
+            told: Window::new(TOLD_S, TOLD_FRAMES),
             power: PowerAnswer::default(),
             beyond_s: 0.0,
         }
@@ -87,7 +96,9 @@ impl LoadControl {
         }
         let error = error.clamp(-LARGEST_ERROR, LARGEST_ERROR);
         // Frames without the detector become rarer the slower the fewer there are left.
-        let gain = (share / STEEPNESS / LOOP_S).clamp(0.05, 0.35);
+        // And what is measured over a longer time is acted on more slowly.
+        let constant = LOOP_S.max(2.0 * lately.seconds);
+        let gain = (share / STEEPNESS / constant).clamp(0.01, 0.35);
         if error.abs() > DEAD_BAND {
             lever.push(gain * error * seconds);
         }
@@ -138,6 +149,7 @@ impl LoadControl {
 #[derive(Clone, Debug)]
 struct Window {
     length: f64,
+    frames: u64,
     seconds: VecDeque<Measured>,
 }
 
@@ -152,9 +164,11 @@ struct Load {
 }
 
 impl Window {
-    const fn new(length: f64) -> Self {
+    /// Of at least that length and that many frames.
+    const fn new(length: f64, frames: u64) -> Self {
         Self {
             length,
+            frames,
             seconds: VecDeque::new(),
         }
     }
@@ -162,10 +176,13 @@ impl Window {
     fn add(&mut self, measured: &Measured) {
         self.seconds.push_back(measured.clone());
         let mut length: f64 = self.seconds.iter().map(|one| one.seconds).sum();
+        let mut frames: u64 = self.seconds.iter().map(|one| one.frames).sum();
         while let Some(first) = self.seconds.front()
             && length - first.seconds >= self.length
+            && (frames - first.frames >= self.frames || length > LONGEST_S)
         {
             length -= first.seconds;
+            frames -= first.frames;
             self.seconds.pop_front();
         }
     }

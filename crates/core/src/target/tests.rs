@@ -165,6 +165,28 @@ fn load_targets_settle_within_a_minute_of_a_step_of_the_scene_and_of_the_detecto
 }
 
 #[test]
+fn with_three_frames_a_second_it_takes_longer_and_does_not_swing() {
+    for target in [Target::SkipRate(0.5), Target::DetectorMsPerS(56.0)] {
+        let mut plant = Plant::new(71);
+        plant.rate = 3.0;
+        let mut controller = TargetController::new(target, RANGE, 0.05).unwrap();
+        run(&mut controller, &mut plant, 240);
+        settles(
+            &mut controller,
+            &mut plant,
+            &format!("{target} at 3 frames a second"),
+        );
+        plant.busy = 0.75;
+        run(&mut controller, &mut plant, 240);
+        settles(
+            &mut controller,
+            &mut plant,
+            &format!("{target}, a dense scene"),
+        );
+    }
+}
+
+#[test]
 fn a_knob_that_answers_twice_or_half_as_much_is_held_too() {
     for (steepness, seed) in [(0.44, 11), (0.12, 12)] {
         for target in load_targets() {
@@ -251,7 +273,7 @@ fn without_frames_or_power_the_knob_rests_and_the_reason_is_said() {
         ..Measured::default()
     };
     // The frames of the seconds before are in the window for a while.
-    for _ in 0..5 {
+    for _ in 0..61 {
         controller.step(&silence);
     }
     let knob = controller.knob();
