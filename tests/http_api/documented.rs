@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use tokio::process::Command;
 
 /// Every route a client may call, as the design lists them.
-const ROUTES: [&str; 24] = [
+const ROUTES: [&str; 26] = [
     "get /healthz",
     "get /readyz",
     "get /metrics",
