@@ -58,8 +58,9 @@ pub(super) fn message<T: DeserializeOwned>(
         ));
     }
     serde_json::from_slice(&body).map_err(|error| {
-        // Of two fields where one is expected serde says that the syntax is wrong; it is only not this message.
-        let is_json = serde_json::from_slice::<serde::de::IgnoredAny>(&body).is_ok();
+        // Of two fields where one is expected serde says that the syntax is wrong; it is only not this message. A number that
+        // is too large for any is no number.
+        let is_json = serde_json::from_slice::<serde_json::Value>(&body).is_ok();
         let status = match error.classify() {
             Category::Data => StatusCode::UNPROCESSABLE_ENTITY,
             _ if is_json => StatusCode::UNPROCESSABLE_ENTITY,
