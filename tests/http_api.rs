@@ -11,6 +11,7 @@ mod looking;
 mod metrics;
 mod past;
 pub(crate) mod served;
+mod target;
 mod threshold;
 
 /// A detections message as a node sends it.

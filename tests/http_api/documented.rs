@@ -9,7 +9,7 @@ use std::collections::BTreeSet;
 use tokio::process::Command;
 
 /// Every route a client may call, as the design lists them.
-const ROUTES: [&str; 24] = [
+const ROUTES: [&str; 26] = [
     "get /healthz",
     "get /readyz",
     "get /metrics",
@@ -18,6 +18,8 @@ const ROUTES: [&str; 24] = [
     "get /api/v1/node",
     "get /api/v1/threshold",
     "put /api/v1/threshold",
+    "get /api/v1/target",
+    "put /api/v1/target",
     "get /api/v1/cameras/{camera}/threshold",
     "put /api/v1/cameras/{camera}/threshold",
     "get /api/v1/frame-states",

@@ -6,6 +6,7 @@ use albireo_node::board::{Board, BoardSetup, CameraSetup, DetectorFacts};
 use albireo_node::detector::{DetectorStatus, ExecutionProvider};
 use albireo_node::frame::FrameLimits;
 use albireo_node::http::{NodeView, router};
+use albireo_node::target::TargetSetup;
 use albireo_service::config::HttpConfig;
 use albireo_service::http::{self, HttpError};
 use albireo_wire::{
@@ -55,6 +56,7 @@ pub(crate) fn board(
         threshold: None,
         sizeless: true,
         longest_pause: None,
+        audited: true,
     };
     let board = Board::new(BoardSetup {
         node: "car-7".to_owned(),
@@ -65,6 +67,11 @@ pub(crate) fn board(
         )
         .unwrap(),
         policy: "albireo",
+        target: TargetSetup {
+            policy: "albireo",
+            knob: Some(KNOB),
+            ..TargetSetup::default()
+        },
         detector: DetectorFacts {
             model: "detector.onnx".to_owned(),
             requested: vec![ExecutionProvider::Cuda, ExecutionProvider::Cpu],
@@ -227,6 +234,7 @@ pub(crate) fn clip(camera: &str, report: u64) -> ClipReport {
         total_latency_ms: Percentiles::default(),
         detector_latency_ms: Percentiles::default(),
         board: None,
+        audit: None,
         energy: ClipEnergy {
             joules: Some(412.0),
             node_joules: Some(412.0),

@@ -312,5 +312,6 @@ pub(crate) fn report(node: &str, number: u64, begun_ns: u64) -> ClipReport {
             domains: Vec::new(),
         },
         board: None,
+        audit: None,
     }
 }

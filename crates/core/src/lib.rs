@@ -12,3 +12,4 @@ pub mod geometry;
 pub mod kalman;
 pub mod objects;
 pub mod policy;
+pub mod target;

@@ -17,8 +17,8 @@ mod write;
 pub(crate) use dialect::Dialect;
 pub use error::StoreError;
 pub use read::{
-    ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, InstanceView, Resolution, StoredClip,
-    StoredEvent, StoredSetAside,
+    AuditCounts, ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, InstanceView, Resolution,
+    StoredClip, StoredEvent, StoredSetAside,
 };
 pub(crate) use rows::Key;
 pub(crate) use write::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, knob};

@@ -48,6 +48,28 @@ async fn sums_are_exact(database: &str) {
         }
         assert_eq!(sums, raw, "{path}");
     }
+    // The audit of the fleet is that of all clips counted together, whatever the quality of their energy.
+    let energy = hub
+        .get(&format!("/api/v1/energy?by=all&since_ms={since}"))
+        .await;
+    let audit = &energy["audit"];
+    let (detected, shown) = (2 * 100 * 10, 2 * 50 * (9 + 8));
+    assert_eq!(audit["drawn"], 2 * 100 * 5, "{audit}");
+    assert_eq!(audit["missed"], 2 * 100);
+    assert_eq!(audit["calls"], 2 * 100 * 4);
+    assert_eq!(audit["all"]["detected"], detected);
+    let recall = &audit["all"]["recall"];
+    assert_eq!(recall["rate"], f64::from(shown) / f64::from(detected));
+    assert!(recall["low"].as_f64() < recall["rate"].as_f64());
+    assert!(recall["high"].as_f64() > recall["rate"].as_f64());
+    let joules: f64 = (energy["groups"].as_array().unwrap().iter())
+        .map(|group| group["audit_joules"].as_f64().unwrap())
+        .sum();
+    assert!((joules - 100.0).abs() < 1e-6, "{joules}");
+    let one = clips.iter().find(|clip| clip["report"] == 2).unwrap();
+    assert_eq!(one["audit"]["all"]["recall"]["rate"], 0.8);
+    let other = clips.iter().find(|clip| clip["report"] == 3).unwrap();
+    assert!(other["audit"].is_null());
     let knobs = hub.get("/api/v1/energy?by=knob").await;
     assert!(
         knobs["groups"]

@@ -23,11 +23,13 @@ use crate::detector::{DetectorCounters, DetectorMeter, DetectorStatus};
 use crate::outbox::Outbox;
 use crate::power::MeterCost;
 use crate::readiness;
+use crate::target::NodeTarget;
 use albireo_core::policy::KnobError;
+use albireo_core::target::{Target, TargetError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskTally;
-use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality};
+use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality, KnobSource};
 use balance::Balances;
 use parking_lot::Mutex;
 use power_past::PowerPast;
@@ -99,6 +101,7 @@ pub struct Board {
     readiness: Readiness,
     tasks: TaskTally,
     outbox: Outbox,
+    target: Arc<NodeTarget>,
 }
 
 impl Board {
@@ -109,7 +112,10 @@ impl Board {
     pub fn new(setup: BoardSetup) -> Arc<Self> {
         let (events, _) = broadcast::channel(EVENT_BACKLOG);
         let started = Instant::now();
-        let cameras = setup
+        let begin = setup.cameras.first().and_then(|camera| camera.threshold);
+        let target = NodeTarget::open(setup.target, setup.outbox.clone(), begin);
+        let target = Arc::new(target);
+        let cameras: Vec<_> = setup
             .cameras
             .into_iter()
             .map(|camera| {
@@ -119,6 +125,7 @@ impl Board {
                     started,
                     events.clone(),
                     setup.outbox.clone(),
+                    Arc::clone(&target),
                 ))
             })
             .collect();
@@ -152,6 +159,7 @@ impl Board {
             readiness,
             tasks: TaskTally::default(),
             outbox: setup.outbox,
+            target,
         })
     }
 
@@ -215,7 +223,8 @@ impl Board {
     /// Keeps a clip's report, counts it for its camera and tells it to subscribers.
     pub fn record_clip(&self, report: ClipReport) {
         if let Some(camera) = self.camera(&report.camera) {
-            camera.count_clip(report.energy.joules);
+            let audit_joules = report.audit.as_ref().and_then(|audit| audit.joules);
+            camera.count_clip(report.energy.joules, audit_joules);
         }
         (self.balances.lock()).add(&report, &self.cameras, unix_milliseconds());
         let report = Arc::new(report);
@@ -292,6 +301,8 @@ impl Board {
             knob: camera.knob_value(),
             watts: power.watts,
             power_quality: power.quality,
+            target: self.target.is_on().then(|| self.target.report()),
+            audit: camera.audit_is_on().then(|| snapshot.audit.figures()),
         }
     }
 
@@ -307,6 +318,35 @@ impl Board {
             camera.set_threshold(value)?;
         }
         Ok(value)
+    }
+
+    /// Holds `target` from now on, or nothing: the knob then stays where it is, and is kept there. Writes small files.
+    ///
+    /// # Errors
+    /// [`TargetError`] when it cannot be held; nothing changes then.
+    pub(crate) fn set_target(
+        &self,
+        target: Option<Target>,
+        source: KnobSource,
+    ) -> Result<(), TargetError> {
+        let held = self.target.is_on();
+        let knob = self.cameras.first().and_then(|camera| camera.threshold());
+        self.target.set(target, knob, source)?;
+        if held && target.is_none() {
+            for camera in &self.cameras {
+                if let Some(value) = camera.threshold()
+                    && let Err(error) = camera.set_threshold_by(value, source)
+                {
+                    tracing::error!(camera = camera.name(), %error, "threshold not kept");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// What is held in the place of the knob's number.
+    pub(crate) fn target(&self) -> &NodeTarget {
+        &self.target
     }
 
     /// Whether the thresholds in force will still hold after a restart: a `state_dir` is set and the

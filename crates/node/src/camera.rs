@@ -2,6 +2,7 @@
 //! counts the open clip. One task a camera; the detector, the screen and the meter are shared.
 
 use super::answer::{AnswerContext, detections_message};
+use super::audit::{CameraAudit, DrawnFrame};
 use super::board::CameraBoard;
 use super::evidence::LiveEvidence;
 use super::intake::{DropCounts, DropKind, Incoming};
@@ -39,6 +40,8 @@ pub(crate) struct Camera {
     pub class_names: Arc<[String]>,
     /// Where clips are closed and reported.
     pub accounts: ClipAccounts,
+    /// Where frames are left that the detector is to look at afterwards.
+    pub audit: Arc<CameraAudit>,
     /// Whether a new clip id of the camera makes the policy forget its objects.
     pub reset_at_clip: bool,
 }
@@ -52,6 +55,8 @@ struct Stream {
     newest: Option<(u64, u64)>,
     /// Index of the stream's first frame; the policy counts from there.
     first_index: u64,
+    /// Index of the last frame that the detector looked at.
+    last_seen: Option<u64>,
     clip: Option<Arc<str>>,
     outcome: Outcome,
 }
@@ -65,6 +70,7 @@ impl Camera {
             last_index: None,
             newest: None,
             first_index: 0,
+            last_seen: None,
             clip: None,
             outcome: Outcome::default(),
         };
@@ -92,6 +98,7 @@ impl Camera {
             let reason = "the camera's loop ended before their turn";
             self.drops.count(DropKind::Stopped, waiting, &reason);
         }
+        self.audit.give_up();
         self.accounts.shutdown();
     }
 
@@ -122,6 +129,7 @@ impl Camera {
             Some(last) => incoming.index.saturating_sub(last).max(1),
             None => {
                 stream.first_index = incoming.index;
+                stream.last_seen = None;
                 1
             }
         };
@@ -187,6 +195,7 @@ impl Camera {
         }
         if let Some(run) = times.detector_run {
             self.accounts.detector_ran(run);
+            self.board.record_detector(run.used);
         }
         self.accounts.count(&FrameResult {
             seq: frame.sequence,
@@ -201,6 +210,29 @@ impl Camera {
         }
         self.board.record_screen(self.evidence.screen_counts());
         self.board.record_frame(Arc::new(message));
+        self.audit(&incoming, stream);
+    }
+
+    /// Leaves the frame to be looked at if it is drawn; its answer is out.
+    fn audit(&self, incoming: &Incoming, stream: &mut Stream) {
+        let outcome = &stream.outcome;
+        if outcome.degraded {
+            return;
+        }
+        if !outcome.state.is_skipped() {
+            stream.last_seen = Some(incoming.index);
+        } else if self.audit.draws(incoming.index) {
+            let since = stream.last_seen.map_or(
+                incoming.index.saturating_sub(stream.first_index) + 1,
+                |seen| incoming.index.saturating_sub(seen),
+            );
+            self.audit.offer(DrawnFrame {
+                picture: incoming.frame.picture.clone(),
+                shown: outcome.boxes.clone(),
+                state: outcome.state,
+                pause: u32::try_from(since).unwrap_or(u32::MAX),
+            });
+        }
     }
 
     /// Takes a changed threshold over, so that it holds from this frame on.

@@ -4,6 +4,7 @@
 mod machine;
 mod validate;
 
+use crate::audit::AuditConfig;
 use crate::clip::ClipConfig;
 use crate::detector::DetectorConfig;
 use crate::frame::{Delivery, FrameLimits, PayloadFormat};
@@ -11,6 +12,7 @@ use crate::outbox::OutboxConfig;
 use crate::power::PowerConfig;
 use crate::screen::ScreenConfig;
 use crate::source::{Handover, RtspTransport, SourceAddress, SourceSettings};
+use crate::target::TargetConfig;
 use albireo_core::policy::PolicyConfig;
 use albireo_service::config::{HttpConfig, LogConfig, NamedToken, UplinkConfig, ZenohConfig};
 use albireo_wire::{KeyError, NodeKeys};
@@ -39,6 +41,10 @@ pub struct NodeConfig {
     pub screen: ScreenConfig,
     /// What decides a frame.
     pub policy: PolicyConfig,
+    /// What is to be held in the place of the knob's number.
+    pub target: TargetConfig,
+    /// How many skipped frames are looked at afterwards.
+    pub audit: AuditConfig,
     /// When a clip ends.
     pub clip: ClipConfig,
     /// Limits of incoming frames.
@@ -66,6 +72,8 @@ impl Default for NodeConfig {
             detector: DetectorConfig::default(),
             screen: ScreenConfig::default(),
             policy: PolicyConfig::default(),
+            target: TargetConfig::default(),
+            audit: AuditConfig::default(),
             clip: ClipConfig::default(),
             frame: FrameLimits::default(),
             power: PowerConfig::default(),

@@ -1,6 +1,7 @@
 //! The routes of a node.
 
 mod cameras;
+mod change;
 mod clips;
 mod diag;
 mod events;
@@ -13,6 +14,7 @@ mod node;
 mod picture;
 mod pictures;
 mod states;
+mod target;
 mod threshold;
 
 pub(crate) use health::provider;
@@ -132,6 +134,7 @@ fn described() -> OpenApiRouter<RouteState> {
         .routes(routes!(node::overview))
         .routes(routes!(threshold::get_all, threshold::put_all))
         .routes(routes!(threshold::get_one, threshold::put_one))
+        .routes(routes!(target::get, target::put))
         .routes(routes!(states::all))
         .routes(routes!(states::one))
         .routes(routes!(index::index))

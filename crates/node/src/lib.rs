@@ -3,6 +3,7 @@
 
 pub mod advice;
 pub mod answer;
+pub mod audit;
 pub mod board;
 mod camera;
 pub mod clip;
@@ -14,6 +15,7 @@ mod evidence;
 pub mod frame;
 pub mod http;
 mod intake;
+mod key_service;
 pub mod name;
 pub mod online;
 pub mod outbox;
@@ -26,6 +28,7 @@ mod run;
 pub mod screen;
 pub mod source;
 mod start;
+pub mod target;
 mod threshold;
 mod uplink;
 

@@ -1,6 +1,7 @@
 //! From closed clips to reports. Each camera's loop keeps its accounts; behind them a task adds the energy, keeps the
 //! report in the outbox and publishes it for whoever listens.
 
+use super::audit::CameraAudit;
 use super::board::Board;
 use super::evidence::DetectorRun;
 use super::intake::DropCounts;
@@ -18,6 +19,7 @@ use tokio::time::Instant;
 pub(crate) struct ClipAccounts {
     tracker: ClipTracker,
     drops: Arc<DropCounts>,
+    audit: Arc<CameraAudit>,
     closed: mpsc::UnboundedSender<ClosedClip>,
 }
 
@@ -27,11 +29,13 @@ impl ClipAccounts {
     pub(crate) fn new(
         tracker: ClipTracker,
         drops: Arc<DropCounts>,
+        audit: Arc<CameraAudit>,
         closed: mpsc::UnboundedSender<ClosedClip>,
     ) -> Self {
         Self {
             tracker,
             drops,
+            audit,
             closed,
         }
     }
@@ -39,7 +43,7 @@ impl ClipAccounts {
     /// Takes note of a frame about to be processed and gives the clip it belongs to.
     pub(crate) fn arrive(&mut self, frame: &FrameArrival<'_>) -> Arc<str> {
         // What was dropped before this frame belongs to the clip that was open then.
-        self.tracker.dropped(&self.drops.take());
+        self.take_counts();
         let closed = self.tracker.arrive(frame);
         self.hand_over(closed);
         self.tracker.clip().map_or_else(|| "".into(), Arc::clone)
@@ -62,16 +66,24 @@ impl ClipAccounts {
 
     /// Ends the clip whose time is up.
     pub(crate) fn tick(&mut self) {
-        self.tracker.dropped(&self.drops.take());
+        self.take_counts();
         let closed = self.tracker.tick(Instant::now());
         self.hand_over(closed);
     }
 
     /// Ends the open clip because the node stops.
     pub(crate) fn shutdown(&mut self) {
-        self.tracker.dropped(&self.drops.take());
+        self.take_counts();
         let closed = self.tracker.shutdown(Instant::now());
         self.hand_over(closed);
+    }
+
+    /// Takes over what others counted for the open clip.
+    fn take_counts(&mut self) {
+        self.tracker.dropped(&self.drops.take());
+        if self.audit.share().is_some() {
+            self.tracker.audited(&self.audit.take());
+        }
     }
 
     fn hand_over(&self, closed: Option<ClosedClip>) {

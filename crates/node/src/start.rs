@@ -1,5 +1,6 @@
 //! Starts the parts of a node in a fixed order, and stops them in the opposite one.
 
+use super::audit::{Auditor, CameraAudit};
 use super::board::{Board, BoardSetup, CameraBoard};
 use super::camera::Camera;
 use super::config::{CameraConfig, NodeConfig};
@@ -7,16 +8,18 @@ use super::counters::Counters;
 use super::error::NodeError;
 use super::evidence::LiveEvidence;
 use super::intake::{DropCounts, HeldFrames, Incoming, Intake, SourceFeed};
+use super::key_service::KeyService;
 use super::name::NodeName;
 use super::report::{ClipAccounts, Reporter};
-use super::threshold::ThresholdService;
+use super::target::{TargetKey, TargetTask};
+use super::threshold::ThresholdKey;
 use crate::clip::{ClipConfig, ClipTracker, ClosedClip};
 use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use crate::frame::{Delivery, FrameLimits, RingReceiver, RingSender, frame_ring};
-use crate::power::{self, PowerHandle};
+use crate::power::{self, EnergyUser, PowerHandle};
 use crate::publishing::{self, Detections, PublishingThread};
 use crate::readiness;
-use crate::screen::{CameraScreen, ScreenConfig, ScreenHandle};
+use crate::screen::{CameraScreen, ScreenConfig, ScreenHandle, ScreenKind};
 use crate::source::{LiveSource, SourceSettings};
 use crate::uplink::{DesiredKeeper, Uplink, UplinkSetup, Way};
 use albireo_core::policy::{Policy, PolicyConfigError};
@@ -288,6 +291,7 @@ impl PreparedNode {
                 async move { counters.run(stop).await }
             },
         );
+        parts.add_target(keys.target()).await?;
         let Parts {
             mut tasks,
             intakes,
@@ -524,7 +528,15 @@ impl Parts<'_> {
             .await
             .map_err(refused("clip reports cannot be published"))?;
 
+        let audit = Arc::new(CameraAudit::new(
+            self.config.audit.draw(slot.0),
+            self.config.audit.share,
+            self.config.audit.wait(),
+            Arc::clone(board),
+        ));
+        self.add_auditor(name, &audit);
         let maker = CameraMaker {
+            audit,
             name: config.name.clone(),
             slot,
             board: Arc::clone(board),
@@ -578,10 +590,10 @@ impl Parts<'_> {
             },
         );
 
-        let threshold =
-            ThresholdService::declare(self.session, keys.threshold(), Arc::clone(board))
-                .await
-                .map_err(refused("the threshold cannot be served"))?;
+        let value = Arc::new(ThresholdKey(Arc::clone(board)));
+        let threshold = KeyService::declare(self.session, keys.threshold(), value)
+            .await
+            .map_err(refused("the threshold cannot be served"))?;
         let (threshold, stop) = (Arc::new(threshold), self.shutdown.clone());
         self.tasks.restarting(
             format!("threshold {name}"),
@@ -646,6 +658,62 @@ impl Parts<'_> {
 }
 
 impl Parts<'_> {
+    /// Serves the node's target on its key and holds it.
+    async fn add_target(&mut self, key: String) -> Result<(), NodeError> {
+        let value = Arc::new(TargetKey(Arc::clone(self.board)));
+        let served = KeyService::declare(self.session, key, value)
+            .await
+            .map_err(refused("the target cannot be served"))?;
+        let (served, stop) = (Arc::new(served), self.shutdown.clone());
+        self.tasks.restarting(
+            "target requests",
+            tracing::info_span!("target_requests"),
+            Restarts::new(Effect::Degraded),
+            move || {
+                let (served, stop) = (Arc::clone(&served), stop.clone());
+                async move { served.run(stop).await }
+            },
+        );
+        let task = Arc::new(TargetTask::new(Arc::clone(self.board), self.power.clone()));
+        let stop = self.shutdown.clone();
+        self.tasks.restarting(
+            "target",
+            tracing::info_span!("target"),
+            Restarts::new(Effect::Degraded),
+            move || {
+                let (task, stop) = (Arc::clone(&task), stop.clone());
+                async move { task.run(stop).await }
+            },
+        );
+        Ok(())
+    }
+
+    /// Has some of the camera's skipped frames looked at afterwards.
+    fn add_auditor(&mut self, name: &str, audit: &Arc<CameraAudit>) {
+        if audit.share().is_none() {
+            return;
+        }
+        let auditor = Arc::new(Auditor {
+            audit: Arc::clone(audit),
+            detector: self.detector.clone(),
+            screen: (self.screen)
+                .filter(|_| self.config.screen.kind() == ScreenKind::Model)
+                .map(ScreenHandle::input_format),
+            limits: self.config.frame,
+            energy: audit_energy(self.power, name),
+        });
+        let stop = self.shutdown.clone();
+        self.tasks.restarting(
+            format!("audit {name}"),
+            tracing::info_span!("audit", camera = name),
+            Restarts::new(Effect::Degraded),
+            move || {
+                let (auditor, stop) = (Arc::clone(&auditor), stop.clone());
+                async move { auditor.run(stop).await }
+            },
+        );
+    }
+
     /// Feeds the camera from a source that the node keeps open.
     async fn add_source(
         &mut self,
@@ -690,6 +758,7 @@ struct CameraMaker {
     limits: FrameLimits,
     clip: ClipConfig,
     power: PowerHandle,
+    audit: Arc<CameraAudit>,
     detections: Arc<Detections>,
     closed: mpsc::UnboundedSender<ClosedClip>,
     reset_at_clip: bool,
@@ -702,6 +771,10 @@ impl CameraMaker {
     async fn make(&self) -> Result<Camera, PolicyConfigError> {
         let policy = (self.policies)(&self.name)?;
         let ring = self.first_ring.lock().await.take();
+        let mut tracker = ClipTracker::new(self.clip, self.power.user(&self.name));
+        if let Some(share) = self.audit.share() {
+            tracker = tracker.audited_with(share, audit_energy(&self.power, &self.name));
+        }
         Ok(Camera {
             board: Arc::clone(&self.board),
             ring: ring.unwrap_or_else(|| self.sender.reopen()),
@@ -717,13 +790,20 @@ impl CameraMaker {
             detections: Arc::clone(&self.detections),
             class_names: self.detector.class_names().into(),
             accounts: ClipAccounts::new(
-                ClipTracker::new(self.clip, self.power.user(&self.name)),
+                tracker,
                 Arc::clone(&self.drops),
+                Arc::clone(&self.audit),
                 self.closed.clone(),
             ),
+            audit: Arc::clone(&self.audit),
             reset_at_clip: self.reset_at_clip,
         })
     }
+}
+
+/// Whose the energy of a camera's audit is. No camera has a name with a space.
+fn audit_energy(power: &PowerHandle, camera: &str) -> EnergyUser {
+    power.user_aside(&format!("{camera} audit"))
 }
 
 /// Copies the detector's status to where the board reads it.

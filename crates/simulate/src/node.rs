@@ -233,6 +233,7 @@ impl SimNode {
                 durable: false,
             },
             refused: self.refused.clone(),
+            target: None,
         }
     }
 
@@ -332,6 +333,7 @@ impl SimNode {
                 }],
             },
             board: None,
+            audit: None,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The report of one clip: frames, latencies, energy.
 
-use crate::{DroppedFrames, FrameStates, KnobChange, KnobValue};
+use crate::{AuditReport, DroppedFrames, FrameStates, KnobChange, KnobValue};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -166,6 +166,9 @@ pub struct ClipReport {
     /// The state of the board during the clip; absent where the board tells nothing of it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board: Option<BoardState>,
+    /// What the detector, looking afterwards, found on skipped frames; absent without an audit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub audit: Option<AuditReport>,
 }
 
 /// The state of the board during a clip, as far as the board tells: the same clip costs differently in

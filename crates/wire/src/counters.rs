@@ -1,6 +1,7 @@
 //! Where a camera stands, once a second.
 
-use crate::{DetectorCalls, DroppedFrames, EnergyQuality, FrameStates, KnobValue};
+use crate::TargetReport;
+use crate::{AuditFigures, DetectorCalls, DroppedFrames, EnergyQuality, FrameStates, KnobValue};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -39,6 +40,12 @@ pub struct CountersMessage {
     pub watts: Vec<DomainWatts>,
     /// How far to trust the watts.
     pub power_quality: EnergyQuality,
+    /// What the node holds in the place of the knob's number; absent when it holds nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<TargetReport>,
+    /// What the audit has found since the node started, without its groups; absent without an audit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub audit: Option<AuditFigures>,
 }
 
 /// Power of one domain now.

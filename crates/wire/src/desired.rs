@@ -1,8 +1,8 @@
 //! What a hub desires of a node. A node pulls it (`{prefix}/@pull/{node}`) after a poke (`{prefix}/@poke/{node}`), when it
 //! starts, and finds it in the answer to every batch of reports: so a lost poke costs one period.
 
-use crate::KnobValue;
 use crate::version::VERSION;
+use crate::{KnobValue, Target};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -37,6 +37,9 @@ pub struct Desired {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<std::collections::BTreeMap<String, f64>>)]
     pub knob: Option<KnobValue>,
+    /// What is to be held in the place of the knob's number; absent when nothing is desired of it. Never beside `knob`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<Target>,
     /// How much longer somebody watches the node, seconds: so long it sends counters at 1 Hz. Absent when nobody
     /// does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -56,6 +59,7 @@ impl Desired {
             v: VERSION,
             generation: 0,
             knob: None,
+            target: None,
             watched_for_s: None,
             send_full_status: false,
             signs_of_life: false,

@@ -82,6 +82,11 @@ impl NodeKeys {
             root: format!("{}/{}/{camera}", self.prefix, self.node),
         })
     }
+
+    /// [`TargetMessage`](super::TargetMessage)s in by put and query, [`TargetReport`](super::TargetReport)s out by query.
+    pub fn target(&self) -> String {
+        format!("{}/{}/target", self.prefix, self.node)
+    }
 }
 
 /// Keys between a node and a hub. The kind stands before the node: with the node first, a router would match every
@@ -214,6 +219,7 @@ mod tests {
     fn the_keys_are_those_of_the_design() {
         let node = NodeKeys::new("albireo", "car-7").unwrap();
         let camera = node.camera("front").unwrap();
+        assert_eq!(node.target(), "albireo/car-7/target");
         assert_eq!(node.fleet().alive(), "albireo/@alive/car-7");
         assert_eq!(node.fleet().report(), "albireo/@report/car-7");
         assert_eq!(

@@ -5,6 +5,7 @@
 //! knob both ways. Between node and hub: [`ReportBatch`], the only way a report is delivered, [`StatusMessage`],
 //! and what the hub desires, which a node pulls ([`PullRequest`], [`Desired`]).
 
+mod audit;
 mod clip;
 mod counters;
 mod desired;
@@ -14,11 +15,15 @@ mod knob;
 mod report;
 mod states;
 mod status;
+mod target;
 #[cfg(test)]
 mod tests;
 mod version;
 
+pub use albireo_core::audit::{AuditRate, AuditSums};
 pub use albireo_core::policy::{CallCause, Knob, KnobError};
+pub use albireo_core::target::{KnobRange, Standing, Target, TargetState};
+pub use audit::{AuditFigures, AuditGroup, AuditReport};
 pub use clip::{
     BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, FULL_COVERAGE,
     Percentiles,
@@ -37,4 +42,5 @@ pub use status::{
     CameraState, CameraStatus, HealthState, HealthStatus, KnobSource, NodeStatus, OutboxStatus,
     RefusedDesired, SignOfLife, StatusMessage, run_number,
 };
+pub use target::{TargetMessage, TargetReport, TargetStatus};
 pub use version::{MessageError, VERSION, read};

@@ -2,7 +2,7 @@
 //! 30 seconds.
 
 use crate::version::{MessageError, VERSION};
-use crate::{EnergyQuality, KnobValue};
+use crate::{EnergyQuality, KnobValue, TargetStatus};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
@@ -149,6 +149,9 @@ pub struct NodeStatus {
     /// The desired value that the node did not take, until it takes a later one; absent when it refused none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<RefusedDesired>,
+    /// What it holds in the place of the knob's number; absent when it holds nothing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target: Option<TargetStatus>,
 }
 
 /// A desired value that a node did not take.

@@ -655,6 +655,7 @@ pub(super) fn look_at(
     let mut observer = start_observer(pass)?;
     let settings = PassSettings {
         keep_grey: false,
+        keep_small: None,
         keep_thumbnails: true,
         most_frames: most_frames(pass),
     };

@@ -264,6 +264,7 @@ fn sums(answer: &Value) -> String {
         ">J/clip",
         ">skip rate",
         ">calls avoided",
+        ">recall of the detector",
         ">vanilla J (estimate)",
     ]);
     for group in groups {
@@ -288,10 +289,20 @@ fn sums(answer: &Value) -> String {
             joules(number("joules") / number("clips").max(1.0)),
             figure(number("skip_rate")),
             group["avoided_calls"].to_string(),
+            recall(&group["audit"]["all"]["recall"]),
             joules(number("vanilla_joules_estimated")),
         ]);
     }
     table.to_string()
+}
+
+/// A rate with the interval that it is known to: `0.912 (0.88-0.94)`.
+fn recall(found: &Value) -> String {
+    let number = |name: &str| found[name].as_f64();
+    match (number("rate"), number("low"), number("high")) {
+        (Some(rate), Some(low), Some(high)) => format!("{rate:.3} ({low:.2}-{high:.2})"),
+        _ => "-".to_owned(),
+    }
 }
 
 pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> Result<Ended, Failure> {

@@ -202,7 +202,7 @@ impl FrameSender {
     ///
     /// # Errors
     /// When Zenoh refuses it, or the frames of this sender are asked for.
-    pub(crate) fn put(&self, frame: &OutgoingFrame) -> anyhow::Result<()> {
+    pub fn put(&self, frame: &OutgoingFrame) -> anyhow::Result<()> {
         match &self.way {
             Way::Put(publisher) => put(publisher, self.shared.as_deref(), frame),
             Way::Ask(_) => bail!("this sender's frames wait to be taken"),

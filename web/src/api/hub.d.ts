@@ -1441,6 +1441,110 @@ export interface components {
             next?: number | null;
             reports: components["schemas"]["StoredSetAside"][];
         };
+        /** @description What an audit has found, in figures with intervals at 95 %. */
+        AuditFigures: {
+            /** @description All comparisons. */
+            all: components["schemas"]["AuditGroup"];
+            /** @description By the number of frames since the detector last looked. */
+            by_pause?: components["schemas"]["AuditGroup"][];
+            /** @description By the size of the box. */
+            by_size?: components["schemas"]["AuditGroup"][];
+            /** @description By the state of the frame. */
+            by_state?: components["schemas"]["AuditGroup"][];
+            /**
+             * Format: int64
+             * @description Times the detector looked for the audit.
+             */
+            calls: number;
+            /**
+             * Format: double
+             * @description Detector time of these, seconds.
+             */
+            detector_s: number;
+            /**
+             * Format: int64
+             * @description Skipped frames that were drawn.
+             */
+            drawn: number;
+            /**
+             * Format: int64
+             * @description Those of them that the detector could not look at in time.
+             */
+            missed: number;
+        };
+        /**
+         * @description A group of comparisons in figures. All are against the detector and not against the truth: a policy that keeps showing
+         *     an object which the detector misses loses precision here although it may be right.
+         */
+        AuditGroup: {
+            /**
+             * Format: int64
+             * @description Boxes of the detector with nothing shown near them: objects that have newly appeared.
+             */
+            appeared: number;
+            /**
+             * Format: int64
+             * @description Boxes that the detector found.
+             */
+            detected: number;
+            /**
+             * Format: int64
+             * @description Frames that were compared; 0 where boxes are grouped by size.
+             */
+            frames: number;
+            /**
+             * Format: int64
+             * @description Shown boxes with nothing of the detector's near them: objects that are gone, or that the detector misses.
+             */
+            gone: number;
+            /**
+             * Format: double
+             * @description Mean intersection over union of the pairs; absent without one.
+             */
+            mean_overlap?: number | null;
+            /** @description Frame state, length of the pause in frames, or size of the boxes; `all` for all of them. */
+            name: string;
+            precision?: components["schemas"]["AuditRate"] | null;
+            recall?: components["schemas"]["AuditRate"] | null;
+            /**
+             * Format: int64
+             * @description Pairs of one class.
+             */
+            same_class: number;
+            /**
+             * Format: int64
+             * @description Boxes that had been shown.
+             */
+            shown: number;
+        };
+        /** @description A share of boxes, and between what it lies at a confidence of 95 %. */
+        AuditRate: {
+            /**
+             * Format: int64
+             * @description The boxes it is a share of.
+             */
+            boxes: number;
+            /**
+             * Format: double
+             * @description Upper end of the Wilson interval.
+             */
+            high: number;
+            /**
+             * Format: double
+             * @description As how many independent boxes they count: those of one frame are shown or missed together.
+             */
+            independent: number;
+            /**
+             * Format: double
+             * @description Lower end of the Wilson interval.
+             */
+            low: number;
+            /**
+             * Format: double
+             * @description The share, 0 to 1.
+             */
+            rate: number;
+        };
         /**
          * @description What the interval is taken over.
          * @enum {string}
@@ -1533,6 +1637,7 @@ export interface components {
         Command: "pause" | "resume" | "next" | "return" | "stop";
         /** @description Where a camera stands, once a second. */
         CountersMessage: {
+            audit?: components["schemas"]["AuditFigures"] | null;
             /** @description Frames that the detector was called for since the node started, by cause; degraded ones are among them. */
             calls?: {
                 [key: string]: number;
@@ -1565,6 +1670,7 @@ export interface components {
              * @description When, nanoseconds since the Unix epoch.
              */
             t_ns: number;
+            target?: components["schemas"]["TargetReport"] | null;
             /**
              * Format: int32
              * @description Version.
@@ -1668,6 +1774,7 @@ export interface components {
         };
         /** @description Sums by group and quality. */
         Energy: {
+            audit?: components["schemas"]["AuditFigures"] | null;
             /** @description One entry for each group and quality. */
             groups: components["schemas"]["EnergyGroup"][];
             /** @description The spans the sums were made from: days where the times asked for begin and end with one, else five minutes. */
@@ -1690,6 +1797,12 @@ export interface components {
         EnergyBy: "all" | "node" | "camera" | "day" | "policy" | "knob";
         /** @description Sums of one group and one quality. */
         EnergyGroup: {
+            audit?: components["schemas"]["AuditFigures"] | null;
+            /**
+             * Format: double
+             * @description Joules of the audit: not in `joules`.
+             */
+            audit_joules: number;
             /**
              * Format: int64
              * @description Frames answered without the detector, degraded ones not among them: calls of it that were avoided.
@@ -1784,7 +1897,7 @@ export interface components {
          * @description One kind of number that clips have. Energy that was metered over a part of the clip only is in none of them.
          * @enum {string}
          */
-        Figure: "skip_rate" | "joules_measured" | "joules_estimated" | "edp_measured" | "edp_estimated" | "latency_p99" | "degraded" | "detector_errors";
+        Figure: "skip_rate" | "joules_measured" | "joules_estimated" | "edp_measured" | "edp_estimated" | "latency_p99" | "degraded" | "detector_errors" | "recall" | "precision";
         /** @description Rows of the fleet. */
         FleetRows: {
             /** @description Nodes of the whole fleet by state. */
@@ -1991,6 +2104,19 @@ export interface components {
              */
             useful_minimum: number;
         };
+        /** @description Between which values a controller moves a knob. */
+        KnobRange: {
+            /**
+             * Format: double
+             * @description Smallest value: the most accurate one.
+             */
+            least: number;
+            /**
+             * Format: double
+             * @description Largest value: what accuracy still allows.
+             */
+            most: number;
+        };
         /**
          * @description Who set the knob's value in force.
          * @enum {string}
@@ -2064,6 +2190,7 @@ export interface components {
             /** @description Execution provider that really runs it; absent until the model is loaded. */
             provider?: string | null;
             refused?: components["schemas"]["RefusedDesired"] | null;
+            target?: components["schemas"]["TargetStatus"] | null;
             /** @description Version of the program. */
             version: string;
         };
@@ -2411,6 +2538,11 @@ export interface components {
             /** @description Nodes that are new in it. */
             nodes: number;
         };
+        /**
+         * @description Why the knob stands where it stands.
+         * @enum {string}
+         */
+        Standing: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
         /** @description A clip. */
         StoredClip: {
             /**
@@ -2424,6 +2556,7 @@ export interface components {
              *     node's clock is off.
              */
             at_ms: number;
+            audit?: components["schemas"]["AuditFigures"] | null;
             /** @description Camera. */
             camera: string;
             /** @description Clip id. */
@@ -2585,6 +2718,66 @@ export interface components {
          * @enum {string}
          */
         Target: "untouched" | "new" | "old";
+        /** @description Where the target of a node stands. */
+        TargetReport: {
+            /** @description Why there is none, in words, where there was one. */
+            off?: string | null;
+            range?: components["schemas"]["KnobRange"] | null;
+            /** @description Who set it, or switched it off. */
+            source: components["schemas"]["KnobSource"];
+            state?: components["schemas"]["TargetState"] | null;
+            target?: components["schemas"]["Target"] | null;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+            /** @description The same in words. */
+            why?: string | null;
+        };
+        /** @description Where a target stands. */
+        TargetState: {
+            /**
+             * Format: double
+             * @description What is measured of it; for recall the lower end of its interval. Absent before anything is.
+             */
+            actual?: number | null;
+            /**
+             * Format: int64
+             * @description For recall, the boxes that the figure rests on.
+             */
+            boxes?: number | null;
+            /**
+             * Format: double
+             * @description The knob's value in force.
+             */
+            knob: number;
+            /** @description Why it stands there. */
+            standing: components["schemas"]["Standing"];
+            /**
+             * Format: int64
+             * @description How often that began.
+             */
+            unmet: number;
+            /**
+             * Format: double
+             * @description Seconds in which the target could not be met inside the range.
+             */
+            unmet_s: number;
+        };
+        /** @description The target in a node's status: as much of it as does not move by itself. */
+        TargetStatus: {
+            /**
+             * Format: double
+             * @description What was measured of it when the status was made.
+             */
+            actual?: number | null;
+            /** @description Who set it. */
+            source: components["schemas"]["KnobSource"];
+            standing?: components["schemas"]["Standing"] | null;
+            /** @description What is to be held. */
+            target: components["schemas"]["Target"];
+        };
         /** @description What an order came to. */
         ThresholdAnswer: {
             /**

@@ -858,6 +858,81 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/target": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The target and where it stands
+         * @description `curl http://127.0.0.1:8080/api/v1/target`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["TargetReport"];
+                    };
+                };
+            };
+        };
+        /**
+         * Sets a target in the place of a threshold
+         * @description One of `recall` (against the detector, the lower end of its interval), `skip_rate`, `detector_ms_per_s`, `watts`,
+         *     `joules_per_day`, or null for none. A controller then moves the knob of all cameras together, inside its range; setting
+         *     the threshold by hand switches it off.
+         *     `curl -X PUT -d '{"target": {"skip_rate": 0.5}}' http://127.0.0.1:8080/api/v1/target`
+         */
+        put: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["TargetMessage"];
+                };
+            };
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["TargetReport"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/threshold": {
         parameters: {
             query?: never;
@@ -1086,6 +1161,219 @@ export interface components {
              */
             value: number;
         };
+        /** @description What an audit has found, in figures with intervals at 95 %. */
+        AuditFigures: {
+            /** @description All comparisons. */
+            all: components["schemas"]["AuditGroup"];
+            /** @description By the number of frames since the detector last looked. */
+            by_pause?: components["schemas"]["AuditGroup"][];
+            /** @description By the size of the box. */
+            by_size?: components["schemas"]["AuditGroup"][];
+            /** @description By the state of the frame. */
+            by_state?: components["schemas"]["AuditGroup"][];
+            /**
+             * Format: int64
+             * @description Times the detector looked for the audit.
+             */
+            calls: number;
+            /**
+             * Format: double
+             * @description Detector time of these, seconds.
+             */
+            detector_s: number;
+            /**
+             * Format: int64
+             * @description Skipped frames that were drawn.
+             */
+            drawn: number;
+            /**
+             * Format: int64
+             * @description Those of them that the detector could not look at in time.
+             */
+            missed: number;
+        };
+        /**
+         * @description A group of comparisons in figures. All are against the detector and not against the truth: a policy that keeps showing
+         *     an object which the detector misses loses precision here although it may be right.
+         */
+        AuditGroup: {
+            /**
+             * Format: int64
+             * @description Boxes of the detector with nothing shown near them: objects that have newly appeared.
+             */
+            appeared: number;
+            /**
+             * Format: int64
+             * @description Boxes that the detector found.
+             */
+            detected: number;
+            /**
+             * Format: int64
+             * @description Frames that were compared; 0 where boxes are grouped by size.
+             */
+            frames: number;
+            /**
+             * Format: int64
+             * @description Shown boxes with nothing of the detector's near them: objects that are gone, or that the detector misses.
+             */
+            gone: number;
+            /**
+             * Format: double
+             * @description Mean intersection over union of the pairs; absent without one.
+             */
+            mean_overlap?: number | null;
+            /** @description Frame state, length of the pause in frames, or size of the boxes; `all` for all of them. */
+            name: string;
+            precision?: components["schemas"]["AuditRate"] | null;
+            recall?: components["schemas"]["AuditRate"] | null;
+            /**
+             * Format: int64
+             * @description Pairs of one class.
+             */
+            same_class: number;
+            /**
+             * Format: int64
+             * @description Boxes that had been shown.
+             */
+            shown: number;
+        };
+        /** @description A share of boxes, and between what it lies at a confidence of 95 %. */
+        AuditRate: {
+            /**
+             * Format: int64
+             * @description The boxes it is a share of.
+             */
+            boxes: number;
+            /**
+             * Format: double
+             * @description Upper end of the Wilson interval.
+             */
+            high: number;
+            /**
+             * Format: double
+             * @description As how many independent boxes they count: those of one frame are shown or missed together.
+             */
+            independent: number;
+            /**
+             * Format: double
+             * @description Lower end of the Wilson interval.
+             */
+            low: number;
+            /**
+             * Format: double
+             * @description The share, 0 to 1.
+             */
+            rate: number;
+        };
+        /**
+         * @description The audit's part of a clip report: what became known of skipped frames between the report before and this one. A
+         *     frame at the end of a clip may be in the next one's.
+         */
+        AuditReport: {
+            /**
+             * Format: int64
+             * @description Times the detector looked for the audit; in none of the frame states and not in the skip rate.
+             * @default 0
+             */
+            calls: number;
+            /**
+             * Format: int64
+             * @description Detector time of these, microseconds.
+             * @default 0
+             */
+            detector_us: number;
+            /**
+             * Format: double
+             * @description Joules of the node during that time, by the share of each second that the detector worked for the audit; not in
+             *     the clip's own. Absent without a figure.
+             * @default null
+             */
+            joules: number | null;
+            /**
+             * Format: double
+             * @description Share of the skipped frames that is drawn.
+             * @default 0
+             */
+            share: number;
+            /**
+             * @description What was compared.
+             * @default {}
+             */
+            sums: components["schemas"]["AuditSums"];
+        };
+        /** @description How far the compared frames differ, from which the intervals come. */
+        AuditSpread: {
+            /**
+             * @description Of the detector's boxes.
+             * @default {}
+             */
+            detected: components["schemas"]["SquareSums"];
+            /**
+             * @description Of the shown boxes.
+             * @default {}
+             */
+            shown: components["schemas"]["SquareSums"];
+        };
+        /** @description What an audit has found. All are whole numbers that only grow: sums over parts are the sums over the whole. */
+        AuditSums: {
+            /**
+             * @description By the length of the pause.
+             * @default {}
+             */
+            by_pause: components["schemas"]["ByPause"];
+            /**
+             * @description By the size of the box.
+             * @default {}
+             */
+            by_size: components["schemas"]["BySize"];
+            /**
+             * @description By the state of the frame; together they are the total.
+             * @default {}
+             */
+            by_state: components["schemas"]["ByState"];
+            /**
+             * Format: int64
+             * @description Frames that were drawn and could not be looked at in time.
+             * @default 0
+             */
+            missed: number;
+            /**
+             * @description How far the frames differ.
+             * @default {}
+             */
+            spread: components["schemas"]["AuditSpread"];
+        };
+        /** @description Comparisons of one group of frames or boxes. */
+        AuditTally: {
+            /**
+             * @description The detector's boxes.
+             * @default {}
+             */
+            detected: components["schemas"]["BoxCounts"];
+            /**
+             * Format: int64
+             * @description Frames that were compared; not counted by size.
+             * @default 0
+             */
+            frames: number;
+            /**
+             * Format: int64
+             * @description Summed intersection over union of the pairs, in millionths; by size, of the detector's boxes.
+             * @default 0
+             */
+            overlap_millionths: number;
+            /**
+             * Format: int64
+             * @description Pairs of one class; by size, of the detector's boxes.
+             * @default 0
+             */
+            same_class: number;
+            /**
+             * @description The shown boxes.
+             * @default {}
+             */
+            shown: components["schemas"]["BoxCounts"];
+        };
         /** @description What was saved over a time. */
         Balance: {
             /**
@@ -1151,6 +1439,28 @@ export interface components {
              */
             throttled: boolean | null;
         };
+        /** @description Boxes of one side, the detector's or the shown ones. */
+        BoxCounts: {
+            /**
+             * Format: int64
+             * @description Those that no box of the other side is even near: of the detector's, objects that have newly appeared; of the
+             *     shown ones, objects that are gone or that the detector misses.
+             * @default 0
+             */
+            alone: number;
+            /**
+             * Format: int64
+             * @description Boxes.
+             * @default 0
+             */
+            boxes: number;
+            /**
+             * Format: int64
+             * @description Those that have a box of the other side as their pair.
+             * @default 0
+             */
+            paired: number;
+        };
         /** @description One box of a [`DetectionsMessage`]. */
         BoxMessage: {
             /** @description Left, top, right, bottom in pixels of the source picture, clipped to it. */
@@ -1173,6 +1483,73 @@ export interface components {
          * @enum {string}
          */
         BoxSource: "detected" | "predicted" | "followed" | "rescued";
+        /** @description By the number of frames since the detector last looked, the compared one included. */
+        ByPause: {
+            /**
+             * @description The first frame after one that the detector looked at.
+             * @default {}
+             */
+            1: components["schemas"]["AuditTally"];
+            /**
+             * @description The second.
+             * @default {}
+             */
+            2: components["schemas"]["AuditTally"];
+            /**
+             * @description Later ones.
+             * @default {}
+             */
+            "17+": components["schemas"]["AuditTally"];
+            /**
+             * @description The third and fourth.
+             * @default {}
+             */
+            "3-4": components["schemas"]["AuditTally"];
+            /**
+             * @description The fifth to eighth.
+             * @default {}
+             */
+            "5-8": components["schemas"]["AuditTally"];
+            /**
+             * @description The ninth to sixteenth.
+             * @default {}
+             */
+            "9-16": components["schemas"]["AuditTally"];
+        };
+        /**
+         * @description By the size of the box: a share of the picture's area below 1/300 (COCO's 32² pixels of 640x480), up to 3 % (96²), and
+         *     above. Recall goes by the size of the detector's box, precision by that of the shown one.
+         */
+        BySize: {
+            /**
+             * @description 3 % and more.
+             * @default {}
+             */
+            large: components["schemas"]["AuditTally"];
+            /**
+             * @description From there to 3 %.
+             * @default {}
+             */
+            medium: components["schemas"]["AuditTally"];
+            /**
+             * @description Below 1/300 of the picture.
+             * @default {}
+             */
+            small: components["schemas"]["AuditTally"];
+        };
+        /** @description By the state of the frame. */
+        ByState: {
+            /**
+             * @description The screen had said "empty".
+             * @default {}
+             */
+            E: components["schemas"]["AuditTally"];
+            /**
+             * @description Boxes had been predicted.
+             * @default {}
+             */
+            P: components["schemas"]["AuditTally"];
+        };
         /**
          * @description Why the detector was called for a frame, whether or not it answered. Where several things call it at once, the one
          *     named first here is said.
@@ -1305,6 +1682,7 @@ export interface components {
         CameraState: "live" | "stale" | "never_seen";
         /** @description What became of a camera's frames since the node started. The five states add up to `frames`. */
         CameraStates: {
+            audit?: components["schemas"]["AuditFigures"] | null;
             /** @description Frames that the detector was called for, by cause; degraded ones are among them. */
             calls: {
                 [key: string]: number;
@@ -1416,6 +1794,7 @@ export interface components {
         };
         /** @description The report of one clip. */
         ClipReport: {
+            audit?: components["schemas"]["AuditReport"] | null;
             board?: components["schemas"]["BoardState"] | null;
             /** @description Camera. */
             camera: string;
@@ -1492,6 +1871,7 @@ export interface components {
         };
         /** @description Where a camera stands, once a second. */
         CountersMessage: {
+            audit?: components["schemas"]["AuditFigures"] | null;
             /** @description Frames that the detector was called for since the node started, by cause; degraded ones are among them. */
             calls?: {
                 [key: string]: number;
@@ -1524,6 +1904,7 @@ export interface components {
              * @description When, nanoseconds since the Unix epoch.
              */
             t_ns: number;
+            target?: components["schemas"]["TargetReport"] | null;
             /**
              * Format: int32
              * @description Version.
@@ -1545,6 +1926,7 @@ export interface components {
             } | null;
             /** @description The hub missed a status: send the full one. */
             send_full_status?: boolean;
+            target?: components["schemas"]["Target"] | null;
             /**
              * Format: int32
              * @description Version.
@@ -1883,6 +2265,19 @@ export interface components {
              */
             seq: number;
         };
+        /** @description Between which values a controller moves a knob. */
+        KnobRange: {
+            /**
+             * Format: double
+             * @description Smallest value: the most accurate one.
+             */
+            least: number;
+            /**
+             * Format: double
+             * @description Largest value: what accuracy still allows.
+             */
+            most: number;
+        };
         /**
          * @description Who set the knob's value in force.
          * @enum {string}
@@ -1965,6 +2360,7 @@ export interface components {
         };
         /** @description What became of all frames since the node started. */
         NodeStates: {
+            audit?: components["schemas"]["AuditFigures"] | null;
             /** @description Frames that the detector was called for, by cause, all cameras together. */
             calls: {
                 [key: string]: number;
@@ -2019,6 +2415,7 @@ export interface components {
             /** @description Execution provider that really runs it; absent until the model is loaded. */
             provider?: string | null;
             refused?: components["schemas"]["RefusedDesired"] | null;
+            target?: components["schemas"]["TargetStatus"] | null;
             /** @description Version of the program. */
             version: string;
         };
@@ -2334,6 +2731,32 @@ export interface components {
             /** @description What each value would have skipped, in the order asked for. */
             values: components["schemas"]["ValueEstimate"][];
         };
+        /** @description Summed squares over the frames of one side's counts: how far the frames differ. */
+        SquareSums: {
+            /**
+             * Format: int64
+             * @description Of the boxes of a frame.
+             * @default 0
+             */
+            boxes: number;
+            /**
+             * Format: int64
+             * @description Of the paired ones of a frame.
+             * @default 0
+             */
+            paired: number;
+            /**
+             * Format: int64
+             * @description Of boxes times paired ones.
+             * @default 0
+             */
+            product: number;
+        };
+        /**
+         * @description Why the knob stands where it stands.
+         * @enum {string}
+         */
+        Standing: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
         /** @description A sign of life, with the full status when it changed or was asked for. */
         StatusMessage: {
             full?: components["schemas"]["NodeStatus"] | null;
@@ -2373,6 +2796,110 @@ export interface components {
              * @description Reports that wait in the outbox.
              */
             waiting: number;
+        };
+        /** @description What is to be held. As JSON one field: `{"skip_rate": 0.5}`. */
+        Target: {
+            /**
+             * Format: double
+             * @description Recall against the detector: the lower end of its interval is held at this.
+             */
+            recall: number;
+        } | {
+            /**
+             * Format: double
+             * @description Share of frames that skip the detector.
+             */
+            skip_rate: number;
+        } | {
+            /**
+             * Format: double
+             * @description Time that the detector works for frames, milliseconds a second; the audit's is not in it.
+             */
+            detector_ms_per_s: number;
+        } | {
+            /**
+             * Format: double
+             * @description Mean power of the node, watts.
+             */
+            watts: number;
+        } | {
+            /**
+             * Format: double
+             * @description Energy of the node, joules a day, at the power of now.
+             */
+            joules_per_day: number;
+        };
+        /**
+         * @description A target, in a put, in a query's payload and in a request: `{"target": {"skip_rate": 0.5}}`, or `{"target": null}` for
+         *     none.
+         */
+        TargetMessage: {
+            target?: components["schemas"]["Target"] | null;
+            /**
+             * Format: int32
+             * @description Version; may be left out on the way in.
+             */
+            v?: number;
+        };
+        /** @description Where the target of a node stands. */
+        TargetReport: {
+            /** @description Why there is none, in words, where there was one. */
+            off?: string | null;
+            range?: components["schemas"]["KnobRange"] | null;
+            /** @description Who set it, or switched it off. */
+            source: components["schemas"]["KnobSource"];
+            state?: components["schemas"]["TargetState"] | null;
+            target?: components["schemas"]["Target"] | null;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+            /** @description The same in words. */
+            why?: string | null;
+        };
+        /** @description Where a target stands. */
+        TargetState: {
+            /**
+             * Format: double
+             * @description What is measured of it; for recall the lower end of its interval. Absent before anything is.
+             */
+            actual?: number | null;
+            /**
+             * Format: int64
+             * @description For recall, the boxes that the figure rests on.
+             */
+            boxes?: number | null;
+            /**
+             * Format: double
+             * @description The knob's value in force.
+             */
+            knob: number;
+            /** @description Why it stands there. */
+            standing: components["schemas"]["Standing"];
+            /**
+             * Format: int64
+             * @description How often that began.
+             */
+            unmet: number;
+            /**
+             * Format: double
+             * @description Seconds in which the target could not be met inside the range.
+             */
+            unmet_s: number;
+        };
+        /** @description The target in a node's status: as much of it as does not move by itself. */
+        TargetStatus: {
+            /**
+             * Format: double
+             * @description What was measured of it when the status was made.
+             */
+            actual?: number | null;
+            /** @description Who set it. */
+            source: components["schemas"]["KnobSource"];
+            standing?: components["schemas"]["Standing"] | null;
+            /** @description What is to be held. */
+            target: components["schemas"]["Target"];
         };
         /** @description A threshold changed; it holds from the camera's next frame. */
         ThresholdEvent: {

@@ -193,7 +193,7 @@ export function EnergyTable({ energy }: { energy: Energy | undefined }) {
           <tr>
             <th scope="col" class="left">policy and value</th>
             <th scope="col" class="left">energy is</th>
-            {["clips", "hours", "skipped", "calls avoided", "energy", "an hour", "detector on every frame ≈", "saved ≈"].map((head) => (
+            {["clips", "hours", "skipped", "calls avoided", "recall of the detector", "energy", "an hour", "detector on every frame ≈", "saved ≈"].map((head) => (
               <th key={head} scope="col">{head}</th>
             ))}
           </tr>
@@ -207,6 +207,7 @@ export function EnergyTable({ energy }: { energy: Energy | undefined }) {
               <td>{(group.duration_s / 3600).toFixed(1)}</td>
               <td>{percent(group.skip_rate)}</td>
               <td>{count(group.avoided_calls)}</td>
+              <td>{group.audit?.all.recall ? `${percent(group.audit.all.recall.rate)} (${(100 * group.audit.all.recall.low).toFixed(1)} to ${(100 * group.audit.all.recall.high).toFixed(1)})` : "–"}</td>
               <td>{joules(group.joules)}</td>
               <td>{joules(group.duration_s ? (group.joules / group.duration_s) * 3600 : undefined)}</td>
               <td>{joules(group.vanilla_joules_estimated)}</td>

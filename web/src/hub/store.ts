@@ -11,6 +11,8 @@ const LEAST_MS = 250;
 
 export const fleet = signal<Pick<FleetRows, "counts" | "waiting"> | undefined>(undefined);
 export const today = signal<EnergyGroup[] | undefined>(undefined);
+/** What the audits of the fleet found today. */
+export const auditToday = signal<Energy["audit"] | undefined>(undefined);
 export const lost = signal<string | undefined>(undefined);
 export const events = signal<StoredEvent[]>([]);
 /** Grows when something that is shown may have changed. */
@@ -47,7 +49,9 @@ export function midnight(now = new Date()): number {
 }
 
 async function lookAtEnergy(): Promise<void> {
-  today.value = (await json<Energy>(`/api/v1/energy?by=all&since_ms=${midnight()}`)).groups;
+  const energy = await json<Energy>(`/api/v1/energy?by=all&since_ms=${midnight()}`);
+  today.value = energy.groups;
+  auditToday.value = energy.audit ?? undefined;
 }
 
 export function watchFleet(signal: AbortSignal): void {

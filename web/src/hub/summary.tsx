@@ -4,7 +4,7 @@ import { count, joules, percent, short } from "../shared/format";
 import { Figure, Pill, Quality } from "../shared/parts";
 import { caller } from "../shared/api";
 import { href, route } from "./route";
-import { byQuality, fleet, lost, today } from "./store";
+import { auditToday, byQuality, fleet, lost, today } from "./store";
 
 const VIEWS: [string, string][] = [
   ["fleet", "Nodes"],
@@ -55,6 +55,7 @@ export function Summary() {
   const groups = byQuality(today.value ?? []);
   const avoided = groups.reduce((sum, group) => sum + group.avoided_calls, 0);
   const calls = groups.reduce((sum, group) => sum + group.detector_calls, 0);
+  const audit = auditToday.value?.all;
   const states = ["online", "degraded", "silent", "offline"] as const;
   return (
     <section class="wide headline" aria-label="The fleet in a line">
@@ -84,6 +85,18 @@ export function Summary() {
             <span class="big">{joules(group.joules)}</span> <Quality quality={group.quality} />
           </Figure>
         ))}
+        {audit?.recall && (
+          <Figure
+            label="recall against the detector today"
+            note={
+              <span title="Share of the detector's boxes on audited skipped frames that had been shown. Against the detector, not against the truth.">
+                {percent(audit.recall.low)} to {percent(audit.recall.high)}; precision {percent(audit.precision?.rate)}; not the truth
+              </span>
+            }
+          >
+            <span class="big" id="fleet-recall">{percent(audit.recall.rate)}</span>
+          </Figure>
+        )}
         <Figure label="reports waiting in outboxes">
           <span class="big">{known ? count(known.waiting) : "–"}</span>
         </Figure>

@@ -10,6 +10,20 @@ import type { ClipReport } from "./types";
 
 const SHOWN = 50;
 
+type ByState = NonNullable<NonNullable<NonNullable<ClipReport["audit"]>["sums"]>["by_state"]>;
+
+/** Boxes of one side in a clip's audit, and how many of them have a box of the other side as their pair. */
+export function boxes(states: ByState | undefined | null, side: "detected" | "shown"): [number, number] | undefined {
+  if (!states) return undefined;
+  const both = [states.E?.[side], states.P?.[side]];
+  return [both.reduce((sum, one) => sum + (one?.boxes ?? 0), 0), both.reduce((sum, one) => sum + (one?.paired ?? 0), 0)];
+}
+
+function share(states: ByState | undefined | null, side: "detected" | "shown"): number | undefined {
+  const [all, paired] = boxes(states, side) ?? [0, 0];
+  return all > 0 ? paired / all : undefined;
+}
+
 function columns(knobName: string, several: boolean): Column<ClipReport>[] {
   return [
     { id: "started", head: "began", key: (clip) => clip.started_ns, cell: (clip) => dateTime(clip.started_ns / 1e6), unit: "ns since 1970" },
@@ -32,6 +46,15 @@ function columns(knobName: string, several: boolean): Column<ClipReport>[] {
     { id: "detector_p50", head: "detector p50", key: (clip) => clip.detector_latency_ms.p50, cell: (clip) => milliseconds(clip.detector_latency_ms.p50), unit: "ms" },
     { id: "detector_p99", head: "p99", key: (clip) => clip.detector_latency_ms.p99, cell: (clip) => milliseconds(clip.detector_latency_ms.p99), unit: "ms" },
     { id: knobName, head: knobName, key: (clip) => knobValue(clip, knobName), cell: (clip) => small(knobValue(clip, knobName)) },
+    {
+      id: "audit_recall", head: "recall*", key: (clip) => share(clip.audit?.sums?.by_state, "detected"),
+      cell: (clip) => percent(share(clip.audit?.sums?.by_state, "detected")),
+    },
+    {
+      id: "audit_precision", head: "precision*", key: (clip) => share(clip.audit?.sums?.by_state, "shown"),
+      cell: (clip) => percent(share(clip.audit?.sums?.by_state, "shown")),
+    },
+    { id: "audit_boxes", head: "boxes*", key: (clip) => boxes(clip.audit?.sums?.by_state, "detected")?.[0], cell: (clip) => count(boxes(clip.audit?.sums?.by_state, "detected")?.[0]) },
     { id: "provider", head: "provider", key: (clip) => clip.provider, cell: (clip) => clip.provider, left: true },
     { id: "celsius", head: "hottest", key: (clip) => clip.board?.hottest_celsius ?? undefined, cell: (clip) => (clip.board?.hottest_celsius ? `${clip.board.hottest_celsius.toFixed(0)} °C` : "–"), unit: "°C" },
     {
@@ -46,7 +69,7 @@ export function Clips() {
   const [order, setOrder] = useState<{ id: string; down: boolean }>({ id: "started", down: true });
   const all = columns(knob.value?.name ?? "u", cameras.value.length > 1);
   // What no clip tells is no column.
-  const shown = all.filter((column) => !["celsius", "throttled", "power_mode"].includes(column.id) || clips.value.some((clip) => column.key(clip) !== undefined));
+  const shown = all.filter((column) => !["celsius", "throttled", "power_mode", "audit_recall", "audit_precision", "audit_boxes"].includes(column.id) || clips.value.some((clip) => column.key(clip) !== undefined));
   const rows = sorted(clips.value, all.find((column) => column.id === order.id) ?? all[0]!, order.down);
   const download = () => {
     const file = new Blob([csv(rows, all)], { type: "text/csv" });
@@ -101,6 +124,9 @@ export function Clips() {
             </tbody>
           </table>
         </div>
+      )}
+      {rows.some((clip) => clip.audit) && (
+        <p class="message quiet">* Against the detector, on the few skipped frames that it looked at afterwards; a single clip has few boxes.</p>
       )}
       {rows.length > SHOWN && <p class="message quiet">The first {SHOWN} of {count(rows.length)}; the file has them all.</p>}
     </Section>

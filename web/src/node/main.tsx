@@ -5,6 +5,7 @@ import { caller } from "../shared/api";
 import { Unlock } from "../shared/parts";
 import { start } from "../shared/start";
 import "../shared/style.css";
+import { Audit } from "./audit";
 import { Tiles } from "./cameras";
 import { DetectorTime, Power, Rates, Uncertainty } from "./charts";
 import { Clips } from "./clips";
@@ -15,6 +16,7 @@ import { Log } from "./log";
 import { Picture } from "./picture";
 import { Ribbon } from "./ribbon";
 import { States } from "./states";
+import { TargetPanel } from "./target";
 import { cameras, lost, opened, overview, watchFrames, watchNode } from "./store";
 
 function Page() {
@@ -51,6 +53,7 @@ function Page() {
           <div class="stack">
             <States />
             <KnobPanel />
+            <TargetPanel />
           </div>
           <Ribbon />
           <div class="stack">
@@ -61,6 +64,7 @@ function Page() {
             <Power />
             <DetectorTime />
           </div>
+          <Audit />
           <Clips />
           <Log name={overview.value?.node} />
         </main>

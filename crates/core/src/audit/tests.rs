@@ -40,7 +40,7 @@ fn what_was_shown_missed_newly_there_and_gone_is_told_apart() {
     let seen = [
         found(at(0, 0.0), 0),
         found(at(1, 0.0), 1),
-        found(at(2, 0.0), 0),
+        found(at(4, 0.0), 0),
     ];
     let told = [
         // Right; of another class, and so far off that it is another box; gone.

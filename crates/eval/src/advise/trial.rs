@@ -9,7 +9,7 @@ use crate::run;
 use crate::source::{ClipEvidence, ScreenRule, SourceError, StoredEvidence};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{FrameState, GreyPicture, PolicyConfig, PolicyConfigError};
+use albireo_core::policy::{FrameState, GreyPicture, Need, PolicyConfig, PolicyConfigError};
 use serde::Serialize;
 
 /// Blocks that a recording is cut into, if it is long enough.
@@ -430,7 +430,11 @@ impl ClipEvidence for Unscreened<'_> {
         Ok(None)
     }
 
-    fn grey_picture(&mut self, frame: usize) -> Result<Option<GreyPicture<'_>>, SourceError> {
-        self.0.grey_picture(frame)
+    fn grey_picture(
+        &mut self,
+        frame: usize,
+        need: Need,
+    ) -> Result<Option<GreyPicture<'_>>, SourceError> {
+        self.0.grey_picture(frame, need)
     }
 }

@@ -81,7 +81,7 @@ mod tests {
             clip: "a clip".to_owned(),
             skip_rate,
             ap50,
-            map: 0.0,
+            ..ClipFigures::default()
         }
     }
 

@@ -1,9 +1,10 @@
 //! What the fleet's clips cost.
 
 use super::{HubView, query, unavailable};
-use crate::store::{EnergyBy, EnergyGroup, EnergyQuery, Resolution};
+use crate::store::{AuditCounts, EnergyBy, EnergyGroup, EnergyQuery, Resolution};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
+use albireo_wire::AuditFigures;
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
@@ -56,6 +57,10 @@ pub(super) struct Energy {
     until_ms: i64,
     /// One entry for each group and quality.
     groups: Vec<EnergyGroup>,
+    /// What was audited in all these groups together, whatever the quality of their energy; absent where nothing was.
+    /// Against the detector, not against the truth.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    audit: Option<AuditFigures>,
 }
 
 /// Energy over time and fleet: measured, partial and estimated apart, and against vanilla
@@ -106,7 +111,12 @@ pub(super) async fn sums(
         .energy(&wanted)
         .await
         .map_err(|error| unavailable(&error))?;
+    let mut audit = AuditCounts::default();
+    for group in &groups {
+        audit.merge(&group.audit_counts);
+    }
     Ok(Json(Energy {
+        audit: audit.figures(),
         resolution,
         since_ms: since_s.saturating_mul(1000),
         until_ms: until_s.saturating_mul(1000),

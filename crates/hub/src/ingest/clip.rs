@@ -3,7 +3,7 @@
 use crate::store::SetupKey;
 use crate::store::rows::text;
 use crate::store::tables::ClipRow;
-use albireo_wire::{ClipEnd, ClipReport, EnergyQuality};
+use albireo_wire::{AuditReport, ClipEnd, ClipReport, EnergyQuality};
 use serde_json::json;
 
 /// Largest energy of a clip, joules: about 3 kWh.
@@ -12,6 +12,8 @@ const MOST_JOULES: f64 = 1e7;
 const MOST_TIME_US: i64 = 100_000_000_000_000;
 /// Longest clip and latency, seconds.
 const MOST_SECONDS: f64 = 10.0 * 86_400.0;
+/// Most of anything that an audit counts in a clip: nine thousand such clips still fit into a sum.
+const MOST_AUDITED: i64 = 1_000_000_000_000_000;
 /// Most frames of a clip, and of any other count.
 const MOST_COUNT: u64 = 1_000_000_000;
 /// A clip that began later than this after it was received has a clock that is off, milliseconds.
@@ -119,6 +121,12 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
             .ok_or_else(|| "a mean latency times its count is too large".to_owned())
     };
     let edp = energy.edp.filter(|edp| edp.is_finite());
+    let audit = report.audit.as_ref().map(audited).transpose()?;
+    let audit = |index: usize| audit.map(|counts| counts[index]);
+    let audit_uj = joules(
+        "audit.joules",
+        report.audit.as_ref().and_then(|audit| audit.joules),
+    )?;
     let row = ClipRow {
         camera_id: 0,
         instance_id: 0,
@@ -167,6 +175,25 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
         samples: count("energy.samples", energy.samples)?,
         coverage_ppm: micro("energy.coverage", energy.coverage, 1.0 + 1e-6)?,
         details: details(report),
+        audit_frames: audit(0),
+        audit_missed: audit(1),
+        audit_calls: audit(2),
+        audit_us: audit(3),
+        audit_uj,
+        audit_detected: audit(4),
+        audit_recalled: audit(5),
+        audit_appeared: audit(6),
+        audit_shown: audit(7),
+        audit_confirmed: audit(8),
+        audit_gone: audit(9),
+        audit_overlap: audit(10),
+        audit_same_class: audit(11),
+        audit_detected_sq: audit(12),
+        audit_recalled_sq: audit(13),
+        audit_detected_x: audit(14),
+        audit_shown_sq: audit(15),
+        audit_confirmed_sq: audit(16),
+        audit_shown_x: audit(17),
     };
     let knob = report.knob;
     let setup = SetupKey {
@@ -181,6 +208,44 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
     Ok(Facts { setup, row, clock })
 }
 
+/// The counts of an audit, in the order of the columns.
+fn audited(audit: &AuditReport) -> Result<[i64; 18], String> {
+    let sums = &audit.sums;
+    let total = sums.total();
+    let counts = [
+        ("audit_frames", total.frames),
+        ("audit_missed", sums.missed),
+        ("audit_calls", audit.calls),
+        ("audit_us", audit.detector_us),
+        ("audit_detected", total.detected.boxes),
+        ("audit_recalled", total.detected.paired),
+        ("audit_appeared", total.detected.alone),
+        ("audit_shown", total.shown.boxes),
+        ("audit_confirmed", total.shown.paired),
+        ("audit_gone", total.shown.alone),
+        ("audit_overlap", total.overlap_millionths),
+        ("audit_same_class", total.same_class),
+        ("audit_detected_sq", sums.spread.detected.boxes),
+        ("audit_recalled_sq", sums.spread.detected.paired),
+        ("audit_detected_x", sums.spread.detected.product),
+        ("audit_shown_sq", sums.spread.shown.boxes),
+        ("audit_confirmed_sq", sums.spread.shown.paired),
+        ("audit_shown_x", sums.spread.shown.product),
+    ];
+    let mut checked = [0; 18];
+    for (place, (name, count)) in checked.iter_mut().zip(counts) {
+        *place = i64::try_from(count)
+            .ok()
+            .filter(|count| *count <= MOST_AUDITED)
+            .ok_or_else(|| format!("{name} is {count}, above {MOST_AUDITED}"))?;
+    }
+    let pairs = [&total.detected, &total.shown];
+    if pairs.iter().any(|side| side.paired > side.boxes) {
+        return Err("audit: more pairs than boxes".to_owned());
+    }
+    Ok(checked)
+}
+
 /// What is not summed: changes of the knob within the clip, the board, frames that were dropped by kind.
 fn details(report: &ClipReport) -> Option<String> {
     let mut details = serde_json::Map::new();
@@ -192,6 +257,14 @@ fn details(report: &ClipReport) -> Option<String> {
     }
     if dropped_total(report) != Some(0) {
         details.insert("dropped".into(), json!(report.dropped));
+    }
+    if let Some(audit) = report.audit.as_ref().filter(|audit| !audit.sums.is_empty()) {
+        // By state, pause and size; the sums over all have columns.
+        let sums = &audit.sums;
+        let groups = json!({
+            "by_state": sums.by_state, "by_pause": sums.by_pause, "by_size": sums.by_size
+        });
+        details.insert("audit".into(), groups);
     }
     (!details.is_empty()).then(|| text(&serde_json::Value::Object(details).to_string()))
 }

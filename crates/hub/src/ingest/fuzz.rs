@@ -86,6 +86,7 @@ fn report(number: u64) -> Value {
             domains: Vec::new(),
         },
         board: None,
+        audit: None,
     };
     serde_json::to_value(report).unwrap()
 }

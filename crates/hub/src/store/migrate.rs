@@ -5,10 +5,11 @@ use super::{Dialect, StoreError};
 use sqlx::{AnyConnection, Connection as _, Executor as _, Row as _};
 
 /// The steps, the first makes a new database. A step that was released is never changed.
-const STEPS: [&str; 3] = [
+const STEPS: [&str; 4] = [
     include_str!("schema/0001.sql"),
     include_str!("schema/0002.sql"),
     include_str!("schema/0003.sql"),
+    include_str!("schema/0004.sql"),
 ];
 
 /// The version that this program writes.

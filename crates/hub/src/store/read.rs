@@ -1,8 +1,10 @@
 //! Reading, on connections of its own.
 
+mod audit;
 mod energy;
 mod history;
 
+pub use audit::AuditCounts;
 pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution};
 pub use history::{ClipQuery, InstanceView, StoredClip, StoredEvent, StoredSetAside};
 

@@ -582,6 +582,8 @@ fn figures(sums: Vec<ClipSums>) -> BTreeMap<String, Figures> {
             energy[1],
             Some(Figure::LatencyP99),
             Some(Figure::Degraded),
+            Some(Figure::Recall),
+            Some(Figure::Precision),
         ];
         let node = nodes.entry(row.node).or_default();
         for (kind, (count, sum, squares)) in kinds.into_iter().zip(row.figures) {

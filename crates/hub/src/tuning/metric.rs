@@ -24,17 +24,23 @@ pub enum Metric {
     Degraded,
     /// Share of a clip's frames whose detector run failed, where reports tell.
     DetectorErrors,
+    /// Share of the detector's boxes on a clip's audited frames that had been shown: against the detector, not the truth.
+    Recall,
+    /// Share of the boxes shown on a clip's audited frames that the detector confirms: against the detector, not the truth.
+    Precision,
 }
 
 impl Metric {
     /// All of them.
-    pub const ALL: [Self; 6] = [
+    pub const ALL: [Self; 8] = [
         Self::SkipRate,
         Self::Joules,
         Self::Edp,
         Self::LatencyP99,
         Self::Degraded,
         Self::DetectorErrors,
+        Self::Recall,
+        Self::Precision,
     ];
 
     /// Its name in gates, messages and tables.
@@ -46,6 +52,8 @@ impl Metric {
             Self::LatencyP99 => "latency_p99",
             Self::Degraded => "degraded",
             Self::DetectorErrors => "detector_errors",
+            Self::Recall => "recall",
+            Self::Precision => "precision",
         }
     }
 
@@ -56,7 +64,7 @@ impl Metric {
 
     /// Whether more of it is worse.
     pub const fn more_is_worse(self) -> bool {
-        !matches!(self, Self::SkipRate)
+        !matches!(self, Self::SkipRate | Self::Recall | Self::Precision)
     }
 
     /// What is compared: energy that was measured and energy that was estimated are two figures.
@@ -68,6 +76,8 @@ impl Metric {
             Self::LatencyP99 => &[Figure::LatencyP99],
             Self::Degraded => &[Figure::Degraded],
             Self::DetectorErrors => &[Figure::DetectorErrors],
+            Self::Recall => &[Figure::Recall],
+            Self::Precision => &[Figure::Precision],
         }
     }
 }
@@ -100,11 +110,15 @@ pub enum Figure {
     Degraded,
     /// Share of frames with a detector error.
     DetectorErrors,
+    /// Recall against the detector.
+    Recall,
+    /// Precision against the detector.
+    Precision,
 }
 
 impl Figure {
     /// All of them, in the order of tables.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 10] = [
         Self::SkipRate,
         Self::JoulesMeasured,
         Self::JoulesEstimated,
@@ -113,6 +127,8 @@ impl Figure {
         Self::LatencyP99,
         Self::Degraded,
         Self::DetectorErrors,
+        Self::Recall,
+        Self::Precision,
     ];
 
     /// Its name in messages and tables.
@@ -126,6 +142,8 @@ impl Figure {
             Self::LatencyP99 => "latency_p99",
             Self::Degraded => "degraded",
             Self::DetectorErrors => "detector_errors",
+            Self::Recall => "recall",
+            Self::Precision => "precision",
         }
     }
 }

@@ -11,9 +11,9 @@ pub mod postgres;
 
 use albireo_hub::config::HubConfig;
 use albireo_wire::{
-    ClipEnd, ClipEnergy, ClipReport, DomainEnergy, DroppedFrames, EnergyQuality, FrameStates,
-    HealthState, HealthStatus, KnobValue, NodeStatus, OutboxStatus, Percentiles, ReportAnswer,
-    ReportBatch, ReportRefusal, StatusMessage, VERSION,
+    AuditReport, AuditSums, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, DroppedFrames,
+    EnergyQuality, FrameStates, HealthState, HealthStatus, KnobValue, NodeStatus, OutboxStatus,
+    Percentiles, ReportAnswer, ReportBatch, ReportRefusal, StatusMessage, VERSION,
 };
 use serde_json::Value;
 use std::path::Path;
@@ -179,6 +179,31 @@ pub fn now_ns() -> u64 {
     u64::try_from(since.unwrap().as_nanos()).unwrap()
 }
 
+/// The audit of every second report: ten boxes of the detector in four frames, nine or eight of which had been shown.
+fn audit(number: u64) -> AuditReport {
+    let shown = if number.is_multiple_of(4) { 9 } else { 8 };
+    let mut sums = AuditSums::default();
+    sums.add_missed();
+    let tally = &mut sums.by_state.p;
+    tally.frames = 4;
+    tally.detected.boxes = 10;
+    tally.detected.paired = shown;
+    tally.detected.alone = 1;
+    tally.shown.boxes = 12;
+    tally.shown.paired = shown;
+    tally.overlap_millionths = shown * 800_000;
+    sums.spread.detected.boxes = 30;
+    sums.spread.detected.paired = 24;
+    sums.spread.detected.product = 26;
+    AuditReport {
+        share: 0.02,
+        calls: 4,
+        detector_us: 120_000,
+        joules: Some(0.5),
+        sums,
+    }
+}
+
 /// A report of that number that began `number` × 40 s after `started_ns`.
 pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
     let joules = 100.1 + number as f64 / 3.0;
@@ -242,6 +267,7 @@ pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
             }],
         },
         board: None,
+        audit: number.is_multiple_of(2).then(|| audit(number)),
     }
 }
 
@@ -307,6 +333,7 @@ pub fn full_status(instance: &str, seq: u64, reasons: &[(&str, &str)]) -> Status
         },
         outbox: OutboxStatus::default(),
         refused: None,
+        target: None,
     };
     StatusMessage {
         health: state,

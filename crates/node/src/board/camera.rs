@@ -4,9 +4,12 @@ use super::event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
 use super::history::{History, PastFrame, PastSlot, SkipEstimate};
 use super::thresholds;
 use crate::advice::{Advice, SkipWatch};
+use crate::audit::AuditCount;
 use crate::frame::EncodedPicture;
 use crate::outbox::Outbox;
 use crate::screen::ScreenCounts;
+use crate::target::NodeTarget;
+use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Knob, KnobError, published_threshold, short};
 use albireo_wire::{
@@ -45,6 +48,8 @@ pub struct CameraSetup {
     pub sizeless: bool,
     /// Most frames that its policy lets pass without the detector while objects are followed.
     pub longest_pause: Option<u32>,
+    /// Whether some of its skipped frames are looked at afterwards.
+    pub audited: bool,
 }
 
 /// The last picture received, still encoded.
@@ -71,6 +76,10 @@ pub struct CameraSnapshot {
     pub screen: ScreenCounts,
     /// Frames of which a small grey picture was looked at, to follow boxes by optical flow.
     pub looks: u64,
+    /// What the audit has found.
+    pub audit: AuditCount,
+    /// Joules of the audit in the clips that ended.
+    pub audit_joules: f64,
     /// Clips ended.
     pub clips: u64,
     /// Energy of these clips, joules, over the time that samples cover.
@@ -94,6 +103,19 @@ impl CameraSnapshot {
     }
 }
 
+/// What a camera did, as far as the target goes by it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct CameraWork {
+    /// Frames since the start.
+    pub frames: u64,
+    /// Those of them that skipped the detector.
+    pub skipped: u64,
+    /// Time the detector worked for them, microseconds.
+    pub detector_us: u64,
+    /// What was audited since this was asked last.
+    pub audit: AuditSums,
+}
+
 #[derive(Debug, Default)]
 struct Counts {
     states: FrameStates,
@@ -102,6 +124,12 @@ struct Counts {
     dropped: DroppedFrames,
     screen: ScreenCounts,
     looks: u64,
+    audit: AuditCount,
+    /// What of it the target has not heard of.
+    untold_audit: AuditSums,
+    /// Time the detector worked for frames, microseconds.
+    detector_us: u64,
+    audit_joules: f64,
     clips: u64,
     clip_joules: f64,
     boxes: BTreeMap<(Arc<str>, &'static str), u64>,
@@ -149,7 +177,9 @@ pub struct CameraBoard {
     counts: Mutex<Counts>,
     /// The node's start: times of the past are counted from there.
     started: Instant,
+    target: Arc<NodeTarget>,
     longest_pause: Option<u32>,
+    audited: bool,
     history: Mutex<History>,
     latest_frame: Mutex<Option<LatestFrame>>,
     shared_frames: AtomicU64,
@@ -167,6 +197,7 @@ impl CameraBoard {
         started: Instant,
         events: broadcast::Sender<SharedEvent>,
         outbox: Outbox,
+        target: Arc<NodeTarget>,
     ) -> Self {
         let configured = setup.knob.map(|knob| {
             let value = setup.threshold.unwrap_or(knob.default);
@@ -198,7 +229,9 @@ impl CameraBoard {
             changing: Mutex::default(),
             counts: Mutex::default(),
             started,
+            target,
             longest_pause: setup.longest_pause,
+            audited: setup.audited,
             history: Mutex::default(),
             latest_frame: Mutex::default(),
             shared_frames: AtomicU64::new(0),
@@ -229,6 +262,11 @@ impl CameraBoard {
         self.knob
     }
 
+    /// Whether some of its skipped frames are looked at afterwards.
+    pub(crate) fn audit_is_on(&self) -> bool {
+        self.audited
+    }
+
     /// Takes over what the empty-scene screen has counted.
     pub(crate) fn record_screen(&self, screen: ScreenCounts) {
         self.counts.lock().screen = screen;
@@ -237,6 +275,36 @@ impl CameraBoard {
     /// Counts a frame of which a grey picture was looked at.
     pub(crate) fn record_look(&self) {
         self.counts.lock().looks += 1;
+    }
+
+    /// What the audit has found since the node started.
+    pub(crate) fn audit(&self) -> AuditCount {
+        self.counts.lock().audit.clone()
+    }
+
+    /// Adds what the audit has found.
+    pub(crate) fn record_audit(&self, more: &AuditCount) {
+        let mut counts = self.counts.lock();
+        counts.audit.merge(more);
+        counts.untold_audit.merge(&more.sums);
+    }
+
+    /// Notes how long the detector worked for a frame.
+    pub(crate) fn record_detector(&self, used: Duration) {
+        let used = u64::try_from(used.as_micros()).unwrap_or(u64::MAX);
+        let mut counts = self.counts.lock();
+        counts.detector_us = counts.detector_us.saturating_add(used);
+    }
+
+    /// What the target goes by: sums since the start, and of the audit what it has not been told.
+    pub(crate) fn take_work(&self) -> CameraWork {
+        let mut counts = self.counts.lock();
+        CameraWork {
+            frames: counts.states.frames(),
+            skipped: counts.states.skipped(counts.degraded_frames),
+            detector_us: counts.detector_us,
+            audit: std::mem::take(&mut counts.untold_audit),
+        }
     }
 
     /// Counts a processed frame by what was published for it, and tells it to subscribers.
@@ -321,9 +389,12 @@ impl CameraBoard {
     }
 
     /// Counts a clip that ended, and its energy where it has a figure.
-    pub(super) fn count_clip(&self, joules: Option<f64>) {
+    pub(super) fn count_clip(&self, joules: Option<f64>, audit_joules: Option<f64>) {
         let mut counts = self.counts.lock();
         counts.clips += 1;
+        counts.audit_joules += audit_joules
+            .filter(|joules| *joules > 0.0)
+            .unwrap_or_default();
         counts.clip_joules += joules.filter(|joules| *joules > 0.0).unwrap_or_default();
     }
 
@@ -337,6 +408,8 @@ impl CameraBoard {
             dropped: counts.dropped,
             screen: counts.screen,
             looks: counts.looks,
+            audit: counts.audit.clone(),
+            audit_joules: counts.audit_joules,
             clips: counts.clips,
             clip_joules: counts.clip_joules,
             boxes: counts.boxes.clone(),
@@ -449,6 +522,8 @@ impl CameraBoard {
         source: KnobSource,
     ) -> Result<f64, KnobError> {
         let knob = self.check_threshold(value)?;
+        // First, so that the controller moves nothing any more.
+        self.target.turned_by_hand(source);
         let changing = self.changing.lock();
         let before = self.threshold.send_replace(Some(value));
         *self.source.lock() = source;
@@ -461,6 +536,21 @@ impl CameraBoard {
         drop(changing);
         tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold changed");
         Ok(value)
+    }
+
+    /// Moves the threshold on behalf of the node's target: it holds from the next frame on, and nothing is kept. A value
+    /// that the knob cannot have changes nothing.
+    pub(crate) fn move_threshold(&self, value: f64) {
+        let Ok(knob) = self.check_threshold(value) else {
+            return;
+        };
+        let changing = self.changing.lock();
+        let before = self.threshold.send_replace(Some(value));
+        if let Some(event) = self.threshold_event() {
+            let _ = self.events.send(event.into());
+        }
+        drop(changing);
+        tracing::debug!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold moved");
     }
 
     /// Reads the kept threshold where that could not be done before, and keeps what was set meanwhile: a value set at

@@ -4,6 +4,7 @@ use super::camera::CameraSetup;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::{DetectorStatus, ExecutionProvider};
 use crate::outbox::{Outbox, OutboxError};
+use crate::target::TargetSetup;
 use albireo_core::policy::{PolicyConfigError, Profile};
 use albireo_wire::KeyError;
 use tokio::sync::watch;
@@ -19,6 +20,8 @@ pub struct BoardSetup {
     pub outbox: Outbox,
     /// Name of the policy.
     pub policy: &'static str,
+    /// What is to be held in the place of the knob's number.
+    pub target: TargetSetup,
     /// What is known about the detector before it starts.
     pub detector: DetectorFacts,
     /// How the detector is doing.
@@ -47,6 +50,7 @@ impl BoardSetup {
                 sizeless: config.policy.profile == Profile::Paper
                     && !config.policy.albireo.contains_key("filter"),
                 longest_pause: policy.longest_pause(),
+                audited: config.audit.share > 0.0,
             })
         };
         let model = &config.detector.model;
@@ -60,6 +64,12 @@ impl BoardSetup {
                 .collect::<Result<_, _>>()?,
             outbox: Outbox::open(&config.outbox, config.node.state_dir.as_deref())?,
             policy: policy.name(),
+            target: TargetSetup {
+                policy: policy.name(),
+                knob: policy.knob(),
+                configured: config.target.hold,
+                range: (config.target.least, config.target.most),
+            },
             detector: DetectorFacts {
                 model: model.to_string_lossy().into_owned(),
                 requested: config.detector.providers.clone(),

@@ -2,6 +2,7 @@ use super::*;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::ExecutionProvider;
 use crate::outbox::{OutboxConfig, OutboxCounts};
+use crate::target::TargetSetup;
 use albireo_core::policy::{FrameState, Knob};
 use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, KnobValue, Latency};
 use std::path::PathBuf;
@@ -25,12 +26,14 @@ fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<
         threshold,
         sizeless: true,
         longest_pause: None,
+        audited: true,
     };
     Board::new(BoardSetup {
         node: "n".to_owned(),
         cameras: vec![camera("front"), camera("rear")],
         outbox: Outbox::open(&OutboxConfig::default(), state_dir.as_deref()).unwrap(),
         policy: "albireo",
+        target: TargetSetup::default(),
         detector: DetectorFacts::default(),
         detector_status,
     })
@@ -161,6 +164,7 @@ fn the_node_is_ready_once_the_detector_and_every_other_part_is() {
         cameras: Vec::new(),
         outbox: Outbox::in_memory(),
         policy: "albireo",
+        target: TargetSetup::default(),
         detector: DetectorFacts::default(),
         detector_status,
     });

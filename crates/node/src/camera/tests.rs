@@ -1,8 +1,9 @@
 //! A camera's loop with the demonstration detector: what it does with frames out of order and late.
 
 use super::*;
-use crate::board::{Board, BoardSetup};
-use crate::clip::{ClipConfig, ClipTracker, ClosedClip};
+use crate::audit::{AuditConfig, Auditor};
+use crate::board::{Board, BoardSetup, Event};
+use crate::clip::{ClipConfig, ClipMeta, ClipTracker, ClosedClip};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
 use crate::frame::{Frame, FrameLimits, FrameOrder, PictureFormat, Pushed, RingSender, frame_ring};
@@ -11,7 +12,7 @@ use crate::screen::{CameraScreen, ScreenConfig};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::PolicyConfig;
 use albireo_synth::{Dashcam, DashcamSettings};
-use albireo_wire::ClipEnd;
+use albireo_wire::{AuditReport, ClipEnd, DetectionsMessage};
 use std::path::Path;
 use std::time::Duration;
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -24,13 +25,24 @@ struct Bench {
     picture: EncodedPicture,
     camera: Camera,
     clips: UnboundedReceiver<ClosedClip>,
+    auditor: Auditor,
+    dashcam: Dashcam,
 }
 
 impl Bench {
     async fn new(policy: PolicyConfig, clip: ClipConfig) -> Self {
+        let audit = AuditConfig {
+            share: 0.0,
+            ..AuditConfig::default()
+        };
+        Self::audited(policy, clip, audit).await
+    }
+
+    async fn audited(policy: PolicyConfig, clip: ClipConfig, audit: AuditConfig) -> Self {
         let config = NodeConfig {
             cameras: vec![CameraConfig::named("front")],
             policy,
+            audit,
             ..NodeConfig::default()
         };
         let (_, status) = watch::channel(DetectorStatus::Starting);
@@ -46,9 +58,19 @@ impl Bench {
         .unwrap();
         let slot = CameraSlot(0);
         let (frames, ring) = frame_ring(64);
-        let tracker = ClipTracker::new(clip, without_a_meter().user("front"));
+        let power = without_a_meter();
+        let mut tracker = ClipTracker::new(clip, power.user("front"));
+        if audit.share > 0.0 {
+            tracker = tracker.audited_with(audit.share, power.user_aside("front audit"));
+        }
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
-        let accounts = ClipAccounts::new(tracker, Arc::clone(&drops), closed);
+        let audit = Arc::new(CameraAudit::new(
+            audit.draw(0),
+            audit.share,
+            audit.wait(),
+            Arc::clone(&camera),
+        ));
+        let accounts = ClipAccounts::new(tracker, Arc::clone(&drops), Arc::clone(&audit), closed);
         let size = PictureSize::new(640, 360);
         let mut dashcam = Dashcam::new(DashcamSettings {
             seed: 5,
@@ -56,6 +78,13 @@ impl Bench {
             ..DashcamSettings::default()
         })
         .unwrap();
+        let auditor = Auditor {
+            audit: Arc::clone(&audit),
+            detector: detector.clone(),
+            screen: None,
+            limits: FrameLimits::default(),
+            energy: power.user_aside("front audit"),
+        };
         let camera = Camera {
             board: camera,
             ring,
@@ -70,6 +99,7 @@ impl Bench {
             detections: Arc::new(Detections::every(silent_publisher().await).0),
             class_names: detector.class_names().into(),
             accounts,
+            audit,
             reset_at_clip: false,
         };
         Self {
@@ -82,6 +112,8 @@ impl Bench {
             },
             camera,
             clips,
+            auditor,
+            dashcam,
         }
     }
 
@@ -185,4 +217,105 @@ async fn a_frame_that_was_overtaken_is_dropped_and_counted_late() {
     assert_eq!(snapshot.states.frames(), 3);
     assert_eq!((snapshot.dropped.late, snapshot.dropped.total()), (2, 2));
     assert_eq!(clips[0].dropped.late, 2);
+}
+
+/// All that is published for a drive of the dashcam, frame by frame, without times; the audit's part of the clip, and
+/// what the board counts of it.
+async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<AuditReport>) {
+    let mut config = PolicyConfig::default();
+    config.select(policy).unwrap();
+    let audit = AuditConfig {
+        share,
+        ..AuditConfig::default()
+    };
+    let mut bench = Bench::audited(config, ClipConfig::default(), audit).await;
+    let board = Arc::clone(&bench.board);
+    let mut events = board.subscribe();
+    let stop = CancellationToken::new();
+    let auditor = bench.auditor;
+    let (looking, stopped) = (stop.clone(), stop.clone());
+    let auditing = tokio::spawn(async move { auditor.run(looking).await });
+    let camera = tokio::spawn(bench.camera.run(stopped));
+    let mut published = Vec::new();
+    let mut skipped = 0;
+    for index in 0..60 {
+        let picture = bench.dashcam.frame(index).encode_jpeg(85).unwrap();
+        bench.frames.push_newest(Incoming {
+            frame: Frame {
+                sequence: index,
+                order: FrameOrder::default(),
+                time_ns: 0,
+                clip: Some("drive".into()),
+                picture: EncodedPicture {
+                    bytes: picture.into(),
+                    ..bench.picture.clone()
+                },
+                received: Instant::now(),
+                payload_bytes: 0,
+            },
+            index,
+            epoch: 0,
+        });
+        let mut message = loop {
+            if let Event::Frame(event) = &*events.recv().await.unwrap() {
+                break DetectionsMessage::clone(&event.detections);
+            }
+        };
+        skipped += u64::from(message.state.is_skipped());
+        message.latency_ms = Latency::default();
+        published.push(message);
+        // Each drawn frame is looked at before the next comes, as on a road on which the detector has time.
+        let seen = board.camera("front").unwrap();
+        while share >= 1.0 && seen.audit().sums.drawn() < skipped {
+            tokio::task::yield_now().await;
+        }
+    }
+    stop.cancel();
+    camera.await.unwrap();
+    auditing.await.unwrap();
+    let closed = bench.clips.recv().await.unwrap();
+    let meta = ClipMeta {
+        node: "node".to_owned(),
+        camera: "front".to_owned(),
+        report: 1,
+        policy: policy.to_owned(),
+        model: String::new(),
+        provider: String::new(),
+    };
+    let report = closed.into_report(meta).await;
+    let counted = board.camera("front").unwrap().audit();
+    if let Some(audit) = &report.audit {
+        assert_eq!(audit.sums, counted.sums);
+        assert_eq!(audit.calls, counted.calls);
+    }
+    (published, report.audit)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn what_is_published_is_the_same_to_the_last_bit_with_the_audit_on() {
+    for policy in ["albireo:1e-3", "expected-loss:0.6"] {
+        let (without, none) = drive(policy, 0.0).await;
+        let (with, audit) = drive(policy, 1.0).await;
+        assert!(none.is_none());
+        assert_eq!(without, with, "{policy}");
+        let skipped = with.iter().filter(|frame| frame.state.is_skipped());
+        let skipped = skipped.count() as u64;
+        assert!(skipped > 10, "{policy}: {skipped}");
+        let audit = audit.unwrap();
+        let total = audit.sums.total();
+        assert_eq!((total.frames, audit.sums.missed), (skipped, 0), "{policy}");
+        assert_eq!(audit.calls, skipped);
+        assert!(audit.detector_us > 0);
+        // What is shown is what had been published.
+        let shown: usize = (with.iter().filter(|frame| frame.state.is_skipped()))
+            .map(|frame| frame.boxes.len())
+            .sum();
+        assert_eq!(total.shown.boxes, shown as u64);
+        let recall = audit.sums.recall().unwrap();
+        assert!(
+            recall.low < recall.rate && recall.rate > 0.05,
+            "{policy}: {recall:?}"
+        );
+    }
 }

@@ -1,10 +1,11 @@
 //! From a closed clip to its report on the wire.
 
 use super::latencies::Latencies;
+use crate::audit::AuditCount;
 use crate::power::{OpenSpan, SpanEnergy};
 use albireo_wire::{
-    ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FULL_COVERAGE, FrameStates,
-    KnobChange, KnobValue, VERSION,
+    AuditReport, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FULL_COVERAGE,
+    FrameStates, KnobChange, KnobValue, VERSION,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,6 +13,29 @@ use tokio::time::Instant;
 
 /// How long the last report may wait for its energy when the node stops.
 const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
+
+/// The audit's part of a clip that has ended.
+#[derive(Debug)]
+pub(crate) struct ClosedAudit {
+    /// Share of the skipped frames that is drawn.
+    pub share: f64,
+    /// What became known during the clip.
+    pub count: AuditCount,
+    /// Its energy, still to be closed.
+    pub energy: Option<OpenSpan>,
+}
+
+impl ClosedAudit {
+    fn report(&self) -> AuditReport {
+        AuditReport {
+            share: self.share,
+            calls: self.count.calls,
+            detector_us: self.count.detector_us,
+            joules: None,
+            sums: self.count.sums.clone(),
+        }
+    }
+}
 
 /// A clip that has ended.
 #[derive(Debug)]
@@ -42,6 +66,8 @@ pub(crate) struct ClosedClip {
     pub detector: Latencies,
     /// Its energy, still to be closed.
     pub energy: OpenSpan,
+    /// What its audit has found, if there is one.
+    pub audit: Option<ClosedAudit>,
 }
 
 /// What the report says of the node and no tracker counts.
@@ -94,6 +120,7 @@ impl ClosedClip {
             detector_latency_ms: self.detector.percentiles(),
             energy: energy_of(&SpanEnergy::unavailable(""), None, duration, 0),
             board: None,
+            audit: self.audit.as_ref().map(ClosedAudit::report),
         }
     }
 
@@ -110,6 +137,13 @@ impl ClosedClip {
         if let Some(spent) = self.energy.close(self.end, patience).await {
             report.energy = energy_of(&spent.node, spent.joules, duration, report.frames);
             report.board = spent.board;
+        }
+        let audit_energy = self.audit.and_then(|audit| audit.energy);
+        if let (Some(energy), Some(audit)) = (audit_energy, report.audit.as_mut())
+            && let Some(spent) = energy.close(self.end, patience).await
+            && spent.node.quality != EnergyQuality::Unavailable
+        {
+            audit.joules = spent.joules;
         }
         report
     }

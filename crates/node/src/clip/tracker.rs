@@ -8,7 +8,8 @@
 
 use super::config::ClipConfig;
 use super::latencies::Latencies;
-use super::report::ClosedClip;
+use super::report::{ClosedAudit, ClosedClip};
+use crate::audit::AuditCount;
 use crate::power::{EnergyUser, OpenSpan};
 use albireo_core::policy::FrameState;
 use albireo_wire::{ClipEnd, DroppedFrames, FrameStates, KnobChange, KnobValue};
@@ -66,12 +67,25 @@ struct OpenClip {
     total: Latencies,
     detector: Latencies,
     energy: OpenSpan,
+    audit: AuditCount,
+    /// The energy of the audit, beside the clip's own.
+    audit_energy: Option<OpenSpan>,
+}
+
+/// The audit that a camera's clips tell of.
+#[derive(Debug)]
+struct Audited {
+    share: f64,
+    energy: EnergyUser,
+    /// Counted while no clip was open: it goes to the next.
+    pending: AuditCount,
 }
 
 /// Counts the open clip of one camera.
 #[derive(Debug)]
 pub(crate) struct ClipTracker {
     energy: EnergyUser,
+    audit: Option<Audited>,
     window: Duration,
     silence: Duration,
     windows: u64,
@@ -89,12 +103,33 @@ impl ClipTracker {
             |s: f64, least: f64| Duration::try_from_secs_f64(s.max(least)).unwrap_or(Duration::MAX);
         Self {
             energy,
+            audit: None,
             window: seconds(config.window_s, 0.001),
             silence: seconds(config.silence_s, 0.001),
             windows: 0,
             open: None,
             pending: DroppedFrames::default(),
             last_window_end: None,
+        }
+    }
+
+    /// Clips tell of an audit too, that draws `share` and uses the energy of `energy`.
+    #[must_use]
+    pub(crate) fn audited_with(mut self, share: f64, energy: EnergyUser) -> Self {
+        self.audit = Some(Audited {
+            share,
+            energy,
+            pending: AuditCount::default(),
+        });
+        self
+    }
+
+    /// Counts what an audit has found.
+    pub(crate) fn audited(&mut self, more: &AuditCount) {
+        if let Some(open) = &mut self.open {
+            open.audit.merge(more);
+        } else if let Some(audit) = &mut self.audit {
+            audit.pending.merge(more);
         }
     }
 
@@ -109,7 +144,7 @@ impl ClipTracker {
                 open.arrivals += 1;
                 open.last_arrival = open.last_arrival.max(frame.arrival);
                 open.last_answered = open.last_answered.max(frame.arrival);
-                open.energy.until(open.natural_end());
+                open.keep_until_its_end();
             }
             None => self.begin(frame),
         }
@@ -138,7 +173,7 @@ impl ClipTracker {
             });
         }
         open.knob = frame.knob;
-        open.energy.until(open.natural_end());
+        open.keep_until_its_end();
     }
 
     /// Notes a run of the detector from `start` to `end`, of which this camera used `used`.
@@ -233,6 +268,12 @@ impl ClipTracker {
         let arrival = frame.arrival.max(start);
         let energy = self.energy.open(start);
         energy.until(arrival);
+        let audit_energy = self.audit.as_ref().map(|audit| audit.energy.open(start));
+        if let Some(energy) = &audit_energy {
+            energy.until(arrival);
+        }
+        let audit = self.audit.as_mut();
+        let pending = audit.map(|audit| std::mem::take(&mut audit.pending));
         self.open = Some(OpenClip {
             clip,
             windowed,
@@ -250,6 +291,8 @@ impl ClipTracker {
             total: Latencies::default(),
             detector: Latencies::default(),
             energy,
+            audit: pending.unwrap_or_default(),
+            audit_energy,
         });
     }
 
@@ -270,11 +313,25 @@ impl ClipTracker {
             total: open.total,
             detector: open.detector,
             energy: open.energy,
+            audit: self.audit.as_ref().map(|audit| ClosedAudit {
+                share: audit.share,
+                count: open.audit,
+                energy: open.audit_energy,
+            }),
         })
     }
 }
 
 impl OpenClip {
+    /// Keeps the energy up to where the clip ends if nothing more happens.
+    fn keep_until_its_end(&self) {
+        let end = self.natural_end();
+        self.energy.until(end);
+        if let Some(energy) = &self.audit_energy {
+            energy.until(end);
+        }
+    }
+
     /// One mean frame interval after the last arrival, or when that frame was answered, if later.
     fn natural_end(&self) -> Instant {
         let between = self

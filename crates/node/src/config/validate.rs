@@ -5,14 +5,15 @@ use crate::detector::ClassNames;
 use crate::frame::Delivery;
 use crate::source::SourceKind;
 use albireo_core::policy::Knob;
+use albireo_core::target::{KnobRange, Target};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings, NamedToken};
 use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
 
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
-        "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "CLIP",
-        "FRAME", "POWER", "LOG", "TOKEN",
+        "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "TARGET",
+        "AUDIT", "CLIP", "FRAME", "POWER", "LOG", "TOKEN",
     ];
 
     /// Whether files are there is not looked at: that is seen when they are opened.
@@ -29,6 +30,7 @@ impl Configuration for NodeConfig {
         self.check_figures(&mut findings);
         self.log.check(&mut findings);
         let knob = self.check_policy(&mut findings);
+        self.check_target(knob, &mut findings);
         self.check_cameras(knob, &mut findings);
         findings.into_vec()
     }
@@ -93,6 +95,11 @@ impl NodeConfig {
     }
 
     fn check_figures(&self, findings: &mut Findings) {
+        if !(0.0..=1.0).contains(&self.audit.share) {
+            let share = self.audit.share;
+            findings.add("audit.share", format!("must be from 0 to 1, not {share}"));
+        }
+        findings.above_zero("audit.wait_s", self.audit.wait_s, DAY_S);
         findings.above_zero("clip.window_s", self.clip.window_s, DAY_S);
         findings.above_zero("clip.silence_s", self.clip.silence_s, DAY_S);
         let frame = &self.frame;
@@ -129,6 +136,24 @@ impl NodeConfig {
         }
     }
 
+    fn check_target(&self, knob: Option<Option<Knob>>, findings: &mut Findings) {
+        let target = self.target.hold;
+        if let Some(Err(error)) = target.map(Target::check) {
+            findings.add("target.hold", error.to_string());
+        }
+        if matches!(target, Some(Target::Recall(_))) && self.audit.share == 0.0 {
+            findings.add("target.hold", "`recall` needs an audit: audit.share is 0");
+        }
+        let (least, most) = (self.target.least, self.target.most);
+        let Some(knob) = knob.filter(|_| target.is_some() || least.is_some() || most.is_some())
+        else {
+            return;
+        };
+        if let Err(error) = KnobRange::of(&self.policy.name, knob.as_ref(), least, most) {
+            findings.add("target", error.to_string());
+        }
+    }
+
     fn check_cameras(&self, knob: Option<Option<Knob>>, findings: &mut Findings) {
         if self.cameras.is_empty() {
             findings.add("camera", "is empty: a node needs at least one [[camera]]");
@@ -160,6 +185,12 @@ impl NodeConfig {
                 let names = self.cameras.iter().map(|camera| keys.camera(&camera.name));
                 names.collect::<Result<Vec<_>, _>>()
             });
+            if self.keys().is_ok_and(|keys| keys.target() == key) {
+                findings.add(
+                    at.clone(),
+                    format!("`{key}` is where this node answers for its target; frames need a key of their own"),
+                );
+            }
             for keys in written.into_iter().flatten() {
                 let outputs = [
                     keys.detections(),

@@ -3,7 +3,7 @@
 use super::network::DetectorNetwork;
 use super::preparation::prepare_off_thread;
 use super::reader::HeadCounters;
-use super::task::{InferenceTask, TaskCounters, TaskMeter, TaskSettings};
+use super::task::{Inference, InferenceTask, SpareTurn, TaskCounters, TaskMeter, TaskSettings};
 use super::{
     CameraSlot, DetectorConfig, DetectorStatus, ExecutionProvider, HeadCounts, InferenceError,
     Preparation, PreparedPicture, StartError,
@@ -14,6 +14,7 @@ use albireo_service::clock::milliseconds;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
+use tokio::time::Instant;
 
 /// What the model found in one picture, and how long its own steps took.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -153,16 +154,28 @@ impl DetectorHandle {
         picture: PreparedPicture,
     ) -> Result<Detected, InferenceError> {
         let inference = self.task.run(camera, picture).await?;
-        let found = inference.output;
-        Ok(Detected {
-            detections: found.detections,
-            took: inference.took,
-            pictures: inference.pictures,
-            queue_ms: milliseconds(inference.queued),
-            letterbox_ms: milliseconds(found.letterbox),
-            model_ms: milliseconds(found.model),
-            head_ms: milliseconds(found.head),
-        })
+        Ok(detected(inference))
+    }
+
+    /// Returns when the model has nothing to do, with the right to ask [`detect_spare`](Self::detect_spare); one at a
+    /// time. `None` once the detector has been stopped.
+    pub(crate) async fn spare_turn(&self) -> Option<SpareTurn> {
+        self.task.spare_turn().await
+    }
+
+    /// Finds the objects in a prepared picture while nobody else asks: frames that come meanwhile go before it, and it
+    /// is in none of the counters but [`TaskCounters::spare`]. `None` when the run could not begin before `until`.
+    ///
+    /// # Errors
+    /// See [`InferenceError`].
+    pub(crate) async fn detect_spare(
+        &self,
+        turn: SpareTurn,
+        picture: PreparedPicture,
+        until: Instant,
+    ) -> Result<Option<Detected>, InferenceError> {
+        let inference = self.task.run_spare(turn, picture, until).await?;
+        Ok(inference.map(detected))
     }
 
     /// Whether a picture would be taken now. A refusal is counted: ask before a picture is decoded for it.
@@ -220,6 +233,19 @@ impl DetectorHandle {
     /// Takes no more pictures and returns when the run in hand has ended or has taken too long.
     pub async fn stop(&self) {
         self.task.stop().await;
+    }
+}
+
+fn detected(inference: Inference<Found>) -> Detected {
+    let found = inference.output;
+    Detected {
+        detections: found.detections,
+        took: inference.took,
+        pictures: inference.pictures,
+        queue_ms: milliseconds(inference.queued),
+        letterbox_ms: milliseconds(found.letterbox),
+        model_ms: milliseconds(found.model),
+        head_ms: milliseconds(found.head),
     }
 }
 

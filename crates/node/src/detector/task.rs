@@ -21,8 +21,8 @@ use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use supervisor::Supervisor;
-use tokio::sync::{Semaphore, oneshot, watch};
-use tokio::time::Instant;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot, watch};
+use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 
 /// Makes a model, on the thread it will live on; called again after each failure.
@@ -67,6 +67,11 @@ impl TaskSettings {
     }
 }
 
+/// The right to have one picture looked at while nobody else asks.
+pub(crate) struct SpareTurn {
+    _place: OwnedSemaphorePermit,
+}
+
 /// A handle to a running task. It stops when its last handle is dropped.
 pub(crate) struct InferenceTask<I, T> {
     inner: Arc<Inner<I, T>>,
@@ -86,6 +91,8 @@ struct Inner<I, T> {
     cameras: Mutex<HashMap<CameraSlot, Arc<Semaphore>>>,
     /// The places of all.
     queue: Arc<Semaphore>,
+    /// The one place of pictures that are looked at when nobody waits.
+    spare: Arc<Semaphore>,
     stop: CancellationToken,
     stopped: watch::Receiver<bool>,
 }
@@ -127,6 +134,7 @@ impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
             queue: Arc::new(Semaphore::new(
                 settings.queue.clamp(1, Semaphore::MAX_PERMITS),
             )),
+            spare: Arc::new(Semaphore::new(1)),
             stop: stop.clone(),
             stopped,
         });
@@ -196,10 +204,51 @@ impl<I: Send + 'static, T: Send + 'static> InferenceTask<I, T> {
                 picture,
                 asked,
                 reply,
-                places,
+                places: Some(places),
             },
         )?;
         answer.await.unwrap_or(Err(InferenceError::Stopped))
+    }
+
+    /// The right to ask [`run_spare`](Self::run_spare), one at a time: comes when the model has nothing to do. `None` once
+    /// the task has been stopped.
+    pub(crate) async fn spare_turn(&self) -> Option<SpareTurn> {
+        let place = self.inner.spare.clone().acquire_owned().await.ok()?;
+        self.inner.shared.idle().await;
+        Some(SpareTurn { _place: place })
+    }
+
+    /// Has `picture` answered when nobody else waits: every picture of [`run`](Self::run) that comes meanwhile goes before
+    /// it. `None` when its run could not begin before `until`.
+    ///
+    /// # Errors
+    /// As of [`run`](Self::run).
+    pub(crate) async fn run_spare(
+        &self,
+        turn: SpareTurn,
+        picture: I,
+        until: Instant,
+    ) -> Result<Option<Inference<T>>, InferenceError> {
+        let (reply, answer) = oneshot::channel();
+        self.inner.shared.push_spare(Job {
+            picture,
+            asked: Instant::now(),
+            reply,
+            places: None,
+        })?;
+        tokio::pin!(answer);
+        let answer = tokio::select! {
+            biased;
+            answer = &mut answer => answer,
+            () = sleep_until(until) => {
+                if self.inner.shared.withdraw_spare() {
+                    return Ok(None);
+                }
+                answer.await
+            }
+        };
+        drop(turn);
+        answer.unwrap_or(Err(InferenceError::Stopped)).map(Some)
     }
 
     fn place_of(&self, camera: CameraSlot) -> Arc<Semaphore> {

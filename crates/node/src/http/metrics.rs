@@ -1,5 +1,6 @@
 //! Metrics for Prometheus, in OpenMetrics text or in the older text format (0.0.4), as the reader asks.
 
+mod audit;
 mod cameras;
 mod detector;
 mod family;
@@ -101,6 +102,7 @@ impl Collector for BoardCollector {
         tasks::screen(&mut encoder, &self.0)?;
         frames(&mut encoder, &cameras)?;
         self::cameras::cameras(&mut encoder, &self.0, &cameras)?;
+        audit::audit(&mut encoder, &cameras)?;
         threshold(&mut encoder, &cameras)?;
         latency(&mut encoder, &cameras)?;
         self.outbox(&mut encoder)?;

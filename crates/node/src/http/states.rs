@@ -1,10 +1,11 @@
 //! The frame-state counters.
 
 use super::RouteState;
+use crate::audit::AuditCount;
 use crate::board::CameraBoard;
 use albireo_service::clock::{seconds, significant};
 use albireo_service::http::Problem;
-use albireo_wire::{DetectorCalls, DroppedFrames, FrameStates, KnobValue};
+use albireo_wire::{AuditFigures, DetectorCalls, DroppedFrames, FrameStates, KnobValue};
 use axum::Json;
 use axum::extract::{Path, State};
 use serde::Serialize;
@@ -35,6 +36,9 @@ pub(super) struct CameraStates {
     #[serde(flatten, skip_serializing_if = "Option::is_none")]
     #[schema(value_type = std::collections::BTreeMap<String, f64>)]
     knob: Option<KnobValue>,
+    /// What the detector, looking afterwards, found on skipped frames; absent without an audit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    audit: Option<AuditFigures>,
     /// Seconds since the newest frame; absent before the first.
     #[serde(skip_serializing_if = "Option::is_none")]
     last_frame_age_s: Option<f64>,
@@ -58,6 +62,9 @@ pub(super) struct NodeStates {
     /// Frames that the detector was called for, by cause, all cameras together.
     #[schema(value_type = std::collections::BTreeMap<String, u64>)]
     calls: DetectorCalls,
+    /// What the detector, looking afterwards, found on skipped frames, all cameras together; absent without an audit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    audit: Option<AuditFigures>,
     /// Each camera's.
     cameras: Vec<CameraStates>,
 }
@@ -74,6 +81,7 @@ fn of(camera: &CameraBoard) -> CameraStates {
         dropped: snapshot.dropped,
         tau_max: snapshot.latest.and_then(|latest| latest.tau_max),
         knob: camera.knob_value(),
+        audit: (camera.audit_is_on()).then(|| snapshot.audit.figures_with_groups()),
         last_frame_age_s: snapshot.last_frame_age.map(seconds),
     }
 }
@@ -91,6 +99,11 @@ pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
         states += camera.states;
         calls += &camera.calls;
     }
+    let mut audit = AuditCount::default();
+    for camera in board.cameras() {
+        audit.merge(&camera.audit());
+    }
+    let audited = board.cameras().iter().any(|camera| camera.audit_is_on());
     let degraded_frames = cameras.iter().map(|camera| camera.degraded_frames).sum();
     Json(NodeStates {
         node: board.node().to_owned(),
@@ -100,6 +113,7 @@ pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
         skip_rate: significant(states.skip_rate(degraded_frames), 4),
         degraded_frames,
         calls,
+        audit: audited.then(|| audit.figures_with_groups()),
         cameras,
     })
 }

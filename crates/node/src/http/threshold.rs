@@ -1,19 +1,17 @@
 //! Reading and turning the uncertainty threshold.
 
 use super::RouteState;
+use super::change::{message, off_the_runtime};
 use crate::board::CameraBoard;
 use albireo_core::policy::{Knob, short};
-use albireo_service::http::BODY_LIMIT;
 use albireo_service::http::Problem;
 use albireo_wire::{KnobValue, ThresholdMessage, VERSION};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
 use axum::extract::{Path, State};
-use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use serde::Serialize;
-use serde_json::error::Category;
 use utoipa::ToSchema;
 
 /// One camera's threshold.
@@ -89,69 +87,22 @@ fn value(
     body: Result<Bytes, BytesRejection>,
     knob: Option<Knob>,
 ) -> Result<f64, Problem> {
-    let name = headers
-        .get(CONTENT_TYPE)
-        .map(|value| value.to_str().unwrap_or("unreadable"));
-    let media_type = name
-        .and_then(|name| name.split(';').next())
-        .unwrap_or_default()
-        .trim();
-    // None at all, and the one that curl sends by itself, are taken too: no page of another origin can send a PUT without
-    // being asked for leave first, whatever its content type.
-    let taken = ["", "application/json", "application/x-www-form-urlencoded"];
-    if !taken
-        .iter()
-        .any(|taken| media_type.eq_ignore_ascii_case(taken))
-    {
-        let sent = name.map_or_else(|| "none".to_owned(), |name| format!("`{name}`"));
-        return Err(Problem::new(
-            StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            format!(
-                "the content type must be `application/json`, and is {sent}; with curl: -H 'content-type: application/json'"
-            ),
-        )
-        .allowing(["application/json"])
-        .with_knob(knob));
-    }
-    let body = body.map_err(|rejection| {
-        let status = rejection.status();
-        let detail = if status == StatusCode::PAYLOAD_TOO_LARGE {
-            format!("the body must have at most {BODY_LIMIT} bytes")
-        } else {
-            rejection.body_text()
-        };
-        Problem::new(status, detail).with_knob(knob)
-    })?;
-    let fault = |status, what: &str| {
+    let expected = expected(knob);
+    let message: ThresholdMessage =
+        message(headers, body, &expected).map_err(|problem| problem.with_knob(knob))?;
+    let fault = |what: &str| {
         Problem::new(
-            status,
-            format!("the body must be {}: {what}", expected(knob)),
+            StatusCode::UNPROCESSABLE_ENTITY,
+            format!("the body must be {expected}: {what}"),
         )
         .with_knob(knob)
     };
-    // Serde would also read a list of the fields' values.
-    if !body.trim_ascii_start().starts_with(b"{")
-        && serde_json::from_slice::<serde::de::IgnoredAny>(&body).is_ok()
-    {
-        return Err(fault(
-            StatusCode::UNPROCESSABLE_ENTITY,
-            "it is no JSON object",
-        ));
-    }
-    let message: ThresholdMessage = serde_json::from_slice(&body).map_err(|error| {
-        let status = match error.classify() {
-            Category::Data => StatusCode::UNPROCESSABLE_ENTITY,
-            Category::Syntax | Category::Eof | Category::Io => StatusCode::BAD_REQUEST,
-        };
-        fault(status, &error.to_string())
-    })?;
     if message.v != VERSION {
         let what = format!("version {} is not known here, only {VERSION}", message.v);
-        return Err(fault(StatusCode::UNPROCESSABLE_ENTITY, &what));
+        return Err(fault(&what));
     }
     match knob {
-        Some(knob) => (message.value_of(&knob))
-            .map_err(|error| fault(StatusCode::UNPROCESSABLE_ENTITY, &error.to_string())),
+        Some(knob) => (message.value_of(&knob)).map_err(|error| fault(&error.to_string())),
         // Changing it will tell that there is nothing to change.
         None => Ok(message.knob.value),
     }
@@ -167,18 +118,6 @@ fn expected(knob: Option<Knob>) -> String {
         ),
         None => "a JSON object such as {\"u\": 0.0003}".to_owned(),
     }
-}
-
-/// Changing writes a file, which may take a moment on a slow card: not on the runtime's own threads.
-async fn off_the_runtime<T: Send + 'static>(
-    work: impl FnOnce() -> T + Send + 'static,
-) -> Result<T, Problem> {
-    tokio::task::spawn_blocking(work).await.map_err(|error| {
-        Problem::new(
-            StatusCode::INTERNAL_SERVER_ERROR,
-            format!("the change failed: {error}"),
-        )
-    })
 }
 
 /// The thresholds in force

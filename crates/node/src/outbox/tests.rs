@@ -38,6 +38,7 @@ fn report(clip: u64) -> ClipReport {
             domains: Vec::new(),
         },
         board: None,
+        audit: None,
     }
 }
 

@@ -237,6 +237,11 @@ impl Ledger {
         self.shares.user(name)
     }
 
+    /// The number of the user `name` that stands aside.
+    pub(super) fn user_aside(&mut self, name: &str) -> usize {
+        self.shares.user_aside(name)
+    }
+
     /// Notes a frame of `user`.
     pub(super) fn frame(&mut self, user: usize, at: Instant) {
         self.shares.frame(user, at);

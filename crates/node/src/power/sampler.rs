@@ -131,6 +131,13 @@ impl PowerHandle {
         EnergyUser::new(number, self.clone())
     }
 
+    /// As [`user`](Self::user), for one that stands aside: of a second's energy it takes what the detector worked for it
+    /// of that second, and the others divide the rest. Its name must be no other user's.
+    pub(crate) fn user_aside(&self, name: &str) -> EnergyUser {
+        let number = self.ledger().user_aside(name);
+        EnergyUser::new(number, self.clone())
+    }
+
     /// Energy by domain since sampling began, up to the newest sample.
     pub fn so_far(&self) -> Vec<EnergySoFar> {
         let told = self.ledger().since_start();

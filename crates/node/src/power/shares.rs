@@ -5,6 +5,9 @@
 //! frames each sent; a second without either, as the second before. The shares of a second add up to one, so
 //! the clips of all users together never count a joule twice.
 //!
+//! A user *aside* (the audit, which works for no frame) takes of a second what the detector worked for it of that
+//! second's time, and the others divide the rest.
+//!
 //! A second that somebody has asked about is settled and never divided again: detector time that becomes known
 //! later counts in the next. So do the pieces of a second that a clip's end cuts in two.
 
@@ -48,6 +51,8 @@ struct Settled {
 #[derive(Debug)]
 pub(super) struct Shares {
     users: BTreeMap<String, usize>,
+    /// Whether each user stands aside.
+    aside: Vec<bool>,
     /// Oldest first; never empty.
     pieces: VecDeque<Piece>,
     /// The joules of each user up to the first piece that is not settled.
@@ -61,6 +66,7 @@ impl Shares {
     pub(super) fn new(now: Instant) -> Self {
         Self {
             users: BTreeMap::new(),
+            aside: Vec::new(),
             pieces: VecDeque::from([Piece::open(now, 0.0)]),
             given: Vec::new(),
             shares: Vec::new(),
@@ -69,8 +75,21 @@ impl Shares {
 
     /// The number of the user `name`; asked for twice, it is the same user.
     pub(super) fn user(&mut self, name: &str) -> usize {
+        self.number_of(name, false)
+    }
+
+    /// The number of the user `name` that stands aside. Its name must be no other user's.
+    pub(super) fn user_aside(&mut self, name: &str) -> usize {
+        self.number_of(name, true)
+    }
+
+    fn number_of(&mut self, name: &str, aside: bool) -> usize {
         let next = self.users.len();
-        *self.users.entry(name.to_owned()).or_insert(next)
+        let number = *self.users.entry(name.to_owned()).or_insert(next);
+        if number == next {
+            self.aside.push(aside);
+        }
+        number
     }
 
     /// Notes a frame of `user`.
@@ -141,14 +160,16 @@ impl Shares {
         let users = self.users.len();
         self.given.resize(users, 0.0);
         for piece in self.pieces.iter_mut().skip(first) {
-            let Some((_, joules)) = piece.end else { break };
+            let Some((end, joules)) = piece.end else {
+                break;
+            };
             if piece.from >= moment {
                 break;
             }
-            if let Some(shares) = piece.shares(users) {
+            if let Some(shares) = piece.shares(&self.aside) {
                 self.shares = shares;
             }
-            let shares = or_equal(&self.shares, users);
+            let shares = piece.with_aside(or_equal(&self.shares, &self.aside), &self.aside, end);
             let before = self.given.clone();
             for (given, share) in self.given.iter_mut().zip(&shares) {
                 *given += share * (joules - piece.joules);
@@ -162,7 +183,6 @@ impl Shares {
     pub(super) fn at(&self, user: usize, moment: Instant, joules: f64) -> f64 {
         let after = self.pieces.partition_point(|piece| piece.from <= moment);
         let of = |list: &[f64]| list.get(user).copied().unwrap_or(0.0);
-        let users = self.users.len();
         match self.pieces.get(after.saturating_sub(1)) {
             Some(Piece {
                 settled: Some(settled),
@@ -171,8 +191,10 @@ impl Shares {
             }) => of(&settled.before) + of(&settled.shares) * (joules - start),
             Some(piece) => {
                 let shares = piece
-                    .shares(users)
-                    .unwrap_or_else(|| or_equal(&self.shares, users));
+                    .shares(&self.aside)
+                    .unwrap_or_else(|| or_equal(&self.shares, &self.aside));
+                let until = piece.end.map_or(moment, |(end, _)| end);
+                let shares = piece.with_aside(shares, &self.aside, until);
                 of(&self.given) + of(&shares) * (joules - piece.joules)
             }
             None => 0.0,
@@ -216,25 +238,54 @@ impl Piece {
         &mut self.work[user]
     }
 
-    /// The share of each user; `None` in a piece in which nothing was done.
-    fn shares(&self, users: usize) -> Option<Vec<f64>> {
+    /// The share of each user that does not stand aside; `None` in a piece in which none of them did anything.
+    fn shares(&self, aside: &[bool]) -> Option<Vec<f64>> {
         let by = |of: fn(&Work) -> f64| {
-            let sum: f64 = self.work.iter().map(of).sum();
-            let mut shares: Vec<f64> = self.work.iter().map(|work| of(work) / sum).collect();
-            shares.resize(users.max(shares.len()), 0.0);
+            let work = |user: usize| self.work.get(user).map_or(0.0, of);
+            let mut shares: Vec<f64> = (aside.iter().enumerate())
+                .map(|(user, aside)| if *aside { 0.0 } else { work(user) })
+                .collect();
+            let sum: f64 = shares.iter().sum();
+            shares.iter_mut().for_each(|share| *share /= sum);
             (sum > 0.0).then_some(shares)
         };
         by(|work| work.detector_s).or_else(|| by(|work| work.frames))
     }
+
+    /// `shares` less what those aside take of a piece that ends at `end`, and their own.
+    fn with_aside(&self, mut shares: Vec<f64>, aside: &[bool], end: Instant) -> Vec<f64> {
+        let length = seconds_between(self.from, end);
+        let of_time = |user: usize| {
+            let worked = self.work.get(user).map_or(0.0, |work| work.detector_s);
+            if worked > 0.0 && length > 0.0 {
+                (worked / length).min(1.0)
+            } else {
+                0.0
+            }
+        };
+        let taken: Vec<f64> = (aside.iter().enumerate())
+            .map(|(user, aside)| if *aside { of_time(user) } else { 0.0 })
+            .collect();
+        let all: f64 = taken.iter().sum();
+        if all > 0.0 {
+            let most = all.min(1.0);
+            for (share, taken) in shares.iter_mut().zip(taken) {
+                *share = *share * (1.0 - most) + taken * most / all;
+            }
+        }
+        shares
+    }
 }
 
-/// `shares`, or equal parts where there are none yet.
-fn or_equal(shares: &[f64], users: usize) -> Vec<f64> {
+/// `shares`, or equal parts where there are none yet, of the users that do not stand aside.
+fn or_equal(shares: &[f64], aside: &[bool]) -> Vec<f64> {
     if shares.is_empty() {
-        return vec![1.0 / users.max(1) as f64; users];
+        let others = aside.iter().filter(|aside| !**aside).count().max(1);
+        let equal = |aside: &bool| if *aside { 0.0 } else { 1.0 / others as f64 };
+        return aside.iter().map(equal).collect();
     }
     let mut shares = shares.to_vec();
-    shares.resize(users.max(shares.len()), 0.0);
+    shares.resize(aside.len().max(shares.len()), 0.0);
     shares
 }
 

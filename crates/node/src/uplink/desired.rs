@@ -2,8 +2,8 @@
 
 use crate::board::Board;
 use crate::outbox::Outbox;
-use albireo_wire::{Desired, KnobSource, RefusedDesired};
-use parking_lot::Mutex;
+use albireo_wire::{Desired, KnobSource, RefusedDesired, Target};
+use parking_lot::{Mutex, MutexGuard};
 use serde::{Deserialize, Serialize};
 
 const SETTING: &str = "desired";
@@ -17,6 +17,23 @@ struct Kept {
     /// Highest generation that came into force.
     in_force: u64,
     refused: Option<RefusedDesired>,
+}
+
+impl Kept {
+    /// Notes what came of a generation.
+    fn note(&mut self, generation: u64, applied: Result<(), String>) {
+        self.generation = generation;
+        match applied {
+            Ok(()) => {
+                self.in_force = generation;
+                self.refused = None;
+            }
+            Err(reason) => {
+                tracing::warn!(generation, reason, "a desired value was refused");
+                self.refused = Some(RefusedDesired { generation, reason });
+            }
+        }
+    }
 }
 
 /// Applies what is desired, once a generation.
@@ -78,6 +95,9 @@ impl DesiredKeeper {
             );
             return false;
         }
+        if let Some(target) = desired.target.filter(|_| desired.generation > 0) {
+            return self.take_target(kept, desired.generation, target, board, outbox);
+        }
         let Some(knob) = desired.knob.filter(|_| desired.generation > 0) else {
             let newer = desired.generation > kept.generation;
             kept.generation = desired.generation;
@@ -117,24 +137,30 @@ impl DesiredKeeper {
                         .map_err(|error| error.to_string())
                 })
             });
-        kept.generation = desired.generation;
-        match applied {
-            Ok(()) => {
-                kept.in_force = desired.generation;
-                kept.refused = None;
-            }
-            Err(reason) => {
-                tracing::warn!(
-                    generation = desired.generation,
-                    reason,
-                    "a desired value was refused"
-                );
-                kept.refused = Some(RefusedDesired {
-                    generation: desired.generation,
-                    reason,
-                });
+        kept.note(desired.generation, applied);
+        outbox.set(SETTING, &*kept);
+        true
+    }
+
+    /// As [`take`](Self::take), of a target.
+    fn take_target(
+        &self,
+        mut kept: MutexGuard<'_, Kept>,
+        generation: u64,
+        target: Target,
+        board: &Board,
+        outbox: &Outbox,
+    ) -> bool {
+        if generation == kept.generation {
+            let drifted = board.target().report().target != Some(target);
+            if kept.refused.is_some() || !drifted || !self.hub_wins {
+                return false;
             }
         }
+        let applied = board
+            .set_target(Some(target), KnobSource::Hub)
+            .map_err(|error| error.to_string());
+        kept.note(generation, applied);
         outbox.set(SETTING, &*kept);
         true
     }
@@ -146,6 +172,7 @@ mod tests {
     use crate::board::{BoardSetup, CameraSetup, DetectorFacts};
     use crate::detector::DetectorStatus;
     use crate::outbox::OutboxConfig;
+    use crate::target::TargetSetup;
     use albireo_core::policy::Knob;
     use albireo_wire::{KnobValue, VERSION};
     use std::path::Path;
@@ -169,12 +196,14 @@ mod tests {
             threshold: None,
             sizeless: true,
             longest_pause: None,
+            audited: true,
         };
         Board::new(BoardSetup {
             node: "n".to_owned(),
             cameras: vec![camera("front"), camera("rear")],
             outbox: Outbox::open(&OutboxConfig::default(), Some(state)).unwrap(),
             policy: "albireo",
+            target: TargetSetup::default(),
             detector: DetectorFacts::default(),
             detector_status,
         })

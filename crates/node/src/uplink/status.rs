@@ -5,8 +5,8 @@ use crate::board::Board;
 use crate::outbox::Outbox;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_wire::{
-    CameraState, CameraStatus, HealthState, NodeStatus, SignOfLife, StatusMessage, VERSION,
-    run_number,
+    CameraState, CameraStatus, HealthState, NodeStatus, SignOfLife, Standing, StatusMessage,
+    VERSION, run_number,
 };
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -125,6 +125,7 @@ impl StatusTeller {
             health: board.readiness().health().status(),
             outbox: outbox.counts().status(),
             refused: desired.refused(),
+            target: board.target().report().status(),
         }
     }
 }
@@ -133,5 +134,18 @@ impl StatusTeller {
 fn same(told: &NodeStatus, now: &NodeStatus) -> bool {
     let mut now = now.clone();
     now.outbox.waiting = told.outbox.waiting;
+    if let (Some(now_held), Some(told_held)) = (&mut now.target, &told.target)
+        && now_held.target == told_held.target
+    {
+        now_held.actual = told_held.actual;
+        // Between these it goes to and fro.
+        let underway = [Standing::Moving, Standing::Held].map(Some);
+        if underway.contains(&now_held.standing) && underway.contains(&told_held.standing) {
+            now_held.standing = told_held.standing;
+        }
+        for (now, told) in now.cameras.iter_mut().zip(&told.cameras) {
+            now.knob = told.knob;
+        }
+    }
     *told == now
 }

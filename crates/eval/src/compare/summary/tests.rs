@@ -60,6 +60,7 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
                 domains: Vec::new(),
             },
             board: None,
+            audit: None,
         },
     }
 }

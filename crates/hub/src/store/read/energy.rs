@@ -1,7 +1,9 @@
 //! Sums over time and fleet. Measured, partial and estimated energy are never added.
 
+use super::audit::{self, AuditCounts};
 use super::history::quality_name;
 use crate::store::{Store, StoreError};
+use albireo_wire::AuditFigures;
 use serde::{Deserialize, Serialize};
 use sqlx::Row as _;
 use utoipa::ToSchema;
@@ -87,6 +89,14 @@ pub struct EnergyGroup {
     pub vanilla_joules_estimated: f64,
     /// Avoided calls in clips without a call or without energy: they have no price, and are not in the estimate.
     pub unpriced_calls: i64,
+    /// What the detector, looking afterwards, found on skipped frames; absent where none was audited.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub audit: Option<AuditFigures>,
+    /// Joules of the audit: not in `joules`.
+    pub audit_joules: f64,
+    /// The sums of the audit, to be added up further.
+    #[serde(skip)]
+    pub audit_counts: AuditCounts,
 }
 
 impl Store {
@@ -137,6 +147,7 @@ impl Store {
             "io_mem_uj",
         ]
         .into_iter()
+        .chain(audit::COLUMNS)
         .map(sum)
         .collect();
         let order = if wanted.largest_first {
@@ -164,7 +175,11 @@ impl Store {
                 let number = |name: &str| row.try_get::<i64, _>(name);
                 let joules = |name: &str| number(name).map(|uj| uj as f64 / 1e6);
                 let (frames, avoided) = (number("frames")?, number("avoided_calls")?);
+                let audit_counts = AuditCounts::of(row)?;
                 Ok(EnergyGroup {
+                    audit: audit_counts.figures(),
+                    audit_joules: joules("audit_uj")?,
+                    audit_counts,
                     group: row.try_get("grouped")?,
                     quality: quality_name(number("quality")?),
                     clips: number("clips")?,

@@ -1,6 +1,8 @@
 //! Clips, events, instances, and what was set aside.
 
+use super::audit::AuditCounts;
 use crate::store::{Store, StoreError};
+use albireo_wire::AuditFigures;
 use serde::Serialize;
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
@@ -89,6 +91,9 @@ pub struct StoredClip {
     pub joules: Option<f64>,
     /// Energy-delay product, J·ms/frame.
     pub edp: Option<f64>,
+    /// What the detector, looking afterwards, found on skipped frames; absent without an audit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub audit: Option<AuditFigures>,
 }
 
 /// The name of an energy quality's code.
@@ -143,6 +148,7 @@ fn clip(row: &AnyRow) -> Result<StoredClip, StoreError> {
             .try_get::<Option<i64>, _>("energy_uj")?
             .map(|uj| uj as f64 / 1e6),
         edp: row.try_get("edp")?,
+        audit: AuditCounts::of(row)?.figures(),
     })
 }
 

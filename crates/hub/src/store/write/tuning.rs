@@ -60,8 +60,9 @@ pub(crate) struct ClipSums {
     pub(crate) node: String,
     pub(crate) quality: i64,
     pub(crate) clips: i64,
-    /// Of skip rate, joules, EDP, latency, degraded share: clips that have it, sum, sum of squares.
-    pub(crate) figures: [(i64, f64, f64); 5],
+    /// Of skip rate, joules, EDP, latency, degraded share, recall and precision against the detector: clips that have it,
+    /// sum, sum of squares.
+    pub(crate) figures: [(i64, f64, f64); 7],
 }
 
 /// Whose clips are summed: node, knob, value, and when they were received.
@@ -373,6 +374,8 @@ impl Store {
             "c.edp",
             "CAST(c.latency_p99_us AS DOUBLE PRECISION) / 1000",
             "CAST(c.degraded AS DOUBLE PRECISION) / NULLIF(c.frames, 0)",
+            "CAST(c.audit_recalled AS DOUBLE PRECISION) / NULLIF(c.audit_detected, 0)",
+            "CAST(c.audit_confirmed AS DOUBLE PRECISION) / NULLIF(c.audit_shown, 0)",
         ];
         let sums: Vec<String> = (figures.iter().enumerate())
             .map(|(i, f)| {
@@ -403,7 +406,7 @@ impl Store {
                     node: row.try_get("node")?,
                     quality: row.try_get("quality")?,
                     clips: row.try_get("clips")?,
-                    figures: [(0, 0.0, 0.0); 5],
+                    figures: [(0, 0.0, 0.0); 7],
                 };
                 for (i, figure) in sums.figures.iter_mut().enumerate() {
                     let column = |letter: char| format!("{letter}{i}");

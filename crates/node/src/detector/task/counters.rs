@@ -17,6 +17,7 @@ pub(crate) struct Counters {
     pub(super) rebuilds_failed: AtomicU64,
     pub(super) abandoned: AtomicU64,
     pub(super) waiting: AtomicU64,
+    pub(super) spare: AtomicU64,
 }
 
 /// What a task has counted since it started.
@@ -44,6 +45,8 @@ pub struct TaskCounters {
     pub abandoned: u64,
     /// Pictures that wait for their turn: a number that goes down again.
     pub waiting: u64,
+    /// Pictures that were answered while nobody else asked, on behalf of no frame; in none of the other numbers.
+    pub spare: u64,
 }
 
 /// A task's counters for whoever shows them: does not keep the task running.
@@ -80,6 +83,7 @@ impl Counters {
             rebuilds_failed: read(&self.rebuilds_failed),
             abandoned: read(&self.abandoned),
             waiting: read(&self.waiting),
+            spare: read(&self.spare),
         }
     }
 }

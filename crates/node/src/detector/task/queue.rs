@@ -12,8 +12,8 @@ pub(super) struct Job<I, A> {
     pub(super) picture: I,
     pub(super) asked: Instant,
     pub(super) reply: oneshot::Sender<A>,
-    /// The place it takes in the queue, given back when its run starts.
-    pub(super) places: [OwnedSemaphorePermit; 2],
+    /// The place it takes in the queue, given back when its run starts; none outside of the queue.
+    pub(super) places: Option<[OwnedSemaphorePermit; 2]>,
 }
 
 /// How pictures of several cameras share a run.

@@ -36,6 +36,8 @@ struct Running<T> {
     started: Instant,
     /// Who asked, and how long each picture waited.
     replies: Vec<(oneshot::Sender<Answer<T>>, Duration)>,
+    /// It is the spare picture's run.
+    spare: bool,
 }
 
 enum Phase {
@@ -49,6 +51,8 @@ struct State<I, T> {
     /// Which worker may take pictures. A worker that finds another number here has been given up.
     generation: u64,
     queue: Queue<I, Answer<T>>,
+    /// A picture that is looked at when nobody waits.
+    spare: Option<Job<I, Answer<T>>>,
     running: Option<Running<T>>,
     provider: ExecutionProvider,
 }
@@ -61,6 +65,8 @@ pub(super) struct TaskState<I, T> {
     batch_grew: Notify,
     /// Wakes the supervisor: a run has started.
     pub(super) run_started: Notify,
+    /// Wakes who waits for the model to have nothing to do.
+    became_idle: Notify,
     pub(super) counters: Arc<Counters>,
     pub(super) status: watch::Sender<DetectorStatus>,
 }
@@ -72,12 +78,14 @@ impl<I, T> TaskState<I, T> {
                 phase: Phase::Degraded("it is starting".to_owned()),
                 generation: 0,
                 queue: Queue::new(batching),
+                spare: None,
                 running: None,
                 provider: ExecutionProvider::Cpu,
             }),
             work: Condvar::new(),
             batch_grew: Notify::new(),
             run_started: Notify::new(),
+            became_idle: Notify::new(),
             counters: Arc::default(),
             status: watch::Sender::new(DetectorStatus::Starting),
         }
@@ -124,6 +132,37 @@ impl<I, T> TaskState<I, T> {
         Ok(())
     }
 
+    /// Returns when the model has nothing to do: no run, and nobody waits.
+    pub(super) async fn idle(&self) {
+        let became_idle = self.became_idle.notified();
+        tokio::pin!(became_idle);
+        loop {
+            // Enabled before the look, so that what happens in between is not missed.
+            became_idle.as_mut().enable();
+            if self.lock().is_idle() {
+                return;
+            }
+            became_idle.as_mut().await;
+            became_idle.set(self.became_idle.notified());
+        }
+    }
+
+    /// Puts a picture where it is looked at when nobody waits. There is one such place; the caller has made sure that it
+    /// is free.
+    pub(super) fn push_spare(&self, job: Job<I, Answer<T>>) -> Result<(), InferenceError> {
+        let mut state = self.lock();
+        state.phase.accepts()?;
+        state.spare = Some(job);
+        drop(state);
+        self.wake_worker();
+        Ok(())
+    }
+
+    /// Takes the spare picture back; `false` when its run has begun.
+    pub(super) fn withdraw_spare(&self) -> bool {
+        self.lock().spare.take().is_some()
+    }
+
     fn wake_worker(&self) {
         self.work.notify_all();
         self.batch_grew.notify_one();
@@ -143,7 +182,22 @@ impl<I, T> TaskState<I, T> {
             let now = Instant::now();
             match state.queue.batch_complete_at() {
                 None => {
-                    self.work.wait(&mut state);
+                    let Some(job) = state.take_spare() else {
+                        self.became_idle.notify_waiters();
+                        self.work.wait(&mut state);
+                        continue;
+                    };
+                    state.running = Some(Running {
+                        started: now,
+                        replies: vec![(job.reply, now.saturating_duration_since(job.asked))],
+                        spare: true,
+                    });
+                    drop(state);
+                    self.run_started.notify_one();
+                    return Some(Assignment {
+                        pictures: vec![job.picture],
+                        started: now,
+                    });
                 }
                 Some(time) if time > now => {
                     drop(state);
@@ -167,6 +221,7 @@ impl<I, T> TaskState<I, T> {
                     state.running = Some(Running {
                         started: now,
                         replies,
+                        spare: false,
                     });
                     drop(state);
                     drop(places);
@@ -189,8 +244,12 @@ impl<I, T> TaskState<I, T> {
         }
         let running = state.running.take();
         drop(state);
-        Counters::add_many(&self.counters.completed, outputs.len());
-        Counters::add(&self.counters.batches);
+        if running.as_ref().is_some_and(|running| running.spare) {
+            Counters::add(&self.counters.spare);
+        } else {
+            Counters::add_many(&self.counters.completed, outputs.len());
+            Counters::add(&self.counters.batches);
+        }
         let replies = running.map_or_else(Vec::new, |running| running.replies);
         let pictures = u32::try_from(replies.len()).unwrap_or(u32::MAX);
         for ((reply, queued), output) in replies.into_iter().zip(outputs) {
@@ -260,6 +319,7 @@ impl<I, T> TaskState<I, T> {
         let provider = state.provider;
         let running = state.running.take();
         let waiting = state.queue.take_all();
+        let spare = state.spare.take();
         self.count_waiting(&state);
         drop(state);
         // Readiness tells first, so that whoever gets the error finds it there.
@@ -273,7 +333,11 @@ impl<I, T> TaskState<I, T> {
         for (reply, _) in running.map_or_else(Vec::new, |running| running.replies) {
             let _ = reply.send(Err(error.clone()));
         }
-        self.turn_away(waiting, &InferenceError::Unavailable(reason));
+        let unavailable = InferenceError::Unavailable(reason);
+        if let Some(spare) = spare {
+            let _ = spare.reply.send(Err(unavailable.clone()));
+        }
+        self.turn_away(waiting, &unavailable);
     }
 
     fn turn_away(&self, waiting: Vec<Job<I, Answer<T>>>, error: &InferenceError) {
@@ -299,6 +363,7 @@ impl<I, T> TaskState<I, T> {
         state.phase = Phase::Working;
         state.provider = provider;
         drop(state);
+        self.became_idle.notify_waiters();
         self.status.send_replace(DetectorStatus::Ready { provider });
     }
 
@@ -320,10 +385,29 @@ impl<I, T> TaskState<I, T> {
         let mut state = self.lock();
         state.phase = Phase::Stopped;
         let waiting = state.queue.take_all();
+        let spare = state.spare.take();
         self.count_waiting(&state);
         drop(state);
         self.wake_worker();
+        if let Some(spare) = spare {
+            let _ = spare.reply.send(Err(InferenceError::Stopped));
+        }
         self.turn_away(waiting, &InferenceError::Stopped);
+    }
+}
+
+impl<I, T> State<I, T> {
+    fn is_idle(&self) -> bool {
+        let free = (self.spare.as_ref()).is_none_or(|spare| spare.reply.is_closed());
+        matches!(self.phase, Phase::Working)
+            && self.running.is_none()
+            && self.queue.waiting() == 0
+            && free
+    }
+
+    /// The spare picture, if its asker still waits for it.
+    fn take_spare(&mut self) -> Option<Job<I, Answer<T>>> {
+        self.spare.take().filter(|spare| !spare.reply.is_closed())
     }
 }
 

@@ -2,6 +2,7 @@
 //! hand, so none depends on how fast the machine is.
 
 mod building;
+mod spare;
 
 use super::*;
 use crate::detector::{ExecutionProvider, Interrupter, RunError};

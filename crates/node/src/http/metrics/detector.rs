@@ -30,6 +30,13 @@ pub(super) fn detector(
             family.gauge(Vec::new(), waiting)
         },
     )?;
+    family(
+        encoder,
+        "detector_audit_runs",
+        "Pictures that the detector looked at for the audit, after their frames were answered; not among detector_runs",
+        MetricType::Counter,
+        |family| family.counter(Vec::new(), task.spare as f64),
+    )?;
     for (name, help, label, counts) in [
         (
             "detector_runs",

@@ -134,3 +134,27 @@ fn what_somebody_was_told_is_never_divided_again() {
     assert_near(bench.joules(0, 1000), [5.0, 5.0]);
     assert_near(bench.joules(0, 500), [5.0, 0.0]);
 }
+
+#[test]
+fn who_stands_aside_takes_the_time_it_worked_and_no_more() {
+    let mut bench = Bench::new();
+    let audit = bench.shares.user_aside("front audit");
+    // The only detector time of the first second: a tenth of it. The frames divide the rest.
+    bench.ran(audit, 300, 400);
+    for i in 0..3 {
+        bench.shares.frame(FRONT, bench.at(i * 100));
+    }
+    bench.shares.frame(REAR, bench.at(500));
+    bench.pass_until(1000);
+    bench.ran(audit, 1200, 1400);
+    bench.ran(FRONT, 1500, 1600);
+    bench.ran(REAR, 1600, 1700);
+    bench.pass_until(3000);
+    assert_near(bench.joules(0, 1000), [6.75, 2.25]);
+    assert_near(bench.joules(1000, 2000), [4.0, 4.0]);
+    // Nothing was done in the third: it goes as before, and nobody stands aside.
+    assert_near(bench.joules(2000, 3000), [5.0, 5.0]);
+    let at = |at: u64| bench.shares.at(audit, bench.at(at), at as f64 / 100.0);
+    assert!((at(1000) - 1.0).abs() < 1e-9 && (at(2000) - 3.0).abs() < 1e-9);
+    assert!((at(3000) - 3.0).abs() < 1e-9);
+}

@@ -1,0 +1,39 @@
+//! The `[audit]` section of the configuration.
+
+use albireo_core::audit::AuditDraw;
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// How many of the skipped frames are looked at afterwards.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AuditConfig {
+    /// Share of the frames answered without the detector; 0 for no audit.
+    pub share: f64,
+    /// Decides which frames are drawn.
+    pub seed: u64,
+    /// A drawn frame that the detector has had no time for in so long is counted as missed, seconds.
+    pub wait_s: f64,
+}
+
+impl Default for AuditConfig {
+    fn default() -> Self {
+        Self {
+            share: 0.02,
+            seed: 1,
+            wait_s: 5.0,
+        }
+    }
+}
+
+impl AuditConfig {
+    /// The draw of the camera with this number: each camera has one of its own.
+    pub(crate) fn draw(&self, camera: usize) -> AuditDraw {
+        AuditDraw::new(self.share, self.seed.wrapping_add(camera as u64))
+    }
+
+    /// [`wait_s`](Self::wait_s) as a time.
+    pub(crate) fn wait(&self) -> Duration {
+        Duration::try_from_secs_f64(self.wait_s).unwrap_or(Duration::MAX)
+    }
+}

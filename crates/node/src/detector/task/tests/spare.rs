@@ -1,0 +1,99 @@
+//! The picture that is looked at when nobody else asks.
+
+use super::*;
+
+type SpareAsked = tokio::task::JoinHandle<Option<Result<Inference<CameraSlot>, InferenceError>>>;
+
+impl Stage {
+    /// Asks for a spare run of `camera`'s picture that begins within `wait`.
+    fn ask_spare(&self, camera: usize, wait: Duration) -> SpareAsked {
+        let (task, camera) = (self.task.clone(), CameraSlot(camera));
+        tokio::spawn(async move {
+            let until = Instant::now() + wait;
+            let turn = tokio::time::timeout_at(until, task.spare_turn())
+                .await
+                .ok()??;
+            task.run_spare(turn, (camera, Arc::default()), until)
+                .await
+                .transpose()
+        })
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_spare_picture_is_looked_at_when_nobody_else_asks_and_counts_apart() {
+    let mut stage = stage(settings()).await;
+    let spare = stage.ask_spare(7, TIMEOUT);
+    assert_eq!(stage.next_run().await, [7]);
+    stage.end(Step::Answer);
+    let answer = spare.await.unwrap().unwrap().unwrap();
+    assert_eq!((answer.output, answer.pictures), (CameraSlot(7), 1));
+    let counters = stage.task.counters();
+    let expected = TaskCounters {
+        spare: 1,
+        ..TaskCounters::default()
+    };
+    assert_eq!(counters, expected);
+}
+
+#[tokio::test(start_paused = true)]
+async fn frames_go_before_a_spare_picture_and_it_is_given_up_when_they_take_all_the_time() {
+    let mut stage = stage(settings()).await;
+    let first = stage.begin(0).await;
+    let spare = stage.ask_spare(7, Duration::from_millis(1500));
+    // It waits for the run in hand, and for the frame that comes meanwhile.
+    let second = stage.ask(1);
+    stage.until_waiting(1).await;
+    stage.end(Step::Answer);
+    first.await.unwrap().unwrap();
+    assert_eq!(stage.next_run().await, [1]);
+    assert!(!spare.is_finished());
+    pass(Duration::from_millis(1500)).await;
+    assert!(spare.await.unwrap().is_none());
+    stage.end(Step::Answer);
+    second.await.unwrap().unwrap();
+
+    // The next one gets its turn.
+    let spare = stage.ask_spare(8, TIMEOUT);
+    assert_eq!(stage.next_run().await, [8]);
+    // A frame that comes while it runs is next.
+    let third = stage.ask(2);
+    stage.until_waiting(1).await;
+    stage.end(Step::Answer);
+    spare.await.unwrap().unwrap().unwrap();
+    assert_eq!(stage.next_run().await, [2]);
+    stage.end(Step::Answer);
+    third.await.unwrap().unwrap();
+    let counters = stage.task.counters();
+    assert_eq!((counters.completed, counters.spare), (3, 1));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_spare_picture_that_fails_is_answered_and_its_successor_looked_at_by_the_new_session() {
+    let mut stage = stage(settings()).await;
+    let spare = stage.ask_spare(7, TIMEOUT);
+    assert_eq!(stage.next_run().await, [7]);
+    stage.end(Step::Fail);
+    assert!(spare.await.unwrap().unwrap().is_err());
+    let next = stage.ask_spare(8, 10 * TIMEOUT);
+    pass(Duration::from_millis(100)).await;
+    assert_eq!(stage.next_run().await, [8]);
+    stage.end(Step::Answer);
+    next.await.unwrap().unwrap().unwrap();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_stopped_task_looks_at_no_spare_picture() {
+    let mut stage = stage(settings()).await;
+    let running = stage.begin(0).await;
+    let spare = stage.ask_spare(7, TIMEOUT);
+    let stopping = stage.task.clone();
+    let stopped = tokio::spawn(async move { stopping.stop().await });
+    settle().await;
+    stage.end(Step::Answer);
+    running.await.unwrap().unwrap();
+    stopped.await.unwrap();
+    pass(TIMEOUT).await;
+    assert!(spare.await.unwrap().is_none_or(|answer| answer.is_err()));
+    assert_eq!(stage.task.counters().spare, 0);
+}

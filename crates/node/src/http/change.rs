@@ -1,0 +1,83 @@
+//! Requests that change something: how their body is read, and where the change is made.
+
+use albireo_service::http::{BODY_LIMIT, Problem};
+use axum::body::Bytes;
+use axum::extract::rejection::BytesRejection;
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{HeaderMap, StatusCode};
+use serde::de::DeserializeOwned;
+use serde_json::error::Category;
+
+/// Reads the message out of a request. `expected` says what it should be, in words.
+pub(super) fn message<T: DeserializeOwned>(
+    headers: &HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+    expected: &str,
+) -> Result<T, Problem> {
+    let name = headers
+        .get(CONTENT_TYPE)
+        .map(|value| value.to_str().unwrap_or("unreadable"));
+    let media_type = name
+        .and_then(|name| name.split(';').next())
+        .unwrap_or_default()
+        .trim();
+    // None at all, and the one that curl sends by itself, are taken too: no page of another origin can send a PUT without
+    // being asked for leave first, whatever its content type.
+    let taken = ["", "application/json", "application/x-www-form-urlencoded"];
+    if !taken
+        .iter()
+        .any(|taken| media_type.eq_ignore_ascii_case(taken))
+    {
+        let sent = name.map_or_else(|| "none".to_owned(), |name| format!("`{name}`"));
+        return Err(Problem::new(
+            StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            format!(
+                "the content type must be `application/json`, and is {sent}; with curl: -H 'content-type: application/json'"
+            ),
+        )
+        .allowing(["application/json"]));
+    }
+    let body = body.map_err(|rejection| {
+        let status = rejection.status();
+        let detail = if status == StatusCode::PAYLOAD_TOO_LARGE {
+            format!("the body must have at most {BODY_LIMIT} bytes")
+        } else {
+            rejection.body_text()
+        };
+        Problem::new(status, detail)
+    })?;
+    let fault =
+        |status, what: &str| Problem::new(status, format!("the body must be {expected}: {what}"));
+    // Serde would also read a list of the fields' values.
+    if !body.trim_ascii_start().starts_with(b"{")
+        && serde_json::from_slice::<serde::de::IgnoredAny>(&body).is_ok()
+    {
+        return Err(fault(
+            StatusCode::UNPROCESSABLE_ENTITY,
+            "it is no JSON object",
+        ));
+    }
+    serde_json::from_slice(&body).map_err(|error| {
+        // Of two fields where one is expected serde says that the syntax is wrong; it is only not this message. A number that
+        // is too large for any is no number.
+        let is_json = serde_json::from_slice::<serde_json::Value>(&body).is_ok();
+        let status = match error.classify() {
+            Category::Data => StatusCode::UNPROCESSABLE_ENTITY,
+            _ if is_json => StatusCode::UNPROCESSABLE_ENTITY,
+            Category::Syntax | Category::Eof | Category::Io => StatusCode::BAD_REQUEST,
+        };
+        fault(status, &error.to_string())
+    })
+}
+
+/// Changing writes a file, which may take a moment on a slow card: not on the runtime's own threads.
+pub(super) async fn off_the_runtime<T: Send + 'static>(
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Problem> {
+    tokio::task::spawn_blocking(work).await.map_err(|error| {
+        Problem::new(
+            StatusCode::INTERNAL_SERVER_ERROR,
+            format!("the change failed: {error}"),
+        )
+    })
+}

@@ -1,0 +1,53 @@
+//! Reading and setting what is held in the place of the knob's number.
+
+use super::RouteState;
+use super::change::{message, off_the_runtime};
+use albireo_service::http::Problem;
+use albireo_wire::{KnobSource, Target, TargetMessage, TargetReport, VERSION};
+use axum::Json;
+use axum::body::Bytes;
+use axum::extract::State;
+use axum::extract::rejection::BytesRejection;
+use axum::http::{HeaderMap, StatusCode};
+
+const EXPECTED: &str =
+    "a JSON object such as {\"target\": {\"skip_rate\": 0.5}}, or {\"target\": null} for none";
+
+/// The target and where it stands
+///
+/// `curl http://127.0.0.1:8080/api/v1/target`
+#[utoipa::path(get, operation_id = "target", path = "/api/v1/target", tag = "threshold", responses((status = 200, body = TargetReport)))]
+pub(super) async fn get(State(shared): State<RouteState>) -> Json<TargetReport> {
+    Json(shared.board().target().report())
+}
+
+/// Sets a target in the place of a threshold
+///
+/// One of `recall` (against the detector, the lower end of its interval), `skip_rate`, `detector_ms_per_s`, `watts`,
+/// `joules_per_day`, or null for none. A controller then moves the knob of all cameras together, inside its range; setting
+/// the threshold by hand switches it off.
+/// `curl -X PUT -d '{"target": {"skip_rate": 0.5}}' http://127.0.0.1:8080/api/v1/target`
+#[utoipa::path(
+    put, operation_id = "set_target", path = "/api/v1/target", tag = "threshold", request_body = TargetMessage,
+    responses(
+        (status = 200, body = TargetReport),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn put(
+    State(shared): State<RouteState>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Result<Json<TargetReport>, Problem> {
+    let refused = |status, what: String| Problem::new(status, what).allowing(Target::NAMES);
+    let message: TargetMessage = message(&headers, body, EXPECTED)?;
+    if message.v != VERSION {
+        let what = format!("version {} is not known here, only {VERSION}", message.v);
+        return Err(refused(StatusCode::UNPROCESSABLE_ENTITY, what));
+    }
+    let board = shared.board().clone();
+    off_the_runtime(move || board.set_target(message.target, KnobSource::Local))
+        .await?
+        .map_err(|error| refused(StatusCode::UNPROCESSABLE_ENTITY, error.to_string()))?;
+    Ok(Json(shared.board().target().report()))
+}

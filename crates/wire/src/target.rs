@@ -1,0 +1,109 @@
+//! The target of a node: what is to be held in the place of a number, and where that stands.
+
+use crate::version::current_version;
+use crate::{KnobSource, KnobValue};
+use albireo_core::target::{KnobRange, Standing, Target, TargetState};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// A target, in a put, in a query's payload and in a request: `{"target": {"skip_rate": 0.5}}`, or `{"target": null}` for
+/// none.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct TargetMessage {
+    /// Version; may be left out on the way in.
+    #[serde(default = "current_version")]
+    pub v: u32,
+    /// What is to be held; null for nothing, the knob then stays where it is.
+    #[serde(deserialize_with = "required")]
+    pub target: Option<Target>,
+}
+
+/// An `Option` that may be null and may not be missing.
+fn required<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<Target>, D::Error> {
+    Option::deserialize(deserializer)
+}
+
+/// Where the target of a node stands.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TargetReport {
+    /// Version.
+    pub v: u32,
+    /// What is to be held; null for nothing.
+    pub target: Option<Target>,
+    /// Who set it, or switched it off.
+    pub source: KnobSource,
+    /// Why there is none, in words, where there was one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub off: Option<String>,
+    /// Between which values the knob is moved; absent without a target.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub range: Option<KnobRange>,
+    /// The knob's value in force, under its own name; absent without a target.
+    #[serde(
+        flatten,
+        deserialize_with = "crate::knob::optional",
+        skip_serializing_if = "Option::is_none"
+    )]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    pub knob: Option<KnobValue>,
+    /// What is measured and why the knob stands where it stands; absent without a target and before the first second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub state: Option<TargetState>,
+    /// The same in words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
+}
+
+/// The target in a node's status: as much of it as does not move by itself.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct TargetStatus {
+    /// What is to be held.
+    pub target: Target,
+    /// Who set it.
+    pub source: KnobSource,
+    /// Why the knob stands where it stands; absent before the first second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub standing: Option<Standing>,
+    /// What was measured of it when the status was made.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub actual: Option<f64>,
+}
+
+impl TargetReport {
+    /// For the status; `None` without a target.
+    pub fn status(&self) -> Option<TargetStatus> {
+        Some(TargetStatus {
+            target: self.target?,
+            source: self.source,
+            standing: self.state.map(|state| state.standing),
+            actual: self.state.and_then(|state| state.actual),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_target_is_one_field_of_its_own_name_or_null_and_nothing_else_may_be_in() {
+        let read = serde_json::from_str::<TargetMessage>;
+        let message = read(r#"{"target":{"skip_rate":0.5}}"#).unwrap();
+        assert_eq!(
+            (message.v, message.target),
+            (1, Some(Target::SkipRate(0.5)))
+        );
+        assert_eq!(read(r#"{"target":null,"v":1}"#).unwrap().target, None);
+        for wrong in [
+            "{}",
+            r#"{"target":0.5}"#,
+            r#"{"target":{"speed":1}}"#,
+            r#"{"target":{"skip_rate":0.5,"watts":3}}"#,
+            r#"{"target":{"skip_rate":"half"}}"#,
+            r#"{"target":null,"u":3}"#,
+        ] {
+            assert!(read(wrong).is_err(), "{wrong}");
+        }
+    }
+}

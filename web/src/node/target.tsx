@@ -1,0 +1,115 @@
+// A target in the place of the knob's number: what is held, where it stands, and why.
+
+import { useEffect, useState } from "preact/hooks";
+import { every, json, Refused, send } from "../shared/api";
+import { duration, parsed, small } from "../shared/format";
+import { Section, whyNot } from "../shared/parts";
+import { knob } from "./store";
+import type { Target, TargetReport } from "./types";
+
+const LOOK_MS = 2000;
+
+/** What can be held, with its unit and a value to begin with. */
+export const TARGETS = [
+  { name: "skip_rate", words: "skip rate", unit: "of the frames", begin: "0.5" },
+  { name: "recall", words: "recall against the detector, at least", unit: "", begin: "0.9" },
+  { name: "detector_ms_per_s", words: "detector time", unit: "ms a second", begin: "300" },
+  { name: "watts", words: "power of the node", unit: "W", begin: "6" },
+  { name: "joules_per_day", words: "energy of the node", unit: "J a day", begin: "500000" },
+] as const;
+
+type TargetName = (typeof TARGETS)[number]["name"];
+
+/** Name and value of a target as the message has it: one field. */
+export function nameAndValue(target: Target | null | undefined): [TargetName, number] | undefined {
+  const entry = Object.entries(target ?? {})[0];
+  return entry && [entry[0] as TargetName, entry[1] as number];
+}
+
+export function TargetPanel() {
+  const [report, setReport] = useState<TargetReport | undefined>(undefined);
+  const [name, setName] = useState<TargetName>("skip_rate");
+  const [text, setText] = useState("0.5");
+  const [said, setSaid] = useState<string | undefined>(undefined);
+  useEffect(() => {
+    const stop = new AbortController();
+    void every(LOOK_MS, stop.signal, async () => setReport(await json<TargetReport>("/api/v1/target", { signal: stop.signal })));
+    return () => stop.abort();
+  }, []);
+  // A controller turns these and no other.
+  if (!report || !["u", "lambda"].includes(knob.value?.name ?? "")) return null;
+  const set = async (target: Record<string, number> | null) => {
+    try {
+      setReport(await send<TargetReport>("PUT", "/api/v1/target", { target }));
+      setSaid(undefined);
+    } catch (error) {
+      setSaid(error instanceof Refused || error instanceof Error ? error.message : String(error));
+    }
+  };
+  const submit = (event: Event) => {
+    event.preventDefault();
+    const value = parsed(text);
+    if (value === undefined) setSaid(`“${text}” is no number`);
+    else void set({ [name]: value });
+  };
+  const held = nameAndValue(report.target);
+  const about = TARGETS.find((target) => target.name === held?.[0]);
+  const unit = TARGETS.find((target) => target.name === name)?.unit;
+  const forbidden = whyNot();
+  const state = report.state;
+  return (
+    <Section
+      id="target"
+      title="Target"
+      aside={<span id="target-why">{held ? (report.why ?? "begins") : (report.off ?? "none: the number stands")}</span>}
+    >
+      <form onSubmit={submit}>
+        {held && (
+          <p class="message" id="target-state">
+            {about?.words ?? held[0]} <b>{small(held[1])}</b> {about?.unit}, now{" "}
+            <b id="target-actual">{small(state?.actual)}</b>; the knob stands at <b>{small(state?.knob)}</b> of {small(report.range?.least)} to{" "}
+            {small(report.range?.most)}.
+            {state && state.unmet > 0 && ` It could not be met for ${duration(state.unmet_s)} in all.`}
+            {state?.boxes !== undefined && state?.boxes !== null && ` It rests on ${state.boxes} boxes.`}
+          </p>
+        )}
+        <div class="row">
+          <label for="target-name">Hold</label>
+          <select
+            id="target-name"
+            value={name}
+            onChange={(event) => {
+              const chosen = TARGETS.find((target) => target.name === event.currentTarget.value);
+              if (chosen) {
+                setName(chosen.name);
+                setText(chosen.begin);
+              }
+            }}
+          >
+            {TARGETS.map((target) => <option key={target.name} value={target.name}>{target.words}</option>)}
+          </select>
+          <input
+            id="target-value"
+            type="text"
+            inputmode="decimal"
+            autocomplete="off"
+            aria-label="value of the target"
+            value={text}
+            onInput={(event) => setText(event.currentTarget.value)}
+          />
+          <span class="quiet">{unit}</span>
+          <button disabled={forbidden !== undefined}>Hold</button>
+          {held && (
+            <button type="button" class="plain" disabled={forbidden !== undefined} onClick={() => void set(null)}>
+              Hold nothing
+            </button>
+          )}
+        </div>
+        <p id="target-message" class="message bad" role="alert">
+          {forbidden ?? said ?? ""}
+        </p>
+        <p class="message quiet">A controller moves the knob of all cameras together, inside its range. Setting the knob by hand switches it off.</p>
+      </form>
+    </Section>
+  );
+}
