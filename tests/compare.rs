@@ -257,7 +257,7 @@ async fn what_cannot_be_compared_is_refused_with_what_to_do() {
             &["--model", "no/such.onnx"],
             "--detector no/such.onnx: no such file",
         ),
-        (&["--speed", "0"], "must be a number above 0"),
+        (&["--speed", "0"], "must be a number from 0.001"),
         (&["--config", "no/node.toml"], "no/node.toml"),
     ] {
         let output = compare(arguments).await;

@@ -215,7 +215,7 @@ export interface paths {
         };
         /**
          * The same clips as CSV, all of them, or `limit`
-         * @description They are read and sent in pages: the file may be larger than the memory.
+         * @description They are read and sent in pages: the file may be larger than the memory. Without the audit's figures.
          *     `curl -O 'http://127.0.0.1:8090/api/v1/clips.csv?since_ms=1790000000000'`
          */
         get: {

@@ -1926,6 +1926,8 @@ export interface components {
             } | null;
             /** @description The hub missed a status: send the full one. */
             send_full_status?: boolean;
+            /** @description The hub reads signs of life in their short form. */
+            signs_of_life?: boolean;
             target?: components["schemas"]["Target"] | null;
             /**
              * Format: int32
@@ -2757,7 +2759,10 @@ export interface components {
          * @enum {string}
          */
         Standing: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
-        /** @description A sign of life, with the full status when it changed or was asked for. */
+        /**
+         * @description A sign of life, with the full status when it changed or was asked for. To a hub that reads it, the array
+         *     `[v, run, seq, waiting]` goes in its place where nothing else has changed.
+         */
         StatusMessage: {
             full?: components["schemas"]["NodeStatus"] | null;
             /**

@@ -123,7 +123,7 @@ export function Tune() {
           </Field>
           <Field label="knob">
             <select value={knob} onChange={(event) => setKnob(event.currentTarget.value)}>
-              {["u", "lambda", "n", "skip_rate", "threshold", "component_size"].map((name) => (
+              {["u", "lambda", "n", "skip_rate", "threshold", "component_size", "drift"].map((name) => (
                 <option key={name}>{name}</option>
               ))}
             </select>
