@@ -135,7 +135,8 @@ impl Reporter {
         };
         let mut reports = Vec::with_capacity(kept.len());
         for (clip, kept) in closed.into_iter().zip(kept) {
-            let report = clip.into_report(self.meta(kept.report)).await;
+            let mut report = clip.into_report(self.meta(kept.report)).await;
+            report.round();
             tracing::info!(
                 camera = self.camera,
                 clip = report.clip,

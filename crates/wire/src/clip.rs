@@ -196,3 +196,42 @@ pub struct BoardState {
     #[serde(skip_serializing_if = "Option::is_none")]
     pub gpu_mhz: Option<f64>,
 }
+
+impl ClipReport {
+    /// Leaves six decimals of times, energies and shares: microjoules, as a hub keeps them, microwatts and nanoseconds.
+    /// What stands behind is noise that compresses badly.
+    pub fn round(&mut self) {
+        let energy = &mut self.energy;
+        let options = [&mut energy.joules, &mut energy.node_joules, &mut energy.edp];
+        let domains = energy.domains.iter_mut().flat_map(|domain| {
+            let peak = domain.peak_watts.as_mut();
+            [&mut domain.joules, &mut domain.mean_watts]
+                .into_iter()
+                .chain(peak)
+        });
+        let latencies = [&mut self.total_latency_ms, &mut self.detector_latency_ms];
+        let latencies = latencies.into_iter().flat_map(|latency| {
+            [
+                &mut latency.mean,
+                &mut latency.p50,
+                &mut latency.p95,
+                &mut latency.p99,
+            ]
+        });
+        let others = [
+            &mut self.duration_s,
+            &mut self.skip_rate,
+            &mut energy.coverage,
+        ];
+        for value in (options.into_iter().filter_map(Option::as_mut))
+            .chain(domains)
+            .chain(latencies)
+            .chain(others)
+        {
+            let rounded = (*value * 1e6).round() / 1e6;
+            if rounded.is_finite() {
+                *value = rounded;
+            }
+        }
+    }
+}
