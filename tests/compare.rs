@@ -201,7 +201,8 @@ async fn the_boards_own_meter_is_read_in_every_run() {
         let (joules, seconds) = (number(&energy["joules"]), number(&report["duration_s"]));
         assert!((joules / (21.5 * seconds) - 1.0).abs() < 1e-3, "{report}");
         let product = joules * seconds * 1e3 / 20.0;
-        assert!((number(&energy["edp"]) / product - 1.0).abs() < 1e-9);
+        // Each of the three has six decimals.
+        assert!((number(&energy["edp"]) / product - 1.0).abs() < 1e-5);
         assert_eq!(report["board"]["hottest_sensor"], "tj");
         assert_eq!(report["board"]["power_mode"], "MODE_30W", "{report}");
     }
