@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
+use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures, until};
 use crate::support::policies::Before;
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
@@ -146,8 +146,13 @@ async fn two_cameras_that_hold_their_senders_back_hold_nobody_else_back() {
     seen.sort_unstable();
     assert_eq!(seen, (0..24).map(|n| n / 2).collect::<Vec<_>>());
     for tape in TAPES {
-        let seen = bench.board.camera(tape).unwrap().snapshot();
-        assert_eq!((seen.states.frames(), seen.dropped.total()), (12, 0));
+        let tape = bench.board.camera(tape).unwrap();
+        // A frame is counted after its answer is out.
+        until(&bench.board, "every frame is counted", |_| {
+            tape.snapshot().states.frames() == 12
+        })
+        .await;
+        assert_eq!(tape.snapshot().dropped.total(), 0);
     }
     bench.stop().await;
 }

@@ -176,6 +176,16 @@ pub(crate) fn pictures(count: u64) -> Vec<Vec<u8>> {
         .collect()
 }
 
+/// Waits until `holds` of the board.
+pub(crate) async fn until(board: &Board, what: &str, holds: impl Fn(&Board) -> bool) {
+    let waiting = async {
+        while !holds(board) {
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+    };
+    timeout(LONG, waiting).await.expect(what);
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_corrupt_frame_is_counted_and_the_next_one_is_answered() {

@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
+use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures, until};
 use crate::support::Node;
 use crate::support::detectors::model;
 use crate::support::policies::Before;
@@ -18,16 +18,6 @@ use tokio::time::timeout;
 fn buggy(inner: Box<dyn Policy>, mut good: u32) -> Box<dyn Policy> {
     let before = move || good = good.checked_sub(1).expect("a bug in a policy");
     Box::new(Before { inner, before })
-}
-
-/// Waits until `holds` of the board.
-async fn until(board: &Board, what: &str, holds: impl Fn(&Board) -> bool) {
-    let waiting = async {
-        while !holds(board) {
-            tokio::time::sleep(Duration::from_millis(2)).await;
-        }
-    };
-    timeout(LONG, waiting).await.expect(what);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -15,6 +15,6 @@ mod trial;
 pub use choose::{Advice, Proposal, advise};
 pub use estimate::Estimate;
 pub use recording::Recording;
-pub use target::{Target, TargetError};
+pub use target::{Target, TargetError, parse_target, target_in_words};
 pub use text::render;
 pub use trial::{AdviceError, Costs, Settings};

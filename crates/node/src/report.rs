@@ -81,8 +81,8 @@ impl ClipAccounts {
     /// Takes over what others counted for the open clip.
     fn take_counts(&mut self) {
         self.tracker.dropped(&self.drops.take());
-        if self.audit.share().is_some() {
-            self.tracker.audited(&self.audit.take());
+        if let Some(found) = self.audit.take() {
+            self.tracker.audited(&found);
         }
     }
 

@@ -3,7 +3,9 @@
 use super::pictures::{PassArguments, look_at};
 use super::{JUDGED, WRITTEN};
 use crate::cli::rate::parse_rate;
-use albireo_eval::advise::{Costs, Recording, Settings, Target, advise, render};
+use albireo_eval::advise::{
+    Costs, Recording, Settings, Target, advise, parse_target, render, target_in_words,
+};
 use albireo_eval::data::recorded;
 use albireo_eval::energy_model::EnergyModel;
 use anyhow::{Context, bail, ensure};
@@ -26,7 +28,7 @@ pub(super) struct AdviseArguments {
     #[arg(required = true)]
     recordings: Vec<PathBuf>,
     /// What is to be met: recall (against the detector), skip_rate, detector_ms_per_s, watts or joules_per_day.
-    #[arg(long, value_name = "NAME=VALUE", default_value = "recall=0.95")]
+    #[arg(long, value_name = "NAME=VALUE", default_value = "recall=0.95", value_parser = parse_target)]
     target: Target,
     /// A policy to try; may be given several times [default: albireo, expected-loss, even-skip-in-tracker].
     #[arg(long, value_name = "NAME")]
@@ -108,7 +110,10 @@ pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
         print!("{}", render(&advice));
     }
     if advice.best().is_none() {
-        bail!("nothing meets {} on this recording", arguments.target);
+        bail!(
+            "nothing meets {} on this recording",
+            target_in_words(arguments.target)
+        );
     }
     Ok(())
 }

@@ -2,7 +2,7 @@
 
 use super::choose::{Advice, HeldOut, Proposal};
 use super::estimate::Estimate;
-use super::target::Target;
+use super::target::{Target, target_in_words};
 use super::trial::Screen;
 use crate::text::wrapped;
 use albireo_core::policy::short;
@@ -33,7 +33,7 @@ pub fn render(advice: &Advice) -> String {
         advice.boxes,
         advice.confidence
     );
-    let _ = writeln!(text, "Target: {}.\n", advice.target);
+    let _ = writeln!(text, "Target: {}.\n", target_in_words(advice.target));
     let _ = writeln!(
         text,
         "  {:<20} {:<17} {:<8} {:>14} {:>17} {:>17}",

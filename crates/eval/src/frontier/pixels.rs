@@ -60,27 +60,15 @@ pub fn at_rate(pictured: &PicturedClip, rate: Option<f64>, confidence: f64) -> V
     let sieve = Sieve::new(own, rate.unwrap_or(own));
     let phase = |first: usize| {
         let taken = (first..clip.frames).filter(|frame| sieve.takes((frame - first) as u64));
-        let mut viewed = ViewedClip {
-            name: clip.name.clone(),
-            picture: clip.picture,
-            steps: Vec::new(),
-            detections: Vec::new(),
-            truth: Vec::new(),
-            grey: Vec::new(),
-            grey_width: pictured.small_width,
-        };
+        let mut viewed = ViewedClip::new(clip);
+        viewed.grey_width = pictured.small_width;
         for frame in taken {
-            viewed.steps.push(1);
-            let seen = detections.get(frame).into_iter().flatten();
-            let sure = seen.filter(|detection| detection.confidence >= confidence);
-            let normalised = sure.map(|detection| detection.normalise(clip.picture));
-            viewed.detections.push(normalised.collect());
-            viewed
-                .truth
-                .push(truth.get(frame).cloned().unwrap_or_default());
+            let seen = detections.get(frame).map_or(&[][..], Vec::as_slice);
+            let truth = truth.get(frame).cloned().unwrap_or_default();
+            viewed.arrive(1, seen, confidence, truth);
             viewed.grey.extend(pictured.small.get(frame).cloned());
         }
-        (viewed.truth.iter().any(|truth| !truth.is_empty())).then_some(viewed)
+        viewed.has_truth().then_some(viewed)
     };
     (0..sieve.phases()).filter_map(phase).collect()
 }

@@ -1,7 +1,7 @@
 //! Ways to look at a recording: which of its frames arrive, and which detections are sure enough.
 
 use crate::average_precision::TruthBox;
-use crate::data::Clip;
+use crate::data::{Clip, StoredDetection};
 use crate::source::{ClipEvidence, SourceError};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
@@ -60,15 +60,7 @@ impl View {
     pub fn look(&self, clip: &Clip) -> Option<ViewedClip> {
         let (detections, truth) = (clip.detections.as_ref()?, clip.truth.as_ref()?);
         let mut random = Pcg64Mcg::seed_from_u64(seed(&clip.name));
-        let mut viewed = ViewedClip {
-            name: clip.name.clone(),
-            picture: clip.picture,
-            steps: Vec::new(),
-            detections: Vec::new(),
-            truth: Vec::new(),
-            grey: Vec::new(),
-            grey_width: None,
-        };
+        let mut viewed = ViewedClip::new(clip);
         let mut step = 0;
         for (detections, truth) in detections.iter().zip(truth).step_by(self.every.max(1)) {
             step += 1;
@@ -77,18 +69,10 @@ impl View {
             if chance < self.lost && !viewed.steps.is_empty() {
                 continue;
             }
-            viewed.steps.push(step);
+            viewed.arrive(step, detections, self.confidence, truth.clone());
             step = 0;
-            let sure = detections
-                .iter()
-                .filter(|detection| detection.confidence >= self.confidence);
-            viewed.detections.push(
-                sure.map(|detection| detection.normalise(clip.picture))
-                    .collect(),
-            );
-            viewed.truth.push(truth.clone());
         }
-        (viewed.truth.iter().any(|truth| !truth.is_empty())).then_some(viewed)
+        viewed.has_truth().then_some(viewed)
     }
 }
 
@@ -116,6 +100,41 @@ pub struct ViewedClip {
     pub grey: Vec<Arc<Picture>>,
     /// The width that was asked for when these were made.
     pub grey_width: Option<u32>,
+}
+
+impl ViewedClip {
+    /// `clip` of which no frame has arrived yet, without pictures.
+    pub(super) fn new(clip: &Clip) -> Self {
+        Self {
+            name: clip.name.clone(),
+            picture: clip.picture,
+            steps: Vec::new(),
+            detections: Vec::new(),
+            truth: Vec::new(),
+            grey: Vec::new(),
+            grey_width: None,
+        }
+    }
+
+    /// A frame arrives, `step` frames after the one before it, with those of its detections that reach `confidence`.
+    pub(super) fn arrive(
+        &mut self,
+        step: u32,
+        detections: &[StoredDetection],
+        confidence: f64,
+        truth: Vec<TruthBox>,
+    ) {
+        let sure = (detections.iter()).filter(|detection| detection.confidence >= confidence);
+        let normalised = sure.map(|detection| detection.normalise(self.picture));
+        self.detections.push(normalised.collect());
+        self.steps.push(step);
+        self.truth.push(truth);
+    }
+
+    /// Whether there is a box to be found in it.
+    pub(super) fn has_truth(&self) -> bool {
+        self.truth.iter().any(|truth| !truth.is_empty())
+    }
 }
 
 /// The evidence of a viewed clip; the screen never says "empty".

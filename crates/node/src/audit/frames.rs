@@ -81,7 +81,8 @@ struct State {
     /// The frame that is looked at, by its number.
     in_hand: Option<u64>,
     taken: u64,
-    since_reported: AuditCount,
+    /// Mostly nothing, and asked for at every frame.
+    since_reported: Option<Box<AuditCount>>,
 }
 
 impl CameraAudit {
@@ -167,13 +168,13 @@ impl CameraAudit {
         }
     }
 
-    /// What was counted since the last call: the open clip's part.
-    pub(crate) fn take(&self) -> AuditCount {
-        std::mem::take(&mut self.state.lock().since_reported)
+    /// What was counted since the last call, if anything: the open clip's part.
+    pub(crate) fn take(&self) -> Option<Box<AuditCount>> {
+        self.state.lock().since_reported.take()
     }
 
     fn count(&self, state: &mut State, more: &AuditCount) {
-        state.since_reported.merge(more);
+        state.since_reported.get_or_insert_default().merge(more);
         self.board.record_audit(more);
     }
 }

@@ -5,8 +5,7 @@ use crate::board::Board;
 use crate::outbox::Outbox;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_wire::{
-    CameraState, CameraStatus, HealthState, NodeStatus, SignOfLife, Standing, StatusMessage,
-    VERSION, run_number,
+    CameraState, CameraStatus, NodeStatus, SignOfLife, Standing, StatusMessage, VERSION, run_number,
 };
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -23,8 +22,8 @@ pub(super) struct StatusTeller {
     started_ns: u64,
     seq: u64,
     told: Option<NodeStatus>,
-    /// Health and generation that were told last: a sign of life says that they hold.
-    held: Option<(HealthState, u64)>,
+    /// The generation that was told last: a sign of life says that it holds.
+    told_generation: Option<u64>,
     told_at: Option<Instant>,
     full_due: bool,
 }
@@ -36,7 +35,7 @@ impl StatusTeller {
             started_ns: unix_nanoseconds(),
             seq: 0,
             told: None,
-            held: None,
+            told_generation: None,
             told_at: None,
             full_due: true,
         }
@@ -69,12 +68,13 @@ impl StatusTeller {
         if !changed && !self.full_due && since.is_some_and(|since| since < period) {
             return Ok(None);
         }
-        let now = (status.health.state, desired.generation_in_force());
+        let generation = desired.generation_in_force();
         let waiting = status.outbox.waiting;
-        let short = signs_of_life && !changed && !self.full_due && self.held == Some(now);
+        let short =
+            signs_of_life && !changed && !self.full_due && self.told_generation == Some(generation);
         let seq = self.seq;
         self.seq += 1;
-        self.held = Some(now);
+        self.told_generation = Some(generation);
         self.told_at = Some(Instant::now());
         if short {
             let (instance, machine) = (outbox.instance(), outbox.machine());
@@ -88,9 +88,9 @@ impl StatusTeller {
             started_ns: self.started_ns,
             seq,
             t_ns: unix_nanoseconds(),
-            health: now.0,
+            health: status.health.state,
             waiting,
-            generation: now.1,
+            generation,
             full: (changed || self.full_due).then(|| Box::new(status.clone())),
         };
         self.told = Some(status);

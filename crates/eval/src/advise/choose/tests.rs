@@ -1,7 +1,7 @@
 //! Promises of the advice.
 
 use super::*;
-use crate::advise::{Costs, render};
+use crate::advise::{Costs, parse_target, render};
 use crate::data::{Clip, StoredDetection};
 use crate::energy_model::EnergyModel;
 use albireo_core::detection::ClassId;
@@ -67,7 +67,7 @@ fn settings() -> Settings {
 }
 
 fn advice(target: &str) -> Advice {
-    let target = target.parse().unwrap();
+    let target = parse_target(target).unwrap();
     advise(&recordings(), target, &[], &settings(), &|_| (), &|| ()).unwrap()
 }
 
@@ -129,7 +129,7 @@ fn what_a_target_needs_and_nobody_knows_is_asked_for() {
         recording.clip.frame_rate = None;
     }
     let asked = |target: &str, settings: &Settings| {
-        let target = target.parse().unwrap();
+        let target = parse_target(target).unwrap();
         let refused = advise(&recordings, target, &[], settings, &|_| (), &|| ());
         refused.unwrap_err().to_string()
     };
@@ -162,7 +162,7 @@ fn the_lines_are_a_nodes_configuration_of_that_policy_and_value() {
 
 #[test]
 fn the_text_fits_and_every_step_is_counted() {
-    let target = "recall=0.8".parse().unwrap();
+    let target = parse_target("recall=0.8").unwrap();
     let (planned, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
     let begun = |steps| planned.store(steps, Ordering::Relaxed);
     let step = || {
