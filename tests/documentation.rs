@@ -6,6 +6,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+mod camera_page;
+
 use crate::support::{Node, PATIENCE, free_port, python};
 use albireo_eval::recommendation::RECOMMENDATION;
 use serde_json::{Map, Value};
@@ -34,8 +36,9 @@ struct Block {
     commands: Vec<String>,
 }
 
-const PAGES: [&str; 9] = [
+const PAGES: [&str; 10] = [
     "README.md",
+    "docs/cameras.md",
     "docs/energy.md",
     "docs/how-it-works.md",
     "docs/jetson.md",
@@ -77,6 +80,14 @@ fn uncommented(line: &str) -> &str {
         .map_or(line, |at| &line[..at])
 }
 
+/// A command without the variables that are set for it.
+fn without_settings(command: &str) -> &str {
+    match command.split_once(" albireo ") {
+        Some((settings, _)) if settings.contains('=') => &command[settings.len() + 1..],
+        _ => command,
+    }
+}
+
 #[test]
 fn every_block_of_commands_is_run_or_says_when_it_was_run_by_hand() {
     let blocks = blocks();
@@ -103,7 +114,7 @@ fn every_command_that_is_printed_is_one_the_program_takes() {
     let mut seen = 0;
     for block in blocks() {
         for command in &block.commands {
-            let command = command.trim_end_matches('&').trim();
+            let command = without_settings(command.trim_end_matches('&').trim());
             let Some(arguments) = command.strip_prefix("albireo ") else {
                 continue;
             };
@@ -411,13 +422,19 @@ fn workshop() -> tempfile::TempDir {
 
 /// Runs a line of a page in `folder`.
 fn shell(folder: &Path, line: &str, settings: &[(&str, String)]) -> Child {
+    // Variables before a command are the shell's to set.
+    let through = if without_settings(line) == line {
+        "exec "
+    } else {
+        "exec env "
+    };
     let programs = Path::new(env!("CARGO_BIN_EXE_albireo")).parent().unwrap();
     let path = std::env::var("PATH").unwrap_or_default();
     // As the README has it, from a folder that is not the checkout.
     let library = std::env::var_os("ORT_DYLIB_PATH")
         .unwrap_or_else(|| root().join(".cache/onnxruntime").into_os_string());
     Command::new("sh")
-        .args(["-c", &format!("exec {line}")])
+        .args(["-c", &format!("{through}{line}")])
         .current_dir(folder)
         .env("PATH", format!("{}:{path}", programs.display()))
         .env("ORT_DYLIB_PATH", library)

@@ -247,7 +247,11 @@ pub(crate) async fn send(
     };
     let replies = session
         .get(format!("albireo/@report/{node}"))
-        .payload(batch.to_payload().expect("a batch that can be written"))
+        .payload(
+            batch
+                .to_payload(albireo_wire::BatchCompression::Dictionary)
+                .expect("a batch that can be written"),
+        )
         .timeout(Duration::from_secs(2))
         .await
         .expect("a query");

@@ -1,7 +1,7 @@
 //! What a node is answered when it asks what is desired: from memory.
 
 use crate::tuning::desired::DesiredValues;
-use albireo_wire::Desired;
+use albireo_wire::{Desired, REPORT_DICTIONARY};
 use parking_lot::RwLock;
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -28,6 +28,7 @@ impl Desires {
             watched_for_s: watched
                 .map(|left| u32::try_from(left.as_secs() + 1).unwrap_or(u32::MAX)),
             signs_of_life: true,
+            report_dictionary: Some(REPORT_DICTIONARY),
             ..Desired::nothing()
         }
     }

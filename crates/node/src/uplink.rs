@@ -20,7 +20,7 @@ use crate::outbox::{Outbox, OutboxConfig};
 use crate::readiness;
 use albireo_service::config::UplinkConfig;
 use albireo_service::session;
-use albireo_wire::{Desired, FleetKeys, PullRequest, VERSION};
+use albireo_wire::{BatchCompression, Desired, FleetKeys, PullRequest, VERSION};
 use backoff::Backoff;
 use delivery::Delivery;
 use gathering::Gathering;
@@ -101,6 +101,7 @@ impl Uplink {
             pull_due: true,
             last_answer: Instant::now(),
             signs_of_life: false,
+            compression: BatchCompression::default(),
         };
         let thread = std::thread::Builder::new()
             .name("uplink".to_owned())
@@ -148,6 +149,7 @@ struct Worker {
     watched: Watched,
     /// The hub that answered in this session reads signs of life.
     signs_of_life: bool,
+    compression: BatchCompression,
     gathering: Gathering,
 }
 
@@ -283,6 +285,7 @@ impl Worker {
         self.pull_due = true;
         // Another hub may answer than the last time.
         self.signs_of_life = false;
+        self.compression = BatchCompression::default();
         self.gathering.begin();
         loop {
             let stopping = self.stop.load(Ordering::Acquire);
@@ -339,12 +342,16 @@ impl Worker {
             stop: &self.stop,
             then: LAST_TRY,
         };
-        let delivered = self.delivery.send(reports, patience);
+        let delivered = self.delivery.send(reports, self.compression, patience);
         if delivered.answered {
             self.last_answer = Instant::now();
         }
         if delivered.again {
             self.gathering.sent();
+        }
+        if delivered.unreadable {
+            // An older hub has taken the place of the one that said what it reads.
+            self.compression = BatchCompression::default();
         }
         if delivered.new_instance {
             self.teller.full_is_due();
@@ -382,6 +389,7 @@ impl Worker {
 
     fn take(&mut self, desired: &Desired) {
         self.signs_of_life = desired.signs_of_life;
+        self.compression = BatchCompression::for_hub(desired.report_dictionary);
         if self
             .setup
             .desired

@@ -2,10 +2,10 @@
 
 use super::options::{Behaviour, Options};
 use albireo_wire::{
-    CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired, DomainEnergy,
-    DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, KnobSource, KnobValue,
-    NodeStatus, OutboxStatus, Percentiles, RefusedDesired, ReportAnswer, ReportBatch, SignOfLife,
-    StatusMessage, VERSION,
+    BatchCompression, CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired,
+    DomainEnergy, DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, KnobSource,
+    KnobValue, NodeStatus, OutboxStatus, Percentiles, RefusedDesired, ReportAnswer, ReportBatch,
+    SignOfLife, StatusMessage, VERSION,
 };
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -50,6 +50,8 @@ pub(crate) struct SimNode {
     full_due: bool,
     /// The hub reads signs of life.
     signs_of_life: bool,
+    /// How it sends its reports to this hub.
+    pub(crate) compression: BatchCompression,
     told_generation: Option<u64>,
 }
 
@@ -83,6 +85,7 @@ impl SimNode {
             seq: 0,
             full_due: true,
             signs_of_life: false,
+            compression: BatchCompression::default(),
             told_generation: None,
             seed,
         }
@@ -138,6 +141,11 @@ impl SimNode {
     pub(crate) fn take(&mut self, desired: &Desired) -> bool {
         self.full_due |= desired.send_full_status;
         self.signs_of_life = desired.signs_of_life;
+        // What a batch costs its sender is multiplied by all the nodes that are played here.
+        self.compression = match BatchCompression::for_hub(desired.report_dictionary) {
+            BatchCompression::Dictionary => BatchCompression::QuickDictionary,
+            other => other,
+        };
         let seen = self
             .refused
             .as_ref()

@@ -359,12 +359,13 @@ impl Player {
         let Some(batch) = place.node.batch(self.options.batch) else {
             return;
         };
+        let compression = place.node.compression;
         place.sending = true;
         let (session, key, tell) = (self.session.clone(), place.keys.report(), self.tell.clone());
         let totals = Arc::clone(&self.totals);
         tokio::spawn(async move {
             let began = Instant::now();
-            let heard = match report(&session, key, &batch, &totals).await {
+            let heard = match report(&session, key, &batch, compression, &totals).await {
                 Some(Ok(answer)) => Heard::Acknowledged(index, answer, began.elapsed()),
                 Some(Err(refusal)) => Heard::Refused(
                     index,
@@ -406,9 +407,10 @@ async fn report(
     session: &Session,
     key: String,
     batch: &albireo_wire::ReportBatch,
+    compression: albireo_wire::BatchCompression,
     totals: &Totals,
 ) -> Option<Result<ReportAnswer, ReportRefusal>> {
-    let payload = batch.to_payload().ok()?;
+    let payload = batch.to_payload(compression).ok()?;
     count(&totals.batches, 1);
     count(&totals.bytes, payload.len() as u64);
     let answer = ask(session, key, payload, Encoding::APPLICATION_JSON).await?;

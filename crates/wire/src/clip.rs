@@ -198,40 +198,41 @@ pub struct BoardState {
 }
 
 impl ClipReport {
-    /// Leaves six decimals of times, energies and shares: microjoules, as a hub keeps them, microwatts and nanoseconds.
-    /// What stands behind is noise that compresses badly.
+    /// Leaves what the figures mean: six significant digits of energies and times, four of latencies and watts. What
+    /// stands behind is noise that compresses badly.
     pub fn round(&mut self) {
         let energy = &mut self.energy;
-        let options = [&mut energy.joules, &mut energy.node_joules, &mut energy.edp];
-        let domains = energy.domains.iter_mut().flat_map(|domain| {
-            let peak = domain.peak_watts.as_mut();
-            [&mut domain.joules, &mut domain.mean_watts]
-                .into_iter()
-                .chain(peak)
-        });
-        let latencies = [&mut self.total_latency_ms, &mut self.detector_latency_ms];
-        let latencies = latencies.into_iter().flat_map(|latency| {
-            [
-                &mut latency.mean,
-                &mut latency.p50,
-                &mut latency.p95,
-                &mut latency.p99,
-            ]
-        });
-        let others = [
-            &mut self.duration_s,
-            &mut self.skip_rate,
-            &mut energy.coverage,
-        ];
-        for value in (options.into_iter().filter_map(Option::as_mut))
-            .chain(domains)
-            .chain(latencies)
-            .chain(others)
-        {
-            let rounded = (*value * 1e6).round() / 1e6;
-            if rounded.is_finite() {
-                *value = rounded;
+        let sums = [&mut energy.joules, &mut energy.node_joules, &mut energy.edp];
+        for value in sums.into_iter().flatten() {
+            round_to(value, 6);
+        }
+        for domain in &mut energy.domains {
+            round_to(&mut domain.joules, 6);
+            round_to(&mut domain.mean_watts, 4);
+            if let Some(peak) = &mut domain.peak_watts {
+                round_to(peak, 4);
             }
         }
+        for latency in [&mut self.total_latency_ms, &mut self.detector_latency_ms] {
+            round_to(&mut latency.mean, 4);
+            round_to(&mut latency.p50, 4);
+            round_to(&mut latency.p95, 4);
+            round_to(&mut latency.p99, 4);
+        }
+        round_to(&mut self.duration_s, 6);
+        round_to(&mut self.skip_rate, 6);
+        round_to(&mut energy.coverage, 6);
+        if let Some(joules) = self.audit.as_mut().and_then(|audit| audit.joules.as_mut()) {
+            round_to(joules, 4);
+        }
+    }
+}
+
+/// Leaves so many significant digits.
+fn round_to(value: &mut f64, digits: usize) {
+    if let Ok(rounded) = format!("{value:.*e}", digits.saturating_sub(1)).parse::<f64>()
+        && rounded.is_finite()
+    {
+        *value = rounded;
     }
 }

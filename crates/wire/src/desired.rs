@@ -50,6 +50,10 @@ pub struct Desired {
     /// The hub reads signs of life in their short form.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub signs_of_life: bool,
+    /// The hub reads reports that are compressed against dictionaries up to this number; absent where it reads gzip
+    /// alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub report_dictionary: Option<u8>,
 }
 
 impl Desired {
@@ -63,6 +67,7 @@ impl Desired {
             watched_for_s: None,
             send_full_status: false,
             signs_of_life: false,
+            report_dictionary: None,
         }
     }
 }

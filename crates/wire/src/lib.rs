@@ -34,8 +34,8 @@ pub use frames::{BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, La
 pub use keys::{CameraKeys, FleetKeys, KeyError, NodeKeys, check_segment};
 pub use knob::{KnobChange, KnobValue, ThresholdMessage, WrongKnob};
 pub use report::{
-    BatchError, LARGEST_BATCH_BYTES, ReceivedBatch, RefusalReason, ReportAnswer, ReportBatch,
-    ReportRefusal,
+    BatchCompression, BatchError, LARGEST_BATCH_BYTES, REPORT_DICTIONARY, ReceivedBatch,
+    RefusalReason, ReportAnswer, ReportBatch, ReportRefusal,
 };
 pub use states::{DetectorCalls, DroppedFrames, FrameStates};
 pub use status::{

@@ -6,21 +6,23 @@
 //! acknowledgement: the same batch is sent again, after a pause that grows. So a report is delivered at least once,
 //! and the hub's cursor (the last number stored of an instance) makes it exactly once.
 
+mod compression;
+
+pub use compression::{BatchCompression, REPORT_DICTIONARY};
+
 use crate::version::{MessageError, VERSION};
 use crate::{ClipReport, Desired};
-use flate2::Compression;
-use flate2::read::GzDecoder;
-use flate2::write::GzEncoder;
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
-use std::io::{Read, Write};
 use utoipa::ToSchema;
 
 /// Most bytes of a batch once it is decompressed. A report is about 1 kB, so that a node sends a few hundred at
 /// a time; the bound is what a hub is willing to hold of one that is not a node.
 pub const LARGEST_BATCH_BYTES: u64 = 4 << 20;
 
-/// Reports of one node, in the order of their numbers. On the wire it is JSON compressed with gzip.
+/// Reports of one node, in the order of their numbers. On the wire it is JSON compressed with gzip; for a hub that says
+/// that it reads it (`report_dictionary`), with Zstandard against an example batch, `crates/wire/src/report/dictionary-1.json`,
+/// behind a byte with that example's number.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct ReportBatch {
     /// Version.
@@ -73,9 +75,12 @@ pub struct ReceivedBatch {
 /// Why a batch cannot be read or written.
 #[derive(Debug, thiserror::Error)]
 pub enum BatchError {
-    /// It is not gzip, or it breaks off.
-    #[error("not a gzip stream: {0}")]
+    /// It is not compressed in any way known here, or it breaks off.
+    #[error("cannot be decompressed: {0}")]
     Compression(#[from] std::io::Error),
+    /// It was compressed against a dictionary that this program does not have.
+    #[error("compressed with dictionary {0}; this program has those up to {REPORT_DICTIONARY}")]
+    UnknownDictionary(u8),
     /// It is larger than anybody may send.
     #[error("more than {LARGEST_BATCH_BYTES} bytes when decompressed")]
     TooLarge,
@@ -92,11 +97,9 @@ impl ReportBatch {
     ///
     /// # Errors
     /// [`BatchError`] when it cannot be written; a batch made of reports that were read cannot fail.
-    pub fn to_payload(&self) -> Result<Vec<u8>, BatchError> {
+    pub fn to_payload(&self, compression: BatchCompression) -> Result<Vec<u8>, BatchError> {
         let json = serde_json::to_vec(self).map_err(MessageError::from)?;
-        let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
-        encoder.write_all(&json)?;
-        Ok(encoder.finish()?)
+        Ok(compression.compress(&json)?)
     }
 }
 
@@ -106,12 +109,7 @@ impl ReceivedBatch {
     /// # Errors
     /// [`BatchError`] when it is not a batch of a version known here, or larger than [`LARGEST_BATCH_BYTES`].
     pub fn from_payload(payload: &[u8]) -> Result<Self, BatchError> {
-        let mut json = Vec::new();
-        let mut bounded = GzDecoder::new(payload).take(LARGEST_BATCH_BYTES + 1);
-        bounded.read_to_end(&mut json)?;
-        if json.len() as u64 > LARGEST_BATCH_BYTES {
-            return Err(BatchError::TooLarge);
-        }
+        let json = compression::decompress(payload, LARGEST_BATCH_BYTES)?;
         let batch: Self = crate::read(&json)?;
         if batch.instance.len() != 32 || !batch.instance.bytes().all(|b| b.is_ascii_hexdigit()) {
             return Err(BatchError::Inconsistent(

@@ -35,8 +35,11 @@ fn a_batch_comes_back_as_it_was_sent_and_a_bomb_is_refused() {
         lost: 0,
         reports: Vec::new(),
     };
-    let error = ReceivedBatch::from_payload(&batch.to_payload().unwrap()).unwrap_err();
-    assert_eq!(error.to_string(), "no reports");
+    for compression in [BatchCompression::Gzip, BatchCompression::Dictionary] {
+        let payload = batch.to_payload(compression).unwrap();
+        let error = ReceivedBatch::from_payload(&payload).unwrap_err();
+        assert_eq!(error.to_string(), "no reports");
+    }
 
     use std::io::Write;
     let mut bomb = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::best());
@@ -44,6 +47,56 @@ fn a_batch_comes_back_as_it_was_sent_and_a_bomb_is_refused() {
         .unwrap();
     let error = ReceivedBatch::from_payload(&bomb.finish().unwrap()).unwrap_err();
     assert!(matches!(error, BatchError::TooLarge), "{error}");
+
+    // The same without gzip; and one that wants a window of half a gigabyte before it says anything.
+    let spaces = vec![b' '; LARGEST_BATCH_BYTES as usize + 1];
+    for window in [None, Some(29)] {
+        let mut bomb = zstd::Encoder::new(vec![REPORT_DICTIONARY], 3).unwrap();
+        if let Some(window) = window {
+            bomb.window_log(window).unwrap();
+        }
+        bomb.write_all(&spaces).unwrap();
+        let error = ReceivedBatch::from_payload(&bomb.finish().unwrap()).unwrap_err();
+        match window {
+            None => assert!(matches!(error, BatchError::TooLarge), "{error}"),
+            Some(_) => assert!(matches!(error, BatchError::Compression(_)), "{error}"),
+        }
+    }
+}
+
+#[test]
+fn a_batch_against_a_dictionary_of_a_later_version_is_refused_by_its_number() {
+    let error = ReceivedBatch::from_payload(&[REPORT_DICTIONARY + 1, 0, 0]).unwrap_err();
+    assert_eq!(
+        error.to_string(),
+        "compressed with dictionary 2; this program has those up to 1"
+    );
+    assert!(ReceivedBatch::from_payload(&[]).is_err());
+    for (known, wanted) in [
+        (None, BatchCompression::Gzip),
+        (Some(0), BatchCompression::Gzip),
+        (Some(1), BatchCompression::Dictionary),
+        (Some(7), BatchCompression::Dictionary),
+    ] {
+        assert_eq!(BatchCompression::for_hub(known), wanted);
+    }
+}
+
+/// As a node sent it when the dictionary was new: it must be read for ever.
+#[test]
+fn a_batch_of_the_first_dictionary_is_read_and_a_spoilt_one_is_refused() {
+    let sent = include_bytes!("report/batch-1.zst");
+    let batch = ReceivedBatch::from_payload(sent).unwrap();
+    assert_eq!((batch.first, batch.last, batch.reports.len()), (1, 2, 2));
+    for raw in &batch.reports {
+        let report: ClipReport = read(raw.get().as_bytes()).unwrap();
+        assert_eq!(report.node, "demo");
+    }
+    let mut spoilt = sent.to_vec();
+    let middle = spoilt.len() / 2;
+    spoilt[middle] ^= 0x10;
+    assert!(ReceivedBatch::from_payload(&spoilt).is_err());
+    assert!(ReceivedBatch::from_payload(&sent[..middle]).is_err());
 }
 
 #[test]

@@ -26,7 +26,7 @@ const SVG_STEPS: u32 = 8;
 /// Pixels of a PNG file per point.
 const PNG_PIXELS: u32 = 3;
 
-type DrawResult = Result<(), Box<dyn Error>>;
+type DrawResult<T = ()> = Result<T, Box<dyn Error>>;
 
 /// A figure.
 pub struct Figure {
@@ -139,7 +139,7 @@ pub fn figures(report: &super::Report) -> Vec<Figure> {
     let mut figures = Vec::new();
     let has_accuracy = summaries.iter().any(|summary| summary.ap50.is_some());
     let energy = summaries.iter().find_map(|summary| summary.energy);
-    let marks = "Whiskers: 95 % confidence interval of the difference to Vanilla, paired over clips. \
+    let marks = "Whiskers: 95 % confidence interval of the difference to Vanilla, paired over clips, cut at the figure's edge. \
                  Thin line: Vanilla. Grey band: the Pareto frontier; filled markers are on it.";
     if has_accuracy && let Some(energy) = energy {
         figures.push(Figure {

@@ -159,7 +159,15 @@ pub async fn send(session: &zenoh::Session, node: &str, payload: Vec<u8>) -> Sai
 pub async fn deliver(session: &zenoh::Session, batch: &ReportBatch) -> Said {
     let until = Instant::now() + PATIENCE;
     loop {
-        match send(session, &batch.node, batch.to_payload().unwrap()).await {
+        match send(
+            session,
+            &batch.node,
+            batch
+                .to_payload(albireo_wire::BatchCompression::Dictionary)
+                .unwrap(),
+        )
+        .await
+        {
             Said::Nothing => {}
             said => return said,
         }

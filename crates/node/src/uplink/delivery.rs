@@ -3,7 +3,7 @@
 use super::backoff::Backoff;
 use super::query::{Asked, Patience, ask};
 use crate::outbox::{Acknowledged, Outbox, OutboxConfig};
-use albireo_wire::{Desired, RefusalReason, ReportAnswer};
+use albireo_wire::{BatchCompression, Desired, RefusalReason, ReportAnswer};
 use std::time::{Duration, Instant};
 use zenoh::query::Querier;
 
@@ -25,6 +25,8 @@ pub(super) struct Delivered {
     pub answered: bool,
     /// A new instance has begun.
     pub new_instance: bool,
+    /// The hub could not read the batch.
+    pub unreadable: bool,
     /// What the hub desires.
     pub desired: Option<Desired>,
 }
@@ -56,13 +58,18 @@ impl Delivery {
     }
 
     /// Sends the oldest batch.
-    pub(super) fn send(&mut self, reports: &Querier<'_>, patience: Patience<'_>) -> Delivered {
+    pub(super) fn send(
+        &mut self,
+        reports: &Querier<'_>,
+        compression: BatchCompression,
+        patience: Patience<'_>,
+    ) -> Delivered {
         let mut delivered = Delivered::default();
         let Some(batch) = self.outbox.batch(&self.node) else {
             self.backoff.reset();
             return delivered;
         };
-        let payload = match batch.message.to_payload() {
+        let payload = match batch.message.to_payload(compression) {
             Ok(payload) => payload,
             Err(error) => {
                 tracing::error!(%error, "clip reports cannot be written");
@@ -104,6 +111,7 @@ impl Delivery {
                     delivered.again = true;
                     return delivered;
                 }
+                delivered.unreadable = refusal.reason == RefusalReason::Unreadable;
                 tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub did not take clip reports");
                 self.not_acknowledged(refusal.retry_after_ms.map(Duration::from_millis));
             }

@@ -2,7 +2,7 @@
 
 use super::DrawResult;
 use super::style::{GRID, INK, SOFT_INK, Scale, family_color, range};
-use super::tradeoff::legend;
+use super::tradeoff::Legend;
 use crate::result::ClipResult;
 use crate::spec::{BASELINE, split_label};
 use plotters::coord::Shift;
@@ -63,8 +63,10 @@ where
     let all = || clouds.iter().flat_map(|cloud| cloud.points.iter());
     let (x0, x1) = range(all().map(|point| point.0), 0.05);
     let (y0, y1) = range(all().map(|point| point.1).chain([0.0]), 0.06);
+    let families: Vec<&str> = clouds.iter().map(|cloud| cloud.family.as_str()).collect();
+    let legend = Legend::new(area, scale, &families)?;
     let mut chart = ChartBuilder::on(area)
-        .margin_top(scale.size(34.0))
+        .margin_top(legend.height())
         .margin_right(scale.size(18.0))
         .margin_bottom(scale.size(6.0))
         .margin_left(scale.size(6.0))
@@ -100,8 +102,7 @@ where
             ))?;
         }
     }
-    let families: Vec<&str> = clouds.iter().map(|cloud| cloud.family.as_str()).collect();
-    legend(area, scale, &families, &|family| {
+    legend.draw(area, scale, &families, &|family| {
         let index = families
             .iter()
             .position(|other| *other == family)

@@ -5,7 +5,9 @@ use super::style::{
     FRONTIER, GRID, INK, SOFT_INK, Scale, anchored, family_color, marker, range, ring,
 };
 use plotters::coord::Shift;
-use plotters::prelude::{ChartBuilder, DrawingArea, DrawingBackend, LineSeries, PathElement, Text};
+use plotters::prelude::{
+    ChartBuilder, DrawingArea, DrawingBackend, LineSeries, PathElement, Text, TextStyle,
+};
 use plotters::style::text_anchor::HPos;
 use plotters::style::{Color, RGBColor};
 
@@ -77,13 +79,10 @@ impl Tradeoff {
             }
         };
         let (x0, x1) = range(self.points.iter().map(|point| point.x), 0.09);
-        let ends = self.points.iter().flat_map(|point| {
-            let (low, high) = point.interval.unwrap_or((point.y, point.y));
-            [low, high]
-        });
-        let (y0, y1) = range(ends, 0.08);
+        let (y0, y1) = self.heights();
+        let legend = Legend::new(area, scale, &families)?;
         let mut chart = ChartBuilder::on(area)
-            .margin_top(scale.size(34.0))
+            .margin_top(legend.height())
             .margin_right(scale.size(18.0))
             .margin_bottom(scale.size(6.0))
             .margin_left(scale.size(6.0))
@@ -108,7 +107,10 @@ impl Tradeoff {
                     trim(*value)
                 }
             })
-            .y_label_formatter(&|value| format!("{value:.3}").trim_end_matches('0').to_owned())
+            .y_label_formatter(&|value| {
+                let text = format!("{value:.3}");
+                text.trim_end_matches('0').trim_end_matches('.').to_owned()
+            })
             .draw()?;
         self.draw_frontier(&mut |path| {
             chart.draw_series(LineSeries::new(path, scale.line(5.0, FRONTIER)))?;
@@ -135,6 +137,7 @@ impl Tradeoff {
                     .1
                     .mix(0.45)
                     .stroke_width(scale.size(1.0));
+                let (low, high) = (low.clamp(y0, y1), high.clamp(y0, y1));
                 chart.draw_series([PathElement::new(
                     vec![(point.x, low), (point.x, high)],
                     style,
@@ -155,7 +158,31 @@ impl Tradeoff {
             marker(area, scale, at, index, color, point.on_frontier)?;
         }
         self.draw_settings(area, scale, &places, &|family| color(family).1)?;
-        legend(area, scale, &families, &color)
+        legend.draw(area, scale, &families, &color)
+    }
+
+    /// The vertical axis: all points, and of the intervals as much as leaves the points apart. Two clips can have an
+    /// interval that is wider than every accuracy there is.
+    fn heights(&self) -> (f64, f64) {
+        let of = |values: &mut dyn Iterator<Item = f64>| {
+            values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), value| {
+                (low.min(value), high.max(value))
+            })
+        };
+        let (lowest, highest) = of(&mut self.points.iter().map(|point| point.y));
+        let room = (highest - lowest).max(0.02);
+        let ends = self.points.iter().flat_map(|point| {
+            let (low, high) = point.interval.unwrap_or((point.y, point.y));
+            [low.max(lowest - room), high.min(highest + room)]
+        });
+        let (low, high) = range(ends, 0.08);
+        // Of a share of 1 there is no more than all.
+        let is_share = lowest >= 0.0 && highest <= 1.0;
+        if is_share {
+            (low.max(0.0), high.min(1.0 + 0.04 * (1.0 - lowest)))
+        } else {
+            (low, high)
+        }
     }
 
     fn draw_frontier(&self, line: &mut dyn FnMut(Vec<(f64, f64)>) -> DrawResult) -> DrawResult {
@@ -244,26 +271,67 @@ fn trim(value: f64) -> String {
     text.strip_suffix(".0").map_or(text.clone(), str::to_owned)
 }
 
-/// One line of markers with names along the top.
-pub(super) fn legend<B: DrawingBackend>(
-    area: &DrawingArea<B, Shift>,
-    scale: Scale,
-    families: &[&str],
-    color: &dyn Fn(&str) -> (usize, RGBColor),
-) -> DrawResult
-where
-    B::ErrorType: 'static,
-{
-    let mut x = scale.length(62.0);
-    let y = scale.length(16.0);
-    for family in families {
-        let (index, color) = color(family);
-        marker(area, scale, (x, y), index, color, true)?;
-        x += scale.length(9.0);
-        let style = anchored(scale.text(11.5, INK), HPos::Left);
-        let (width, _) = area.estimate_text_size(family, &style)?;
-        area.draw(&Text::new((*family).to_owned(), (x, y), style))?;
-        x += width as i32 + scale.length(18.0);
+/// Markers with names along the top, in as many lines as they need.
+pub(super) struct Legend {
+    /// Where each marker is.
+    places: Vec<(i32, i32)>,
+    height: u32,
+}
+
+impl Legend {
+    /// The legend of `families` in `area`.
+    pub(super) fn new<B: DrawingBackend>(
+        area: &DrawingArea<B, Shift>,
+        scale: Scale,
+        families: &[&str],
+    ) -> DrawResult<Self>
+    where
+        B::ErrorType: 'static,
+    {
+        let left = scale.length(62.0);
+        let right = area.dim_in_pixel().0 as i32 - scale.length(8.0);
+        let (mut x, mut y) = (left, scale.length(16.0));
+        let mut places = Vec::new();
+        for family in families {
+            let (width, _) = area.estimate_text_size(family, &Self::style(scale))?;
+            let width = scale.length(9.0) + width as i32;
+            if x > left && x + width > right {
+                x = left;
+                y += scale.length(17.0);
+            }
+            places.push((x, y));
+            x += width + scale.length(18.0);
+        }
+        let height = scale.size(18.0) + u32::try_from(y).unwrap_or_default();
+        Ok(Self { places, height })
     }
-    Ok(())
+
+    /// What it takes of the top.
+    pub(super) const fn height(&self) -> u32 {
+        self.height
+    }
+
+    fn style(scale: Scale) -> TextStyle<'static> {
+        anchored(scale.text(11.5, INK), HPos::Left)
+    }
+
+    /// Draws it; `color` gives a family's marker and colour.
+    pub(super) fn draw<B: DrawingBackend>(
+        &self,
+        area: &DrawingArea<B, Shift>,
+        scale: Scale,
+        families: &[&str],
+        color: &dyn Fn(&str) -> (usize, RGBColor),
+    ) -> DrawResult
+    where
+        B::ErrorType: 'static,
+    {
+        for (family, &(x, y)) in families.iter().zip(&self.places) {
+            let (index, color) = color(family);
+            marker(area, scale, (x, y), index, color, true)?;
+            let at = (x + scale.length(9.0), y);
+            area.draw(&Text::new((*family).to_owned(), at, Self::style(scale)))?;
+        }
+        Ok(())
+    }
 }
