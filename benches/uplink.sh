@@ -26,8 +26,7 @@ cat > "$folder/node.toml" <<- NODE
 	zenoh.listen = ["tcp/127.0.0.1:17449"]
 	uplink.connect = ["tcp/127.0.0.1:17448"]
 	detector.model = "$PWD/models/detector.onnx"
-	clip.window_s = 40.0
-	[[camera]]
+		[[camera]]
 	name = "front"
 NODE
 env "$@" "$albireo" node --config "$folder/node.toml" 2> "$folder/node.log" &
@@ -37,7 +36,7 @@ until curl -sf http://127.0.0.1:18092/readyz > /dev/null; do
     sleep 0.2
 done
 (cd "$folder" && "$albireo" synth --out drive --frames 400 > /dev/null)
-(while "$albireo" replay "$folder/drive" --rate 10 --node car-7 --camera front --connect tcp/127.0.0.1:17449; do :; done) \
+"$albireo" replay "$folder/drive" --rate 10 --loop --no-clip --node car-7 --camera front --connect tcp/127.0.0.1:17449 \
     > /dev/null 2> "$folder/replay.log" &
 
 sent() { ss -tinHO state established "dport = :17448" | grep -o 'bytes_sent:[0-9]*' | cut -d: -f2 | sort -n | tail -n 1; }

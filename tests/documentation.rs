@@ -36,22 +36,55 @@ struct Block {
     commands: Vec<String>,
 }
 
-const PAGES: [&str; 10] = [
-    "README.md",
-    "docs/cameras.md",
-    "docs/energy.md",
-    "docs/how-it-works.md",
-    "docs/jetson.md",
-    "docs/messages.md",
-    "docs/policies.md",
-    "docs/publishing.md",
-    "docs/threshold.md",
-    "docs/troubleshooting.md",
-];
+/// Every page there is.
+fn pages() -> Vec<&'static str> {
+    let mut pages = Vec::new();
+    for folder in [".", "docs", "models", "config", "deploy"] {
+        for entry in std::fs::read_dir(root().join(folder)).unwrap() {
+            let name = entry.unwrap().file_name().into_string().unwrap();
+            if name.ends_with(".md") {
+                let path = if folder == "." {
+                    name
+                } else {
+                    format!("{folder}/{name}")
+                };
+                pages.push(&*path.leak());
+            }
+        }
+    }
+    pages.sort_unstable();
+    pages
+}
+
+/// Whether a line that is printed is a command: what begins with one of these is none of a program's output.
+fn is_command(line: &str) -> bool {
+    let programs = [
+        "albireo",
+        "apt-get",
+        "cargo",
+        "curl",
+        "docker",
+        "ffmpeg",
+        "journalctl",
+        "make",
+        "npm",
+        "pip",
+        "promtool",
+        "python",
+        "rustup",
+        "sudo",
+        "systemctl",
+        "yolo",
+    ];
+    let first = without_settings(line)
+        .split_whitespace()
+        .find(|word| !word.contains('='));
+    first.is_some_and(|first| programs.contains(&first) || first.starts_with("benches/"))
+}
 
 fn blocks() -> Vec<Block> {
     let mut blocks = Vec::new();
-    for name in PAGES {
+    for name in pages() {
         let text = page(name);
         let mut before = String::new();
         let mut lines = text.lines();
@@ -66,6 +99,16 @@ fn blocks() -> Vec<Block> {
                         .filter(|line| !line.is_empty())
                         .collect(),
                 });
+            } else if line.starts_with("```") && line != "```" {
+                // Another kind of block: its end is no beginning.
+                lines.by_ref().find(|line| *line == "```");
+            } else if line == "```" {
+                let printed: Vec<_> = lines.by_ref().take_while(|line| *line != "```").collect();
+                assert!(
+                    !printed.first().is_some_and(|line| is_command(line)),
+                    "{name}: these are commands, so the block is ```sh, with a mark before it: {}",
+                    printed.join("; ")
+                );
             }
             line.clone_into(&mut before);
         }
@@ -464,7 +507,7 @@ async fn run_line(folder: &Path, line: &str, settings: &[(&str, String)]) -> Str
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime and curl"]
-async fn the_commands_of_the_readme_run_in_their_order() {
+async fn the_commands_of_the_pages_run_in_their_order() {
     let folder = workshop();
     let (http, zenoh) = (free_port(), free_port());
     let settings = [
@@ -490,11 +533,15 @@ async fn the_commands_of_the_readme_run_in_their_order() {
         .expect("the node gets ready");
     let mut ran = 0;
     for block in blocks() {
-        if block.page != "README.md" || block.mark != "<!-- run -->" {
+        // Those of the page about cameras want cameras.
+        if block.page == "docs/cameras.md" || block.mark != "<!-- run -->" {
             continue;
         }
         for command in &block.commands {
-            let mut line = command.replace("localhost:8080", &format!("127.0.0.1:{http}"));
+            let own = format!("127.0.0.1:{http}");
+            let mut line = command
+                .replace("localhost:8080", &own)
+                .replace("127.0.0.1:8080", &own);
             if let Some(rest) = line.strip_prefix("curl ") {
                 line = format!("curl -sSf {rest}");
             }
