@@ -5,6 +5,7 @@ import type { JSX } from "preact";
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { ago, count, dateTime, joules, plural, small } from "../shared/format";
 import { Section } from "../shared/parts";
+import { nameAndValue } from "../shared/target";
 import { Fault, Presence } from "./parts";
 import { href, refine, route } from "./route";
 import { names, Rows, type Filter } from "./rows";
@@ -187,6 +188,7 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
     );
   }
   const knob = knobOf(node);
+  const held = nameAndValue(node.status?.target?.target);
   const heard = node.heard_ms ? (Date.now() - node.heard_ms) / 1000 : undefined;
   const since = Math.max(0, (Date.now() - node.since_ms) / 1000);
   const labels = Object.entries(node.status?.labels ?? {}).map(([label, value]) => `${label}=${value}`).join(" ");
@@ -214,6 +216,7 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
         {heard === undefined ? "never" : ago(Math.max(0, heard))}
       </span>
       <span role="cell" class="c-knob">
+        {held && <span title="holds a target">hold {`${held[0]} = ${small(held[1])}`} · </span>}
         {knob ? (knob.values.length === 1 ? `${knob.name} = ${small(knob.values[0])}` : `${knob.name}: ${knob.values.length} values`) : "–"}
       </span>
       <span role="cell" class="c-provider">

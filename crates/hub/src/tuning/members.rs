@@ -13,6 +13,8 @@ pub type Millis = i64;
 /// What a node is to have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
+// In descriptions `Target` is what a node holds.
+#[schema(as = MemberTarget)]
 pub enum Target {
     /// What it has.
     #[default]

@@ -112,7 +112,14 @@ impl Postgres {
         reason = "of the test programs that share this file one has files to play"
     )]
     pub fn play(&self, file: &std::path::Path) {
-        let ended = Command::new(self.tools.join("psql"))
+        // A client's program may lie elsewhere than the server's.
+        let beside = self.tools.join("psql");
+        let program = if beside.exists() {
+            beside
+        } else {
+            PathBuf::from("psql")
+        };
+        let ended = Command::new(program)
             .args(["-q", "-v", "ON_ERROR_STOP=1", "-d", &self.url(), "-f"])
             .arg(file)
             .stdin(Stdio::null())
