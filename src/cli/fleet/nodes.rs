@@ -217,11 +217,14 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<
         }
         line("target", target(status));
         for camera in status["cameras"].as_array().into_iter().flatten() {
-            let source = said(&camera["knob_source"]);
+            let source = match status["target"].is_object() {
+                true => "moved by the target".to_owned(),
+                false => format!("from {}", said(&camera["knob_source"])),
+            };
             line(
                 "camera",
                 format!(
-                    "{}: {}, {} (from {source})",
+                    "{}: {}, {} ({source})",
                     said(&camera["name"]),
                     said(&camera["state"]),
                     knob(camera)

@@ -53,19 +53,25 @@ pub(super) fn figure(value: f64) -> String {
     }
 }
 
+/// Six digits of a number are all that anybody reads: a controller's values have more.
+fn rounded(number: f64) -> f64 {
+    format!("{number:.5e}").parse().unwrap_or(number)
+}
+
 /// A knob's value: the one field of the object that is a number. `5e-4`, with its name unless it is `u`.
 pub(super) fn knob(value: &serde_json::Value) -> String {
-    const NAMES: [&str; 6] = [
+    const NAMES: [&str; 7] = [
         "u",
         "lambda",
         "n",
         "threshold",
         "component_size",
         "skip_rate",
+        "drift",
     ];
     let found = NAMES
         .iter()
-        .find_map(|name| Some((*name, value.get(name)?.as_f64()?)));
+        .find_map(|name| Some((*name, rounded(value.get(name)?.as_f64()?))));
     match found {
         Some((name, number)) => {
             let number = if (0.001..1e6).contains(&number.abs()) || number == 0.0 {
@@ -96,7 +102,10 @@ pub(super) fn setting(value: &serde_json::Value) -> String {
 pub(super) fn target_words(target: &serde_json::Value) -> String {
     let fields = target.as_object().into_iter().flatten();
     let fields: Vec<String> = fields
-        .map(|(name, value)| format!("{name} {value}"))
+        .map(|(name, value)| match value.as_f64() {
+            Some(number) => format!("{name} {number}"),
+            None => format!("{name} {value}"),
+        })
         .collect();
     fields.join(" ")
 }
@@ -152,6 +161,8 @@ mod tests {
         }
         assert_eq!(knob(&serde_json::json!({"node": "n", "u": 5e-4})), "5e-4");
         assert_eq!(knob(&serde_json::json!({"lambda": 0.3})), "lambda 0.3");
+        let moved = serde_json::json!({"lambda": 0.2901719359159484});
+        assert_eq!(knob(&moved), "lambda 0.290172");
     }
 
     #[test]

@@ -188,6 +188,7 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
     );
   }
   const knob = knobOf(node);
+  const value = knob ? (knob.values.length === 1 ? `${knob.name} = ${small(knob.values[0])}` : `${knob.name}: ${knob.values.length} values`) : "–";
   const held = nameAndValue(node.status?.target?.target);
   const heard = node.heard_ms ? (Date.now() - node.heard_ms) / 1000 : undefined;
   const since = Math.max(0, (Date.now() - node.since_ms) / 1000);
@@ -215,9 +216,8 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
       <span role="cell" class="c-heard">
         {heard === undefined ? "never" : ago(Math.max(0, heard))}
       </span>
-      <span role="cell" class="c-knob">
-        {held && <span title="holds a target">hold {`${held[0]} = ${small(held[1])}`} · </span>}
-        {knob ? (knob.values.length === 1 ? `${knob.name} = ${small(knob.values[0])}` : `${knob.name}: ${knob.values.length} values`) : "–"}
+      <span role="cell" class="c-knob" title={held && `now ${value}`}>
+        {held ? `hold ${held[0]} = ${small(held[1])}` : value}
       </span>
       <span role="cell" class="c-provider">
         {node.status?.provider ?? "–"}
