@@ -3,17 +3,20 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
+use crate::support::PATIENCE;
 use crate::support::fleet::{HubProcess, settings, sqlite, uplink};
+use crate::support::postgres::Postgres;
 use albireo_wire::{
-    ClipReport, CountersMessage, Desired, DetectionsMessage, PullRequest, ReceivedBatch,
+    ClipReport, CountersMessage, Desired, DetectionsMessage, KnobValue, PullRequest, ReceivedBatch,
     ReportAnswer, StatusMessage, read,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
+use tokio::time::timeout;
 
 /// The version that wrote them.
 const BEFORE: &str = "0.1.0";
@@ -105,20 +108,83 @@ async fn a_hub_takes_the_report_and_the_status_of_a_node_of_the_version_before()
     assert_eq!(clips[0]["clip"], "window-0");
 }
 
-#[tokio::test]
-async fn a_hub_goes_on_with_the_database_of_the_version_before() {
-    let folder = tempfile::tempdir().unwrap();
-    let packed = Path::new(env!("CARGO_MANIFEST_DIR"))
+fn database(file: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("tests/fixtures/databases")
-        .join(format!("hub-{BEFORE}.db.gz"));
-    let mut database = Vec::new();
-    flate2::read::GzDecoder::new(std::fs::File::open(packed).unwrap())
-        .read_to_end(&mut database)
+        .join(file)
+}
+
+/// An order as the version before kept it, given just now: what is older than the history is kept goes at the start.
+fn an_order() -> String {
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH);
+    let now = now.unwrap().as_millis();
+    format!(
+        "INSERT INTO orders VALUES (4, {now}, 'night shift', 'less traffic', 'hand', 'car-7', 'u', '0.0005');
+         INSERT INTO order_nodes VALUES (4, 'car-7', '0.0003', 'waiting', {now}, '');
+         INSERT INTO desired VALUES ('car-7', 4, 'u', '0.0005');
+         UPDATE counters SET value = 4 WHERE name = 'generation';"
+    )
+}
+
+async fn desired(endpoint: &str) -> Desired {
+    let node = uplink(endpoint).await;
+    let replies = node
+        .get("albireo/@pull/car-7")
+        .payload(bytes("pull-request.json"))
+        .await
         .unwrap();
-    std::fs::write(folder.path().join("hub.db"), database).unwrap();
-    let (_, settings) = settings(&sqlite(folder.path()));
+    let reply = timeout(PATIENCE, replies.recv_async()).await.unwrap();
+    let sample = reply.unwrap().into_result().unwrap();
+    let desired = read(&sample.payload().to_bytes()).unwrap();
+    node.close().await.unwrap();
+    desired
+}
+
+async fn order(hub: &HubProcess, path: &str, body: Value) -> Value {
+    let request = reqwest::Client::new()
+        .put(format!("{}{path}", hub.http))
+        .json(&body);
+    request.send().await.unwrap().json().await.unwrap()
+}
+
+/// A hub on a database of the version before, with [`an_order`] in it.
+async fn a_hub_goes_on_with(database: &str) {
+    let (endpoint, settings) = settings(database);
     let hub = HubProcess::start(&settings);
     hub.until_ready().await;
+    let changes = hub.get("/api/v1/changes/4").await;
+    assert_eq!(changes["to"], json!({"u": 5e-4}), "{changes}");
+    let node = &changes["nodes"][0];
+    assert_eq!(
+        (&node["from"], &node["outcome"]),
+        (&json!({"u": 3e-4}), &json!("waiting"))
+    );
+    let knob = Some(KnobValue {
+        name: "u",
+        value: 5e-4,
+    });
+    let was = desired(&endpoint).await;
+    assert_eq!((was.generation, was.knob, was.target), (4, knob, None));
+    // Its node is of that version too, and passes over targets: it is not asked for one, and what was desired stands.
+    let target = json!({"target": {"skip_rate": 0.5}, "select": "car-7", "wait_s": 0});
+    let refused = order(&hub, "/api/v1/target", target).await;
+    let detail = refused["nodes"][0]["detail"].as_str().unwrap_or_default();
+    assert!(
+        detail.contains("version 0.1.0, takes no target"),
+        "{refused}"
+    );
+    assert_eq!(desired(&endpoint).await, was);
+    // The columns that this version adds take what it orders.
+    let next = order(
+        &hub,
+        "/api/v1/threshold",
+        json!({"u": 7e-4, "select": "car-7", "wait_s": 0}),
+    );
+    assert_eq!(next.await["change"], 5);
+    let before = hub.get("/api/v1/changes/4").await;
+    assert_eq!(before["nodes"][0]["outcome"], "superseded", "{before}");
+    let detail = hub.get("/api/v1/changes/5").await;
+    assert_eq!(detail["nodes"][0]["from"], json!({"u": 3e-4}), "{detail}");
     let node = hub.get("/api/v1/nodes/car-7").await;
     assert_eq!(node["node"], "car-7", "{node}");
     // Its clip is older than what is kept one by one after two weeks; the sums of its day stay for ever.
@@ -126,4 +192,32 @@ async fn a_hub_goes_on_with_the_database_of_the_version_before() {
         .get("/api/v1/energy?by=node&since_ms=1795219200000")
         .await;
     assert!(energy.to_string().contains("car-7"), "{energy}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hub_goes_on_with_the_database_of_the_version_before() {
+    let folder = tempfile::tempdir().unwrap();
+    let packed = std::fs::File::open(database(&format!("hub-{BEFORE}.db.gz"))).unwrap();
+    let mut unpacked = Vec::new();
+    flate2::read::GzDecoder::new(packed)
+        .read_to_end(&mut unpacked)
+        .unwrap();
+    let file = folder.path().join("hub.db");
+    std::fs::write(&file, unpacked).unwrap();
+    let opened = rusqlite::Connection::open(file).unwrap();
+    opened.execute_batch(&an_order()).unwrap();
+    drop(opened);
+    a_hub_goes_on_with(&sqlite(folder.path())).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn a_hub_goes_on_with_the_postgresql_database_of_the_version_before() {
+    let server = Postgres::start();
+    server.play(&database(&format!("hub-{BEFORE}.postgres.sql")));
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("order.sql");
+    std::fs::write(&file, an_order()).unwrap();
+    server.play(&file);
+    a_hub_goes_on_with(&server.url()).await;
 }

@@ -15,11 +15,11 @@ use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 /// A node and its camera, through kills and restarts.
-struct Car {
-    name: String,
+pub(crate) struct Car {
+    pub(crate) name: String,
     settings: String,
     /// While it runs.
-    node: Option<Node>,
+    pub(crate) node: Option<Node>,
     camera: Option<Camera>,
     /// Its folder, while it does not run.
     folder: Option<tempfile::TempDir>,
@@ -30,11 +30,16 @@ struct Car {
 
 impl Car {
     fn new(name: &str, router: &str) -> Self {
+        Self::under("vanilla", name, router)
+    }
+
+    /// One under that policy.
+    pub(crate) fn under(policy: &str, name: &str, router: &str) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let settings = format!(
             "node.name = \"{name}\"\nnode.state_dir = \"{}\"\n\
              detector.model = \"{}/models/detector.onnx\"\ndetector.timeout_ms = 60000\n\
-             policy.name = \"vanilla\"\npower.source = \"none\"\n\
+             policy.name = \"{policy}\"\npower.source = \"none\"\n\
              outbox.retry_min_ms = 50\noutbox.retry_max_ms = 200\noutbox.answer_timeout_ms = 1500\n\
              uplink.connect = [\"{router}\"]\nuplink.retry_max_ms = 500\n",
             folder.path().join("state").display(),
@@ -51,7 +56,7 @@ impl Car {
         }
     }
 
-    async fn start(&mut self) {
+    pub(crate) async fn start(&mut self) {
         let folder = self.folder.take().unwrap();
         let node = Node::start_in(folder, &self.settings).await;
         let mut camera = Camera::at(&node.zenoh, &self.name).await;
@@ -60,7 +65,7 @@ impl Car {
     }
 
     /// Sends frames of a clip each.
-    async fn drive(&mut self, clips: u64) {
+    pub(crate) async fn drive(&mut self, clips: u64) {
         let camera = self.camera.as_mut().unwrap();
         camera.clips(clips).await;
         self.seq = camera.seq;
@@ -75,7 +80,7 @@ impl Car {
         self.end().await;
     }
 
-    async fn end(&mut self) {
+    pub(crate) async fn end(&mut self) {
         let camera = self.camera.take().unwrap();
         // A frame that was sent and not answered has taken its number.
         self.seq = camera.seq;

@@ -36,6 +36,8 @@ mod every_frame;
 mod expected_loss;
 #[cfg(feature = "hub")]
 mod fleet;
+#[cfg(feature = "hub")]
+mod fleet_targets;
 mod frame_decoding;
 mod frame_formats;
 mod golden_traces;

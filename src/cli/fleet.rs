@@ -28,6 +28,8 @@ Examples:
   albireo fleet show cam-7                           one node: values, health, last clips
   albireo fleet set-u 5e-4 --select 'cam-*' --dry-run    who would change
   albireo fleet set-u 5e-4 --select 'cam-*' --why 'less traffic at night'
+  albireo fleet set-target skip_rate=0.5 --select region=north    a target in the place of a value
+  albireo fleet set-target off --select region=north
   albireo fleet rollout start 5e-4 --select all --stages 1,10%,50%,100% --soak 30m --gate 'joules<=+5%'
   albireo fleet rollout show 3 --follow              until it is done, held or back
   albireo fleet trial start 1e-4 3e-4 1e-3 --select region=north --for 2h
@@ -67,9 +69,11 @@ enum Command {
     Show(nodes::ShowArguments),
     /// Set the uncertainty threshold u (or another knob) of selected nodes.
     SetU(set::Arguments),
+    /// Let selected nodes hold a target in the place of a threshold.
+    SetTarget(set::TargetArguments),
     /// The history of what was ordered.
     Changes(set::ChangesArguments),
-    /// Nodes whose value was changed at the node since they took the desired one.
+    /// Nodes that were changed at the node since they took the desired value or target.
     Drift,
     /// Change a value in stages, each gated on what is measured.
     #[command(subcommand)]
@@ -156,6 +160,7 @@ async fn follow(arguments: Arguments) -> Result<Ended, Failure> {
         Command::Ls(arguments) => nodes::list(&context, arguments).await,
         Command::Show(arguments) => nodes::show(&context, arguments).await,
         Command::SetU(arguments) => set::set(&context, arguments).await,
+        Command::SetTarget(arguments) => set::set_target(&context, arguments).await,
         Command::Changes(arguments) => set::changes(&context, arguments).await,
         Command::Drift => set::drift(&context).await,
         Command::Rollout(command) => rollouts::run(&context, command).await,

@@ -21,7 +21,8 @@ const { graver } = await import("../src/node/log");
 const { cameraState } = await import("../src/node/cameras");
 const { href, parseRoute } = await import("../src/hub/route");
 const { Rows, PAGE, path } = await import("../src/hub/rows");
-const { LineParser, countOutcomes, terms } = await import("../src/hub/tune");
+const { LineParser, countOutcomes, ordered, terms } = await import("../src/hub/tune");
+const { settingText } = await import("../src/hub/parts");
 const { knobOf } = await import("../src/hub/fleet");
 const { beginnings } = await import("../src/hub/energy");
 
@@ -181,6 +182,23 @@ describe("an order", () => {
     expect(parser.take('{"node":"a","outcome":"app')).toEqual([]);
     const lines = parser.take('lied"}\n{"node":"b","outcome":"refused"}\n\n') as { outcome: string }[];
     expect(countOutcomes(lines)).toEqual({ applied: 1, refused: 1 });
+  });
+});
+
+describe("what is ordered", () => {
+  test("goes where it belongs, though a knob and a target have one name", () => {
+    expect(ordered("skip_rate", 0.5)).toEqual({ path: "/api/v1/threshold", fields: { skip_rate: 0.5 } });
+    expect(ordered("hold skip_rate", 0.5)).toEqual({ path: "/api/v1/target", fields: { target: { skip_rate: 0.5 } } });
+    expect(ordered("hold nothing", undefined)).toEqual({ path: "/api/v1/target", fields: { target: null } });
+    expect(ordered("hold watts", undefined)).toBeUndefined();
+    expect(ordered("u", undefined)).toBeUndefined();
+  });
+
+  test("is told as a value or as a target", () => {
+    expect(settingText({ lambda: 0.5 })).toBe("lambda = 0.5");
+    expect(settingText({ target: { skip_rate: 0.5 } })).toBe("hold skip_rate = 0.5");
+    expect(settingText({ target: null })).toBe("hold nothing");
+    expect(settingText(null)).toBe("–");
   });
 });
 

@@ -251,6 +251,32 @@ pub enum Standing {
 }
 
 impl Standing {
+    /// All of them.
+    pub const ALL: [Self; 8] = [
+        Self::Measuring,
+        Self::Moving,
+        Self::Held,
+        Self::MoreThanKept,
+        Self::CannotBeMet,
+        Self::NoFrames,
+        Self::NoPower,
+        Self::NoAudit,
+    ];
+
+    /// Its name, as in messages.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Measuring => "measuring",
+            Self::Moving => "moving",
+            Self::Held => "held",
+            Self::MoreThanKept => "more_than_kept",
+            Self::CannotBeMet => "cannot_be_met",
+            Self::NoFrames => "no_frames",
+            Self::NoPower => "no_power",
+            Self::NoAudit => "no_audit",
+        }
+    }
+
     /// In words.
     pub const fn as_str(self) -> &'static str {
         match self {

@@ -1,5 +1,6 @@
 //! What a node is answered when it asks what is desired: from memory.
 
+use crate::setting::Setting;
 use crate::tuning::desired::DesiredValues;
 use albireo_wire::{Desired, REPORT_DICTIONARY};
 use parking_lot::RwLock;
@@ -18,13 +19,22 @@ impl Desires {
     /// What is desired of `node`.
     pub fn of(&self, node: &str) -> Desired {
         let value = self.values.get(node);
+        let setting = value.map(|value| value.setting);
         let until = self.watched.read().get(node).copied();
         let watched = until
             .map(|until| until.saturating_duration_since(Instant::now()))
             .filter(|left| !left.is_zero());
         Desired {
             generation: value.map_or(0, |value| value.generation),
-            knob: value.map(|value| value.knob),
+            knob: match setting {
+                Some(Setting::Knob(knob)) => Some(knob),
+                _ => None,
+            },
+            target: match setting {
+                Some(Setting::Hold(target)) => Some(target),
+                _ => None,
+            },
+            hold_nothing: setting == Some(Setting::HoldNothing),
             watched_for_s: watched
                 .map(|left| u32::try_from(left.as_secs() + 1).unwrap_or(u32::MAX)),
             signs_of_life: true,

@@ -2,6 +2,7 @@
 
 mod body;
 mod campaigns;
+mod changes;
 mod clips;
 mod diag;
 mod energy;
@@ -10,7 +11,9 @@ mod health;
 mod live;
 mod metrics;
 mod nodes;
+mod order;
 mod page_rows;
+mod target;
 mod threshold;
 
 use crate::config::HubConfig;
@@ -228,9 +231,10 @@ fn described() -> OpenApiRouter<HubView> {
         .routes(routes!(events::stream))
         .routes(routes!(diag::archive))
         .routes(routes!(threshold::put))
-        .routes(routes!(threshold::changes))
-        .routes(routes!(threshold::change))
-        .routes(routes!(threshold::drift))
+        .routes(routes!(target::put))
+        .routes(routes!(changes::changes))
+        .routes(routes!(changes::change))
+        .routes(routes!(changes::drift))
         .routes(routes!(campaigns::rollouts, campaigns::begin_rollout))
         .routes(routes!(campaigns::one_rollout))
         .routes(routes!(campaigns::command_rollout))

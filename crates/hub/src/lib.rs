@@ -10,6 +10,7 @@ pub mod ingest;
 pub mod presence;
 pub mod readiness;
 mod run;
+pub mod setting;
 pub mod store;
 pub mod tuning;
 

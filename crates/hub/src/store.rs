@@ -21,7 +21,7 @@ pub use read::{
     StoredClip, StoredEvent, StoredSetAside,
 };
 pub(crate) use rows::Key;
-pub(crate) use write::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, knob};
+pub(crate) use write::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, columns};
 pub(crate) use write::{Instance, Known, SetupKey, Writer, Writing};
 
 use crate::config::DatabaseConfig;

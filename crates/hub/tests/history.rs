@@ -62,6 +62,18 @@ async fn sums_are_exact(database: &str) {
     assert_eq!(recall["rate"], f64::from(shown) / f64::from(detected));
     assert!(recall["low"].as_f64() < recall["rate"].as_f64());
     assert!(recall["high"].as_f64() > recall["rate"].as_f64());
+    let metrics = reqwest::get(format!("{}/metrics", hub.http)).await.unwrap();
+    let metrics = metrics.text().await.unwrap();
+    for line in [
+        "albireo_hub_audit_frames_total{result=\"compared\"} 800",
+        "albireo_hub_audit_frames_total{result=\"missed\"} 200",
+        "albireo_hub_audit_boxes_total{side=\"detected\",result=\"paired\"} 1700",
+        "albireo_hub_audit_boxes_total{side=\"detected\",result=\"unpaired\"} 300",
+        "albireo_hub_audit_boxes_total{side=\"shown\",result=\"paired\"} 1700",
+        "albireo_hub_audit_boxes_total{side=\"shown\",result=\"unpaired\"} 700",
+    ] {
+        assert!(metrics.contains(line), "{line}: {metrics}");
+    }
     let joules: f64 = (energy["groups"].as_array().unwrap().iter())
         .map(|group| group["audit_joules"].as_f64().unwrap())
         .sum();

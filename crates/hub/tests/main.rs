@@ -8,4 +8,5 @@ mod history;
 mod ingest;
 mod live;
 mod presence;
+mod targets;
 mod tuning;

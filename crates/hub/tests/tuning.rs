@@ -12,13 +12,13 @@ use tokio::task::JoinHandle;
 use tokio_util::sync::CancellationToken;
 
 /// A fleet that is played until it is dropped.
-struct Played {
+pub(crate) struct Played {
     stop: CancellationToken,
     task: Option<JoinHandle<Result<albireo_simulate::Summary, albireo_simulate::SimulateError>>>,
 }
 
 /// Few nodes that live fast.
-fn fleet(nodes: usize) -> Options {
+pub(crate) fn fleet(nodes: usize) -> Options {
     Options {
         nodes,
         sessions: 2.min(nodes),
@@ -32,7 +32,7 @@ fn fleet(nodes: usize) -> Options {
 }
 
 impl Played {
-    async fn begin(hub: &Hub, options: Options) -> Self {
+    pub(crate) async fn begin(hub: &Hub, options: Options) -> Self {
         let options = Options {
             connect: hub.zenoh.clone(),
             ..options
@@ -52,7 +52,7 @@ impl Played {
         }
     }
 
-    async fn end(mut self) -> albireo_simulate::Summary {
+    pub(crate) async fn end(mut self) -> albireo_simulate::Summary {
         self.stop.cancel();
         let task = self.task.take().unwrap();
         tokio::time::timeout(PATIENCE, task)
@@ -69,15 +69,19 @@ impl Drop for Played {
     }
 }
 
-async fn put(hub: &Hub, body: Value) -> (StatusCode, Value) {
+pub(crate) async fn put(hub: &Hub, body: Value) -> (StatusCode, Value) {
+    put_at(hub, "/api/v1/threshold", body).await
+}
+
+pub(crate) async fn put_at(hub: &Hub, path: &str, body: Value) -> (StatusCode, Value) {
     let request = reqwest::Client::new()
-        .put(format!("{}/api/v1/threshold", hub.http))
+        .put(format!("{}{path}", hub.http))
         .json(&body);
     let response = request.send().await.unwrap();
     (response.status(), response.json().await.unwrap())
 }
 
-async fn post(hub: &Hub, path: &str, body: Value) -> (StatusCode, Value) {
+pub(crate) async fn post(hub: &Hub, path: &str, body: Value) -> (StatusCode, Value) {
     let request = reqwest::Client::new()
         .post(format!("{}{path}", hub.http))
         .json(&body);
@@ -85,7 +89,7 @@ async fn post(hub: &Hub, path: &str, body: Value) -> (StatusCode, Value) {
     (response.status(), response.json().await.unwrap())
 }
 
-fn values(nodes: &Value) -> Vec<f64> {
+pub(crate) fn values(nodes: &Value) -> Vec<f64> {
     let nodes = nodes["nodes"].as_array().unwrap().iter();
     nodes
         .map(|node| node["status"]["cameras"][0]["u"].as_f64().unwrap())
@@ -413,6 +417,7 @@ async fn a_token_that_may_read_cannot_tune_and_the_history_names_who_did() {
     let body = json!({"u": 1e-4, "select": ["all"]});
     for (path, method) in [
         ("/api/v1/threshold", reqwest::Method::PUT),
+        ("/api/v1/target", reqwest::Method::PUT),
         ("/api/v1/rollouts", reqwest::Method::POST),
         ("/api/v1/rollouts/1/next", reqwest::Method::POST),
         ("/api/v1/trials", reqwest::Method::POST),
@@ -484,6 +489,7 @@ async fn a_request_that_makes_no_sense_is_refused_with_what_would_do() {
     let openapi = hub.get("/openapi.json").await;
     for path in [
         "/api/v1/threshold",
+        "/api/v1/target",
         "/api/v1/rollouts/{id}",
         "/api/v1/trials",
         "/api/v1/changes/{change}",

@@ -344,6 +344,13 @@ impl Board {
         Ok(())
     }
 
+    /// Reads the kept target where that could not be done before; as
+    /// [`read_kept_threshold`](CameraBoard::read_kept_threshold), and after it.
+    pub(crate) fn read_kept_target(&self, hub_was_known: bool) {
+        let knob = self.cameras.first().and_then(|camera| camera.threshold());
+        self.target.read_again(hub_was_known, knob);
+    }
+
     /// What is held in the place of the knob's number.
     pub(crate) fn target(&self) -> &NodeTarget {
         &self.target

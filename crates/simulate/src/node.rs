@@ -5,7 +5,7 @@ use albireo_wire::{
     BatchCompression, CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired,
     DomainEnergy, DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, KnobSource,
     KnobValue, NodeStatus, OutboxStatus, Percentiles, RefusedDesired, ReportAnswer, ReportBatch,
-    SignOfLife, StatusMessage, VERSION,
+    SignOfLife, Standing, StatusMessage, Target, TargetStatus, VERSION,
 };
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -23,6 +23,10 @@ const FRAMES_PER_S: f64 = 30.0;
 const YEAR_NS: u64 = 365 * 86_400 * 1_000_000_000;
 /// The range of `u`, as the policy has it.
 const RANGE: std::ops::RangeInclusive<f64> = 1e-9..=1.0;
+/// Between which values a target moves `u`.
+const HELD_WITHIN: (f64, f64) = (1.5e-4, 2e-3);
+/// Skip rate at [`FIRST_U`], and how much a decade of `u` adds.
+const SKIP: (f64, f64) = (0.55, 0.2);
 
 /// One simulated node. Its reports are computed from their numbers, so that a backlog of hours takes no memory.
 #[derive(Debug)]
@@ -45,6 +49,8 @@ pub(crate) struct SimNode {
     values: Vec<(u64, f64)>,
     source: KnobSource,
     refused: Option<RefusedDesired>,
+    /// What it holds, and where that stands.
+    target: Option<TargetStatus>,
     refuses: bool,
     seq: u64,
     full_due: bool,
@@ -81,6 +87,7 @@ impl SimNode {
             values: vec![(0, FIRST_U)],
             source: KnobSource::Configuration,
             refused: None,
+            target: None,
             refuses: share(4) < options.refusing_share,
             seq: 0,
             full_due: true,
@@ -150,10 +157,14 @@ impl SimNode {
             .refused
             .as_ref()
             .map_or(0, |refused| refused.generation);
-        let Some(knob) = desired
-            .knob
-            .filter(|_| desired.generation > self.generation.max(seen))
-        else {
+        if desired.generation <= self.generation.max(seen) {
+            return desired.send_full_status;
+        }
+        if desired.target.is_some() || desired.hold_nothing {
+            self.hold(desired.target, desired.generation);
+            return true;
+        }
+        let Some(knob) = desired.knob else {
             return desired.send_full_status;
         };
         let refuse = |reason: &str| {
@@ -172,10 +183,50 @@ impl SimNode {
             self.refused = None;
             self.generation = desired.generation;
             self.source = KnobSource::Hub;
+            self.target = None;
             self.values.push((self.made, knob.value));
         }
         self.full_due = true;
         true
+    }
+
+    /// Holds a target, or nothing. Its street has a skip rate for each `u`, so that it stands at once where a controller
+    /// would come to; of power, time and recall it has no figures.
+    fn hold(&mut self, target: Option<Target>, generation: u64) {
+        self.full_due = true;
+        if self.refuses {
+            let reason = "this simulated node takes no target".to_owned();
+            self.refused = Some(RefusedDesired { generation, reason });
+            return;
+        }
+        self.refused = None;
+        self.generation = generation;
+        self.target = target.map(|target| {
+            let (standing, actual) = match target {
+                Target::SkipRate(wanted) => {
+                    let (least, most) = HELD_WITHIN;
+                    let u = FIRST_U * 10_f64.powf((wanted - SKIP.0) / SKIP.1);
+                    self.values.push((self.made, u.clamp(least, most)));
+                    let standing = match u {
+                        u if u > most => Standing::CannotBeMet,
+                        u if u < least => Standing::MoreThanKept,
+                        _ => Standing::Held,
+                    };
+                    (
+                        standing,
+                        Some(SKIP.0 + SKIP.1 * (self.u() / FIRST_U).log10()),
+                    )
+                }
+                Target::Recall(_) => (Standing::NoAudit, None),
+                _ => (Standing::NoPower, None),
+            };
+            TargetStatus {
+                target,
+                source: KnobSource::Hub,
+                standing: Some(standing),
+                actual,
+            }
+        });
     }
 
     /// The value in force.
@@ -241,7 +292,9 @@ impl SimNode {
                 durable: false,
             },
             refused: self.refused.clone(),
-            target: None,
+            target: self.target,
+            target_off: None,
+            takes_targets: true,
         }
     }
 
@@ -267,7 +320,8 @@ impl SimNode {
         let frames = (self.clip_s * FRAMES_PER_S).round().max(1.0);
         // A decade of `u` is a fifth of the frames; nodes and clips differ.
         let own = 0.08 * normal(&mut Pcg64Mcg::seed_from_u64(mix(self.seed, 5)));
-        let skip = (0.55 + 0.2 * (u / FIRST_U).log10() + own + 0.03 * noise()).clamp(0.0, 0.99);
+        let skip =
+            (SKIP.0 + SKIP.1 * (u / FIRST_U).log10() + own + 0.03 * noise()).clamp(0.0, 0.99);
         let spoilt = self.behaviour.spoilt_above.is_some_and(|limit| u > limit);
         let worse = if spoilt {
             self.behaviour.spoilt_by
@@ -395,6 +449,35 @@ mod tests {
         assert_eq!(node.status(0).full, None, "nothing has changed since");
         assert!(node.take(&desired(7, 2e-3)));
         assert_eq!(node.status(0).full.unwrap().refused, None);
+    }
+
+    #[test]
+    fn a_target_moves_the_value_and_a_value_ends_the_target() {
+        let mut node = node(Options::default());
+        let hold = |generation, target| Desired {
+            generation,
+            target,
+            hold_nothing: target.is_none(),
+            ..Desired::nothing()
+        };
+        assert!(node.take(&hold(1, Some(Target::SkipRate(0.6)))));
+        let held = node.status(0).full.unwrap().target.unwrap();
+        assert_eq!(held.standing, Some(Standing::Held));
+        assert!((held.actual.unwrap() - 0.6).abs() < 1e-9 && node.u() > FIRST_U);
+        assert!(node.take(&hold(2, Some(Target::SkipRate(0.99)))));
+        let held = node.status(0).full.unwrap().target.unwrap();
+        assert_eq!(
+            (held.standing, node.u()),
+            (Some(Standing::CannotBeMet), 2e-3)
+        );
+        assert!(node.take(&desired(3, 1e-3)));
+        assert_eq!(
+            (node.status(0).full.unwrap().target, node.u()),
+            (None, 1e-3)
+        );
+        assert!(node.take(&hold(4, Some(Target::Watts(3.0)))));
+        assert!(node.take(&hold(5, None)) && !node.take(&hold(4, Some(Target::Watts(3.0)))));
+        assert_eq!((node.target, node.generation, node.u()), (None, 5, 1e-3));
     }
 
     #[test]

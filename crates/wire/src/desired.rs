@@ -40,6 +40,10 @@ pub struct Desired {
     /// What is to be held in the place of the knob's number; absent when nothing is desired of it. Never beside `knob`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<Target>,
+    /// Nothing is to be held in the place of the knob's number: what is held is switched off, and the knob stays where it
+    /// is. Never beside `knob` or `target`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub hold_nothing: bool,
     /// How much longer somebody watches the node, seconds: so long it sends counters at 1 Hz. Absent when nobody
     /// does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -64,6 +68,7 @@ impl Desired {
             generation: 0,
             knob: None,
             target: None,
+            hold_nothing: false,
             watched_for_s: None,
             send_full_status: false,
             signs_of_life: false,

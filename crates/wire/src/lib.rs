@@ -22,7 +22,7 @@ mod version;
 
 pub use albireo_core::audit::{AuditRate, AuditSums};
 pub use albireo_core::policy::{CallCause, Knob, KnobError};
-pub use albireo_core::target::{KnobRange, Standing, Target, TargetState};
+pub use albireo_core::target::{KnobRange, Standing, Target, TargetError, TargetState};
 pub use audit::{AuditFigures, AuditGroup, AuditReport};
 pub use clip::{
     BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, FULL_COVERAGE,

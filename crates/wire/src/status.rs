@@ -152,6 +152,12 @@ pub struct NodeStatus {
     /// What it holds in the place of the knob's number; absent when it holds nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetStatus>,
+    /// Why it holds nothing any more, in words, where it did since its start.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub target_off: Option<String>,
+    /// The program takes targets from the hub; one that does not say so is of a version that passes over them.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub takes_targets: bool,
 }
 
 /// A desired value that a node did not take.

@@ -160,3 +160,78 @@ fn calls_by_cause_are_named_as_in_the_message_of_a_frame_and_survive_a_later_ver
         serde_json::from_str(r#"{"uncertain":3,"of_a_later_version":4}"#).unwrap();
     assert_eq!((later.get(CallCause::Uncertain), later.total()), (3, 3));
 }
+
+#[test]
+fn what_is_desired_has_three_forms_and_a_program_that_knows_one_finds_no_value_in_the_others() {
+    /// As 0.1.0 reads it.
+    #[derive(serde::Deserialize)]
+    struct Before {
+        generation: u64,
+        #[serde(default)]
+        knob: Option<KnobValue>,
+    }
+    let u = KnobValue {
+        name: "u",
+        value: 5e-4,
+    };
+    let desired = |change: &dyn Fn(&mut Desired)| {
+        let mut desired = Desired {
+            generation: 7,
+            ..Desired::nothing()
+        };
+        change(&mut desired);
+        desired
+    };
+    for (desired, text, knob) in [
+        (
+            desired(&|d| d.knob = Some(u)),
+            r#"{"v":1,"generation":7,"knob":{"u":0.0005}}"#,
+            Some(u),
+        ),
+        (
+            desired(&|d| d.target = Some(Target::SkipRate(0.5))),
+            r#"{"v":1,"generation":7,"target":{"skip_rate":0.5}}"#,
+            None,
+        ),
+        (
+            desired(&|d| d.hold_nothing = true),
+            r#"{"v":1,"generation":7,"hold_nothing":true}"#,
+            None,
+        ),
+    ] {
+        assert_eq!(serde_json::to_string(&desired).unwrap(), text);
+        assert_eq!(read::<Desired>(text.as_bytes()).unwrap(), desired);
+        let before: Before = read(text.as_bytes()).unwrap();
+        assert_eq!((before.generation, before.knob), (7, knob));
+    }
+}
+
+#[test]
+fn a_status_tells_what_is_held_and_one_of_the_version_before_that_it_knows_no_targets() {
+    let text = include_str!("../../../tests/fixtures/messages/0.1.0/status-full.json");
+    let mut status: StatusMessage = read(text.as_bytes()).unwrap();
+    let full = status.full.as_mut().unwrap();
+    assert_eq!((full.takes_targets, full.target), (false, None));
+    let before = serde_json::to_value(&*full).unwrap();
+    full.takes_targets = true;
+    full.target_off = Some("the knob was set by hand".to_owned());
+    full.target = Some(TargetStatus {
+        target: Target::Recall(0.9),
+        source: KnobSource::Hub,
+        standing: Some(Standing::CannotBeMet),
+        actual: Some(0.8),
+    });
+    let now = serde_json::to_value(&*full).unwrap();
+    let added: Vec<_> = (now.as_object().unwrap().iter())
+        .filter(|(name, _)| before.get(name.as_str()).is_none())
+        .map(|(name, value)| format!("{name} {value}"))
+        .collect();
+    assert_eq!(
+        added,
+        [
+            r#"target {"actual":0.8,"source":"hub","standing":"cannot_be_met","target":{"recall":0.9}}"#,
+            r#"target_off "the knob was set by hand""#,
+            "takes_targets true",
+        ]
+    );
+}

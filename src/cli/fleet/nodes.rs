@@ -2,7 +2,7 @@
 
 use super::client::Failure;
 use super::table::{Table, WIDTH, cut};
-use super::units::{ago, figure, knob, now_ms, seconds};
+use super::units::{ago, figure, knob, now_ms, seconds, setting, target_words};
 use super::{Context, Ended};
 use anyhow::anyhow;
 use serde_json::{Value, json};
@@ -108,8 +108,11 @@ pub(super) async fn list(context: &Context, arguments: ListArguments) -> Result<
     Ok(Ended::Well)
 }
 
-/// The value in force, as far as all cameras have the same.
+/// The target that is held; else the value in force, as far as all cameras have the same.
 fn value(node: &Value) -> String {
+    if node["status"]["target"].is_object() {
+        return setting(&node["status"]["target"]);
+    }
     let cameras = node["status"]["cameras"]
         .as_array()
         .map(Vec::as_slice)
@@ -212,12 +215,16 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<
                 ),
             );
         }
+        line("target", target(status));
         for camera in status["cameras"].as_array().into_iter().flatten() {
-            let source = said(&camera["knob_source"]);
+            let source = match status["target"].is_object() {
+                true => "moved by the target".to_owned(),
+                false => format!("from {}", said(&camera["knob_source"])),
+            };
             line(
                 "camera",
                 format!(
-                    "{}: {}, {} (from {source})",
+                    "{}: {}, {} ({source})",
                     said(&camera["name"]),
                     said(&camera["state"]),
                     knob(camera)
@@ -227,6 +234,29 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<
         text
     })?;
     Ok(Ended::Well)
+}
+
+/// What a node holds and where that stood when it told; else why it holds nothing any more.
+fn target(status: &Value) -> String {
+    let held = &status["target"];
+    let said = |value: &Value| value.as_str().unwrap_or_default().replace('_', " ");
+    match (held.is_object(), status["target_off"].as_str()) {
+        (true, _) => {
+            let actual =
+                (held["actual"].as_f64()).map(|actual| format!(", now {}", figure(actual)));
+            format!(
+                "{}{}, {} (from {})",
+                target_words(&held["target"]),
+                actual.unwrap_or_default(),
+                held["standing"]
+                    .as_str()
+                    .map_or("begins".to_owned(), |_| said(&held["standing"])),
+                said(&held["source"]),
+            )
+        }
+        (false, Some(off)) => format!("none: {off}"),
+        (false, None) => String::new(),
+    }
 }
 
 pub(super) async fn energy(

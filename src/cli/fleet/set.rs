@@ -1,8 +1,8 @@
-//! `set-u`, `changes`, `drift`.
+//! `set-u`, `set-target`, `changes`, `drift`.
 
 use super::client::Failure;
 use super::table::Table;
-use super::units::{ago, knob, seconds};
+use super::units::{ago, seconds, setting, target};
 use super::{Context, Ended};
 use serde_json::{Value, json};
 
@@ -11,12 +11,30 @@ use serde_json::{Value, json};
 pub(super) struct Arguments {
     /// The value.
     value: f64,
-    /// Which nodes; may be given several times.
-    #[arg(long, required = true, value_name = "SELECTOR")]
-    select: Vec<String>,
     /// The knob's name, for nodes under another policy.
     #[arg(long, default_value = "u")]
     knob: String,
+    #[command(flatten)]
+    order: Order,
+}
+
+/// Arguments of `albireo fleet set-target`.
+#[derive(Debug, clap::Args)]
+pub(super) struct TargetArguments {
+    /// What is to be held: skip_rate=0.5, recall=0.9, detector_ms_per_s=300, watts=6 or joules_per_day=500000, also as JSON
+    /// ('{"skip_rate": 0.5}'); or off.
+    #[arg(value_parser = target)]
+    target: Value,
+    #[command(flatten)]
+    order: Order,
+}
+
+/// For whom an order is, and how it is followed.
+#[derive(Debug, clap::Args)]
+struct Order {
+    /// Which nodes; may be given several times.
+    #[arg(long, required = true, value_name = "SELECTOR")]
+    select: Vec<String>,
     /// Only say who would change.
     #[arg(long)]
     dry_run: bool,
@@ -29,28 +47,45 @@ pub(super) struct Arguments {
 }
 
 pub(super) async fn set(context: &Context, arguments: Arguments) -> Result<Ended, Failure> {
+    let what = (arguments.knob.as_str(), json!(arguments.value));
+    order(context, "/api/v1/threshold", what, arguments.order).await
+}
+
+pub(super) async fn set_target(
+    context: &Context,
+    arguments: TargetArguments,
+) -> Result<Ended, Failure> {
+    let what = ("target", arguments.target);
+    order(context, "/api/v1/target", what, arguments.order).await
+}
+
+/// Orders it, and prints each node's outcome as it comes.
+async fn order(
+    context: &Context,
+    path: &str,
+    (name, value): (&str, Value),
+    order: Order,
+) -> Result<Ended, Failure> {
     let mut body = json!({
-        "select": arguments.select,
-        "dry_run": arguments.dry_run,
-        "why": arguments.why,
-        "wait_s": arguments.wait,
+        "select": order.select,
+        "dry_run": order.dry_run,
+        "why": order.why,
+        "wait_s": order.wait,
     });
-    body[&arguments.knob] = json!(arguments.value);
+    body[name] = value;
     let (mut counts, mut change, mut shown) = (Value::Null, Value::Null, 0);
-    let lines = context
-        .client
-        .put_lines("/api/v1/threshold", &body, |line| {
-            if context.json {
-                println!("{line}");
-            }
-            if let Some(last) = line.get("counts") {
-                (counts, change) = (last.clone(), line["change"].clone());
-            } else if !context.json {
-                println!("{}", outcome(&line));
-                shown += 1;
-            }
-            Ok(())
-        });
+    let lines = context.client.put_lines(path, &body, |line| {
+        if context.json {
+            println!("{line}");
+        }
+        if let Some(last) = line.get("counts") {
+            (counts, change) = (last.clone(), line["change"].clone());
+        } else if !context.json {
+            println!("{}", outcome(&line));
+            shown += 1;
+        }
+        Ok(())
+    });
     lines.await?;
     if !context.json {
         let counted: Vec<String> = counts
@@ -75,8 +110,8 @@ fn outcome(line: &Value) -> String {
         "{:<24} {:<12} {:>9} -> {:<9} {detail}",
         line["node"].as_str().unwrap_or("?"),
         line["outcome"].as_str().unwrap_or("?").replace('_', " "),
-        knob(&line["from"]),
-        knob(&line["to"]),
+        setting(&line["from"]),
+        setting(&line["to"]),
     );
     super::table::cut(text.trim_end(), super::table::WIDTH)
 }
@@ -121,7 +156,7 @@ pub(super) async fn changes(
                 table.row([
                     node["node"].as_str().unwrap_or("?").to_owned(),
                     node["outcome"].as_str().unwrap_or("?").replace('_', " "),
-                    knob(&node["from"]),
+                    setting(&node["from"]),
                     format!("{} ago", ago(node["at_ms"].as_i64().unwrap_or(0))),
                     node["detail"].as_str().unwrap_or_default().to_owned(),
                 ]);
@@ -149,7 +184,7 @@ fn list(changes: &Value) -> String {
             format!("{} ago", ago(change["at_ms"].as_i64().unwrap_or(0))),
             change["who"].as_str().unwrap_or("?").to_owned(),
             change["origin"].as_str().unwrap_or("?").to_owned(),
-            knob(&change["to"]),
+            setting(&change["to"]),
             counts.join(", "),
             change["why"].as_str().unwrap_or_default().to_owned(),
         ]);
@@ -164,14 +199,15 @@ pub(super) async fn drift(context: &Context) -> Result<Ended, Failure> {
         if nodes.is_empty() {
             return "every node that took a desired value still has it\n".to_owned();
         }
-        let mut table = Table::new(&["node", "since", ">desired", ">in force", ">set back"]);
+        let mut table = Table::new(&["node", "since", ">desired", ">in force", ">set back", "why"]);
         for node in nodes {
             table.row([
                 node["node"].as_str().unwrap_or("?").to_owned(),
                 format!("{} ago", ago(node["since_ms"].as_i64().unwrap_or(0))),
-                knob(&node["desired"]),
-                knob(&node["in_force"]),
+                setting(&node["desired"]),
+                setting(&node["in_force"]),
                 node["set_back"].to_string(),
+                node["why"].as_str().unwrap_or_default().to_owned(),
             ]);
         }
         table.to_string()

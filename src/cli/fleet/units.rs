@@ -53,19 +53,25 @@ pub(super) fn figure(value: f64) -> String {
     }
 }
 
+/// Six digits of a number are all that anybody reads: a controller's values have more.
+fn rounded(number: f64) -> f64 {
+    format!("{number:.5e}").parse().unwrap_or(number)
+}
+
 /// A knob's value: the one field of the object that is a number. `5e-4`, with its name unless it is `u`.
 pub(super) fn knob(value: &serde_json::Value) -> String {
-    const NAMES: [&str; 6] = [
+    const NAMES: [&str; 7] = [
         "u",
         "lambda",
         "n",
         "threshold",
         "component_size",
         "skip_rate",
+        "drift",
     ];
     let found = NAMES
         .iter()
-        .find_map(|name| Some((*name, value.get(name)?.as_f64()?)));
+        .find_map(|name| Some((*name, rounded(value.get(name)?.as_f64()?))));
     match found {
         Some((name, number)) => {
             let number = if (0.001..1e6).contains(&number.abs()) || number == 0.0 {
@@ -81,6 +87,45 @@ pub(super) fn knob(value: &serde_json::Value) -> String {
         }
         None => "-".to_owned(),
     }
+}
+
+/// What was ordered of a node, or what it has: a knob's value as [`knob`] writes it, `hold skip_rate 0.5` for a target.
+pub(super) fn setting(value: &serde_json::Value) -> String {
+    match value.get("target") {
+        None => knob(value),
+        Some(serde_json::Value::Null) => "hold nothing".to_owned(),
+        Some(target) => format!("hold {}", target_words(target)),
+    }
+}
+
+/// A target: `skip_rate 0.5`.
+pub(super) fn target_words(target: &serde_json::Value) -> String {
+    let fields = target.as_object().into_iter().flatten();
+    let fields: Vec<String> = fields
+        .map(|(name, value)| match value.as_f64() {
+            Some(number) => format!("{name} {number}"),
+            None => format!("{name} {value}"),
+        })
+        .collect();
+    fields.join(" ")
+}
+
+/// Reads a target as JSON for a hub: `skip_rate=0.5`, `{"skip_rate": 0.5}`, or `off`, which is null.
+pub(super) fn target(text: &str) -> Result<serde_json::Value, String> {
+    const FORMS: &str = "write NAME=VALUE with recall, skip_rate, detector_ms_per_s, watts or joules_per_day, for \
+                         instance skip_rate=0.5; or off";
+    if text == "off" {
+        return Ok(serde_json::Value::Null);
+    }
+    if text.starts_with('{') {
+        let value: serde_json::Value =
+            serde_json::from_str(text).map_err(|error| format!("{error}; {FORMS}"))?;
+        return Ok(value.get("target").cloned().unwrap_or(value));
+    }
+    let (name, value) = text.split_once('=').ok_or(FORMS)?;
+    let number: f64 = (value.trim().parse())
+        .map_err(|_| format!("`{}` is not a number; {FORMS}", value.trim()))?;
+    Ok(serde_json::json!({ name.trim(): number }))
 }
 
 #[cfg(test)]
@@ -116,5 +161,32 @@ mod tests {
         }
         assert_eq!(knob(&serde_json::json!({"node": "n", "u": 5e-4})), "5e-4");
         assert_eq!(knob(&serde_json::json!({"lambda": 0.3})), "lambda 0.3");
+        let moved = serde_json::json!({"lambda": 0.2901719359159484});
+        assert_eq!(knob(&moved), "lambda 0.290172");
+    }
+
+    #[test]
+    fn a_target_is_written_as_advise_takes_it_as_json_or_off() {
+        use serde_json::json;
+        for (text, expected) in [
+            ("skip_rate=0.5", json!({"skip_rate": 0.5})),
+            (" recall = 0.9".trim(), json!({"recall": 0.9})),
+            (r#"{"watts": 3}"#, json!({"watts": 3})),
+            (r#"{"target": {"watts": 3}}"#, json!({"watts": 3})),
+            (r#"{"target": null}"#, json!(null)),
+            ("off", json!(null)),
+        ] {
+            assert_eq!(target(text), Ok(expected), "{text}");
+        }
+        for wrong in ["", "0.5", "recall=much", "{recall}"] {
+            let error = target(wrong).unwrap_err();
+            assert!(error.contains("NAME=VALUE"), "{wrong}: {error}");
+        }
+        assert_eq!(
+            setting(&json!({"target": {"skip_rate": 0.5}})),
+            "hold skip_rate 0.5"
+        );
+        assert_eq!(setting(&json!({"target": null})), "hold nothing");
+        assert_eq!(setting(&json!({"u": 5e-4})), "5e-4");
     }
 }

@@ -49,7 +49,7 @@ export interface paths {
         };
         /**
          * The history of changes
-         * @description Who ordered which value for whom, why, and what became of it.
+         * @description Who ordered which value or target for whom, why, and what became of it.
          */
         get: {
             parameters: {
@@ -322,8 +322,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * Nodes whose value is not the desired one
-         * @description They had taken it, and it was changed at the node since.
+         * Nodes that have something else than what is desired
+         * @description They had taken it, and it was changed at the node since: another value, another target, or none any more.
          */
         get: {
             parameters: {
@@ -1034,6 +1034,66 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/api/v1/target": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        /**
+         * Sets a target on selected nodes, in the place of a threshold
+         * @description It holds at a node when the node **reports** it; where it stands is in the node's status. A threshold that is ordered
+         *     or set at the node later switches it off. Otherwise as `/api/v1/threshold`.
+         *     `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
+         */
+        put: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody: {
+                content: {
+                    "application/json": components["schemas"]["TargetRequest"];
+                };
+            };
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["OrderAnswer"];
+                    };
+                };
+                503: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+                "4XX": {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/problem+json": components["schemas"]["Problem"];
+                    };
+                };
+            };
+        };
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/threshold": {
         parameters: {
             query?: never;
@@ -1045,7 +1105,8 @@ export interface paths {
         /**
          * Sets a value on selected nodes
          * @description It holds at a node when the node **reports** it. `Accept: application/x-ndjson` streams each node's outcome as it comes; otherwise
-         *     the answer waits a few seconds for the nodes. Nodes out of reach find the value on their return.
+         *     the answer waits a few seconds for the nodes. Nodes out of reach find the value on their return. A node that holds a target
+         *     holds it no more.
          *     `curl -X PUT -d '{"u": 5e-4, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/threshold`
          */
         put: {
@@ -1066,7 +1127,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["ThresholdAnswer"];
+                        "application/json": components["schemas"]["OrderAnswer"];
                     };
                 };
                 503: {
@@ -1576,9 +1637,9 @@ export interface components {
              */
             at_ms: number;
             detail?: string;
-            /** @description The value before. */
+            /** @description What it had before: a value under its knob's name, or a target. */
             from?: {
-                [key: string]: number;
+                [key: string]: unknown;
             } | null;
             node: string;
             outcome: string;
@@ -1592,7 +1653,7 @@ export interface components {
             at_ms: number;
             /**
              * Format: int64
-             * @description Its number: the generation of the value.
+             * @description Its number: the generation of what was ordered.
              */
             change: number;
             /** @description How many nodes have which outcome. */
@@ -1603,9 +1664,9 @@ export interface components {
             origin: string;
             /** @description Who was selected; empty where a rollout or trial chose. */
             select: string;
-            /** @description The value. */
+            /** @description What was ordered: a value under its knob's name, or `target` with a target or null. */
             to: {
-                [key: string]: number;
+                [key: string]: unknown;
             };
             /** @description Who: the name of the token. */
             who: string;
@@ -1700,15 +1761,15 @@ export interface components {
              */
             watts: number;
         };
-        /** @description A node whose value in force is not the desired one, although it had taken it. */
+        /** @description A node that has not what is desired of it, although it had taken it. */
         Drift: {
-            /** @description The value desired. */
+            /** @description What is desired: a value under its knob's name, or a target. */
             desired: {
-                [key: string]: number;
+                [key: string]: unknown;
             };
-            /** @description The value in force; absent where the cameras differ. */
+            /** @description What it has; absent where the cameras differ. */
             in_force?: {
-                [key: string]: number;
+                [key: string]: unknown;
             } | null;
             /** @description The node. */
             node: string;
@@ -1719,6 +1780,8 @@ export interface components {
             set_back: number;
             /** @description Since when the hub knows, milliseconds since the Unix epoch. */
             since_ms: components["schemas"]["i64"];
+            /** @description Why it holds its target no more, in its own words. */
+            why?: string | null;
         };
         /** @description Frames that were not processed, each kind under its own name. */
         DroppedFrames: {
@@ -2132,7 +2195,7 @@ export interface components {
         /** @description One node of a rollout or trial. */
         Member: components["schemas"]["Outcome"] & {
             /** @description The target that it was last asked for. */
-            asked: components["schemas"]["Target"];
+            asked: components["schemas"]["MemberTarget"];
             /** @description When it was asked. */
             asked_ms: components["schemas"]["i64"];
             /** @description The value it had at the beginning. */
@@ -2149,8 +2212,13 @@ export interface components {
             /** @description Its name. */
             node: string;
             /** @description What it is to have. */
-            target: components["schemas"]["Target"];
+            target: components["schemas"]["MemberTarget"];
         };
+        /**
+         * @description What a node is to have.
+         * @enum {string}
+         */
+        MemberTarget: "untouched" | "new" | "old";
         /** @description A node with its instances. */
         NodeDetail: components["schemas"]["NodeView"] & {
             /**
@@ -2190,7 +2258,11 @@ export interface components {
             /** @description Execution provider that really runs it; absent until the model is loaded. */
             provider?: string | null;
             refused?: components["schemas"]["RefusedDesired"] | null;
+            /** @description The program takes targets from the hub; one that does not say so is of a version that passes over them. */
+            takes_targets?: boolean;
             target?: components["schemas"]["TargetStatus"] | null;
+            /** @description Why it holds nothing any more, in words, where it did since its start. */
+            target_off?: string | null;
             /** @description Version of the program. */
             version: string;
         };
@@ -2233,6 +2305,22 @@ export interface components {
          * @enum {string}
          */
         OnFailure: "return" | "hold";
+        /** @description What an order came to. */
+        OrderAnswer: {
+            /**
+             * Format: int64
+             * @description Number of the order: `/api/v1/changes/{change}` tells how it went on. Absent in a dry run, and when nobody was to change.
+             */
+            change?: number | null;
+            /** @description How many nodes have which outcome. */
+            counts: {
+                [key: string]: number;
+            };
+            /** @description Whether nothing was done. */
+            dry_run: boolean;
+            /** @description Each node. */
+            nodes: components["schemas"]["OutcomeLine"][];
+        };
         /** @description The outbox of a [`NodeStatus`]. */
         OutboxStatus: {
             /** @description Whether reports survive a power loss; `false` without a state directory or when its disk fails. */
@@ -2279,9 +2367,9 @@ export interface components {
         OutcomeLine: {
             /** @description Why, where there is something to say. */
             detail?: string;
-            /** @description The value in force before, if it was known. */
+            /** @description What it had before, if that was known: a value under its knob's name, or a target. */
             from?: {
-                [key: string]: number;
+                [key: string]: unknown;
             } | null;
             /** @description The node. */
             node: string;
@@ -2290,9 +2378,9 @@ export interface components {
              *     has the value already, `would_change` in a dry run.
              */
             outcome: string;
-            /** @description The value ordered. */
+            /** @description What was ordered: a value under its knob's name, or a target. */
             to: {
-                [key: string]: number;
+                [key: string]: unknown;
             };
         };
         /** @description Where a rollout is. */
@@ -2713,11 +2801,38 @@ export interface components {
              */
             report?: number | null;
         };
-        /**
-         * @description What a node is to have.
-         * @enum {string}
-         */
-        Target: "untouched" | "new" | "old";
+        /** @description What is to be held. As JSON one field: `{"skip_rate": 0.5}`. */
+        Target: {
+            /**
+             * Format: double
+             * @description Recall against the detector: the lower end of its interval is held at this.
+             */
+            recall: number;
+        } | {
+            /**
+             * Format: double
+             * @description Share of frames that skip the detector.
+             */
+            skip_rate: number;
+        } | {
+            /**
+             * Format: double
+             * @description Time that the detector works for frames, milliseconds a second; the audit's is not in it.
+             */
+            detector_ms_per_s: number;
+        } | {
+            /**
+             * Format: double
+             * @description Mean power of the node, watts.
+             */
+            watts: number;
+        } | {
+            /**
+             * Format: double
+             * @description Energy of the node, joules a day, at the power of now.
+             */
+            joules_per_day: number;
+        };
         /** @description Where the target of a node stands. */
         TargetReport: {
             /** @description Why there is none, in words, where there was one. */
@@ -2734,6 +2849,21 @@ export interface components {
             v: number;
             /** @description The same in words. */
             why?: string | null;
+        };
+        /** @description What selected nodes are to hold in the place of their knobs' numbers. */
+        TargetRequest: {
+            /** @description Only say who would change. */
+            dry_run?: boolean;
+            /** @description Which nodes: names, globs, labels, `all`. */
+            select: string[];
+            target: components["schemas"]["Target"] | null;
+            /**
+             * Format: double
+             * @description How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
+             */
+            wait_s?: number | null;
+            /** @description Why; stands in the history. */
+            why?: string;
         };
         /** @description Where a target stands. */
         TargetState: {
@@ -2777,22 +2907,6 @@ export interface components {
             standing?: components["schemas"]["Standing"] | null;
             /** @description What is to be held. */
             target: components["schemas"]["Target"];
-        };
-        /** @description What an order came to. */
-        ThresholdAnswer: {
-            /**
-             * Format: int64
-             * @description Number of the order: `/api/v1/changes/{change}` tells how it went on. Absent in a dry run, and when nobody was to change.
-             */
-            change?: number | null;
-            /** @description How many nodes have which outcome. */
-            counts: {
-                [key: string]: number;
-            };
-            /** @description Whether nothing was done. */
-            dry_run: boolean;
-            /** @description Each node. */
-            nodes: components["schemas"]["OutcomeLine"][];
         };
         /** @description A value for selected nodes. Beside these fields stands the value under its knob's name: `"u": 5e-4`. */
         ThresholdRequest: {

@@ -1920,6 +1920,11 @@ export interface components {
              * @description Number of this desired value; a lower one never replaces a higher. 0 when nothing was ever desired.
              */
             generation: number;
+            /**
+             * @description Nothing is to be held in the place of the knob's number: what is held is switched off, and the knob stays where it
+             *     is. Never beside `knob` or `target`.
+             */
+            hold_nothing?: boolean;
             /** @description The knob's value; absent when nothing is desired of it. */
             knob?: {
                 [key: string]: number;
@@ -2417,7 +2422,11 @@ export interface components {
             /** @description Execution provider that really runs it; absent until the model is loaded. */
             provider?: string | null;
             refused?: components["schemas"]["RefusedDesired"] | null;
+            /** @description The program takes targets from the hub; one that does not say so is of a version that passes over them. */
+            takes_targets?: boolean;
             target?: components["schemas"]["TargetStatus"] | null;
+            /** @description Why it holds nothing any more, in words, where it did since its start. */
+            target_off?: string | null;
             /** @description Version of the program. */
             version: string;
         };

@@ -2,9 +2,9 @@
 
 import { useState } from "preact/hooks";
 import { json } from "../shared/api";
-import { count, dateTime, plural, small } from "../shared/format";
+import { count, dateTime, plural } from "../shared/format";
 import { Section } from "../shared/parts";
-import { Fault, Knob, Outcomes, outcomeWords, useLoaded } from "./parts";
+import { Fault, Knob, Outcomes, outcomeWords, settingText, useLoaded } from "./parts";
 import { href } from "./route";
 import type { ChangeDetail, ChangeView, Drift, SetAside } from "./types";
 
@@ -28,12 +28,13 @@ export function Changes() {
   return (
     <>
       {drift.value && drift.value.length > 0 && (
-        <Section id="drift" title="Nodes whose value was changed at the node" wide aside={<span class="quiet">{plural(drift.value.length, "node")}</span>}>
+        <Section id="drift" title="Nodes that were changed at the node" wide aside={<span class="quiet">{plural(drift.value.length, "node")}</span>}>
           <ul class="events">
             {drift.value.slice(0, 100).map((one) => (
               <li key={one.node}>
                 <a href={href(["nodes", one.node])}>{one.node}</a> desired <Knob value={one.desired} />, in force{" "}
                 {one.in_force ? <Knob value={one.in_force} /> : "not the same on all cameras"}, since {dateTime(one.since_ms)}
+                {one.why ? `: ${one.why}` : ""}
                 {one.set_back ? `, set back ${one.set_back} times` : ""}
               </li>
             ))}
@@ -95,7 +96,7 @@ export function Change({ id }: { id: string }) {
             {nodes.slice(0, 300).map((node) => (
               <li key={node.node}>
                 <a href={href(["nodes", node.node])}>{node.node}</a> {outcomeWords(node.outcome)}
-                {node.from ? ` (from ${small(Object.values(node.from)[0])})` : ""}
+                {node.from ? ` (from ${settingText(node.from)})` : ""}
                 {node.detail ? `: ${node.detail}` : ""} <time class="quiet">{dateTime(node.at_ms)}</time>
               </li>
             ))}

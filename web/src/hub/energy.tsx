@@ -32,7 +32,8 @@ export function beginnings(span: Span, now: number): number[] {
   return Array.from({ length: span.points }, (_, index) => last - (span.points - 1 - index) * span.step);
 }
 
-type Point = { at: number; groups: EnergyGroup[] };
+type Point = { at: number } & Found;
+type Found = { groups: EnergyGroup[]; audit?: Energy["audit"] };
 
 /** One answer for each point, four at a time; what lies behind is read once. */
 function usePoints(span: Span): { points: Point[]; fault: string } {
@@ -40,7 +41,7 @@ function usePoints(span: Span): { points: Point[]; fault: string } {
   const [fault, setFault] = useState("");
   useEffect(() => {
     const stop = new AbortController();
-    const known = new Map<number, EnergyGroup[]>();
+    const known = new Map<number, Found>();
     const look = async () => {
       const times = beginnings(span, Date.now());
       const open = times.at(-1)!;
@@ -49,12 +50,12 @@ function usePoints(span: Span): { points: Point[]; fault: string } {
       const work = async () => {
         for (let at = missing.pop(); at !== undefined; at = missing.pop()) {
           const found = await json<Energy>(`/api/v1/energy?by=all&since_ms=${at}&until_ms=${at + span.step}`, { signal: stop.signal });
-          known.set(at, found.groups);
+          known.set(at, found);
         }
       };
       try {
         await Promise.all([work(), work(), work(), work()]);
-        setPoints(times.map((at) => ({ at, groups: known.get(at) ?? [] })));
+        setPoints(times.map((at) => ({ at, groups: known.get(at)?.groups ?? [], audit: known.get(at)?.audit })));
         setFault("");
       } catch (error) {
         if (!stop.signal.aborted) setFault(error instanceof Error ? error.message : String(error));
@@ -93,6 +94,10 @@ export function EnergyView() {
     ],
     [points],
   );
+  const recall = useMemo((): uPlot.AlignedData => {
+    const of = (end: "low" | "rate" | "high") => points.map(({ audit }) => audit?.all.recall?.[end] ?? null);
+    return [times, of("rate"), of("low"), of("high")];
+  }, [points]);
   return (
     <>
       <Section
@@ -127,6 +132,22 @@ export function EnergyView() {
           />
         )}
       </Section>
+      {points.some(({ audit }) => audit?.all.recall) && (
+        <Section id="recall" title="Recall against the detector over time" wide aside={<span class="quiet">against the detector, not the truth</span>}>
+          <Chart
+            data={recall}
+            label={`Share of the detector's boxes on audited skipped frames that had been shown, ${span.words}`}
+            lines={[
+              { label: "recall against the detector", colour: "--state-p" },
+              { label: "from (95 %)", colour: "--quiet", dash: [6, 4] },
+              { label: "to", colour: "--quiet", dash: [6, 4] },
+            ]}
+            value={(value) => percent(value, 0)}
+            range={[0, 1]}
+            sync="energy"
+          />
+        </Section>
+      )}
       <Section id="by-knob" title={`By policy and value, ${span.words}`} wide>
         <Fault text={by.fault} />
         <EnergyTable energy={by.value} />

@@ -5,6 +5,7 @@ import type { JSX } from "preact";
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
 import { ago, count, dateTime, joules, plural, small } from "../shared/format";
 import { Section } from "../shared/parts";
+import { nameAndValue } from "../shared/target";
 import { Fault, Presence } from "./parts";
 import { href, refine, route } from "./route";
 import { names, Rows, type Filter } from "./rows";
@@ -187,6 +188,8 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
     );
   }
   const knob = knobOf(node);
+  const value = knob ? (knob.values.length === 1 ? `${knob.name} = ${small(knob.values[0])}` : `${knob.name}: ${knob.values.length} values`) : "–";
+  const held = nameAndValue(node.status?.target?.target);
   const heard = node.heard_ms ? (Date.now() - node.heard_ms) / 1000 : undefined;
   const since = Math.max(0, (Date.now() - node.since_ms) / 1000);
   const labels = Object.entries(node.status?.labels ?? {}).map(([label, value]) => `${label}=${value}`).join(" ");
@@ -213,8 +216,8 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
       <span role="cell" class="c-heard">
         {heard === undefined ? "never" : ago(Math.max(0, heard))}
       </span>
-      <span role="cell" class="c-knob">
-        {knob ? (knob.values.length === 1 ? `${knob.name} = ${small(knob.values[0])}` : `${knob.name}: ${knob.values.length} values`) : "–"}
+      <span role="cell" class="c-knob" title={held && `now ${value}`}>
+        {held ? `hold ${held[0]} = ${small(held[1])}` : value}
       </span>
       <span role="cell" class="c-provider">
         {node.status?.provider ?? "–"}

@@ -2,9 +2,10 @@
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { answer, follow, pause } from "../shared/api";
-import { count, percent, watts } from "../shared/format";
+import { count, duration, percent, small, watts } from "../shared/format";
 import { Fault, Figure, Quality, Section } from "../shared/parts";
-import type { CountersMessage } from "./types";
+import { heldText } from "../shared/target";
+import type { CountersMessage, TargetReport } from "./types";
 
 /** Shortest time between two pictures: they go over the node's uplink. */
 const PICTURE_MS = 2000;
@@ -61,12 +62,26 @@ export function Live({ node }: { node: string }) {
     >
       <Fault text={fault} />
       {cameras.size === 0 && !fault && <p class="message quiet">Waiting for the node to hear that it is watched.</p>}
+      <Held report={[...cameras.values()][0]?.at(-1)?.target} />
       <div class="live">
         {[...cameras].map(([camera, samples]) => (
           <Camera key={camera} path={`/api/v1/nodes/${at}/cameras/${encodeURIComponent(camera)}/frame.jpg`} samples={samples} />
         ))}
       </div>
     </Section>
+  );
+}
+
+/** What the node holds, and where that stands now. */
+function Held({ report }: { report: TargetReport | null | undefined }) {
+  if (!report?.target) return null;
+  const { state, range } = report;
+  return (
+    <p class="message" id="held-now">
+      Holds <b>{heldText(report.target)}</b>, now <b>{small(state?.actual)}</b>: {report.why ?? "it begins"}. The knob stands at{" "}
+      <b>{small(state?.knob)}</b> of {small(range?.least)} to {small(range?.most)}.
+      {state && state.unmet > 0 && ` It could not be met for ${duration(state.unmet_s)} in all.`}
+    </p>
   );
 }
 

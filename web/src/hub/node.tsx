@@ -2,15 +2,32 @@
 
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
 import { Pill, Quality, Section } from "../shared/parts";
+import { heldText } from "../shared/target";
 import { Download, Fault, Knob, Outcomes, Presence, useLoaded } from "./parts";
 import { Live } from "./live";
 import { href } from "./route";
 import { selected } from "./fleet";
 import { Tune } from "./tune";
 import { useEffect } from "preact/hooks";
-import type { ChangeView, Energy, NodeDetail, StoredClip } from "./types";
+import type { ChangeView, Energy, NodeDetail, StoredClip, TargetStatus } from "./types";
 
 const WEEK_MS = 7 * 86_400_000;
+
+/** Why the knob stands where it stands. */
+const STANDING: Record<NonNullable<TargetStatus["standing"]>, string> = {
+  measuring: "too little has been measured yet",
+  moving: "on the way to the target",
+  held: "the target is held",
+  more_than_kept: "more than kept, at the end of the range",
+  cannot_be_met: "it cannot be met inside the knob's range",
+  no_frames: "no frames come",
+  no_power: "there is no figure of power",
+  no_audit: "nothing is audited",
+};
+
+function setBy(source: string): string {
+  return source === "hub" ? "the hub" : source === "local" ? "somebody at the node" : "its configuration";
+}
 
 export function Node({ name }: { name: string }) {
   const at = encodeURIComponent(name);
@@ -75,6 +92,14 @@ export function Node({ name }: { name: string }) {
                 </>
               )}
             </dl>
+            {status?.target && (
+              <p class="message" id="held">
+                Holds <b>{heldText(status.target.target)}</b>
+                {typeof status.target.actual === "number" && <>, <b>{small(status.target.actual)}</b> when it told</>}:{" "}
+                {status.target.standing ? STANDING[status.target.standing] : "it begins"}; set by {setBy(status.target.source)}.
+              </p>
+            )}
+            {status?.target_off && <p class="message wait" id="held">Holds no target any more: {status.target_off}.</p>}
             <h3>Cameras</h3>
             <ul class="tiles">
               {(status?.cameras ?? []).map((camera) => {
@@ -85,7 +110,8 @@ export function Node({ name }: { name: string }) {
                     <Pill mood={state === "live" ? "good" : state === "stale" ? "bad" : "wait"}>{String(state).replace("_", " ")}</Pill>
                     <br />
                     <span class="quiet">
-                      <Knob value={knob} />, set by {knob_source === "hub" ? "the hub" : knob_source === "local" ? "somebody at the node" : "its configuration"}
+                      <Knob value={knob} />
+                      {status?.target ? ", moved by its target" : `, set by ${setBy(String(knob_source))}`}
                     </span>
                   </li>
                 );

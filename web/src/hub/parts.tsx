@@ -5,6 +5,7 @@ import { useEffect, useState } from "preact/hooks";
 import { json } from "../shared/api";
 import { small } from "../shared/format";
 import { Pill, type Mood } from "../shared/parts";
+import { nameAndValue } from "../shared/target";
 
 export { Download, Fault } from "../shared/parts";
 import { changedSlowly } from "./store";
@@ -52,8 +53,16 @@ export function Outcomes({ counts }: { counts: Record<string, number> }) {
 
 /** `u = 3.0×10⁻⁴` of `{"u": 3e-4}`. */
 export function Knob({ value }: { value: object | null | undefined }) {
-  const [name, number] = Object.entries(value ?? {})[0] ?? [];
-  return name === undefined ? <>–</> : <span class="nowrap">{`${name} = ${small(number as number)}`}</span>;
+  return <span class="nowrap">{settingText(value)}</span>;
+}
+
+/** What was ordered of a node, or what it has: `u = 3.0×10⁻⁴`, `hold skip_rate = 0.5` of `{"target": {"skip_rate": 0.5}}`. */
+export function settingText(value: object | null | undefined): string {
+  const [name, found] = Object.entries(value ?? {})[0] ?? [];
+  if (name === undefined) return "–";
+  if (name !== "target") return `${name} = ${small(found as number)}`;
+  const held = nameAndValue(found as object | null);
+  return held ? `hold ${held[0]} = ${small(held[1])}` : "hold nothing";
 }
 
 /** An interval on a line with its bound at zero: where it lies is seen before it is read. */

@@ -1,15 +1,16 @@
-// Setting a value on selected nodes, with the outcome at each as it comes.
+// Setting a value or a target on selected nodes, with the outcome at each as it comes.
 
 import { signal } from "@preact/signals";
 import { useState } from "preact/hooks";
 import { answer, send } from "../shared/api";
 import { parsed, plural, small } from "../shared/format";
 import { Section, whyNot } from "../shared/parts";
+import { TARGETS } from "../shared/target";
 import { selected } from "./fleet";
-import { Fault, Field, Outcomes, outcomeWords } from "./parts";
+import { Fault, Field, Outcomes, outcomeWords, settingText } from "./parts";
 import { href, route } from "./route";
 import { lookSoon } from "./store";
-import type { OutcomeLine, ThresholdAnswer } from "./types";
+import type { OrderAnswer, OutcomeLine } from "./types";
 
 /** Lines of outcomes that are shown; the counts have them all. */
 const SHOWN = 100;
@@ -35,10 +36,34 @@ export class LineParser {
   }
 }
 
+/** What stands before the name of a target among the names of knobs, one of which is called the same. */
+const HOLD = "hold ";
+const NOTHING = `${HOLD}nothing`;
+
+/** Where an order goes, and what of its body says what is ordered; nothing while a number is missing. */
+export function ordered(what: string, number: number | undefined): { path: string; fields: Record<string, unknown> } | undefined {
+  const path = what.startsWith(HOLD) ? "/api/v1/target" : "/api/v1/threshold";
+  if (what === NOTHING) return { path, fields: { target: null } };
+  if (number === undefined) return undefined;
+  return { path, fields: what.startsWith(HOLD) ? { target: { [what.slice(HOLD.length)]: number } } : { [what]: number } };
+}
+
 export function countOutcomes(lines: Iterable<Pick<OutcomeLine, "outcome">>): Record<string, number> {
   const counts: Record<string, number> = {};
   for (const line of lines) counts[line.outcome] = (counts[line.outcome] ?? 0) + 1;
   return counts;
+}
+
+function placeholder(what: string): string {
+  if (what === NOTHING) return "";
+  return TARGETS.find((target) => HOLD + target.name === what)?.begin ?? "5e-4";
+}
+
+/** What the button does, in words. */
+function buttonText(what: string, number: number | undefined): string {
+  if (what === NOTHING) return "Hold nothing";
+  const verb = what.startsWith(HOLD) ? "Hold" : "Set";
+  return number === undefined ? verb : `${verb} ${what.replace(HOLD, "")} = ${small(number)}`;
 }
 
 export function Tune() {
@@ -53,12 +78,13 @@ export function Tune() {
   const chosen = terms(select).length ? terms(select) : picked.length ? picked : terms(filtered);
   const forbidden = whyNot();
   const number = parsed(value);
-  const body = { [knob]: number ?? value.trim(), select: chosen, why };
+  const what = ordered(knob, number);
+  const body = { ...what?.fields, select: chosen, why };
 
   const attempt = async (work: () => Promise<void>) => {
     setFault("");
     if (chosen.length === 0) return setFault("Say which nodes: select some above, or write names, globs, labels or “all”.");
-    if (number === undefined) return setFault(`Say which value ${knob} shall have, such as 5e-4.`);
+    if (!what) return setFault(`Say which value ${knob.replace(HOLD, "")} shall have, such as ${placeholder(knob)}.`);
     try {
       await work();
     } catch (error) {
@@ -67,13 +93,13 @@ export function Tune() {
   };
   const dry = () =>
     attempt(async () => {
-      const found = await send<ThresholdAnswer>("PUT", "/api/v1/threshold", { ...body, dry_run: true });
+      const found = await send<OrderAnswer>("PUT", what!.path, { ...body, dry_run: true });
       order.value = { counts: found.counts, lines: found.nodes, dry: true, running: false };
     });
   const set = (event: Event) => {
     event.preventDefault();
     return attempt(async () => {
-      const response = await answer("/api/v1/threshold", {
+      const response = await answer(what!.path, {
         method: "PUT",
         headers: { "Content-Type": "application/json", Accept: "application/x-ndjson" },
         body: JSON.stringify({ ...body, wait_s: FOLLOW_S }),
@@ -110,7 +136,7 @@ export function Tune() {
   const said = order.value;
   const interesting = said?.lines.filter((line) => said.dry || !["applied", "unchanged"].includes(line.outcome)) ?? [];
   return (
-    <Section id="tune" title="Set a threshold" wide>
+    <Section id="tune" title="Set a threshold or a target" wide>
       <form onSubmit={set}>
         <div class="fields">
           <Field label="for which nodes: names, globs, labels, or all" wide>
@@ -121,15 +147,33 @@ export function Tune() {
               onInput={(event) => setSelect(event.currentTarget.value)}
             />
           </Field>
-          <Field label="knob">
+          <Field label="knob or target">
             <select value={knob} onChange={(event) => setKnob(event.currentTarget.value)}>
-              {["u", "lambda", "n", "skip_rate", "threshold", "component_size", "drift"].map((name) => (
-                <option key={name}>{name}</option>
-              ))}
+              <optgroup label="a knob's value">
+                {["u", "lambda", "n", "skip_rate", "threshold", "component_size", "drift"].map((name) => (
+                  <option key={name}>{name}</option>
+                ))}
+              </optgroup>
+              <optgroup label="a target in its place">
+                {TARGETS.map((target) => (
+                  <option key={target.name} value={HOLD + target.name}>
+                    hold {target.name}
+                  </option>
+                ))}
+                <option>{NOTHING}</option>
+              </optgroup>
             </select>
           </Field>
           <Field label="value">
-            <input type="text" inputmode="decimal" autocomplete="off" placeholder="5e-4" value={value} onInput={(event) => setValue(event.currentTarget.value)} />
+            <input
+              type="text"
+              inputmode="decimal"
+              autocomplete="off"
+              placeholder={placeholder(knob)}
+              disabled={knob === NOTHING}
+              value={knob === NOTHING ? "" : value}
+              onInput={(event) => setValue(event.currentTarget.value)}
+            />
           </Field>
           <Field label="why; stands in the history" wide>
             <input type="text" maxLength={500} value={why} onInput={(event) => setWhy(event.currentTarget.value)} />
@@ -139,7 +183,7 @@ export function Tune() {
           <button type="button" class="plain" onClick={dry}>
             Who would change?
           </button>
-          <button disabled={forbidden !== undefined || said?.running}>Set{number !== undefined ? ` ${knob} = ${small(number)}` : ""}</button>
+          <button disabled={forbidden !== undefined || said?.running}>{buttonText(knob, number)}</button>
           <span class="quiet">
             for {chosen.length === 0 ? "nobody yet" : chosen.length > 4 ? plural(chosen.length, "term") : chosen.join(", ")}
           </span>
@@ -164,7 +208,7 @@ export function Tune() {
               {interesting.slice(0, SHOWN).map((line) => (
                 <li key={line.node}>
                   <a href={href(["nodes", line.node])}>{line.node}</a> {outcomeWords(line.outcome)}
-                  {line.from ? ` (from ${small(Object.values(line.from)[0])})` : ""}
+                  {line.from ? ` (from ${settingText(line.from)})` : ""}
                   {line.detail ? `: ${line.detail}` : ""}
                 </li>
               ))}

@@ -4,27 +4,11 @@ import { useEffect, useState } from "preact/hooks";
 import { every, json, Refused, send } from "../shared/api";
 import { duration, parsed, small } from "../shared/format";
 import { Section, whyNot } from "../shared/parts";
+import { nameAndValue, TARGETS, type TargetName } from "../shared/target";
 import { knob } from "./store";
-import type { Target, TargetReport } from "./types";
+import type { TargetReport } from "./types";
 
 const LOOK_MS = 2000;
-
-/** What can be held, with its unit and a value to begin with. */
-export const TARGETS = [
-  { name: "skip_rate", words: "skip rate", unit: "of the frames", begin: "0.5" },
-  { name: "recall", words: "recall against the detector, at least", unit: "", begin: "0.9" },
-  { name: "detector_ms_per_s", words: "detector time", unit: "ms a second", begin: "300" },
-  { name: "watts", words: "power of the node", unit: "W", begin: "6" },
-  { name: "joules_per_day", words: "energy of the node", unit: "J a day", begin: "500000" },
-] as const;
-
-type TargetName = (typeof TARGETS)[number]["name"];
-
-/** Name and value of a target as the message has it: one field. */
-export function nameAndValue(target: Target | null | undefined): [TargetName, number] | undefined {
-  const entry = Object.entries(target ?? {})[0];
-  return entry && [entry[0] as TargetName, entry[1] as number];
-}
 
 export function TargetPanel() {
   const [report, setReport] = useState<TargetReport | undefined>(undefined);

@@ -127,6 +127,24 @@ token = "a-token-that-may-look"
     quiet(page);
   });
 
+  await test("a target is set in the place of a value, shown at the node, and switched off", async () => {
+    await page.goto(`${address}/#/nodes/sim-000005`);
+    await page.getByLabel("knob or target").selectOption("hold skip_rate");
+    await page.getByLabel("value", { exact: true }).fill("0.6");
+    await page.getByRole("button", { name: "Hold skip_rate = 0.6" }).click();
+    await until("the outcome", async () => /1 in force/.test((await page.textContent(".order")) ?? ""));
+    await until("the target at the node", async () => /skip rate 0\.6 of the frames.*the target is held; set by the hub/.test((await page.textContent("#held")) ?? ""));
+    await page.locator("#node-changes").getByText("hold skip_rate = 0.6").waitFor();
+    await accessible(page, "a node with a target");
+    await page.goto(`${address}/#/fleet?search=sim-000005`);
+    await page.locator(".fleet-body .c-knob").getByText("hold skip_rate = 0.6").waitFor();
+    await page.goto(`${address}/#/nodes/sim-000005`);
+    await page.getByLabel("knob or target").selectOption("hold nothing");
+    await page.getByRole("button", { name: "Hold nothing" }).click();
+    await until("no target", async () => (await page.locator("#held").count()) === 0);
+    quiet(page);
+  });
+
   await test("one node's own page shows it with clips, instances and changes", async () => {
     await page.goto(`${address}/#/nodes/sim-000003`);
     await page.getByRole("heading", { name: "sim-000003" }).waitFor();

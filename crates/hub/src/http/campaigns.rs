@@ -2,7 +2,7 @@
 
 use super::HubView;
 use super::body;
-use super::threshold::of_store;
+use super::order::of_store;
 use crate::store::CampaignRow;
 use crate::tuning::campaigns::{Campaign, CampaignError, LeftOut, counts};
 use crate::tuning::members::Member;

@@ -107,7 +107,7 @@ async fn changes(store: &Store) -> Result<Value, StoreError> {
     let orders = orders.into_iter().map(|order| {
         json!({
             "change": order.generation, "at_ms": order.at_ms, "who": order.who, "why": order.why,
-            "by": order.origin, "select": order.selector, "knob": order.knob, "value": order.value,
+            "by": order.origin, "select": order.selector, "to": order.setting().ok(),
         })
     });
     Ok(orders.collect())

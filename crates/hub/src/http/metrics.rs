@@ -2,6 +2,7 @@
 
 use super::HubView;
 use crate::presence::PresenceState;
+use albireo_wire::Standing;
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
@@ -95,6 +96,24 @@ pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
         .map(|(labels, nodes)| (labels.as_str(), *nodes))
         .collect();
     family("albireo_hub_nodes", "gauge", "Nodes by state", &states);
+    let targets: Vec<(String, f64)> = Standing::ALL
+        .into_iter()
+        .zip(tallies.targets)
+        .map(|(standing, nodes)| {
+            let labels = format!("{{standing=\"{}\"}}", standing.name());
+            (labels, nodes as f64)
+        })
+        .collect();
+    let targets: Vec<(&str, f64)> = targets
+        .iter()
+        .map(|(labels, nodes)| (labels.as_str(), *nodes))
+        .collect();
+    family(
+        "albireo_hub_targets",
+        "gauge",
+        "Nodes that are heard and hold a target, by where it stands",
+        &targets,
+    );
     let one = view.ingest.snapshot();
     for (name, help, value) in [
         (
@@ -177,6 +196,40 @@ pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
         "counter",
         "Energy of the clips written that have a figure, over the time that samples cover",
         &[("", one.energy_uj as f64 / 1e6)],
+    );
+    family(
+        "albireo_hub_audit_frames_total",
+        "counter",
+        "Skipped frames of the clips written that the audit drew, by what became of them",
+        &[
+            ("{result=\"compared\"}", one.audit_frames as f64),
+            ("{result=\"missed\"}", one.audit_missed as f64),
+        ],
+    );
+    let rest = |all: u64, paired: u64| all.saturating_sub(paired) as f64;
+    family(
+        "albireo_hub_audit_boxes_total",
+        "counter",
+        "Boxes of the audited frames of the clips written, by side (detected: the detector's; shown: what had been \
+         published) and by whether one of the other side is paired with it. Against the detector, not the truth",
+        &[
+            (
+                "{side=\"detected\",result=\"paired\"}",
+                one.audit_recalled as f64,
+            ),
+            (
+                "{side=\"detected\",result=\"unpaired\"}",
+                rest(one.audit_detected, one.audit_recalled),
+            ),
+            (
+                "{side=\"shown\",result=\"paired\"}",
+                one.audit_confirmed as f64,
+            ),
+            (
+                "{side=\"shown\",result=\"unpaired\"}",
+                rest(one.audit_shown, one.audit_confirmed),
+            ),
+        ],
     );
     family(
         "albireo_hub_batches_refused_total",

@@ -52,12 +52,37 @@ pub(crate) struct Committed {
     pub(crate) frames: u64,
     /// Those of them that skipped the detector.
     pub(crate) skipped: u64,
+    /// What the audits of the clips written have found.
+    pub(crate) audit: Audited,
     /// Energy of the clips written that have a figure, microjoules.
     pub(crate) energy_uj: u64,
     /// Whether there are new events.
     pub(crate) events: bool,
     /// Energy of the clips written, each with its node's place among the batches and the time it is filed under.
     pub(crate) used: Vec<(usize, i64, Used)>,
+}
+
+/// Sums of the audits of clips.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Audited {
+    pub(crate) frames: u64,
+    pub(crate) missed: u64,
+    pub(crate) detected: u64,
+    pub(crate) recalled: u64,
+    pub(crate) shown: u64,
+    pub(crate) confirmed: u64,
+}
+
+impl Audited {
+    fn add(&mut self, clip: &ClipRow) {
+        let number = |column: Option<i64>| column.map_or(0, |n| u64::try_from(n).unwrap_or(0));
+        self.frames += number(clip.audit_frames);
+        self.missed += number(clip.audit_missed);
+        self.detected += number(clip.audit_detected);
+        self.recalled += number(clip.audit_recalled);
+        self.shown += number(clip.audit_shown);
+        self.confirmed += number(clip.audit_confirmed);
+    }
 }
 
 impl Numbers {
@@ -155,6 +180,7 @@ pub(crate) async fn write(
         let skipped = clip.frames_e + clip.frames_p - clip.degraded;
         committed.frames += u64::try_from(clip.frames).unwrap_or(0);
         committed.skipped += u64::try_from(skipped).unwrap_or(0);
+        committed.audit.add(clip);
         committed.energy_uj += clip
             .energy_uj
             .map_or(0, |uj| u64::try_from(uj).unwrap_or(0));

@@ -76,6 +76,18 @@ counters! {
     frames,
     /// Those of them that skipped the detector.
     frames_skipped,
+    /// Skipped frames that were drawn and compared by the audit, in the clips written.
+    audit_frames,
+    /// Those that were drawn and that the detector had no time for.
+    audit_missed,
+    /// Boxes that the detector found in them.
+    audit_detected,
+    /// Those of them that had been shown.
+    audit_recalled,
+    /// Boxes that had been shown in them.
+    audit_shown,
+    /// Those of them that the detector confirmed.
+    audit_confirmed,
     /// Energy of the clips written that have a figure, microjoules.
     energy_uj,
     /// Batches refused because too many wait.

@@ -254,6 +254,12 @@ impl IngestWriter {
         counters.clock_off(committed.clock_off);
         counters.frames(committed.frames);
         counters.frames_skipped(committed.skipped);
+        counters.audit_frames(committed.audit.frames);
+        counters.audit_missed(committed.audit.missed);
+        counters.audit_detected(committed.audit.detected);
+        counters.audit_recalled(committed.audit.recalled);
+        counters.audit_shown(committed.audit.shown);
+        counters.audit_confirmed(committed.audit.confirmed);
         counters.energy_uj(committed.energy_uj);
         if committed.events {
             setup.events.tell();

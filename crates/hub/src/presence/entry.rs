@@ -4,7 +4,9 @@ use super::fleet::{NodeView, Remembered};
 use super::news::NodeNews;
 use super::state::{PresenceState, Token};
 use super::today::Today;
-use albireo_wire::{HealthState, NodeStatus, SignOfLife, StatusMessage, VERSION, run_number};
+use albireo_wire::{
+    HealthState, NodeStatus, SignOfLife, Standing, StatusMessage, VERSION, run_number,
+};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -69,6 +71,8 @@ pub(super) struct Entry {
     pub(super) reasons: String,
     pub(super) waiting: u64,
     pub(super) generation: u64,
+    /// Where its target stands, if it holds one.
+    pub(super) holds: Option<Standing>,
     pub(super) today: Today,
     /// The last full status as JSON: a third of the size of the same in fields.
     status: Option<Arc<str>>,
@@ -98,6 +102,7 @@ impl Entry {
             reasons: String::new(),
             waiting: 0,
             generation: 0,
+            holds: None,
             today: Today::default(),
             status: None,
             needs_full: true,
@@ -189,6 +194,7 @@ impl Entry {
             .map(|(part, reason)| format!("{part}: {reason}"))
             .collect();
         self.reasons = reasons.join("; ");
+        self.holds = (status.target).map(|held| held.standing.unwrap_or(Standing::Measuring));
         let text = serde_json::to_string(status).unwrap_or_default();
         if self.status.as_deref() == Some(&text) {
             return false;

@@ -6,7 +6,7 @@ use super::state::{Facts, Limits, PresenceState, Token, judge};
 use super::today::{TodaysEnergy, Used, day_of};
 use crate::config::PresenceConfig;
 use albireo_service::clock::unix_milliseconds;
-use albireo_wire::{NodeStatus, SignOfLife, StatusMessage};
+use albireo_wire::{NodeStatus, SignOfLife, Standing, StatusMessage};
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
@@ -118,6 +118,8 @@ pub struct FleetTallies {
     pub behind: u64,
     /// Reports that wait in their outboxes, as far as they have told.
     pub waiting: u64,
+    /// Nodes that are heard and hold a target, by where it stands, in the order of [`Standing::ALL`].
+    pub targets: [u64; Standing::ALL.len()],
 }
 
 /// All nodes.
@@ -404,6 +406,11 @@ impl Fleet {
             tallies.twins += u64::from(two);
             tallies.behind += u64::from(heard && entry.generation < desired(name));
             tallies.waiting += entry.waiting;
+            let stands = (entry.holds.filter(|_| heard))
+                .and_then(|at| Standing::ALL.iter().position(|one| *one == at));
+            if let Some(count) = stands.and_then(|at| tallies.targets.get_mut(at)) {
+                *count += 1;
+            }
         }
         tallies
     }

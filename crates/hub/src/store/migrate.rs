@@ -5,11 +5,12 @@ use super::{Dialect, StoreError};
 use sqlx::{AnyConnection, Connection as _, Executor as _, Row as _};
 
 /// The steps, the first makes a new database. A step that was released is never changed.
-const STEPS: [&str; 4] = [
+const STEPS: [&str; 5] = [
     include_str!("schema/0001.sql"),
     include_str!("schema/0002.sql"),
     include_str!("schema/0003.sql"),
     include_str!("schema/0004.sql"),
+    include_str!("schema/0005.sql"),
 ];
 
 /// The version that this program writes.

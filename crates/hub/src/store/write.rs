@@ -6,7 +6,7 @@ mod tuning;
 
 pub(crate) use names::SetupKey;
 pub(crate) use tallies::{Instance, Known};
-pub(crate) use tuning::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, knob};
+pub(crate) use tuning::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, columns};
 
 use super::rows::{Row, insert, statements};
 use super::{Dialect, Store, StoreError};

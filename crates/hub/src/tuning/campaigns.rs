@@ -445,12 +445,14 @@ impl Tuner {
         let mark = driven.campaign.mark();
         let mut changed = false;
         for order in driven.campaign.due() {
-            let nodes = order
-                .nodes
-                .iter()
-                .map(|node| (node.clone(), self.fleet.node(node).and_then(|f| f.knob())));
+            let nodes = order.nodes.iter().map(|node| {
+                (
+                    node.clone(),
+                    self.fleet.node(node).and_then(|f| f.setting()),
+                )
+            });
             let new = NewOrder {
-                knob: order.knob,
+                setting: order.knob.into(),
                 nodes: nodes.collect(),
                 who: driven.who.clone(),
                 why: if order.is_return {
@@ -545,6 +547,11 @@ fn able(
 ) -> Result<KnobValue, String> {
     if let Some(other) = taken.get(&facts.name) {
         return Err(format!("takes part in {other}"));
+    }
+    if let Some(target) = facts.target() {
+        return Err(format!(
+            "holds the target {target}, which could not be given back: switch it off first"
+        ));
     }
     match facts.knob_name() {
         None => Err("has not told its value yet, or its policy has none".to_owned()),

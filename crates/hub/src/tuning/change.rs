@@ -1,16 +1,18 @@
-//! A value for selected nodes, by hand: who would change, who cannot, and what became of it.
+//! A value or a target for selected nodes, by hand: who would change, who cannot, and what became of it.
 
+use super::desired::DesiredValue;
+use super::fleet::NodeFacts;
 use super::selector::Selector;
 use super::tuner::{NewOrder, OutcomeLine, Tuner};
+use crate::setting::Setting;
 use crate::store::StoreError;
-use albireo_wire::KnobValue;
 use std::collections::HashSet;
 use tokio::sync::mpsc;
 
-/// A value for selected nodes.
+/// A value or a target for selected nodes.
 #[derive(Clone, Debug)]
 pub(crate) struct ChangeRequest {
-    pub(crate) knob: KnobValue,
+    pub(crate) setting: Setting,
     pub(crate) select: Selector,
     pub(crate) dry_run: bool,
     pub(crate) why: String,
@@ -19,8 +21,8 @@ pub(crate) struct ChangeRequest {
 /// An order that was given, or would be.
 #[derive(Debug)]
 pub(crate) struct Change {
-    /// The value that was ordered.
-    pub(crate) knob: KnobValue,
+    /// What was ordered.
+    pub(crate) setting: Setting,
     /// Its generation; absent in a dry run, and where nobody was to change.
     pub(crate) generation: Option<u64>,
     /// What is known at once.
@@ -32,14 +34,14 @@ pub(crate) struct Change {
 }
 
 impl Tuner {
-    /// Orders a value for the selected nodes, or says who would change.
+    /// Orders a value or a target for the selected nodes, or says who would change.
     pub(crate) async fn change(
         &self,
         request: ChangeRequest,
         who: &str,
     ) -> Result<Change, StoreError> {
         let ChangeRequest {
-            knob,
+            setting,
             select,
             dry_run,
             why,
@@ -50,7 +52,7 @@ impl Tuner {
             node: node.to_owned(),
             outcome,
             from,
-            to: knob,
+            to: setting,
             detail,
         };
         for facts in self.fleet.nodes() {
@@ -58,18 +60,13 @@ impl Tuner {
                 continue;
             }
             known.insert(facts.name.clone());
-            let from = facts.knob();
+            let from = facts.setting();
             if let Some(other) = taken.get(&facts.name) {
                 let detail = format!("takes part in {other}: end or return that first");
                 lines.push(line(&facts.name, "refused", from, detail));
-            } else if let Some(name) = facts.knob_name().filter(|name| *name != knob.name) {
-                let detail = format!("its policy is turned by `{name}`, not by `{}`", knob.name);
+            } else if let Some(detail) = unable(&facts, setting) {
                 lines.push(line(&facts.name, "refused", from, detail));
-            } else if from == Some(knob)
-                && self
-                    .desired_value(&facts.name)
-                    .is_some_and(|d| d.knob == knob)
-            {
+            } else if has_it(&facts, self.desired_value(&facts.name), setting) {
                 lines.push(line(&facts.name, "unchanged", from, String::new()));
             } else if dry_run {
                 let detail = if facts.reachable {
@@ -97,7 +94,7 @@ impl Tuner {
             None
         } else {
             let order = NewOrder {
-                knob,
+                setting,
                 nodes,
                 who: who.to_owned(),
                 why,
@@ -107,11 +104,35 @@ impl Tuner {
             Some(self.order(order, Some(tell)).await?)
         };
         Ok(Change {
-            knob,
+            setting,
             generation,
             lines,
             awaited,
             follow,
         })
     }
+}
+
+/// Why the node cannot have that, as far as its status tells.
+fn unable(facts: &NodeFacts, setting: Setting) -> Option<String> {
+    match setting {
+        Setting::Knob(knob) => {
+            let name = facts.knob_name().filter(|name| *name != knob.name)?;
+            let words = format!("its policy is turned by `{name}`, not by `{}`", knob.name);
+            Some(words)
+        }
+        Setting::Hold(_) => facts.cannot_hold(),
+        Setting::HoldNothing => None,
+    }
+}
+
+/// Whether the node has it, and nothing else is desired that would take it away. Where nothing is to be held, whatever
+/// else is desired stands.
+fn has_it(facts: &NodeFacts, desired: Option<DesiredValue>, setting: Setting) -> bool {
+    let desired = desired.map(|desired| desired.setting);
+    let wanted = match setting {
+        Setting::HoldNothing => !matches!(desired, Some(Setting::Hold(_))),
+        _ => desired == Some(setting),
+    };
+    wanted && facts.status.is_some() && facts.seen().has(setting)
 }

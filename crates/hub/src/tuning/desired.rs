@@ -1,16 +1,16 @@
-//! The desired values by node, in memory, as the database has them.
+//! What is desired of each node, in memory, as the database has it.
 
-use albireo_wire::KnobValue;
+use crate::setting::Setting;
 use parking_lot::RwLock;
 use std::collections::HashMap;
 
-/// A desired value.
+/// What is desired of a node: a value of its knob, or a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DesiredValue {
     /// Its number.
     pub generation: u64,
-    /// The value.
-    pub knob: KnobValue,
+    /// The value or the target.
+    pub setting: Setting,
 }
 
 /// The desired values by node.
@@ -52,6 +52,7 @@ impl DesiredValues {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use albireo_wire::{KnobValue, Target};
     use proptest::prelude::*;
 
     proptest! {
@@ -60,8 +61,13 @@ mod tests {
             let values = DesiredValues::default();
             let mut highest = None;
             for generation in generations {
-                let knob = KnobValue { name: "u", value: generation as f64 };
-                let taken = values.set("n", DesiredValue { generation, knob });
+                let value = generation as f64;
+                // A value of the knob and a target take turns: there is one generation for both.
+                let setting = match generation % 2 {
+                    0 => Setting::Knob(KnobValue { name: "u", value }),
+                    _ => Setting::Hold(Target::Watts(value)),
+                };
+                let taken = values.set("n", DesiredValue { generation, setting });
                 prop_assert_eq!(taken, highest.is_none_or(|highest| generation > highest));
                 highest = highest.max(Some(generation));
                 prop_assert_eq!(values.get("n").map(|v| v.generation), highest);

@@ -2,7 +2,8 @@
 
 use super::members::Seen;
 use crate::presence::{self, NodeView, PresenceState};
-use albireo_wire::{KnobSource, KnobValue, NodeStatus};
+use crate::setting::Setting;
+use albireo_wire::{KnobSource, KnobValue, NodeStatus, Target, TargetError};
 use std::collections::BTreeMap;
 
 /// What the hub knows of a node.
@@ -74,6 +75,43 @@ impl NodeFacts {
             .map(|knob| knob.name)
     }
 
+    /// What it holds in the place of its knob's number.
+    pub fn target(&self) -> Option<Target> {
+        Some(self.status.as_ref()?.target?.target)
+    }
+
+    /// What it has: its target, or its knob's value where it holds none.
+    pub fn setting(&self) -> Option<Setting> {
+        (self.target().map(Setting::Hold)).or_else(|| self.knob().map(Setting::Knob))
+    }
+
+    /// Why it holds no target any more, in its own words.
+    pub fn target_off(&self) -> Option<String> {
+        self.status.as_ref()?.target_off.clone()
+    }
+
+    /// Why no target can be ordered of it, as far as its status tells.
+    pub fn cannot_hold(&self) -> Option<String> {
+        let status = self.status.as_ref()?;
+        if !status.takes_targets {
+            return Some(format!(
+                "its program, version {}, takes no target from a hub: it has to be brought up to date first",
+                status.version
+            ));
+        }
+        match self.knob_name() {
+            // Before its cameras have told, the node itself knows.
+            None | Some("u" | "lambda") => None,
+            knob => Some(
+                TargetError::Policy {
+                    policy: status.policy.clone(),
+                    knob,
+                }
+                .to_string(),
+            ),
+        }
+    }
+
     /// Whether somebody at the node has set a value of a camera.
     pub fn set_locally(&self) -> bool {
         let status = self.status.as_ref();
@@ -95,6 +133,8 @@ impl NodeFacts {
             reachable: self.reachable,
             generation: self.generation,
             knob: self.knob(),
+            target: self.target(),
+            cannot_hold: self.cannot_hold(),
             refused: refused.map(|refused| (refused.generation, refused.reason.clone())),
         }
     }

@@ -1,5 +1,6 @@
 //! The nodes of a rollout or a trial: what each is to have, and what it has said.
 
+use crate::setting::Setting;
 use albireo_wire::KnobValue;
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -12,6 +13,8 @@ pub type Millis = i64;
 /// What a node is to have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
+// In descriptions `Target` is what a node holds.
+#[schema(as = MemberTarget)]
 pub enum Target {
     /// What it has.
     #[default]
@@ -60,17 +63,23 @@ impl Outcome {
     pub(crate) fn next(
         &self,
         seen: &Seen,
-        wanted: KnobValue,
+        wanted: Setting,
         generation: u64,
         asked_ms: &mut Millis,
         patience_ms: Millis,
         now: Millis,
     ) -> Self {
         use Outcome::{Applied, Missed, Pending, Refused, TimedOut, Untouched, Waiting};
-        let has_it = seen.generation >= generation && seen.knob == Some(wanted);
+        let has_it = seen.generation >= generation && seen.has(wanted);
+        // A program that knows no targets takes the generation, and passes over what stands beside it.
+        let unable = (seen.cannot_hold.as_ref())
+            .filter(|_| seen.reachable && matches!(wanted, Setting::Hold(_)));
         match (self, &seen.refused) {
             (Applied { .. } | Untouched | Missed, _) => self.clone(),
             _ if has_it => Applied { at_ms: now },
+            _ if unable.is_some() => Refused {
+                reason: unable.cloned().unwrap_or_default(),
+            },
             (_, Some((refused, reason))) if *refused == generation => Refused {
                 reason: reason.clone(),
             },
@@ -122,8 +131,23 @@ pub struct Seen {
     pub generation: u64,
     /// Value in force on all of its cameras that it reported last; `None` when they differ or have none.
     pub knob: Option<KnobValue>,
+    /// What it holds in the place of the knob's number.
+    pub target: Option<albireo_wire::Target>,
+    /// Why it cannot hold any target, as far as it told.
+    pub cannot_hold: Option<String>,
     /// The desired value it reported last as refused: generation and reason.
     pub refused: Option<(u64, String)>,
+}
+
+impl Seen {
+    /// Whether it has that. A knob's value that a target has moved to is on its way elsewhere, and is not had.
+    pub(crate) fn has(&self, setting: Setting) -> bool {
+        match setting {
+            Setting::Knob(knob) => self.knob == Some(knob) && self.target.is_none(),
+            Setting::Hold(target) => self.target == Some(target),
+            Setting::HoldNothing => self.target.is_none(),
+        }
+    }
 }
 
 /// One node of a rollout or trial.
@@ -206,7 +230,7 @@ impl Member {
         };
         let next = self.outcome.next(
             seen,
-            wanted,
+            wanted.into(),
             self.generation,
             &mut self.asked_ms,
             patience_ms,
@@ -247,6 +271,8 @@ mod tests {
             reachable,
             generation,
             knob: Some(knob),
+            target: None,
+            cannot_hold: None,
             refused: None,
         }
     }

@@ -6,8 +6,9 @@ use super::members::{Millis, Outcome};
 use crate::config::TuningConfig;
 use crate::desired::Desires;
 use crate::presence::Pokes;
+use crate::setting::Setting;
 use crate::store::tables::EventRow;
-use crate::store::{OrderNodeRow, OrderRow, Store, StoreError, Writer};
+use crate::store::{OrderNodeRow, OrderRow, Store, StoreError, Writer, columns};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::KnobValue;
 use parking_lot::Mutex;
@@ -21,8 +22,8 @@ use utoipa::ToSchema;
 /// How long after a poke that was not followed a node is poked again.
 const POKE_AGAIN_MS: Millis = 5_000;
 
-/// A desired value, and the nodes that are to have it again with what each had in its place.
-type SetBack = (KnobValue, Vec<(String, Option<KnobValue>)>);
+/// What is desired, and the nodes that are to have it again with what each had in its place.
+type SetBack = (Setting, Vec<(String, Option<Setting>)>);
 
 /// What an order came to at one node.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -32,12 +33,12 @@ pub struct OutcomeLine {
     /// `applied`, `refused`, `waiting` (out of reach: applied on its return), `timed_out`, `pending`, `superseded`; `unchanged` where it
     /// has the value already, `would_change` in a dry run.
     pub outcome: &'static str,
-    /// The value in force before, if it was known.
-    #[schema(value_type = Option<BTreeMap<String, f64>>)]
-    pub from: Option<KnobValue>,
-    /// The value ordered.
-    #[schema(value_type = BTreeMap<String, f64>)]
-    pub to: KnobValue,
+    /// What it had before, if that was known: a value under its knob's name, or a target.
+    #[schema(value_type = Option<BTreeMap<String, serde_json::Value>>)]
+    pub from: Option<Setting>,
+    /// What was ordered: a value under its knob's name, or a target.
+    #[schema(value_type = BTreeMap<String, serde_json::Value>)]
+    pub to: Setting,
     /// Why, where there is something to say.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub detail: String,
@@ -50,12 +51,12 @@ impl OutcomeLine {
     }
 }
 
-/// A value for some nodes.
+/// A value or a target for some nodes.
 #[derive(Clone, Debug)]
 pub(crate) struct NewOrder {
-    pub(crate) knob: KnobValue,
-    /// The nodes, with the values they have.
-    pub(crate) nodes: Vec<(String, Option<KnobValue>)>,
+    pub(crate) setting: Setting,
+    /// The nodes, with what they have.
+    pub(crate) nodes: Vec<(String, Option<Setting>)>,
     pub(crate) who: String,
     pub(crate) why: String,
     /// `hand`, `rollout 3`, `trial 4`, `drift`.
@@ -67,26 +68,50 @@ pub(crate) struct NewOrder {
 #[derive(Clone, Debug)]
 struct OpenOrder {
     generation: u64,
-    knob: KnobValue,
-    from: Option<KnobValue>,
+    setting: Setting,
+    from: Option<Setting>,
     asked_ms: Millis,
     poked_ms: Millis,
     outcome: Outcome,
 }
 
-/// A node whose value in force is not the desired one, although it had taken it.
+impl OpenOrder {
+    /// Its row with that outcome at `node`.
+    fn row(&self, node: &str, outcome: &str, at_ms: Millis, detail: String) -> OrderNodeRow {
+        let (from_knob, from_value, from_target) = match self.from.map(columns) {
+            Some((knob, value, None)) => (Some(knob), Some(value), None),
+            Some((_, _, target)) => (None, None, target),
+            None => (None, None, None),
+        };
+        OrderNodeRow {
+            generation: i64::try_from(self.generation).unwrap_or(i64::MAX),
+            node: node.to_owned(),
+            from_value,
+            from_knob,
+            from_target,
+            outcome: outcome.to_owned(),
+            at_ms,
+            detail,
+        }
+    }
+}
+
+/// A node that has not what is desired of it, although it had taken it.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Drift {
     /// The node.
     pub node: String,
     /// Since when the hub knows, milliseconds since the Unix epoch.
     pub since_ms: Millis,
-    /// The value desired.
-    #[schema(value_type = BTreeMap<String, f64>)]
-    pub desired: KnobValue,
-    /// The value in force; absent where the cameras differ.
-    #[schema(value_type = Option<BTreeMap<String, f64>>)]
-    pub in_force: Option<KnobValue>,
+    /// What is desired: a value under its knob's name, or a target.
+    #[schema(value_type = BTreeMap<String, serde_json::Value>)]
+    pub desired: Setting,
+    /// What it has; absent where the cameras differ.
+    #[schema(value_type = Option<BTreeMap<String, serde_json::Value>>)]
+    pub in_force: Option<Setting>,
+    /// Why it holds its target no more, in its own words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
     /// How often it was set back.
     pub set_back: u32,
 }
@@ -158,14 +183,10 @@ impl Tuner {
             else {
                 continue;
             };
-            let from = row.from_value.and_then(|value| value.parse().ok());
             let order = OpenOrder {
                 generation,
-                knob: desired.knob,
-                from: from.map(|value| KnobValue {
-                    value,
-                    ..desired.knob
-                }),
+                setting: desired.setting,
+                from: row.before(desired.setting)?,
                 // Its time counts anew: nobody listened meanwhile.
                 asked_ms: unix_milliseconds(),
                 poked_ms: 0,
@@ -176,11 +197,13 @@ impl Tuner {
         Ok(tuner)
     }
 
-    /// Makes a value the desired one, unless one of a higher generation is.
-    fn desire(&self, node: &str, generation: u64, knob: KnobValue) {
-        self.desires
-            .values
-            .set(node, DesiredValue { generation, knob });
+    /// Makes a setting the desired one, unless one of a higher generation is.
+    fn desire(&self, node: &str, generation: u64, setting: Setting) {
+        let value = DesiredValue {
+            generation,
+            setting,
+        };
+        self.desires.values.set(node, value);
     }
 
     /// The database.
@@ -188,7 +211,7 @@ impl Tuner {
         &self.store
     }
 
-    /// The desired value of a node.
+    /// What is desired of a node.
     pub(super) fn desired_value(&self, node: &str) -> Option<DesiredValue> {
         self.desires.values.get(node)
     }
@@ -196,8 +219,8 @@ impl Tuner {
     /// Takes what other hubs on the same database have ordered.
     pub(crate) async fn learn(&self) -> Result<(), StoreError> {
         let after = self.learned.load(Ordering::Relaxed);
-        for (node, generation, knob) in self.store.desired_after(after).await? {
-            self.desire(&node, generation.unsigned_abs(), knob);
+        for (node, generation, setting) in self.store.desired_after(after).await? {
+            self.desire(&node, generation.unsigned_abs(), setting);
             self.learned.fetch_max(generation, Ordering::Relaxed);
         }
         Ok(())
@@ -222,7 +245,7 @@ impl Tuner {
         worked
     }
 
-    /// Orders a value: when this returns it stands in the database, pulls are answered with it, and the nodes were
+    /// Orders a value or a target: when this returns it stands in the database, pulls are answered with it, and the nodes were
     /// poked. What the nodes report is told to `follower`.
     pub(crate) async fn order(
         &self,
@@ -230,10 +253,19 @@ impl Tuner {
         follower: Option<mpsc::UnboundedSender<OutcomeLine>>,
     ) -> Result<u64, StoreError> {
         let now = unix_milliseconds();
+        let open = |generation, from| OpenOrder {
+            generation,
+            setting: order.setting,
+            from,
+            asked_ms: now,
+            poked_ms: now,
+            outcome: Outcome::Pending,
+        };
         let reachable = |node: &str| self.fleet.node(node).is_some_and(|facts| facts.reachable);
         let generation = self
             .write(async |writing| {
                 let generation = writing.next_generation().await?;
+                let (knob, value, target) = columns(order.setting);
                 let row = OrderRow {
                     generation,
                     at_ms: now,
@@ -241,22 +273,23 @@ impl Tuner {
                     why: order.why.clone(),
                     origin: order.origin.clone(),
                     selector: order.selector.clone(),
-                    knob: order.knob.name.to_owned(),
-                    value: text(order.knob),
+                    knob,
+                    value,
+                    target,
                 };
                 let nodes: Vec<_> = (order.nodes.iter())
-                    .map(|(node, from)| OrderNodeRow {
-                        generation,
-                        node: node.clone(),
-                        from_value: from.map(text),
-                        outcome: if reachable(node) {
+                    .map(|(node, from)| {
+                        let outcome = if reachable(node) {
                             "pending"
                         } else {
                             "waiting"
-                        }
-                        .to_owned(),
-                        at_ms: now,
-                        detail: String::new(),
+                        };
+                        open(generation.unsigned_abs(), *from).row(
+                            node,
+                            outcome,
+                            now,
+                            String::new(),
+                        )
                     })
                     .collect();
                 writing.order(row, &nodes).await?;
@@ -269,16 +302,8 @@ impl Tuner {
             followers.insert(generation, follower);
         }
         for (node, from) in &order.nodes {
-            self.desire(node, generation, order.knob);
-            let fresh = OpenOrder {
-                generation,
-                knob: order.knob,
-                from: *from,
-                asked_ms: now,
-                poked_ms: now,
-                outcome: Outcome::Pending,
-            };
-            let before = self.open.lock().insert(node.clone(), fresh);
+            self.desire(node, generation, order.setting);
+            let before = (self.open.lock()).insert(node.clone(), open(generation, *from));
             if let Some(before) = before {
                 self.tell(&before, node, "superseded", String::new());
             }
@@ -295,7 +320,7 @@ impl Tuner {
                 node: node.to_owned(),
                 outcome,
                 from: order.from,
-                to: order.knob,
+                to: order.setting,
                 detail,
             };
             if follower.send(line).is_err() {
@@ -322,7 +347,7 @@ impl Tuner {
                 let seen = facts.seen();
                 let next = order.outcome.next(
                     &seen,
-                    order.knob,
+                    order.setting,
                     order.generation,
                     &mut order.asked_ms,
                     patience,
@@ -341,14 +366,7 @@ impl Tuner {
                         Outcome::Refused { reason } => reason.clone(),
                         _ => String::new(),
                     };
-                    rows.push(OrderNodeRow {
-                        generation: i64::try_from(order.generation).unwrap_or(i64::MAX),
-                        node: node.clone(),
-                        from_value: order.from.map(text),
-                        outcome: next.name().to_owned(),
-                        at_ms: now,
-                        detail,
-                    });
+                    rows.push(order.row(node, next.name(), now, detail));
                     order.outcome = next;
                     changed.push((node.clone(), order));
                 }
@@ -381,8 +399,8 @@ impl Tuner {
         Ok(())
     }
 
-    /// Looks for nodes whose value was changed after they had taken the desired one; sets them back where the
-    /// configuration says so.
+    /// Looks for nodes that were changed after they had taken what is desired; sets them back where the configuration says
+    /// so.
     pub(crate) async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
         let mut back: HashMap<String, SetBack> = HashMap::new();
         let (mut events, mut found) = (Vec::new(), Vec::new());
@@ -399,7 +417,8 @@ impl Tuner {
             }
             let mut drift = self.drift.lock();
             let known = drift.get_mut(&node).map(|entry| {
-                entry.in_force = facts.knob();
+                entry.in_force = facts.setting();
+                entry.why = facts.target_off();
                 entry.set_back
             });
             if known.is_none() {
@@ -407,18 +426,19 @@ impl Tuner {
                 found.push(Drift {
                     node: node.clone(),
                     since_ms: now,
-                    desired: desired.knob,
-                    in_force: facts.knob(),
+                    desired: desired.setting,
+                    in_force: facts.setting(),
+                    why: facts.target_off(),
                     set_back: 0,
                 });
             }
             let set_back = known.unwrap_or(0);
             if self.config.local_change.is_set_back() && set_back < self.config.set_back_times {
-                let group = back.entry(format!("{} {}", desired.knob.name, text(desired.knob)));
+                let group = back.entry(desired.setting.key());
                 group
-                    .or_insert_with(|| (desired.knob, Vec::new()))
+                    .or_insert_with(|| (desired.setting, Vec::new()))
                     .1
-                    .push((node, facts.knob()));
+                    .push((node, facts.setting()));
             }
         }
         if !events.is_empty() {
@@ -427,7 +447,7 @@ impl Tuner {
         }
         // Only what stands in the history is known: after an error it is found again.
         (self.drift.lock()).extend(found.into_iter().map(|entry| (entry.node.clone(), entry)));
-        for (knob, nodes) in back.into_values() {
+        for (setting, nodes) in back.into_values() {
             let counts: Vec<_> = (nodes.iter())
                 .filter_map(|(node, _)| self.drift.lock().get(node).cloned())
                 .map(|entry| Drift {
@@ -436,7 +456,7 @@ impl Tuner {
                 })
                 .collect();
             let order = NewOrder {
-                knob,
+                setting,
                 nodes,
                 who: "hub".to_owned(),
                 why: "changed at the node".to_owned(),
@@ -461,8 +481,8 @@ impl Tuner {
 fn drift_event(node: &str, desired: DesiredValue, facts: &NodeFacts, now: Millis) -> EventRow {
     let detail = serde_json::json!({
         "change": desired.generation,
-        "desired": desired.knob,
-        "in_force": facts.knob(),
+        "desired": desired.setting,
+        "in_force": facts.setting(),
     });
     EventRow {
         at_ms: now,
@@ -472,9 +492,9 @@ fn drift_event(node: &str, desired: DesiredValue, facts: &NodeFacts, now: Millis
     }
 }
 
-/// Whether a node has taken the desired value and has another one now.
+/// Whether a node has taken what is desired and has something else now.
 fn drifted(facts: &NodeFacts, desired: DesiredValue) -> bool {
     facts.status.is_some()
         && facts.generation == desired.generation
-        && facts.knob() != Some(desired.knob)
+        && !facts.seen().has(desired.setting)
 }

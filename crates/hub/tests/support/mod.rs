@@ -342,6 +342,8 @@ pub fn full_status(instance: &str, seq: u64, reasons: &[(&str, &str)]) -> Status
         outbox: OutboxStatus::default(),
         refused: None,
         target: None,
+        target_off: None,
+        takes_targets: true,
     };
     StatusMessage {
         health: state,

@@ -106,6 +106,28 @@ impl Postgres {
         assert!(killed.success(), "the server's process {id} is killed");
     }
 
+    /// Plays a file of statements to it.
+    #[allow(
+        dead_code,
+        reason = "of the test programs that share this file one has files to play"
+    )]
+    pub fn play(&self, file: &std::path::Path) {
+        // A client's program may lie elsewhere than the server's.
+        let beside = self.tools.join("psql");
+        let program = if beside.exists() {
+            beside
+        } else {
+            PathBuf::from("psql")
+        };
+        let ended = Command::new(program)
+            .args(["-q", "-v", "ON_ERROR_STOP=1", "-d", &self.url(), "-f"])
+            .arg(file)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .status();
+        assert!(ended.unwrap().success(), "{} is played", file.display());
+    }
+
     /// Where it is.
     pub fn url(&self) -> String {
         format!("postgres://hub@127.0.0.1:{}/postgres", self.port)

@@ -5,6 +5,7 @@ mod cameras;
 mod detector;
 mod family;
 mod plain;
+mod target;
 mod tasks;
 
 use self::detector::detector;
@@ -104,6 +105,7 @@ impl Collector for BoardCollector {
         self::cameras::cameras(&mut encoder, &self.0, &cameras)?;
         audit::audit(&mut encoder, &cameras)?;
         threshold(&mut encoder, &cameras)?;
+        target::target(&mut encoder, &self.0)?;
         latency(&mut encoder, &cameras)?;
         self.outbox(&mut encoder)?;
         self.power(&mut encoder)

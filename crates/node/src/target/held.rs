@@ -56,37 +56,70 @@ impl NodeTarget {
     /// With what the configuration says, or what was kept since. `knob` is the value that the controller begins at where
     /// none was kept.
     pub(crate) fn open(setup: TargetSetup, outbox: Outbox, knob: Option<f64>) -> Self {
-        let kept: Option<Kept> = outbox.setting(SETTING);
-        let kept = kept
-            .filter(|kept| kept.configured == setup.configured || kept.source == KnobSource::Hub);
-        let (target, source, begin) = match kept {
-            Some(kept) => {
-                let own = setup.knob.map(|knob| knob.name);
-                let value = kept.knob.filter(|(name, _)| Some(name.as_str()) == own);
-                (kept.target, kept.source, value.map(|(_, value)| value))
-            }
-            None => (setup.configured, KnobSource::Configuration, None),
-        };
         let opened = Self {
             setup,
             outbox,
             state: Mutex::new(State {
                 controller: None,
-                source,
+                source: KnobSource::Configuration,
                 last: None,
                 off: None,
             }),
         };
-        if let Some(target) = target {
-            match opened.controller(target, begin.or(knob)) {
-                Ok(controller) => opened.state.lock().controller = Some(controller),
-                Err(error) => {
-                    tracing::error!(%target, %error, "the target is not held");
-                    opened.state.lock().off = Some(error.to_string());
-                }
+        let mut state = opened.state.lock();
+        match opened.kept() {
+            Some(kept) => opened.go_on(&mut state, kept, knob),
+            None => opened.begin(&mut state, opened.setup.configured, knob),
+        }
+        drop(state);
+        opened
+    }
+
+    /// What was kept, unless the configuration was edited since: that is then the newer word, except than the hub's.
+    fn kept(&self) -> Option<Kept> {
+        let kept: Option<Kept> = self.outbox.setting(SETTING);
+        kept.filter(|kept| {
+            kept.configured == self.setup.configured || kept.source == KnobSource::Hub
+        })
+    }
+
+    /// Goes on from what was kept.
+    fn go_on(&self, state: &mut State, kept: Kept, knob: Option<f64>) {
+        let own = self.setup.knob.map(|knob| knob.name);
+        let value = kept.knob.filter(|(name, _)| Some(name.as_str()) == own);
+        state.source = kept.source;
+        self.begin(state, kept.target, value.map(|(_, value)| value).or(knob));
+    }
+
+    fn begin(&self, state: &mut State, target: Option<Target>, knob: Option<f64>) {
+        state.controller = None;
+        state.last = None;
+        let Some(target) = target else {
+            return;
+        };
+        match self.controller(target, knob) {
+            Ok(controller) => state.controller = Some(controller),
+            Err(error) => {
+                tracing::error!(%target, %error, "the target is not held");
+                state.off = Some(error.to_string());
             }
         }
-        opened
+    }
+
+    /// Reads the kept target where that could not be done before, and keeps what was set meanwhile: what was set at the
+    /// node stands, and the hub's word unless what was kept knew it (`hub_was_known`); the configuration's does not.
+    pub(crate) fn read_again(&self, hub_was_known: bool, knob: Option<f64>) {
+        let mut state = self.state.lock();
+        let stands = match state.source {
+            KnobSource::Local => true,
+            KnobSource::Hub => !hub_was_known,
+            KnobSource::Configuration => false,
+        };
+        if stands {
+            self.keep(&state);
+        } else if let Some(kept) = self.kept() {
+            self.go_on(&mut state, kept, knob);
+        }
     }
 
     fn range(&self) -> Result<KnobRange, TargetError> {

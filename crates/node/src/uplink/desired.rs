@@ -67,6 +67,7 @@ impl DesiredKeeper {
         for camera in board.cameras() {
             camera.read_kept_threshold(seen_before);
         }
+        board.read_kept_target(seen_before);
     }
 
     /// The highest generation seen.
@@ -95,8 +96,8 @@ impl DesiredKeeper {
             );
             return false;
         }
-        if let Some(target) = desired.target.filter(|_| desired.generation > 0) {
-            return self.take_target(kept, desired.generation, target, board, outbox);
+        if desired.generation > 0 && (desired.target.is_some() || desired.hold_nothing) {
+            return self.take_target(kept, desired.generation, desired.target, board, outbox);
         }
         let Some(knob) = desired.knob.filter(|_| desired.generation > 0) else {
             let newer = desired.generation > kept.generation;
@@ -142,23 +143,23 @@ impl DesiredKeeper {
         true
     }
 
-    /// As [`take`](Self::take), of a target.
+    /// As [`take`](Self::take), of a target, or of none at all.
     fn take_target(
         &self,
         mut kept: MutexGuard<'_, Kept>,
         generation: u64,
-        target: Target,
+        target: Option<Target>,
         board: &Board,
         outbox: &Outbox,
     ) -> bool {
         if generation == kept.generation {
-            let drifted = board.target().report().target != Some(target);
+            let drifted = board.target().report().target != target;
             if kept.refused.is_some() || !drifted || !self.hub_wins {
                 return false;
             }
         }
         let applied = board
-            .set_target(Some(target), KnobSource::Hub)
+            .set_target(target, KnobSource::Hub)
             .map_err(|error| error.to_string());
         kept.note(generation, applied);
         outbox.set(SETTING, &*kept);
@@ -179,20 +180,22 @@ mod tests {
     use std::sync::Arc;
     use tokio::sync::watch;
 
+    const KNOB: Knob = Knob {
+        name: "u",
+        meaning: "The detector is skipped while every uncertainty is below it.",
+        minimum: 1e-12,
+        maximum: 1.0,
+        default: 3e-4,
+        useful_minimum: 1.5e-4,
+        useful_maximum: 1e-2,
+    };
+
     fn board(state: &Path) -> Arc<Board> {
         let (_, detector_status) = watch::channel(DetectorStatus::Starting);
         let camera = |name: &str| CameraSetup {
             name: name.to_owned(),
             key: format!("albireo/n/{name}/frame"),
-            knob: Some(Knob {
-                name: "u",
-                meaning: "The detector is skipped while every uncertainty is below it.",
-                minimum: 1e-12,
-                maximum: 1.0,
-                default: 3e-4,
-                useful_minimum: 1.5e-4,
-                useful_maximum: 1e-2,
-            }),
+            knob: Some(KNOB),
             threshold: None,
             sizeless: true,
             longest_pause: None,
@@ -203,7 +206,11 @@ mod tests {
             cameras: vec![camera("front"), camera("rear")],
             outbox: Outbox::open(&OutboxConfig::default(), Some(state)).unwrap(),
             policy: "albireo",
-            target: TargetSetup::default(),
+            target: TargetSetup {
+                policy: "albireo",
+                knob: Some(KNOB),
+                ..TargetSetup::default()
+            },
             detector: DetectorFacts::default(),
             detector_status,
         })
@@ -216,6 +223,109 @@ mod tests {
             knob: Some(KnobValue { name: "u", value }),
             ..Desired::nothing()
         }
+    }
+
+    fn held(generation: u64, target: Option<Target>) -> Desired {
+        Desired {
+            generation,
+            target,
+            hold_nothing: target.is_none(),
+            ..Desired::nothing()
+        }
+    }
+
+    fn target(board: &Board) -> Option<Target> {
+        board.target().report().target
+    }
+
+    #[test]
+    fn a_target_and_a_value_take_each_others_place_by_one_generation() {
+        let folder = tempfile::tempdir().unwrap();
+        let board = board(folder.path());
+        let outbox = board.outbox();
+        let keeper = DesiredKeeper::open(outbox, false);
+        let half = Some(Target::SkipRate(0.5));
+        assert!(keeper.take(&held(3, half), &board, outbox));
+        assert_eq!((target(&board), keeper.generation_in_force()), (half, 3));
+        // An older value, and the same target again, change nothing.
+        assert!(!keeper.take(&desired(2, 0.07), &board, outbox));
+        assert!(!keeper.take(&held(3, half), &board, outbox));
+        assert_eq!(target(&board), half);
+        assert!(keeper.take(&desired(4, 0.07), &board, outbox));
+        assert_eq!((target(&board), thresholds(&board)), (None, vec![0.07; 2]));
+        let off = board.target().report().off;
+        assert_eq!(off.as_deref(), Some("the knob was set by the hub"));
+        assert!(!keeper.take(&held(3, half), &board, outbox));
+        assert_eq!(target(&board), None);
+        // Nothing to hold leaves the knob where it is.
+        assert!(keeper.take(&held(5, half), &board, outbox));
+        assert!(keeper.take(&held(6, None), &board, outbox));
+        assert_eq!((target(&board), keeper.generation_in_force()), (None, 6));
+        assert_eq!(keeper.refused(), None);
+        assert!(
+            thresholds(&board)
+                .iter()
+                .all(|u| (1.5e-4..=0.07).contains(u))
+        );
+    }
+
+    #[test]
+    fn a_target_that_cannot_be_held_is_refused_in_words_and_changes_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let board = board(folder.path());
+        let outbox = board.outbox();
+        let keeper = DesiredKeeper::open(outbox, false);
+        assert!(keeper.take(&desired(1, 0.07), &board, outbox));
+        assert!(keeper.take(&held(2, Some(Target::SkipRate(1.5))), &board, outbox));
+        let refused = keeper.refused().unwrap();
+        assert_eq!((refused.generation, keeper.generation_in_force()), (2, 1));
+        assert!(
+            refused.reason.contains("`skip_rate` must be"),
+            "{refused:?}"
+        );
+        assert_eq!((target(&board), thresholds(&board)), (None, vec![0.07; 2]));
+    }
+
+    #[test]
+    fn a_knob_turned_at_the_node_ends_the_hubs_target_unless_the_hub_wins() {
+        for hub_wins in [false, true] {
+            let folder = tempfile::tempdir().unwrap();
+            let board = board(folder.path());
+            let outbox = board.outbox();
+            let keeper = DesiredKeeper::open(outbox, hub_wins);
+            let half = Some(Target::SkipRate(0.5));
+            assert!(keeper.take(&held(3, half), &board, outbox));
+            board.cameras()[1].set_threshold(0.01).unwrap();
+            assert_eq!(target(&board), None);
+            assert_eq!(keeper.take(&held(3, half), &board, outbox), hub_wins);
+            assert_eq!(target(&board).is_some(), hub_wins);
+        }
+    }
+
+    #[test]
+    fn a_target_of_the_hub_is_there_after_a_restart_and_when_the_disk_comes_late() {
+        let folder = tempfile::tempdir().unwrap();
+        let disk = folder.path().join("disk");
+        let half = Some(Target::SkipRate(0.5));
+        let before = board(&disk.join("state"));
+        let keeper = DesiredKeeper::open(before.outbox(), false);
+        assert!(keeper.take(&held(7, half), &before, before.outbox()));
+        drop((before, keeper));
+        let restarted = board(&disk.join("state"));
+        assert_eq!(target(&restarted), half);
+        drop(restarted);
+
+        std::fs::rename(&disk, folder.path().join("away")).unwrap();
+        std::fs::write(&disk, b"").unwrap();
+        let late = board(&disk.join("state"));
+        let keeper = DesiredKeeper::open(late.outbox(), false);
+        assert_eq!((target(&late), keeper.generation()), (None, 0));
+        std::fs::remove_file(&disk).unwrap();
+        std::fs::rename(folder.path().join("away"), &disk).unwrap();
+        late.outbox().disk_is_due();
+        late.outbox().look_after_disk();
+        keeper.read_again(&late, late.outbox());
+        assert_eq!((target(&late), keeper.generation()), (half, 7));
     }
 
     fn thresholds(board: &Board) -> Vec<f64> {

@@ -113,6 +113,7 @@ impl StatusTeller {
             }
         });
         let power = board.power();
+        let target = board.target().report();
         NodeStatus {
             version: env!("CARGO_PKG_VERSION").to_owned(),
             labels: self.labels.clone(),
@@ -125,7 +126,9 @@ impl StatusTeller {
             health: board.readiness().health().status(),
             outbox: outbox.counts().status(),
             refused: desired.refused(),
-            target: board.target().report().status(),
+            target: target.status(),
+            target_off: target.off,
+            takes_targets: true,
         }
     }
 }

@@ -1,6 +1,7 @@
 //! Orders, desired values and what became of them; rollouts and trials.
 
 use super::Writing;
+use crate::setting::{OFF, Setting, target_of, target_text};
 use crate::store::rows::{Key, insert, parameter, row, text};
 use crate::store::{Dialect, Store, StoreError};
 use albireo_wire::KnobValue;
@@ -8,7 +9,7 @@ use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
 row! {
-    /// A value ordered for some nodes.
+    /// What was ordered for some nodes: a value of a knob, or a target.
     pub(crate) struct OrderRow {
         generation: i64,
         at_ms: i64,
@@ -18,6 +19,7 @@ row! {
         selector: String,
         knob: String,
         value: String,
+        target: Option<String>,
     }
 }
 
@@ -27,6 +29,8 @@ row! {
         generation: i64,
         node: String,
         from_value: Option<String>,
+        from_knob: Option<String>,
+        from_target: Option<String>,
         outcome: String,
         at_ms: i64,
         detail: String,
@@ -40,6 +44,51 @@ row! {
         generation: i64,
         knob: String,
         value: String,
+        target: Option<String>,
+    }
+}
+
+impl OrderRow {
+    /// What was ordered.
+    pub(crate) fn setting(&self) -> Result<Setting, StoreError> {
+        setting(self.knob.clone(), &self.value, self.target.as_deref())
+    }
+}
+
+impl OrderNodeRow {
+    /// What the node had before an order of `ordered`.
+    pub(crate) fn before(&self, ordered: Setting) -> Result<Option<Setting>, StoreError> {
+        if let Some(target) = &self.from_target {
+            return setting(String::new(), "", Some(target)).map(Some);
+        }
+        // Rows of the first version have no name: it is the order's.
+        let own = match ordered {
+            Setting::Knob(knob) => Some(knob.name.to_owned()),
+            Setting::Hold(_) | Setting::HoldNothing => None,
+        };
+        match (self.from_knob.clone().or(own), &self.from_value) {
+            (Some(name), Some(value)) => Ok(Some(knob(name, value)?.into())),
+            _ => Ok(None),
+        }
+    }
+}
+
+/// A setting in columns: knob, value, target.
+pub(crate) fn columns(setting: Setting) -> (String, String, Option<String>) {
+    match setting {
+        Setting::Knob(knob) => (knob.name.to_owned(), knob.value.to_string(), None),
+        Setting::Hold(target) => (String::new(), String::new(), Some(target_text(target))),
+        Setting::HoldNothing => (String::new(), String::new(), Some(OFF.to_owned())),
+    }
+}
+
+fn setting(name: String, value: &str, target: Option<&str>) -> Result<Setting, StoreError> {
+    match target {
+        None => Ok(knob(name, value)?.into()),
+        Some(OFF) => Ok(Setting::HoldNothing),
+        Some(text) => target_of(text)
+            .map(Setting::Hold)
+            .ok_or_else(|| StoreError::Statement(format!("`{text}` is kept as a target"))),
     }
 }
 
@@ -69,6 +118,8 @@ pub(crate) struct ClipSums {
 pub(crate) type ClipWindow = Key<5>;
 
 const OPEN: &str = "outcome IN ('pending', 'waiting', 'timed_out')";
+const ORDER_NODE: &str =
+    "generation, node, from_value, from_knob, from_target, outcome, at_ms, detail";
 const CAMPAIGN: &str = "id, kind, begun_ms, ended_ms, who, state";
 
 impl Writing<'_> {
@@ -81,7 +132,7 @@ impl Writing<'_> {
         Ok(row.try_get("value")?)
     }
 
-    /// Notes an order and its nodes, and makes its value the desired one where none of a higher generation is.
+    /// Notes an order and its nodes, and makes what it orders the desired setting where none of a higher generation is.
     pub(crate) async fn order(
         &mut self,
         order: OrderRow,
@@ -94,6 +145,7 @@ impl Writing<'_> {
                 generation: order.generation,
                 knob: order.knob.clone(),
                 value: order.value.clone(),
+                target: order.target.clone(),
             })
             .collect();
         let statement = format!(
@@ -112,7 +164,7 @@ impl Writing<'_> {
         query.execute(&mut *self.transaction).await?;
         let statement = insert::<DesiredRow>("desired")
             + " ON CONFLICT (node) DO UPDATE SET generation = excluded.generation, knob = excluded.knob, \
-               value = excluded.value WHERE excluded.generation > desired.generation";
+               value = excluded.value, target = excluded.target WHERE excluded.generation > desired.generation";
         self.with(&statement, &desired).await?;
         self.insert("orders", &[order]).await?;
         self.outcomes(nodes).await
@@ -212,24 +264,25 @@ impl Writing<'_> {
 }
 
 impl Store {
-    /// The desired values of higher generations than `after`.
+    /// What is desired of nodes with higher generations than `after`.
     pub(crate) async fn desired_after(
         &self,
         after: i64,
-    ) -> Result<Vec<(String, i64, KnobValue)>, StoreError> {
+    ) -> Result<Vec<(String, i64, Setting)>, StoreError> {
         let sql = self
             .dialect
-            .sql("SELECT node, generation, knob, value FROM desired WHERE generation > $1");
+            .sql("SELECT node, generation, knob, value, target FROM desired WHERE generation > $1");
         let rows = sqlx::query(sql)
             .bind(after)
             .fetch_all(&self.readers)
             .await?;
         let read = |row: &AnyRow| -> Result<_, StoreError> {
             let value: String = row.try_get("value")?;
+            let target: Option<String> = row.try_get("target")?;
             Ok((
                 row.try_get("node")?,
                 row.try_get("generation")?,
-                knob(row.try_get("knob")?, &value)?,
+                setting(row.try_get("knob")?, &value, target.as_deref())?,
             ))
         };
         rows.iter().map(read).collect()
@@ -243,8 +296,8 @@ impl Store {
         node: Option<&str>,
     ) -> Result<Vec<OrderNodeRow>, StoreError> {
         let sql = self.dialect.sql(
-            "SELECT generation, node, from_value, outcome, at_ms, detail FROM order_nodes \
-             WHERE generation BETWEEN $1 AND $2 AND ($3 = '' OR node = $3) ORDER BY generation DESC, node",
+            &format!("SELECT {ORDER_NODE} FROM order_nodes \
+             WHERE generation BETWEEN $1 AND $2 AND ($3 = '' OR node = $3) ORDER BY generation DESC, node"),
         );
         let query = sqlx::query(sql)
             .bind(from)
@@ -260,9 +313,7 @@ impl Store {
 
     /// Orders whose outcome is open at some nodes.
     pub(crate) async fn open_order_nodes(&self) -> Result<Vec<OrderNodeRow>, StoreError> {
-        let statement = format!(
-            "SELECT generation, node, from_value, outcome, at_ms, detail FROM order_nodes WHERE {OPEN}"
-        );
+        let statement = format!("SELECT {ORDER_NODE} FROM order_nodes WHERE {OPEN}");
         let rows = sqlx::query(self.dialect.sql(&statement))
             .fetch_all(&self.readers)
             .await?;
@@ -277,7 +328,7 @@ impl Store {
         limit: i64,
     ) -> Result<Vec<OrderRow>, StoreError> {
         let sql = self.dialect.sql(
-            "SELECT generation, at_ms, who, why, origin, selector, knob, value FROM orders \
+            "SELECT generation, at_ms, who, why, origin, selector, knob, value, target FROM orders \
              WHERE generation < $1 AND ($2 = '' OR generation IN (SELECT generation FROM order_nodes WHERE node = $2)) \
              ORDER BY generation DESC LIMIT $3",
         );
@@ -295,6 +346,7 @@ impl Store {
                 selector: row.try_get("selector")?,
                 knob: row.try_get("knob")?,
                 value: row.try_get("value")?,
+                target: row.try_get("target")?,
             })
         };
         query
@@ -428,6 +480,8 @@ fn order_node(row: &AnyRow) -> Result<OrderNodeRow, StoreError> {
         generation: row.try_get("generation")?,
         node: row.try_get("node")?,
         from_value: row.try_get("from_value")?,
+        from_knob: row.try_get("from_knob")?,
+        from_target: row.try_get("from_target")?,
         outcome: row.try_get("outcome")?,
         at_ms: row.try_get("at_ms")?,
         detail: row.try_get("detail")?,
@@ -446,7 +500,7 @@ fn campaign(row: &AnyRow) -> Result<CampaignRow, StoreError> {
 }
 
 /// A knob's value as it is kept: name and shortest text.
-pub(crate) fn knob(name: String, value: &str) -> Result<KnobValue, StoreError> {
+fn knob(name: String, value: &str) -> Result<KnobValue, StoreError> {
     let number: f64 = value
         .parse()
         .map_err(|_| StoreError::Statement(format!("`{value}` is kept as a value of `{name}`")))?;

@@ -42,6 +42,8 @@ impl World {
                     reachable: true,
                     generation: 0,
                     knob: Some(OLD),
+                    target: None,
+                    cannot_hold: None,
                     refused: None,
                 },
                 desired: None,
@@ -387,6 +389,8 @@ fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
             reachable: true,
             generation: 0,
             knob: Some(OLD),
+            target: None,
+            cannot_hold: None,
             refused: None,
         })
     };

@@ -37,6 +37,8 @@ fn obey(trial: &mut Trial, generation: &mut u64, now: Millis) {
             reachable: true,
             generation: *generation,
             knob: Some(*knob),
+            target: None,
+            cannot_hold: None,
             refused: None,
         })
     });

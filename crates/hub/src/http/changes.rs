@@ -1,0 +1,205 @@
+//! The history of what was ordered, and who has something else.
+
+use super::HubView;
+use super::order::of_store;
+use crate::setting::Setting;
+use crate::store::{OrderNodeRow, OrderRow, StoreError};
+use crate::tuning::tuner::Drift;
+use albireo_service::http::Problem;
+use axum::Json;
+use axum::extract::{Path, Query, State};
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use utoipa::{IntoParams, ToSchema};
+
+/// Most orders of one answer.
+const MOST_ORDERS: i64 = 500;
+
+/// One order of the history.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct ChangeView {
+    /// Its number: the generation of what was ordered.
+    change: i64,
+    /// When, milliseconds since the Unix epoch.
+    at_ms: i64,
+    /// Who: the name of the token.
+    who: String,
+    /// Why.
+    why: String,
+    /// `hand`, `rollout 3`, `trial 4`, `drift`.
+    origin: String,
+    /// Who was selected; empty where a rollout or trial chose.
+    select: String,
+    /// What was ordered: a value under its knob's name, or `target` with a target or null.
+    #[schema(value_type = BTreeMap<String, serde_json::Value>)]
+    to: Setting,
+    /// How many nodes have which outcome.
+    counts: BTreeMap<String, i64>,
+}
+
+/// What became of an order at a node.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct ChangeNode {
+    node: String,
+    outcome: String,
+    /// When that was known, milliseconds since the Unix epoch.
+    at_ms: i64,
+    /// What it had before: a value under its knob's name, or a target.
+    #[schema(value_type = Option<BTreeMap<String, serde_json::Value>>)]
+    from: Option<Setting>,
+    #[serde(skip_serializing_if = "String::is_empty")]
+    detail: String,
+}
+
+/// One order with its nodes.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct ChangeDetail {
+    #[serde(flatten)]
+    change: ChangeView,
+    nodes: Vec<ChangeNode>,
+}
+
+/// Orders, the newest first.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct Changes {
+    changes: Vec<ChangeView>,
+    /// Give it as `before` for the next page; absent on the last.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    next: Option<i64>,
+}
+
+/// Which orders.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+pub(super) struct WhichChanges {
+    /// Only those of this node.
+    node: Option<String>,
+    /// Only those before this number.
+    before: Option<i64>,
+    /// How many at most; 50 by default.
+    limit: Option<i64>,
+}
+
+/// The history of changes
+///
+/// Who ordered which value or target for whom, why, and what became of it.
+#[utoipa::path(
+    get, operation_id = "list_changes", path = "/api/v1/changes", tag = "tuning", params(WhichChanges),
+    responses(
+        (status = 200, body = Changes),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn changes(
+    State(view): State<HubView>,
+    Query(which): Query<WhichChanges>,
+) -> Result<Json<Changes>, Problem> {
+    let store = view.tuner()?.store();
+    let limit = which.limit.unwrap_or(50).clamp(1, MOST_ORDERS);
+    let orders = store
+        .orders(
+            which.before.unwrap_or(i64::MAX),
+            which.node.as_deref(),
+            limit,
+        )
+        .await;
+    let orders = orders.map_err(|error| of_store(&error))?;
+    let next = orders
+        .last()
+        .filter(|_| orders.len() as i64 == limit)
+        .map(|order| order.generation);
+    let span = orders
+        .last()
+        .zip(orders.first())
+        .map(|(last, first)| (last.generation, first.generation));
+    let counted = match span {
+        Some((from, to)) => store
+            .outcome_counts(from, to)
+            .await
+            .map_err(|error| of_store(&error))?,
+        None => Vec::new(),
+    };
+    let changes: Result<Vec<_>, _> = orders
+        .into_iter()
+        .map(|order| change_view(order, &counted))
+        .collect();
+    Ok(Json(Changes {
+        changes: changes.map_err(|error| of_store(&error))?,
+        next,
+    }))
+}
+
+fn change_view(order: OrderRow, counted: &[(i64, String, i64)]) -> Result<ChangeView, StoreError> {
+    let counts = counted
+        .iter()
+        .filter(|(generation, ..)| *generation == order.generation);
+    Ok(ChangeView {
+        change: order.generation,
+        at_ms: order.at_ms,
+        to: order.setting()?,
+        who: order.who,
+        why: order.why,
+        origin: order.origin,
+        select: order.selector,
+        counts: counts
+            .map(|(_, outcome, nodes)| (outcome.clone(), *nodes))
+            .collect(),
+    })
+}
+
+/// One change with every node
+#[utoipa::path(
+    get, operation_id = "change", path = "/api/v1/changes/{change}", tag = "tuning",
+    params(("change" = i64, Path, description = "Its number.")),
+    responses(
+        (status = 200, body = ChangeDetail),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn change(
+    State(view): State<HubView>,
+    Path(number): Path<i64>,
+) -> Result<Json<ChangeDetail>, Problem> {
+    let store = view.tuner()?.store();
+    let failed = |error: StoreError| of_store(&error);
+    let orders = store
+        .orders(number.saturating_add(1), None, 1)
+        .await
+        .map_err(failed)?;
+    let order = orders.into_iter().find(|order| order.generation == number);
+    let order = order.ok_or_else(|| {
+        Problem::new(
+            StatusCode::NOT_FOUND,
+            format!("there is no change {number}"),
+        )
+    })?;
+    let counted = store.outcome_counts(number, number).await.map_err(failed)?;
+    let nodes = store
+        .order_nodes(number, number, None)
+        .await
+        .map_err(failed)?;
+    let ordered = order.setting().map_err(failed)?;
+    let node = |row: OrderNodeRow| -> Result<ChangeNode, StoreError> {
+        Ok(ChangeNode {
+            from: row.before(ordered)?,
+            node: row.node,
+            outcome: row.outcome,
+            at_ms: row.at_ms,
+            detail: row.detail,
+        })
+    };
+    let nodes: Result<Vec<_>, _> = nodes.into_iter().map(node).collect();
+    Ok(Json(ChangeDetail {
+        change: change_view(order, &counted).map_err(failed)?,
+        nodes: nodes.map_err(failed)?,
+    }))
+}
+
+/// Nodes that have something else than what is desired
+///
+/// They had taken it, and it was changed at the node since: another value, another target, or none any more.
+#[utoipa::path(get, operation_id = "list_drift", path = "/api/v1/drift", tag = "tuning", responses((status = 200, body = Vec<Drift>)))]
+pub(super) async fn drift(State(view): State<HubView>) -> Result<Json<Vec<Drift>>, Problem> {
+    Ok(Json(view.tuner()?.drift()))
+}

@@ -1,0 +1,192 @@
+//! Carrying out an order for selected nodes, whatever it orders, with the outcome at each as it comes.
+
+use super::{HubView, body};
+use crate::setting::Setting;
+use crate::store::StoreError;
+use crate::tuning::change::{Change, ChangeRequest};
+use crate::tuning::selector::Selector;
+use crate::tuning::tuner::OutcomeLine;
+use albireo_service::http::{Caller, Problem};
+use axum::Json;
+use axum::body::Body;
+use axum::http::header::{ACCEPT, CONTENT_TYPE};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::time::Instant;
+use utoipa::ToSchema;
+
+/// The media type of outcomes as they come, one JSON object a line.
+const LINES: &str = "application/x-ndjson";
+/// How long a plain answer waits for the nodes at most: an answer that begins too late is an error.
+const LONGEST_WAIT_S: f64 = 8.0;
+/// What of the time of a request is left for the order and the answer.
+const ANSWER_S: f64 = 1.0;
+/// How long a stream of outcomes lasts at most.
+const LONGEST_STREAM_S: f64 = 3_600.0;
+
+/// An order as it was asked for.
+pub(super) struct Asked {
+    pub(super) setting: Setting,
+    pub(super) select: Selector,
+    pub(super) dry_run: bool,
+    pub(super) why: String,
+    /// How long to wait for the nodes, seconds.
+    pub(super) wait_s: Option<f64>,
+}
+
+/// What an order came to.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct OrderAnswer {
+    /// Number of the order: `/api/v1/changes/{change}` tells how it went on. Absent in a dry run, and when nobody was to change.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    change: Option<u64>,
+    /// Whether nothing was done.
+    dry_run: bool,
+    /// How many nodes have which outcome.
+    counts: BTreeMap<String, usize>,
+    /// Each node.
+    nodes: Vec<OutcomeLine>,
+}
+
+/// The last line of a stream.
+#[derive(Debug, Serialize, ToSchema)]
+struct LastLine {
+    change: Option<u64>,
+    counts: BTreeMap<String, usize>,
+}
+
+pub(super) fn of_store(error: &StoreError) -> Problem {
+    Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
+}
+
+/// Orders it, and answers with what became of it: as lines where the caller takes those, else at the end of the wait.
+pub(super) async fn carry_out(
+    view: &HubView,
+    caller: &Caller,
+    headers: &HeaderMap,
+    request: Asked,
+) -> Result<Response, Problem> {
+    if request.why.len() > 500 {
+        return Err(body::unusable("why: must have at most 500 bytes"));
+    }
+    let streams = headers
+        .get(ACCEPT)
+        .and_then(|value| value.to_str().ok())
+        .is_some_and(|accept| accept.contains(LINES));
+    let most = if streams {
+        LONGEST_STREAM_S
+    } else {
+        (view.timeout.as_secs_f64() - ANSWER_S).clamp(0.0, LONGEST_WAIT_S)
+    };
+    let wait = request.wait_s.unwrap_or(most.min(5.0));
+    if !(0.0..=most).contains(&wait) {
+        return Err(body::unusable(format!(
+            "wait_s: must be from 0 to {most}, not {wait}"
+        )));
+    }
+    let dry_run = request.dry_run;
+    let change = view
+        .tuner()?
+        .change(
+            ChangeRequest {
+                setting: request.setting,
+                select: request.select,
+                dry_run,
+                why: request.why,
+            },
+            &caller.name,
+        )
+        .await
+        .map_err(|error| of_store(&error))?;
+    if change.lines.is_empty() && change.awaited.is_empty() {
+        return Err(Problem::new(
+            StatusCode::NOT_FOUND,
+            "no node is selected; GET /api/v1/nodes lists all",
+        ));
+    }
+    let until = Instant::now() + Duration::from_secs_f64(wait);
+    let mut following = Following {
+        change,
+        until,
+        last: BTreeMap::new(),
+    };
+    if streams {
+        let stream = futures_util::stream::unfold(Some(following), |following| async move {
+            let mut following = following?;
+            let (line, next) = match following.next().await {
+                Some(line) => (serde_json::to_string(&line), Some(following)),
+                None => {
+                    let last = LastLine {
+                        change: following.change.generation,
+                        counts: following.counts(),
+                    };
+                    (serde_json::to_string(&last), None)
+                }
+            };
+            let line = line.map(|line| line + "\n").map_err(std::io::Error::other);
+            Some((line, next))
+        });
+        return Ok(([(CONTENT_TYPE, LINES)], Body::from_stream(stream)).into_response());
+    }
+    while following.next().await.is_some() {}
+    let answer = OrderAnswer {
+        change: following.change.generation,
+        dry_run,
+        counts: following.counts(),
+        nodes: following.last.into_values().collect(),
+    };
+    Ok(Json(answer).into_response())
+}
+
+/// Brings the outcomes until every node has one, or the time is over.
+struct Following {
+    change: Change,
+    until: Instant,
+    last: BTreeMap<String, OutcomeLine>,
+}
+
+impl Following {
+    async fn next(&mut self) -> Option<OutcomeLine> {
+        let line = match self.change.lines.pop() {
+            Some(line) => line,
+            None if self.change.awaited.is_empty() => return None,
+            None => match tokio::time::timeout_at(self.until, self.change.follow.recv()).await {
+                Ok(line) => line?,
+                Err(_) => self.not_answered()?,
+            },
+        };
+        if line.is_final() {
+            self.change.awaited.remove(&line.node);
+        }
+        self.last.insert(line.node.clone(), line.clone());
+        Some(line)
+    }
+
+    /// The time is over: what is still awaited is said to be so, unless that was said before.
+    fn not_answered(&mut self) -> Option<OutcomeLine> {
+        while let Some(node) = self.change.awaited.iter().next().cloned() {
+            self.change.awaited.remove(&node);
+            if !self.last.contains_key(&node) {
+                return Some(OutcomeLine {
+                    node,
+                    outcome: "pending",
+                    from: None,
+                    to: self.change.setting,
+                    detail: "not answered yet".to_owned(),
+                });
+            }
+        }
+        None
+    }
+
+    fn counts(&self) -> BTreeMap<String, usize> {
+        let mut counts = BTreeMap::new();
+        for line in self.last.values() {
+            *counts.entry(line.outcome.to_owned()).or_insert(0) += 1;
+        }
+        counts
+    }
+}

@@ -1,0 +1,352 @@
+//! Targets reach nodes as values do, and take their place; what a node cannot hold is refused in words.
+
+use crate::support::postgres::Postgres;
+use crate::support::{
+    Hub, Said, batch, config, deliver, full_status, instance, now_ns, sqlite, uplink,
+};
+use crate::tuning::{Played, fleet, post, put, put_at, values};
+use albireo_wire::{
+    CameraState, CameraStatus, Desired, KnobSource, KnobValue, PullRequest, Standing,
+    StatusMessage, Target, TargetStatus, VERSION,
+};
+use reqwest::StatusCode;
+use serde_json::{Value, json};
+
+/// Orders a target, or null.
+async fn hold(hub: &Hub, target: Value, select: &str) -> Value {
+    let body = json!({"target": target, "select": select, "why": "a test"});
+    let (status, answer) = put_at(hub, "/api/v1/target", body).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    answer
+}
+
+/// What each node says that it holds.
+fn held(nodes: &Value) -> Vec<Value> {
+    let nodes = nodes["nodes"].as_array().unwrap().iter();
+    nodes
+        .map(|node| node["status"]["target"]["target"].clone())
+        .collect()
+}
+
+async fn targets_reach_nodes(database: &str) {
+    let hub = Hub::start(config(database)).await;
+    let played = Played::begin(&hub, fleet(6)).await;
+    let wanted = json!({"skip_rate": 0.6});
+    let dry = json!({"target": wanted, "select": "sim-*", "dry_run": true});
+    let (_, answer) = put_at(&hub, "/api/v1/target", dry).await;
+    assert_eq!(answer["counts"], json!({"would_change": 6}), "{answer}");
+    assert_eq!(answer["nodes"][0]["to"], json!({"target": wanted}));
+    assert_eq!(hub.get("/api/v1/changes").await["changes"], json!([]));
+
+    // Nodes 0 and 4 are in the north.
+    let answer = hold(&hub, wanted.clone(), "region=north,sim-000001,nobody").await;
+    assert_eq!(
+        answer["counts"],
+        json!({"applied": 3, "refused": 1}),
+        "{answer}"
+    );
+    let nodes = hub.get("/api/v1/nodes").await;
+    let (on, off) = (&wanted, &Value::Null);
+    assert_eq!(
+        held(&nodes).iter().collect::<Vec<_>>(),
+        [on, on, off, off, on, off]
+    );
+    let status = &nodes["nodes"][0]["status"]["target"];
+    assert_eq!(
+        (&status["standing"], &status["source"]),
+        (&json!("held"), &json!("hub"))
+    );
+    assert!(
+        values(&nodes)[0] > 3e-4 && values(&nodes)[2] == 3e-4,
+        "{nodes}"
+    );
+    let change = answer["change"].as_u64().unwrap();
+    let changes = hub.get("/api/v1/changes?node=sim-000004").await;
+    let first = &changes["changes"][0];
+    assert_eq!(
+        first["to"],
+        json!({"target": {"skip_rate": 0.6}}),
+        "{changes}"
+    );
+    assert_eq!(
+        (&first["change"], &first["why"]),
+        (&json!(change), &json!("a test"))
+    );
+    let detail = hub.get(&format!("/api/v1/changes/{change}")).await;
+    assert_eq!(detail["nodes"][0]["from"], json!({"u": 3e-4}), "{detail}");
+    let metrics = reqwest::get(format!("{}/metrics", hub.http)).await.unwrap();
+    let metrics = metrics.text().await.unwrap();
+    for line in [
+        "albireo_hub_targets{standing=\"held\"} 3",
+        "albireo_hub_targets{standing=\"cannot_be_met\"} 0",
+    ] {
+        assert!(metrics.contains(line), "{line}: {metrics}");
+    }
+
+    // The same again changes nobody. A node that takes part in nothing can be told otherwise.
+    let answer = hold(&hub, wanted.clone(), "sim-000001").await;
+    assert_eq!(answer["counts"], json!({"unchanged": 1}));
+    assert_eq!(answer["change"], Value::Null);
+    let answer = hold(&hub, json!({"skip_rate": 0.95}), "sim-000002").await;
+    assert_eq!(answer["counts"], json!({"applied": 1}), "{answer}");
+    let node = hub.get("/api/v1/nodes/sim-000002").await;
+    assert_eq!(
+        node["status"]["target"]["standing"], "cannot_be_met",
+        "{node}"
+    );
+
+    // A value takes the target's place, and a target the value's, by one and the same generation.
+    let (_, answer) = put(&hub, json!({"u": 5e-4, "select": "sim-000000"})).await;
+    assert_eq!(answer["counts"], json!({"applied": 1}), "{answer}");
+    assert_eq!(
+        answer["nodes"][0]["from"],
+        json!({"target": wanted}),
+        "{answer}"
+    );
+    let nodes = hub.get("/api/v1/nodes").await;
+    assert_eq!((&held(&nodes)[0], values(&nodes)[0]), (off, 5e-4));
+    let value = answer["change"].as_u64().unwrap();
+    assert!(value > change);
+    let answer = hold(&hub, json!({"skip_rate": 0.5}), "sim-000000").await;
+    assert_eq!(answer["counts"], json!({"applied": 1}), "{answer}");
+    assert_eq!(answer["nodes"][0]["from"], json!({"u": 5e-4}), "{answer}");
+    assert!(answer["change"].as_u64().unwrap() > value);
+
+    // Who holds something holds nothing any more, and the knob stays; of the others nothing is ordered.
+    let before = values(&hub.get("/api/v1/nodes").await);
+    let answer = hold(&hub, Value::Null, "sim-000000,sim-000003").await;
+    assert_eq!(
+        answer["counts"],
+        json!({"applied": 1, "unchanged": 1}),
+        "{answer}"
+    );
+    let nodes = hub.get("/api/v1/nodes").await;
+    assert_eq!((&held(&nodes)[0], values(&nodes)), (off, before));
+    played.end().await;
+    hub.stop().await;
+
+    // What was desired is desired after a restart of the hub: the nodes are made anew too, and hold nothing at first.
+    let restarted = i64::try_from(now_ns() / 1_000_000).unwrap();
+    let hub = Hub::start(config(database)).await;
+    let played = Played::begin(&hub, fleet(6)).await;
+    let nodes = hub
+        .until("/api/v1/nodes", |nodes| {
+            let all = nodes["nodes"].as_array().unwrap().iter();
+            let held = held(nodes);
+            all.map(|node| node["heard_ms"].as_i64())
+                .all(|heard| heard > Some(restarted))
+                && held[1] == wanted
+                && held[2] == json!({"skip_rate": 0.95})
+                && held[4] == wanted
+        })
+        .await;
+    assert_eq!((&held(&nodes)[0], &held(&nodes)[3]), (off, off));
+    played.end().await;
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value() {
+    let folder = tempfile::tempdir().unwrap();
+    targets_reach_nodes(&sqlite(folder.path())).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value() {
+    let server = Postgres::start();
+    targets_reach_nodes(&server.url()).await;
+}
+
+async fn say(session: &zenoh::Session, node: &str, status: &StatusMessage) {
+    let payload = serde_json::to_vec(status).unwrap();
+    session
+        .put(format!("albireo/@status/{node}"), payload)
+        .await
+        .unwrap();
+}
+
+async fn pull(session: &zenoh::Session, node: &str, instance: &str) -> Desired {
+    let request = PullRequest {
+        v: VERSION,
+        instance: instance.into(),
+        generation: 0,
+    };
+    let replies = session
+        .get(format!("albireo/@pull/{node}"))
+        .payload(serde_json::to_vec(&request).unwrap())
+        .await
+        .unwrap();
+    let reply = replies.recv_async().await.unwrap();
+    let sample = reply.into_result().unwrap();
+    albireo_wire::read(&sample.payload().to_bytes()).unwrap()
+}
+
+/// A full status of a node with one camera at that `u`.
+fn told(one: &str, seq: u64, generation: u64, u: f64) -> StatusMessage {
+    let mut status = StatusMessage {
+        generation,
+        ..full_status(one, seq, &[])
+    };
+    status.full.as_mut().unwrap().cameras = vec![CameraStatus {
+        name: "front".into(),
+        state: CameraState::Live,
+        knob: Some(KnobValue {
+            name: "u",
+            value: u,
+        }),
+        knob_source: KnobSource::Hub,
+    }];
+    status
+}
+
+/// The same of the version before, which says nothing of targets.
+fn of_old(one: &str, seq: u64, generation: u64, u: f64) -> StatusMessage {
+    let mut status = told(one, seq, generation, u);
+    let full = status.full.as_mut().unwrap();
+    full.takes_targets = false;
+    status
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_passes_over_targets_refuses_in_words_and_keeps_its_value() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let session = uplink(&hub.zenoh).await;
+    let one = instance('a');
+    say(&session, "car-1", &of_old(&one, 0, 0, 3e-4)).await;
+    hub.until("/api/v1/nodes/car-1", |node| node["state"] == "online")
+        .await;
+    let (_, answer) = put(&hub, json!({"u": 5e-4, "select": "car-1", "wait_s": 0})).await;
+    let first = answer["change"].as_u64().unwrap();
+    say(&session, "car-1", &of_old(&one, 1, first, 5e-4)).await;
+    hub.until("/api/v1/nodes/car-1", |node| node["generation"] == first)
+        .await;
+    let answer = hold(&hub, json!({"skip_rate": 0.5}), "car-1").await;
+    assert_eq!(answer["counts"], json!({"refused": 1}), "{answer}");
+    let words = answer["nodes"][0]["detail"].as_str().unwrap();
+    assert!(words.contains("version 0.1.0, takes no target"), "{words}");
+    let desired = pull(&session, "car-1", &one).await;
+    let value = Some(KnobValue {
+        name: "u",
+        value: 5e-4,
+    });
+    assert_eq!((desired.generation, desired.knob), (first, value));
+    assert_eq!((desired.target, desired.hold_nothing), (None, false));
+
+    // One that was never heard before it was ordered: it takes the generation and passes over the rest, and says so by what
+    // it does not say.
+    let sent = batch("car-2", &one, 1..=1, now_ns() - 60_000_000_000);
+    assert_eq!(deliver(&session, &sent).await, Said::Stored(1));
+    hub.until("/api/v1/nodes/car-2", |node| node["state"] == "silent")
+        .await;
+    let answer = hold(&hub, json!({"skip_rate": 0.5}), "car-2").await;
+    assert_eq!(answer["counts"], json!({"waiting": 1}), "{answer}");
+    let second = answer["change"].as_u64().unwrap();
+    assert_eq!(
+        pull(&session, "car-2", &one).await.target,
+        Some(Target::SkipRate(0.5))
+    );
+    say(&session, "car-2", &of_old(&one, 0, second, 3e-4)).await;
+    let change = hub
+        .until(&format!("/api/v1/changes/{second}"), |change| {
+            change["nodes"][0]["outcome"] == "refused"
+        })
+        .await;
+    let words = change["nodes"][0]["detail"].as_str().unwrap();
+    assert!(words.contains("brought up to date"), "{change}");
+    session.close().await.unwrap();
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let session = uplink(&hub.zenoh).await;
+    let one = instance('a');
+    say(&session, "car-1", &told(&one, 0, 0, 3e-4)).await;
+    hub.until("/api/v1/nodes/car-1", |node| node["state"] == "online")
+        .await;
+    let body = json!({"target": {"recall": 0.9}, "select": "car-1", "wait_s": 0});
+    let (_, answer) = put_at(&hub, "/api/v1/target", body).await;
+    let change = answer["change"].as_u64().unwrap();
+    let mut holds = told(&one, 1, change, 3e-4);
+    holds.full.as_mut().unwrap().target = Some(TargetStatus {
+        target: Target::Recall(0.9),
+        source: KnobSource::Hub,
+        standing: Some(Standing::Measuring),
+        actual: None,
+    });
+    say(&session, "car-1", &holds).await;
+    hub.until(&format!("/api/v1/changes/{change}"), |change| {
+        change["nodes"][0]["outcome"] == "applied"
+    })
+    .await;
+    assert_eq!(hub.get("/api/v1/drift").await, json!([]));
+    let mut turned = told(&one, 2, change, 7e-4);
+    let off = "the knob was set by hand";
+    turned.full.as_mut().unwrap().target_off = Some(off.to_owned());
+    say(&session, "car-1", &turned).await;
+    let drift = hub
+        .until("/api/v1/drift", |drift| drift[0]["node"] == "car-1")
+        .await;
+    let found = &drift[0];
+    assert_eq!(found["desired"], json!({"target": {"recall": 0.9}}));
+    assert_eq!(found["in_force"], json!({"u": 7e-4}), "{drift}");
+    assert_eq!(found["why"], off);
+    session.close().await.unwrap();
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_rollout_and_a_trial_leave_out_a_node_that_holds_a_target() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let played = Played::begin(&hub, fleet(3)).await;
+    hold(&hub, json!({"skip_rate": 0.6}), "sim-000001").await;
+    let plan = json!({"u": 5e-4, "select": ["all"], "stages": ["100%"], "soak_s": 3600});
+    let (status, begun) = post(&hub, "/api/v1/rollouts", plan).await;
+    assert_eq!(status, StatusCode::CREATED, "{begun}");
+    let left_out = &begun["left_out"][0];
+    assert_eq!(left_out["node"], "sim-000001", "{begun}");
+    let why = left_out["why"].as_str().unwrap();
+    assert!(why.contains("holds the target skip_rate 0.6"), "{why}");
+    // And a node of a rollout takes no target.
+    let answer = hold(&hub, json!({"skip_rate": 0.6}), "sim-000000").await;
+    assert_eq!(answer["counts"], json!({"refused": 1}), "{answer}");
+    played.end().await;
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_target_that_makes_no_sense_is_refused_with_what_would_do() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    for (body, expected) in [
+        (json!({"select": ["all"]}), "must have a target"),
+        (json!({"target": 0.5, "select": ["all"]}), "target: "),
+        (
+            json!({"target": {"speed": 3}, "select": ["all"]}),
+            "unknown variant `speed`",
+        ),
+        (
+            json!({"target": {"skip_rate": 1.5}, "select": ["all"]}),
+            "from 0.01 to 0.99",
+        ),
+        (json!({"target": {"skip_rate": 0.5}}), "select"),
+        (
+            json!({"target": null, "select": ["all"], "u": 3e-4}),
+            "unknown field `u`",
+        ),
+    ] {
+        let (status, answer) = put_at(&hub, "/api/v1/target", body).await;
+        assert_eq!(status, StatusCode::UNPROCESSABLE_ENTITY, "{answer}");
+        let detail = answer["detail"].as_str().unwrap();
+        assert!(detail.contains(expected), "{expected}: {answer}");
+        if expected.contains("target") {
+            assert_eq!(answer["allowed"][1], "skip_rate", "{answer}");
+        }
+    }
+    hub.stop().await;
+}

@@ -1,0 +1,28 @@
+// Targets: what is held in the place of a knob's number.
+
+import { small } from "./format";
+
+/** What can be held, with its unit and a value to begin with. */
+export const TARGETS = [
+  { name: "skip_rate", words: "skip rate", unit: "of the frames", begin: "0.5" },
+  { name: "recall", words: "recall against the detector, at least", unit: "", begin: "0.9" },
+  { name: "detector_ms_per_s", words: "detector time", unit: "ms a second", begin: "300" },
+  { name: "watts", words: "power of the node", unit: "W", begin: "6" },
+  { name: "joules_per_day", words: "energy of the node", unit: "J a day", begin: "500000" },
+] as const;
+
+export type TargetName = (typeof TARGETS)[number]["name"];
+
+/** Name and value of a target as the message has it: one field. */
+export function nameAndValue(target: object | null | undefined): [TargetName, number] | undefined {
+  const entry = Object.entries(target ?? {})[0];
+  return entry && [entry[0] as TargetName, entry[1] as number];
+}
+
+/** `skip rate 0.5 of the frames`. */
+export function heldText(target: object | null | undefined): string {
+  const held = nameAndValue(target);
+  if (!held) return "nothing";
+  const about = TARGETS.find((one) => one.name === held[0]);
+  return `${about?.words ?? held[0]} ${small(held[1])}${about?.unit ? ` ${about.unit}` : ""}`;
+}
