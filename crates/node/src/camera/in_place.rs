@@ -120,23 +120,20 @@ impl Drop for TakenAway<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::{Pushed, frame_ring};
+    use crate::frame::{Pushed, RingSender, frame_ring};
     use std::thread::{self, ThreadId};
     use std::time::Duration;
     use tokio::sync::{mpsc, oneshot};
+    use tokio::task::JoinHandle;
     use tokio::time::timeout;
 
     const LIMIT: Duration = Duration::from_secs(20);
 
+    /// What a loop took, and where.
+    type Told = mpsc::UnboundedReceiver<(u32, ThreadId)>;
+
     /// A loop over a ring that tells what it took, and where.
-    fn start(
-        fails_at: Option<u32>,
-    ) -> (
-        InPlace,
-        crate::frame::RingSender<u32>,
-        mpsc::UnboundedReceiver<(u32, ThreadId)>,
-        tokio::task::JoinHandle<()>,
-    ) {
+    fn start(fails_at: Option<u32>) -> (InPlace, RingSender<u32>, Told, JoinHandle<()>) {
         let (sender, mut ring) = frame_ring(4);
         let (tell, told) = mpsc::unbounded_channel();
         let place = InPlace::default();
@@ -156,7 +153,7 @@ mod tests {
     }
 
     /// As the intake does it.
-    fn bring(place: &InPlace, sender: &crate::frame::RingSender<u32>, item: u32) {
+    fn bring(place: &InPlace, sender: &RingSender<u32>, item: u32) {
         let (pushed, wake) = sender.push_newest_quietly(item);
         assert_eq!(pushed, Pushed::Queued);
         if let Some(wake) = wake
