@@ -8,6 +8,8 @@ ONNXRUNTIME := $(CACHE)/onnxruntime/.ready
 PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
 PARITY_ENVIRONMENT := $(CACHE)/parity/.ready
 DEMO_SECONDS ?=
+# Python's ONNX Runtime as ours keeps and sends nothing of what is run.
+export ORT_DISABLE_TELEMETRY := 1
 
 .PHONY: help demo test web browser lint soak board onnxruntime python debian release dist bench bench-peers parity clean
 
@@ -15,7 +17,7 @@ help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: onnxruntime web ## camera, node, hub and live output in one process, with nothing to configure (DEMO_SECONDS=N stops it)
-	cargo build --locked
+	cargo build --locked $$(bash tests/features.sh)
 	@exec target/debug/albireo demo $(if $(DEMO_SECONDS),--seconds $(DEMO_SECONDS))
 
 test: onnxruntime python debian web ## fetch what the tests need and run them all
@@ -25,10 +27,10 @@ lint: ## formatting and clippy of every combination of features that is shipped,
 	cargo fmt --check
 	cargo clippy --locked --workspace --all-targets -- -D warnings
 	cargo clippy --locked --no-default-features -- -D warnings
-	cargo clippy --locked --workspace --all-targets $$(bash tests/features.sh) -- -D warnings
+	cargo clippy --locked --all-targets $$(bash tests/features.sh) -- -D warnings
 
 soak: onnxruntime python ## half an hour of a node under faults beside a hub, by hand (MINUTES=N for another length)
-	cargo build --locked
+	cargo build --locked $$(bash tests/features.sh)
 	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" $(CACHE)/python/bin/python tests/soak.py --minutes $(or $(MINUTES),30)
 
 bench: onnxruntime web ## the benches, optimised (takes a while the first time)
@@ -38,7 +40,7 @@ bench-peers: ## the decision core beside other trackers
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
 
 parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
-	cargo build --locked
+	cargo build --locked $$(bash tests/features.sh)
 	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" YOLO_OFFLINE=true \
 		YOLO_CONFIG_DIR="$(abspath $(CACHE))/parity/config" $(CACHE)/parity/bin/python \
 		tests/parity/compare.py --shared "$${ALBIREO_SHARED:-../shared}"
@@ -55,7 +57,7 @@ web: ## the pages that people look at, with Node.js and npm; without them everyt
 	@bash web/build.sh
 
 browser: onnxruntime web ## the pages in Debian's Chromium against the program, by hand (on a busy machine a step may be too slow)
-	cargo build --locked
+	cargo build --locked $$(bash tests/features.sh)
 	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" ALBIREO_BIN="$(abspath target/debug/albireo)" npm --prefix web run browser
 
 release: web ## the optimised program in target/release/albireo

@@ -35,6 +35,7 @@ mod simulate;
 mod size;
 #[cfg(feature = "synth")]
 pub mod synth;
+mod telemetry;
 
 use albireo_node::detector::end_all_sessions;
 use anyhow::Context;
@@ -138,6 +139,18 @@ enum Command {
     Completions(completions::Arguments),
 }
 
+impl Command {
+    /// Whether ONNX Runtime may be loaded for it.
+    fn runs_models(&self) -> bool {
+        match self {
+            Self::Node(_) | Self::Check(_) | Self::Detect(_) => true,
+            #[cfg(feature = "eval")]
+            Self::Compare(_) | Self::Eval(_) | Self::Demo(_) => true,
+            _ => false,
+        }
+    }
+}
+
 impl Arguments {
     /// The command line with its help, made to fit a terminal.
     pub fn fitted_command() -> clap::Command {
@@ -152,6 +165,9 @@ impl Arguments {
 
     /// Does what was asked. Says on standard error what went wrong.
     pub fn run(self) -> ExitCode {
+        if self.command.runs_models() {
+            telemetry::turn_off();
+        }
         let ended = match self.command {
             Command::Node(arguments) => node::run(&arguments),
             #[cfg(feature = "hub")]

@@ -1,5 +1,7 @@
 #!/usr/bin/env bash
-# Prints the cargo options for the optional features that can be built here, and on the error output what is missing.
+# Prints the cargo options that every command of the development uses, so that none compiles a dependency anew that another
+# has compiled: the workspace, the optional features that can be built here, and those that the tests' dependencies add.
+# What is missing is told on the error output.
 needed=(cmake)
 [ "$(uname -m)" = x86_64 ] && needed+=(nasm)
 missing=()
@@ -7,7 +9,8 @@ for command in "${needed[@]}"; do
     command -v "$command" > /dev/null || missing+=("$command")
 done
 if [ ${#missing[@]} -eq 0 ]; then
-    echo "--features turbojpeg"
+    echo "--workspace --features turbojpeg,development"
 else
     echo "no ${missing[*]}: the feature turbojpeg is left out" >&2
+    echo "--workspace --features development"
 fi

@@ -24,6 +24,7 @@ mod detector_models;
 mod detector_quantised;
 mod detector_resources;
 mod detector_session;
+mod detector_telemetry;
 mod documentation;
 mod end_to_end;
 mod eval_agreement;

@@ -1,5 +1,6 @@
-//! Time of a detector frame in the decision core, beside the trackers of `trackforge` on the same boxes, in
-//! the same run: processor time of the one thread they run on. Prints a table in Markdown.
+//! Time of a detector frame in the decision core, beside the trackers of `trackforge`, `norfair-rs` and
+//! `edgefirst-tracker` on the same boxes, in the same run: processor time of the one thread they run on. Prints a
+//! table in Markdown.
 //!
 //! `make bench-peers`, or `cargo run --release --manifest-path benches/standalone/Cargo.toml`
 
@@ -9,36 +10,95 @@ use albireo_core::policy::{
     Albireo, AlbireoSettings, Evidence, ExpectedLoss, ExpectedLossSettings, FrameHead, Need,
     Outcome, Policy, Profile, Trigger,
 };
+use edgefirst_tracker::bytetrack::ByteTrackBuilder;
+use edgefirst_tracker::{DetectionBox, Tracker as _};
+use norfair_rs::TrackerConfig;
 use std::error::Error;
 use std::hint::black_box;
+use std::process::{Command, ExitCode};
 use trackforge::trackers::byte_track::ByteTrack;
 use trackforge::trackers::ocsort::{OcSort, OcSortParams};
 use trackforge::trackers::sort::Sort;
 
-const OBJECTS: [usize; 3] = [10, 30, 100];
+const OBJECTS: [usize; 4] = [10, 30, 100, 300];
 const FRAMES: usize = 100;
 /// Rounds of each contestant; they take turns, so that a slow minute is slow for all of them alike.
 const ROUNDS: usize = 101;
 
+/// What glibc's allocator is told: it keeps what it has. By default it gives memory back to the system and fetches it
+/// anew within a frame, which costs those that allocate for every frame more than their own work does.
+const TUNABLES: (&str, &str) = (
+    "GLIBC_TUNABLES",
+    "glibc.malloc.trim_threshold=1073741824:glibc.malloc.mmap_threshold=1073741824:glibc.malloc.top_pad=67108864",
+);
+
 /// A box as trackforge takes it: left, top, width, height in pixels; score; class.
 type Measured = ([f32; 4], f32, i64);
+
+/// A box as edgefirst-tracker takes it: corners from 0 to 1, score, class.
+#[derive(Clone, Debug)]
+struct EdgefirstBox {
+    corners: [f32; 4],
+    score: f32,
+    class: usize,
+}
+
+impl DetectionBox for EdgefirstBox {
+    fn bbox(&self) -> [f32; 4] {
+        self.corners
+    }
+
+    fn score(&self) -> f32 {
+        self.score
+    }
+
+    fn label(&self) -> usize {
+        self.class
+    }
+}
 
 /// A film in the form of each contestant.
 struct Film {
     ours: Vec<Vec<Detection>>,
-    theirs: Vec<Vec<Measured>>,
+    trackforge: Vec<Vec<Measured>>,
+    norfair: Vec<Vec<norfair_rs::Detection>>,
+    edgefirst: Vec<Vec<EdgefirstBox>>,
 }
 
 impl Film {
-    fn new(objects: usize) -> Self {
+    fn new(objects: usize) -> Result<Self, Box<dyn Error>> {
         let forth = Scene::new(objects).film(FRAMES / 2, objects / 20);
         // Back and forth, so that it can be played again without a cut.
         let ours: Vec<_> = forth.iter().chain(forth.iter().rev()).cloned().collect();
-        let theirs = ours
+        let norfair = ours
             .iter()
-            .map(|frame| frame.iter().map(measured).collect())
-            .collect();
-        Self { ours, theirs }
+            .map(|frame| frame.iter().map(norfair_box).collect());
+        Ok(Self {
+            trackforge: each(&ours, measured),
+            norfair: norfair.collect::<Result<_, _>>()?,
+            edgefirst: each(&ours, edgefirst_box),
+            ours,
+        })
+    }
+}
+
+fn each<T>(film: &[Vec<Detection>], form: impl Fn(&Detection) -> T) -> Vec<Vec<T>> {
+    film.iter()
+        .map(|frame| frame.iter().map(&form).collect())
+        .collect()
+}
+
+fn norfair_box(detection: &Detection) -> norfair_rs::Result<norfair_rs::Detection> {
+    let corners = detection.bounding_box.pixel_corners(PICTURE);
+    norfair_rs::Detection::from_slice(&[corners.x1, corners.y1, corners.x2, corners.y2], 1, 4)
+}
+
+fn edgefirst_box(detection: &Detection) -> EdgefirstBox {
+    let corners = detection.bounding_box.corners();
+    EdgefirstBox {
+        corners: [corners.x1, corners.y1, corners.x2, corners.y2].map(|value| value as f32),
+        score: detection.confidence as f32,
+        class: usize::from(detection.class.0),
     }
 }
 
@@ -85,17 +145,18 @@ fn ours<'a, P: Policy + 'a>(mut policy: P, film: &'a Film) -> Contestant<'a> {
     })
 }
 
-fn theirs<'a, T: 'a>(
-    film: &'a Film,
-    mut update: impl FnMut(Vec<Measured>) -> Vec<T> + 'a,
+/// `update` takes the boxes of a frame and says how many objects it follows.
+fn theirs<'a, T: Clone>(
+    film: &'a [Vec<T>],
+    mut update: impl FnMut(Vec<T>) -> usize + 'a,
 ) -> Contestant<'a> {
     Box::new(move || {
-        // They take the boxes by value: the copies are not counted.
-        let frames = film.theirs.clone();
+        // Most take the boxes by value: the copies are not counted.
+        let frames = film.to_vec();
         let mut boxes = 0;
         let begin = processor_seconds();
         for frame in frames {
-            boxes = black_box(update(frame)).len();
+            boxes = black_box(update(frame));
         }
         (per_frame(begin), boxes)
     })
@@ -112,6 +173,14 @@ fn contestants(film: &Film) -> Result<Vec<(&'static str, Contestant<'_>)>, Box<d
     let mut sort = Sort::new(1, 3, 0.3);
     let mut byte_track = ByteTrack::new(0.5, 30, 0.8, 0.6);
     let mut oc_sort = OcSort::from_params(OcSortParams::default());
+    // A distance of 1 − IoU, as SORT's 0.3 above.
+    let mut config = TrackerConfig::from_distance_name("iou", 0.7);
+    config.initialization_delay = 3;
+    let mut norfair = norfair_rs::Tracker::new(config)?;
+    let mut edgefirst = ByteTrackBuilder::new()
+        .track_high_conf(0.5)
+        .build::<EdgefirstBox>();
+    let mut time_ns = 0;
     Ok(vec![
         (
             "albireo, profile paper",
@@ -124,24 +193,63 @@ fn contestants(film: &Film) -> Result<Vec<(&'static str, Contestant<'_>)>, Box<d
         ("expected-loss", ours(expected_loss, film)),
         (
             "trackforge 0.5.1 SORT",
-            theirs(film, move |frame| sort.update(frame)),
+            theirs(&film.trackforge, move |frame| sort.update(frame).len()),
         ),
         (
             "trackforge 0.5.1 ByteTrack",
-            theirs(film, move |frame| byte_track.update(frame)),
+            theirs(&film.trackforge, move |frame| {
+                byte_track.update(frame).len()
+            }),
         ),
         (
             "trackforge 0.5.1 OC-SORT",
-            theirs(film, move |frame| oc_sort.update(frame)),
+            theirs(&film.trackforge, move |frame| oc_sort.update(frame).len()),
+        ),
+        (
+            "norfair-rs 0.5.2",
+            theirs(&film.norfair, move |frame| {
+                norfair.update(frame, 1, None).len()
+            }),
+        ),
+        (
+            "edgefirst-tracker 0.38.2 ByteTrack",
+            theirs(&film.edgefirst, move |frame| {
+                time_ns += 33_333_333;
+                let followed = edgefirst.update(&frame, time_ns);
+                followed.iter().flatten().count()
+            }),
         ),
     ])
 }
 
-fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> Result<ExitCode, Box<dyn Error>> {
+    // Read once, when a process starts.
+    if std::env::var_os(TUNABLES.0).is_none() {
+        let mut again = Command::new(std::env::current_exe()?);
+        let status = again.env(TUNABLES.0, TUNABLES.1).status()?;
+        return Ok(if status.success() {
+            ExitCode::SUCCESS
+        } else {
+            ExitCode::FAILURE
+        });
+    }
+    measure()?;
+    Ok(ExitCode::SUCCESS)
+}
+
+fn measure() -> Result<(), Box<dyn Error>> {
+    println!(
+        "{}={}\n",
+        TUNABLES.0,
+        std::env::var(TUNABLES.0).unwrap_or_default()
+    );
     println!(
         "Processor time of a frame on which the detector ran, µs: median of {ROUNDS} rounds of {FRAMES} frames (quartiles)\n"
     );
-    let films = OBJECTS.map(Film::new);
+    let films: Vec<_> = OBJECTS
+        .into_iter()
+        .map(Film::new)
+        .collect::<Result<_, _>>()?;
     let mut columns = Vec::new();
     for (objects, film) in OBJECTS.iter().zip(&films) {
         let mut contestants = contestants(film)?;

@@ -77,6 +77,19 @@ impl BoundingBox {
         }
     }
 
+    /// The centre, as a box without sides.
+    pub(crate) fn center(self) -> Corners {
+        let Self {
+            center_x, center_y, ..
+        } = self;
+        Corners {
+            x1: center_x,
+            y1: center_y,
+            x2: center_x,
+            y2: center_y,
+        }
+    }
+
     /// The corners in pixels of a picture of `size`, neither rounded nor clipped.
     pub fn pixel_corners(self, size: PictureSize) -> Corners {
         let (width, height) = (f64::from(size.width), f64::from(size.height));

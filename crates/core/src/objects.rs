@@ -10,6 +10,7 @@ mod collection;
 mod components;
 mod life_cycle;
 mod matching;
+mod overlaps;
 mod screening;
 mod state;
 
@@ -22,5 +23,6 @@ pub use life_cycle::Missed;
 pub use matching::Association;
 pub use matching::GateOrder;
 pub(crate) use matching::Matcher;
+pub(crate) use overlaps::OverlapIndex;
 pub(crate) use screening::is_usable;
 pub use state::ObjectState;

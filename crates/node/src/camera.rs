@@ -1,5 +1,10 @@
 //! A camera's loop: takes frames from the ring, drives the policy through each, publishes the answer and
-//! counts the open clip. One task a camera; the detector, the screen and the meter are shared.
+//! counts the open clip. One task a camera, which whoever brings a frame takes further himself where he can
+//! ([`InPlace`]); the detector, the screen and the meter are shared.
+
+mod in_place;
+
+pub(crate) use in_place::InPlace;
 
 use super::answer::{AnswerContext, detections_message};
 use super::audit::{CameraAudit, DrawnFrame};

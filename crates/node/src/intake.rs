@@ -1,6 +1,7 @@
 //! From a Zenoh sample to the camera's ring: reads it as a frame, follows the sequence numbers, and
 //! counts what cannot be used under its own name. Runs on Zenoh's receiving thread, so it never decodes and never
-//! waits; frames of which none is to be missed wait for their turn in [`held`].
+//! waits; frames of which none is to be missed wait for their turn in [`held`]. A camera's loop that waits for a frame is
+//! taken further right here, up to its answer or to the first evidence that it has to wait for.
 
 mod held;
 mod source;
@@ -9,6 +10,7 @@ pub(crate) use held::HeldFrames;
 pub(crate) use source::SourceFeed;
 
 use super::board::{CameraBoard, LatestFrame};
+use super::camera::InPlace;
 use super::rate_limit::RateLimit;
 use crate::frame::{
     Arrival, EncodedPicture, Frame, FrameFault, FrameLimits, FrameOrder, PayloadFormat, Pushed,
@@ -162,6 +164,8 @@ pub(crate) struct Intake {
     format: PayloadFormat,
     limits: FrameLimits,
     stream: Mutex<Stream>,
+    /// The camera's loop.
+    camera: InPlace,
 }
 
 #[derive(Debug, Default)]
@@ -187,7 +191,15 @@ impl Intake {
             format,
             limits,
             stream: Mutex::default(),
+            camera: InPlace::default(),
         }
+    }
+
+    /// Takes `camera`, the loop that the frames are for, further where they arrive.
+    #[must_use]
+    pub(crate) fn advancing(mut self, camera: InPlace) -> Self {
+        self.camera = camera;
+        self
     }
 
     /// Takes one sample as it arrives.
@@ -234,9 +246,18 @@ impl Intake {
         // One lock over reading, numbering and pushing keeps the order of arrival where Zenoh calls from
         // more than one thread.
         let mut stream = self.stream.lock();
-        if let Ok(incoming) = self.admit(&mut stream, read) {
-            // What became of it is counted.
-            let _ = self.pushed(self.ring.push_newest(incoming));
+        let Ok(incoming) = self.admit(&mut stream, read) else {
+            return;
+        };
+        let (pushed, wake) = self.ring.push_newest_quietly(incoming);
+        // What became of it is counted.
+        let _ = self.pushed(pushed);
+        // The next frame need not wait for this one's answer to get into the ring.
+        drop(stream);
+        if let Some(wake) = wake
+            && !(wake.only_this && self.camera.advance())
+        {
+            wake.waker.wake();
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::audit::{Auditor, CameraAudit};
 use super::board::{Board, BoardSetup, CameraBoard};
-use super::camera::Camera;
+use super::camera::{Camera, InPlace};
 use super::config::{CameraConfig, NodeConfig};
 use super::counters::Counters;
 use super::error::NodeError;
@@ -554,7 +554,9 @@ impl Parts<'_> {
             closed,
             reset_at_clip: config.reset_at_clip,
             hurry: self.hurry.clone(),
+            place: InPlace::default(),
         };
+        let place = maker.place.clone();
         let (maker, stop) = (Arc::new(maker), self.shutdown.clone());
         self.tasks.restarting(
             format!("camera {name}"),
@@ -563,7 +565,8 @@ impl Parts<'_> {
             move || {
                 let (maker, stop) = (Arc::clone(&maker), stop.clone());
                 async move {
-                    maker.make().await?.run(stop).await;
+                    let camera = maker.make().await?;
+                    maker.place.run(camera.run(stop)).await;
                     Ok::<(), PolicyConfigError>(())
                 }
             },
@@ -610,7 +613,8 @@ impl Parts<'_> {
             sender,
             config.format,
             self.config.frame,
-        );
+        )
+        .advancing(place);
         if let Some(settings) = config.source_settings(self.config.frame) {
             return self.add_source(name, intake, settings).await;
         }
@@ -763,6 +767,8 @@ struct CameraMaker {
     closed: mpsc::UnboundedSender<ClosedClip>,
     reset_at_clip: bool,
     hurry: CancellationToken,
+    /// Where the loop that was made runs.
+    place: InPlace,
 }
 
 impl CameraMaker {

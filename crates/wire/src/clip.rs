@@ -157,7 +157,7 @@ pub struct ClipReport {
     pub model: String,
     /// Execution provider that really ran it.
     pub provider: String,
-    /// Latency from reception to publication.
+    /// Latency from reception until the answer is handed over to be put; the way through Zenoh is not in it.
     pub total_latency_ms: Percentiles,
     /// Latency of the detector alone, over the frames where it ran.
     pub detector_latency_ms: Percentiles,

@@ -65,7 +65,8 @@ pub struct BoxMessage {
 /// Where the time of one frame went, milliseconds. A step that did not happen is absent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Latency {
-    /// From reception to publication.
+    /// From reception until the answer is made, before it is written as JSON and put: the way through Zenoh is not in
+    /// it.
     pub total: f64,
     /// Waiting in the ring before the camera's loop took the frame.
     pub waiting: f64,

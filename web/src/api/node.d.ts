@@ -1851,7 +1851,7 @@ export interface components {
             started_ns: number;
             /** @description Frame states. */
             states: components["schemas"]["FrameStates"];
-            /** @description Latency from reception to publication. */
+            /** @description Latency from reception until the answer is handed over to be put; the way through Zenoh is not in it. */
             total_latency_ms: components["schemas"]["Percentiles"];
             /**
              * Format: int32
@@ -2314,7 +2314,8 @@ export interface components {
             screen?: number | null;
             /**
              * Format: double
-             * @description From reception to publication.
+             * @description From reception until the answer is made, before it is written as JSON and put: the way through Zenoh is not in
+             *     it.
              */
             total: number;
             /**

@@ -8,7 +8,7 @@
 //! in the order of a matrix product: every number equals the full matrices' to the last bit.
 
 use super::FilterModel;
-use crate::geometry::BoundingBox;
+use crate::geometry::{BoundingBox, Corners};
 use nalgebra::SVector;
 
 /// Covariance of one axis of the centre over position (0), velocity (1) and acceleration (2).
@@ -225,5 +225,18 @@ impl Gauge {
             measured.height - self.expected.height,
         );
         (dx * dx + dy * dy) * self.center + (dw * dw + dh * dh) * self.size
+    }
+
+    /// Where the centres lie of all boxes within the squared distance `gate`, and of some beyond it: what rounding
+    /// could do, in the distance or here, is added.
+    pub(crate) fn reach(&self, gate: f64) -> Corners {
+        let radius = (gate / self.center).sqrt() * (1.0 + 1e-9);
+        let interval = |center: f64| {
+            let radius = radius + center.abs() * 1e-12;
+            (center - radius, center + radius)
+        };
+        let (x1, x2) = interval(self.expected.center_x);
+        let (y1, y2) = interval(self.expected.center_y);
+        Corners { x1, y1, x2, y2 }
     }
 }

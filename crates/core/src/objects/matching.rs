@@ -1,10 +1,12 @@
 //! Which detection belongs to which object: first by overlap, then by statistical distance.
 
+mod overlap_costs;
+
 use super::components::{ComponentSolver, Edge};
-use super::{AssignmentSolver, ObjectState};
+use super::{AssignmentSolver, ObjectState, OverlapIndex};
 use crate::detection::Detection;
-use crate::geometry::Corners;
 use crate::kalman::FilterModel;
+use overlap_costs::OverlapCosts;
 use serde::{Deserialize, Serialize};
 
 /// When pairs beyond the gate are ruled out.
@@ -49,14 +51,9 @@ pub(crate) struct Matcher {
     /// Object states and detections that the stage at hand may pair, by index.
     rows: Vec<u32>,
     columns: Vec<u32>,
-    /// Corners and areas of `columns`, one list a number: so the compiler can compute several at once.
-    left: Vec<f64>,
-    top: Vec<f64>,
-    right: Vec<f64>,
-    bottom: Vec<f64>,
-    area: Vec<f64>,
-    /// Overlaps of one object with `columns`.
-    overlap: Vec<f64>,
+    overlaps: OverlapCosts,
+    /// Where the centres of `columns` lie, when they are many.
+    centers: OverlapIndex,
     edges: Vec<Edge>,
     matrix: Vec<f64>,
     /// Pairs of the stage, as places in `rows` and `columns`.
@@ -126,34 +123,22 @@ impl Matcher {
         if self.rows.is_empty() || self.columns.is_empty() {
             return;
         }
-        self.measure_columns(detections);
         self.edges.clear();
         self.matrix.clear();
-        for place in 0..self.rows.len() {
-            let state = &states[self.rows[place] as usize];
-            self.measure_overlaps(state.filter.bounding_box().corners());
-            if settings.same_class_only {
-                for (overlap, &column) in self.overlap.iter_mut().zip(&self.columns) {
-                    if detections[column as usize].class != state.class {
-                        *overlap = 0.0;
-                    }
-                }
+        let rows = self.rows.iter().map(|&row| &states[row as usize]);
+        let columns = self
+            .columns
+            .iter()
+            .map(|&column| &detections[column as usize]);
+        match settings.gate {
+            GateOrder::AfterAssignment => {
+                self.overlaps
+                    .fill(settings, rows, columns, &mut self.matrix);
             }
-            match settings.gate {
-                GateOrder::AfterAssignment => {
-                    self.matrix.extend(self.overlap.iter().map(|iou| 1.0 - iou));
-                }
-                GateOrder::BeforeAssignment => {
-                    for (column, &iou) in self.overlap.iter().enumerate() {
-                        if iou >= settings.iou_gate && iou > 0.0 {
-                            self.edges.push(Edge {
-                                row: place as u32,
-                                column: column as u32,
-                                cost: 1.0 - iou,
-                            });
-                        }
-                    }
-                }
+            GateOrder::BeforeAssignment => {
+                let class_of = |column: usize| detections[self.columns[column] as usize].class;
+                self.overlaps
+                    .gate(settings, rows, columns, class_of, &mut self.edges);
             }
         }
         let within_gate = |cost: f64| 1.0 - cost >= settings.iou_gate && cost < 1.0;
@@ -174,26 +159,45 @@ impl Matcher {
         }
         self.edges.clear();
         self.matrix.clear();
-        for (place, &row) in self.rows.iter().enumerate() {
+        let Self {
+            rows,
+            columns,
+            centers,
+            edges,
+            matrix,
+            ..
+        } = self;
+        let many = columns.len() >= OverlapIndex::WORTH_WHILE;
+        if settings.gate == GateOrder::BeforeAssignment && many {
+            let center = |&column: &u32| detections[column as usize].bounding_box.center();
+            centers.fill(columns.iter().map(center));
+        }
+        for (place, &row) in rows.iter().enumerate() {
             let state = &states[row as usize];
             let gauge = state.filter.gauge(model);
-            for (column, &index) in self.columns.iter().enumerate() {
-                let detection = &detections[index as usize];
+            let distance_to = |column: usize| {
+                let detection = &detections[columns[column] as usize];
                 let distance = gauge.squared_distance(detection.bounding_box);
                 let within = distance < settings.mahalanobis_gate
                     && (!settings.same_class_only || detection.class == state.class);
-                match settings.gate {
-                    GateOrder::AfterAssignment => {
-                        self.matrix
-                            .push(if within { distance } else { BEYOND_GATE });
-                    }
-                    GateOrder::BeforeAssignment if within => self.edges.push(Edge {
-                        row: place as u32,
-                        column: column as u32,
-                        cost: distance,
-                    }),
-                    GateOrder::BeforeAssignment => {}
+                within.then_some(distance)
+            };
+            let mut compete = |column: usize| {
+                edges.extend(distance_to(column).map(|cost| Edge {
+                    row: place as u32,
+                    column: column as u32,
+                    cost,
+                }));
+            };
+            match settings.gate {
+                GateOrder::AfterAssignment => {
+                    let costs = (0..columns.len()).map(distance_to);
+                    matrix.extend(costs.map(|cost| cost.unwrap_or(BEYOND_GATE)));
                 }
+                GateOrder::BeforeAssignment if many => {
+                    centers.visit(gauge.reach(settings.mahalanobis_gate), compete);
+                }
+                GateOrder::BeforeAssignment => (0..columns.len()).for_each(&mut compete),
             }
         }
         let within_gate = |cost: f64| cost < settings.mahalanobis_gate;
@@ -218,46 +222,6 @@ impl Matcher {
                 }
             }
         }
-    }
-
-    fn measure_columns(&mut self, detections: &[Detection]) {
-        for list in [
-            &mut self.left,
-            &mut self.top,
-            &mut self.right,
-            &mut self.bottom,
-            &mut self.area,
-        ] {
-            list.clear();
-        }
-        for &column in &self.columns {
-            let corners = detections[column as usize].bounding_box.corners();
-            self.left.push(corners.x1);
-            self.top.push(corners.y1);
-            self.right.push(corners.x2);
-            self.bottom.push(corners.y2);
-            self.area.push(corners.area());
-        }
-    }
-
-    /// Fills `overlap` with the intersection over union of `object` and each of `columns`, as
-    /// [`Corners::intersection_over_union`] but without branches.
-    fn measure_overlaps(&mut self, object: Corners) {
-        let area = object.area();
-        // Comparisons, not `f64::min`: nothing here is NaN, and this is one instruction.
-        let min = |a: f64, b: f64| if a < b { a } else { b };
-        let max = |a: f64, b: f64| if a > b { a } else { b };
-        let horizontal = self.left.iter().zip(&self.right);
-        let vertical = self.top.iter().zip(&self.bottom);
-        let columns = horizontal.zip(vertical).zip(&self.area);
-        self.overlap.clear();
-        self.overlap
-            .extend(columns.map(|(((&left, &right), (&top, &bottom)), &own)| {
-                let width = max(min(right, object.x2) - max(left, object.x1), 0.0);
-                let height = max(min(bottom, object.y2) - max(top, object.y1), 0.0);
-                let shared = width * height;
-                shared / (area + own - shared)
-            }));
     }
 }
 

@@ -113,12 +113,20 @@ impl PreparedFrame {
     }
 }
 
+/// Buffers of this size are kept for the next picture, whatever that is.
+const ALWAYS_KEPT: usize = 2 << 20;
+
+/// Larger ones are kept when they are at most so many times what the picture before needed.
+const KEPT_TIMES: usize = 4;
+
 /// Where pictures are looked at.
 pub(super) struct PictureWorker {
     limits: FrameLimits,
     preparation: Preparation,
     /// A frame of an earlier frame, for its buffers.
     spare: PreparedFrame,
+    /// What the buffers of the last picture came to.
+    usual: usize,
 }
 
 impl PictureWorker {
@@ -127,13 +135,20 @@ impl PictureWorker {
             limits,
             preparation,
             spare: PreparedFrame::default(),
+            usual: 0,
         }
     }
 
-    /// Takes the buffers of a frame that is done.
+    /// Takes the buffers of a frame that is done. Those of one giant picture among small ones are given back at once:
+    /// there may not be another picture for minutes.
     pub(super) fn take_back(&mut self, frame: PreparedFrame) {
         // Without anything, the buffers are elsewhere: spare, or with what is made ready ahead.
-        if !frame.is_empty() {
+        if frame.is_empty() {
+            return;
+        }
+        let bytes = frame.picture.pixels.capacity() + frame.grey.pixels.capacity();
+        let usual = std::mem::replace(&mut self.usual, bytes);
+        if bytes <= ALWAYS_KEPT || bytes / KEPT_TIMES <= usual {
             self.spare = PreparedFrame {
                 picture: frame.picture,
                 grey: frame.grey,
@@ -216,4 +231,50 @@ async fn joined(
             reason: format!("the decoder failed: {error}"),
         })
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::{ColorOrder, Fit, InputFormat, TensorLayout, ValueRange};
+
+    fn worker() -> PictureWorker {
+        let format = InputFormat {
+            size: PictureSize::new(4, 2),
+            fit: Fit::Stretch,
+            color_order: ColorOrder::Rgb,
+            value_range: ValueRange::To255,
+            layout: TensorLayout::Nchw,
+        };
+        PictureWorker::new(FrameLimits::default(), Preparation::new(format))
+    }
+
+    fn seen(bytes: usize) -> PreparedFrame {
+        PreparedFrame {
+            picture: Arc::new(Picture {
+                pixels: vec![0; bytes],
+                ..Picture::default()
+            }),
+            decoded: true,
+            ..PreparedFrame::default()
+        }
+    }
+
+    #[test]
+    fn the_buffer_of_one_giant_picture_is_given_back_and_that_of_a_stream_of_them_is_kept() {
+        const HD: usize = 1920 * 1080 * 3;
+        const GIANT: usize = 16 * HD;
+        let mut worker = worker();
+        let mut kept = |bytes| {
+            worker.take_back(seen(bytes));
+            std::mem::take(&mut worker.spare).picture.pixels.capacity()
+        };
+        assert_eq!(kept(HD), 0, "nothing is known yet of what is usual");
+        assert_eq!(kept(HD), HD);
+        assert_eq!(kept(GIANT), 0);
+        assert_eq!(kept(GIANT), GIANT);
+        assert_eq!(kept(HD), HD);
+        assert_eq!(kept(640 * 360 * 3), 640 * 360 * 3);
+        assert_eq!(kept(ALWAYS_KEPT), ALWAYS_KEPT);
+    }
 }

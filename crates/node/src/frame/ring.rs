@@ -4,8 +4,10 @@
 
 use parking_lot::{Mutex, MutexGuard};
 use std::collections::VecDeque;
+use std::future::poll_fn;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::task::{Context, Poll, Waker};
 use tokio::sync::Notify;
 
 /// What became of a pushed item.
@@ -32,8 +34,6 @@ struct Ring<T> {
     capacity: usize,
     state: Mutex<State<T>>,
     senders: AtomicUsize,
-    /// Wakes the receiver.
-    filled: Notify,
     /// Wakes tasks that wait for room.
     drained: Notify,
 }
@@ -45,6 +45,29 @@ struct State<T> {
     /// Whether an item was pushed out since the last one was taken, and before that.
     overrun: bool,
     overrun_before: bool,
+    /// How the receiver is woken, while it waits.
+    receiver: Option<Waker>,
+    /// Whether it waits to take an item, and not only to look at one.
+    taking: bool,
+}
+
+impl<T> State<T> {
+    fn wait(&mut self, context: &Context<'_>, taking: bool) {
+        match &mut self.receiver {
+            Some(waker) => waker.clone_from(context.waker()),
+            none => *none = Some(context.waker().clone()),
+        }
+        self.taking = taking;
+    }
+}
+
+/// How a receiver is told of an item that was pushed quietly.
+#[derive(Debug)]
+pub(crate) struct Wake {
+    /// Wakes it.
+    pub(crate) waker: Waker,
+    /// It waited to take an item, and there is only this one.
+    pub(crate) only_this: bool,
 }
 
 /// A ring of `capacity` items (at least 1).
@@ -56,9 +79,10 @@ pub fn frame_ring<T>(capacity: usize) -> (RingSender<T>, RingReceiver<T>) {
             closed: false,
             overrun: false,
             overrun_before: false,
+            receiver: None,
+            taking: false,
         }),
         senders: AtomicUsize::new(1),
-        filled: Notify::new(),
         drained: Notify::new(),
     });
     (RingSender(Arc::clone(&ring)), RingReceiver(ring))
@@ -70,8 +94,14 @@ impl<T> Ring<T> {
     }
 
     fn close(&self) {
-        self.state().closed = true;
-        self.filled.notify_one();
+        let receiver = {
+            let mut state = self.state();
+            state.closed = true;
+            state.receiver.take()
+        };
+        if let Some(receiver) = receiver {
+            receiver.wake();
+        }
         self.drained.notify_waiters();
     }
 }
@@ -79,9 +109,19 @@ impl<T> Ring<T> {
 impl<T> RingSender<T> {
     /// Pushes at once: into a full ring in the place of the oldest item.
     pub fn push_newest(&self, item: T) -> Pushed<T> {
+        let (pushed, wake) = self.push_newest_quietly(item);
+        if let Some(wake) = wake {
+            wake.waker.wake();
+        }
+        pushed
+    }
+
+    /// As [`push_newest`](Self::push_newest), but leaves it to the caller to wake the receiver, where it waits, or to
+    /// take it further by other means.
+    pub(crate) fn push_newest_quietly(&self, item: T) -> (Pushed<T>, Option<Wake>) {
         let mut state = self.0.state();
         if state.closed {
-            return Pushed::Closed(item);
+            return (Pushed::Closed(item), None);
         }
         let replaced = if state.items.len() < self.0.capacity {
             None
@@ -90,9 +130,11 @@ impl<T> RingSender<T> {
         };
         state.items.push_back(item);
         state.overrun |= replaced.is_some();
+        let only_this = state.taking && state.items.len() == 1;
+        let wake = state.receiver.take();
         drop(state);
-        self.0.filled.notify_one();
-        replaced.map_or(Pushed::Queued, Pushed::Replaced)
+        let wake = wake.map(|waker| Wake { waker, only_this });
+        (replaced.map_or(Pushed::Queued, Pushed::Replaced), wake)
     }
 
     /// Pushes when there is room, or gives the item back when the ring closes before. Cancelling the future pushes
@@ -108,8 +150,11 @@ impl<T> RingSender<T> {
                 }
                 if state.items.len() < self.0.capacity {
                     state.items.push_back(item);
+                    let receiver = state.receiver.take();
                     drop(state);
-                    self.0.filled.notify_one();
+                    if let Some(receiver) = receiver {
+                        receiver.wake();
+                    }
                     return Pushed::Queued;
                 }
             }
@@ -120,6 +165,12 @@ impl<T> RingSender<T> {
     /// Closes the ring: nothing more goes in, what waits can still be taken.
     pub fn close(&self) {
         self.0.close();
+    }
+
+    /// Items waiting now.
+    #[cfg(test)]
+    pub(crate) fn waiting(&self) -> usize {
+        self.0.state().items.len()
     }
 
     /// Opens the ring anew, empty, for another receiver in the place of one that is gone.
@@ -153,44 +204,43 @@ impl<T> RingReceiver<T> {
     /// The oldest waiting item; waits for one. `None` once the ring is closed and empty, or all
     /// senders are gone. Cancelling the future loses nothing.
     pub async fn next(&mut self) -> Option<T> {
-        loop {
-            {
-                let mut state = self.0.state();
-                if let Some(item) = state.items.pop_front() {
-                    state.overrun_before = std::mem::take(&mut state.overrun);
-                    drop(state);
-                    self.0.drained.notify_waiters();
-                    return Some(item);
-                }
-                if state.closed {
-                    return None;
-                }
+        poll_fn(|context| {
+            let mut state = self.0.state();
+            if let Some(item) = state.items.pop_front() {
+                state.overrun_before = std::mem::take(&mut state.overrun);
+                state.taking = false;
+                drop(state);
+                self.0.drained.notify_waiters();
+                return Poll::Ready(Some(item));
             }
-            // There is one receiver, so a permit kept from before is at worst one extra look.
-            self.0.filled.notified().await;
-        }
+            if state.closed {
+                return Poll::Ready(None);
+            }
+            state.wait(context, true);
+            Poll::Pending
+        })
+        .await
     }
 
     /// Looks at the item that will be taken next and leaves it where it is; waits for one. `None` once the
     /// ring is closed and empty; and when an item was pushed out lately, for what is seen now would then
     /// hardly be the one that is taken.
     pub(crate) async fn peek<R>(&self, look: impl Fn(&T) -> R) -> Option<R> {
-        loop {
-            {
-                let state = self.0.state();
-                if state.overrun || state.overrun_before {
-                    return None;
-                }
-                if let Some(item) = state.items.front() {
-                    return Some(look(item));
-                }
-                if state.closed {
-                    return None;
-                }
+        poll_fn(|context| {
+            let mut state = self.0.state();
+            if state.overrun || state.overrun_before {
+                return Poll::Ready(None);
             }
-            // A permit taken here is not missed: `next` looks before it waits.
-            self.0.filled.notified().await;
-        }
+            if let Some(item) = state.items.front() {
+                return Poll::Ready(Some(look(item)));
+            }
+            if state.closed {
+                return Poll::Ready(None);
+            }
+            state.wait(context, false);
+            Poll::Pending
+        })
+        .await
     }
 
     /// Items waiting now.

@@ -129,6 +129,69 @@ fn boxes(most: usize) -> impl Strategy<Value = Vec<BoundingBox>> {
     prop::collection::vec(one, 0..most)
 }
 
+/// What the matcher does, from all pairs: each is measured, and those within the gate compete.
+fn associate_without_index(
+    settings: &Association,
+    states: &[ObjectState],
+    detections: &[Detection],
+) -> Vec<Option<u32>> {
+    let mut detection_of = vec![None; states.len()];
+    for stage in 0..2 {
+        let free = |detection_of: &[Option<u32>]| {
+            let all = 0..detections.len() as u32;
+            all.filter(|index| !detection_of.contains(&Some(*index)))
+                .collect::<Vec<_>>()
+        };
+        let columns = free(&detection_of);
+        let rows: Vec<usize> = (0..states.len())
+            .filter(|&row| match stage {
+                0 => states[row].since_update <= settings.iou_frames,
+                _ => detection_of[row].is_none(),
+            })
+            .collect();
+        let mut edges = Vec::new();
+        for (row, &state) in (0u32..).zip(&rows) {
+            let state = &states[state];
+            for (column, &index) in (0u32..).zip(&columns) {
+                let other = &detections[index as usize];
+                if settings.same_class_only && other.class != state.class {
+                    continue;
+                }
+                let own = state.filter.bounding_box();
+                let iou = own.intersection_over_union(other.bounding_box);
+                let distance = state.filter.squared_distance(&model(), other.bounding_box);
+                let cost = match stage {
+                    0 => (iou >= settings.iou_gate && iou > 0.0).then_some(1.0 - iou),
+                    _ => (distance < settings.mahalanobis_gate).then_some(distance),
+                };
+                edges.extend(cost.map(|cost| Edge { row, column, cost }));
+            }
+        }
+        let mut pairs = Vec::new();
+        ComponentSolver::default().solve(rows.len(), columns.len(), &edges, &mut pairs);
+        for (row, column) in pairs {
+            detection_of[rows[row as usize]] = Some(columns[column as usize]);
+        }
+    }
+    detection_of
+}
+
+/// Boxes on a coarse grid and of few sizes, so that many coincide and costs are equal; or anywhere, some of them large,
+/// some far outside.
+fn scene(most: usize) -> impl Strategy<Value = Vec<(BoundingBox, u16, u32)>> {
+    let step = |steps: u8, unit: f64| (0..steps).prop_map(move |step| f64::from(step) * unit);
+    let coarse = (step(24, 0.04), step(24, 0.04), step(3, 0.02), step(3, 0.02));
+    let fine = (
+        -0.2..1.2,
+        -0.2..1.2,
+        prop_oneof![9 => 0.0..0.2, 1 => 0.0..3.0],
+        0.0..0.2,
+    );
+    let place = prop_oneof![coarse, fine];
+    let one = place.prop_map(|(x, y, w, h)| BoundingBox::new(x, y, w + 0.03, h + 0.03));
+    prop::collection::vec((one, 0..2u16, 0..6u32), 0..most)
+}
+
 /// The largest number of pairs within the overlap gate, and the smallest cost of that many.
 fn best(states: &[ObjectState], detections: &[Detection], used: u32) -> (usize, f64) {
     let Some((first, rest)) = states.split_first() else {
@@ -168,6 +231,29 @@ proptest! {
         let (most, least) = best(&states, &detections, 0);
         prop_assert_eq!(pairs, most);
         prop_assert!((cost - least).abs() < 1e-9, "{} {}", cost, least);
+    }
+
+    #[test]
+    fn looking_only_where_boxes_may_meet_changes_no_match_not_even_among_equals(
+        seen in scene(150), found in scene(150), same_class_only: bool,
+    ) {
+        let states: Vec<_> = seen
+            .into_iter()
+            .map(|(place, class, age)| {
+                let mut state = object(place, age);
+                state.class = ClassId(class);
+                state
+            })
+            .collect();
+        let detections: Vec<_> = found
+            .into_iter()
+            .map(|(place, class, _)| Detection { class: ClassId(class), ..detection(place) })
+            .collect();
+        let settings = Association { same_class_only, ..SETTINGS };
+        prop_assert_eq!(
+            associate(&settings, &states, &detections),
+            associate_without_index(&settings, &states, &detections)
+        );
     }
 
     #[test]

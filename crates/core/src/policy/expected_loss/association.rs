@@ -5,7 +5,7 @@ use super::object::{Object, measure};
 use super::settings::ExpectedLossSettings;
 use crate::detection::Detection;
 use crate::geometry::Corners;
-use crate::objects::{ComponentSolver, Edge};
+use crate::objects::{ComponentSolver, Edge, OverlapIndex};
 
 /// The matcher with its buffers, which are kept from call to call.
 #[derive(Clone, Debug, Default)]
@@ -14,6 +14,8 @@ pub(super) struct Associator {
     edges: Vec<Edge>,
     pairs: Vec<(u32, u32)>,
     corners: Vec<Corners>,
+    /// Where the detections lie, when they are many.
+    index: OverlapIndex,
     detection_of: Vec<Option<u32>>,
     matched: Vec<bool>,
 }
@@ -49,26 +51,43 @@ impl Associator {
 
     /// Stage 1: cost 1 − IoU.
     fn pair_by_overlap(&mut self, gate: f64, objects: &[Object], aspect: f64) {
-        self.edges.clear();
+        let Self {
+            corners,
+            matched,
+            index,
+            edges,
+            ..
+        } = self;
+        edges.clear();
+        let many = corners.len() >= OverlapIndex::WORTH_WHILE;
+        if many {
+            index.fill(corners.iter().copied());
+        }
         for (row, object) in (0u32..).zip(objects) {
             let own = object.filter_box(aspect).corners();
-            for (column, corners) in (0u32..).zip(&self.corners) {
+            let compete = |column: usize| {
+                let corners = corners[column];
                 // One branch for the four sides: nearly all pairs are apart, one way or another.
                 let apart = (corners.x1 >= own.x2)
                     | (corners.x2 <= own.x1)
                     | (corners.y1 >= own.y2)
                     | (corners.y2 <= own.y1);
                 if apart {
-                    continue;
+                    return;
                 }
-                let overlap = own.intersection_over_union(*corners);
-                if overlap >= gate && overlap > 0.0 && !self.matched[column as usize] {
-                    self.edges.push(Edge {
+                let overlap = own.intersection_over_union(corners);
+                if overlap >= gate && overlap > 0.0 && !matched[column] {
+                    edges.push(Edge {
                         row,
-                        column,
+                        column: column as u32,
                         cost: 1.0 - overlap,
                     });
                 }
+            };
+            if many {
+                index.visit(own, compete);
+            } else {
+                (0..corners.len()).for_each(compete);
             }
         }
         self.take_pairs();
