@@ -123,6 +123,22 @@ fn uncommented(line: &str) -> &str {
         .map_or(line, |at| &line[..at])
 }
 
+/// The words of a command as a shell takes them, with what stands in quotes as one.
+fn words(line: &str) -> Vec<String> {
+    let mut words = vec![String::new()];
+    let mut quote = None;
+    for letter in line.chars() {
+        match quote {
+            Some(open) if letter == open => quote = None,
+            None if matches!(letter, '\'' | '"') => quote = Some(letter),
+            None if letter.is_whitespace() => words.push(String::new()),
+            _ => words.last_mut().unwrap().push(letter),
+        }
+    }
+    words.retain(|word| !word.is_empty());
+    words
+}
+
 /// A command without the variables that are set for it.
 fn without_settings(command: &str) -> &str {
     match command.split_once(" albireo ") {
@@ -162,8 +178,7 @@ fn every_command_that_is_printed_is_one_the_program_takes() {
                 continue;
             };
             seen += 1;
-            let words = arguments.replace('\'', "");
-            let words = std::iter::once("albireo").chain(words.split_whitespace());
+            let words = std::iter::once("albireo".to_owned()).chain(words(arguments));
             if let Err(error) =
                 albireo::cli::Arguments::fitted_command().try_get_matches_from(words)
             {

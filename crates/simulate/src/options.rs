@@ -96,7 +96,7 @@ impl Default for Options {
             duration: Duration::from_secs(60),
             status_s: 30.0,
             clip_s: 40.0,
-            gather: 8,
+            gather: 12,
             batch: 90,
             backlog: 0,
             tokens: false,

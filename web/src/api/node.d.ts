@@ -1929,6 +1929,12 @@ export interface components {
             knob?: {
                 [key: string]: number;
             } | null;
+            /**
+             * Format: int32
+             * @description The hub reads reports that are compressed against dictionaries up to this number; absent where it reads gzip
+             *     alone.
+             */
+            report_dictionary?: number | null;
             /** @description The hub missed a status: send the full one. */
             send_full_status?: boolean;
             /** @description The hub reads signs of life in their short form. */
@@ -2639,7 +2645,11 @@ export interface components {
              */
             v: number;
         };
-        /** @description Reports of one node, in the order of their numbers. On the wire it is JSON compressed with gzip. */
+        /**
+         * @description Reports of one node, in the order of their numbers. On the wire it is JSON compressed with gzip; for a hub that says
+         *     that it reads it (`report_dictionary`), with Zstandard against an example batch, `crates/wire/src/report/dictionary-1.json`,
+         *     behind a byte with that example's number.
+         */
         ReportBatch: {
             /**
              * Format: int64

@@ -39,7 +39,7 @@ impl Default for OutboxConfig {
             max_age_days: 90,
             memory_reports: 2000,
             batch_reports: 400,
-            gather_reports: 8,
+            gather_reports: 12,
             gather_s: 600,
             answer_timeout_ms: 10_000,
             retry_min_ms: 1000,
