@@ -56,7 +56,7 @@ pub(super) struct Arguments {
     #[arg(long = "clip-seconds", help_heading = REPORTS, alias = "clip-s", default_value_t = 40.0)]
     clip_s: f64,
     /// Reports that a node gathers before it sends them.
-    #[arg(long, help_heading = REPORTS, default_value_t = 8)]
+    #[arg(long, help_heading = REPORTS, default_value_t = 12)]
     gather: u64,
     /// Most reports of a batch, where more wait.
     #[arg(long, help_heading = REPORTS, default_value_t = 90)]
