@@ -14,7 +14,7 @@ export ORT_DYLIB_PATH=${ORT_DYLIB_PATH:-$PWD/.cache/onnxruntime}
 minutes=$1
 shift
 folder=$(mktemp -d)
-end() { kill $(jobs -p) 2> /dev/null || true; wait 2> /dev/null || true; rm -rf "$folder"; }
+end() { jobs -p | xargs --no-run-if-empty kill 2> /dev/null || true; wait 2> /dev/null || true; rm -rf "$folder"; }
 trap end EXIT
 
 env ALBIREO_HTTP__LISTEN=127.0.0.1:18091 'ALBIREO_ZENOH__LISTEN=["tcp/127.0.0.1:17448"]' \
