@@ -143,7 +143,8 @@ async fn shared_every_frame_of_a_clip_is_answered_or_reported_as_dropped() {
         * report["duration_s"].as_f64().expect("seconds")
         * 1e3
         / detections.len() as f64;
-    assert!((edp - expected).abs() < 1e-6 * expected, "{edp} {expected}");
+    // Both were sent with six significant digits.
+    assert!((edp - expected).abs() < 2e-5 * expected, "{edp} {expected}");
 
     // A client that comes late gets the report from the publisher's cache.
     let mut late = Client::listen(&node.zenoh, "albireo/bench/front/clip", true).await;
