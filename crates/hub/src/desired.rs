@@ -19,22 +19,21 @@ impl Desires {
     /// What is desired of `node`.
     pub fn of(&self, node: &str) -> Desired {
         let value = self.values.get(node);
-        let setting = value.map(|value| value.setting);
+        let (knob, target, hold_nothing) = match value.map(|value| value.setting) {
+            Some(Setting::Knob(knob)) => (Some(knob), None, false),
+            Some(Setting::Hold(target)) => (None, Some(target), false),
+            Some(Setting::HoldNothing) => (None, None, true),
+            None => (None, None, false),
+        };
         let until = self.watched.read().get(node).copied();
         let watched = until
             .map(|until| until.saturating_duration_since(Instant::now()))
             .filter(|left| !left.is_zero());
         Desired {
             generation: value.map_or(0, |value| value.generation),
-            knob: match setting {
-                Some(Setting::Knob(knob)) => Some(knob),
-                _ => None,
-            },
-            target: match setting {
-                Some(Setting::Hold(target)) => Some(target),
-                _ => None,
-            },
-            hold_nothing: setting == Some(Setting::HoldNothing),
+            knob,
+            target,
+            hold_nothing,
             watched_for_s: watched
                 .map(|left| u32::try_from(left.as_secs() + 1).unwrap_or(u32::MAX)),
             signs_of_life: true,

@@ -48,6 +48,16 @@ impl Serialize for Setting {
 }
 
 impl Setting {
+    /// Whether a node with that value of its knob and that target has it. A value that a target has moved to is on its way
+    /// elsewhere, and is not had.
+    pub(crate) fn is_had(self, knob: Option<KnobValue>, target: Option<Target>) -> bool {
+        match self {
+            Self::Knob(wanted) => knob == Some(wanted) && target.is_none(),
+            Self::Hold(wanted) => target == Some(wanted),
+            Self::HoldNothing => target.is_none(),
+        }
+    }
+
     /// The same number of another knob's name never stands for it: equal settings have equal texts, and no others.
     pub(crate) fn key(self) -> String {
         match self {

@@ -1,29 +1,12 @@
 //! Watching one node through the hub: the node sends only while somebody looks.
 
 use crate::support::{
-    Hub, PATIENCE, batch, config, deliver, full_status, instance, now_ns, sqlite, uplink,
+    Hub, PATIENCE, batch, config, deliver, full_status, instance, now_ns, pull, sqlite, uplink,
 };
-use albireo_wire::{Desired, PullRequest, VERSION};
 use serde_json::{Value, json};
 use std::time::Duration;
 use tokio::time::timeout;
 use zenoh::Wait;
-
-/// What the hub answers when the node asks what is desired.
-async fn pull(session: &zenoh::Session, node: &str) -> Desired {
-    let request = PullRequest {
-        v: VERSION,
-        instance: instance('a'),
-        generation: 0,
-    };
-    let replies = session
-        .get(format!("albireo/@pull/{node}"))
-        .payload(serde_json::to_vec(&request).unwrap())
-        .await
-        .unwrap();
-    let reply = replies.recv_async().await.unwrap();
-    albireo_wire::read(&reply.result().unwrap().payload().to_bytes()).unwrap()
-}
 
 fn counters() -> Value {
     json!({
@@ -55,7 +38,10 @@ async fn a_node_hears_that_it_is_watched_and_what_it_sends_then_reaches_who_watc
             .unwrap();
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
-    assert_eq!(pull(&node, "car-7").await.watched_for_s, None);
+    assert_eq!(
+        pull(&node, "car-7", &instance('a')).await.watched_for_s,
+        None
+    );
     while pokes.try_recv().is_ok() {}
 
     let mut live = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http))
@@ -63,7 +49,10 @@ async fn a_node_hears_that_it_is_watched_and_what_it_sends_then_reaches_who_watc
         .unwrap();
     assert_eq!(live.status(), 200);
     timeout(PATIENCE, pokes.recv()).await.unwrap().unwrap();
-    let lease = pull(&node, "car-7").await.watched_for_s.unwrap();
+    let lease = pull(&node, "car-7", &instance('a'))
+        .await
+        .watched_for_s
+        .unwrap();
     assert!((1..=31).contains(&lease), "{lease}");
 
     // Now it sends, and what it sends is heard.

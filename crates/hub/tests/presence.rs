@@ -1,16 +1,8 @@
 //! Which nodes are there and how they are.
 
-use crate::support::{Hub, config, full_status, instance, sqlite, status, uplink};
-use albireo_wire::{Desired, Poke, PullRequest, StatusMessage, VERSION};
+use crate::support::{Hub, config, full_status, instance, pull, say, sqlite, status, uplink};
+use albireo_wire::Poke;
 use std::time::Duration;
-
-async fn say(session: &zenoh::Session, node: &str, message: &StatusMessage) {
-    let payload = serde_json::to_vec(message).unwrap();
-    session
-        .put(format!("albireo/@status/{node}"), payload)
-        .await
-        .unwrap();
-}
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_node_is_online_then_degraded_with_its_reason_then_silent_then_offline() {
@@ -81,23 +73,6 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status() {
     assert!(!pull(&session, "car-2", &one).await.send_full_status);
     session.close().await.unwrap();
     hub.stop().await;
-}
-
-async fn pull(session: &zenoh::Session, node: &str, instance: &str) -> Desired {
-    let request = PullRequest {
-        v: VERSION,
-        instance: instance.into(),
-        generation: 0,
-    };
-    let replies = session
-        .get(format!("albireo/@pull/{node}"))
-        .payload(serde_json::to_vec(&request).unwrap())
-        .timeout(Duration::from_secs(20))
-        .await
-        .unwrap();
-    let reply = replies.recv_async().await.unwrap();
-    let sample = reply.into_result().unwrap();
-    albireo_wire::read(&sample.payload().to_bytes()).unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread")]

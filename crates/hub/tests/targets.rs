@@ -2,12 +2,11 @@
 
 use crate::support::postgres::Postgres;
 use crate::support::{
-    Hub, Said, batch, config, deliver, full_status, instance, now_ns, sqlite, uplink,
+    Hub, Said, batch, config, deliver, full_status, instance, now_ns, pull, say, sqlite, uplink,
 };
 use crate::tuning::{Played, fleet, post, put, put_at, values};
 use albireo_wire::{
-    CameraState, CameraStatus, Desired, KnobSource, KnobValue, PullRequest, Standing,
-    StatusMessage, Target, TargetStatus, VERSION,
+    CameraState, CameraStatus, KnobSource, KnobValue, Standing, StatusMessage, Target, TargetStatus,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -156,30 +155,6 @@ async fn a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value() {
 async fn postgres_a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_value() {
     let server = Postgres::start();
     targets_reach_nodes(&server.url()).await;
-}
-
-async fn say(session: &zenoh::Session, node: &str, status: &StatusMessage) {
-    let payload = serde_json::to_vec(status).unwrap();
-    session
-        .put(format!("albireo/@status/{node}"), payload)
-        .await
-        .unwrap();
-}
-
-async fn pull(session: &zenoh::Session, node: &str, instance: &str) -> Desired {
-    let request = PullRequest {
-        v: VERSION,
-        instance: instance.into(),
-        generation: 0,
-    };
-    let replies = session
-        .get(format!("albireo/@pull/{node}"))
-        .payload(serde_json::to_vec(&request).unwrap())
-        .await
-        .unwrap();
-    let reply = replies.recv_async().await.unwrap();
-    let sample = reply.into_result().unwrap();
-    albireo_wire::read(&sample.payload().to_bytes()).unwrap()
 }
 
 /// A full status of a node with one camera at that `u`.

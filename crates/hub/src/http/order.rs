@@ -1,10 +1,8 @@
 //! Carrying out an order for selected nodes, whatever it orders, with the outcome at each as it comes.
 
 use super::{HubView, body};
-use crate::setting::Setting;
 use crate::store::StoreError;
 use crate::tuning::change::{Change, ChangeRequest};
-use crate::tuning::selector::Selector;
 use crate::tuning::tuner::OutcomeLine;
 use albireo_service::http::{Caller, Problem};
 use axum::Json;
@@ -26,16 +24,6 @@ const LONGEST_WAIT_S: f64 = 8.0;
 const ANSWER_S: f64 = 1.0;
 /// How long a stream of outcomes lasts at most.
 const LONGEST_STREAM_S: f64 = 3_600.0;
-
-/// An order as it was asked for.
-pub(super) struct Asked {
-    pub(super) setting: Setting,
-    pub(super) select: Selector,
-    pub(super) dry_run: bool,
-    pub(super) why: String,
-    /// How long to wait for the nodes, seconds.
-    pub(super) wait_s: Option<f64>,
-}
 
 /// What an order came to.
 #[derive(Debug, Serialize, ToSchema)]
@@ -62,12 +50,14 @@ pub(super) fn of_store(error: &StoreError) -> Problem {
     Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
 }
 
-/// Orders it, and answers with what became of it: as lines where the caller takes those, else at the end of the wait.
+/// Orders it, and answers with what became of it: as lines where the caller takes those, else at the end of the wait,
+/// which lasts `wait_s` seconds.
 pub(super) async fn carry_out(
     view: &HubView,
     caller: &Caller,
     headers: &HeaderMap,
-    request: Asked,
+    request: ChangeRequest,
+    wait_s: Option<f64>,
 ) -> Result<Response, Problem> {
     if request.why.len() > 500 {
         return Err(body::unusable("why: must have at most 500 bytes"));
@@ -81,7 +71,7 @@ pub(super) async fn carry_out(
     } else {
         (view.timeout.as_secs_f64() - ANSWER_S).clamp(0.0, LONGEST_WAIT_S)
     };
-    let wait = request.wait_s.unwrap_or(most.min(5.0));
+    let wait = wait_s.unwrap_or(most.min(5.0));
     if !(0.0..=most).contains(&wait) {
         return Err(body::unusable(format!(
             "wait_s: must be from 0 to {most}, not {wait}"
@@ -90,15 +80,7 @@ pub(super) async fn carry_out(
     let dry_run = request.dry_run;
     let change = view
         .tuner()?
-        .change(
-            ChangeRequest {
-                setting: request.setting,
-                select: request.select,
-                dry_run,
-                why: request.why,
-            },
-            &caller.name,
-        )
+        .change(request, &caller.name)
         .await
         .map_err(|error| of_store(&error))?;
     if change.lines.is_empty() && change.awaited.is_empty() {

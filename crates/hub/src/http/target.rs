@@ -2,8 +2,9 @@
 
 use super::HubView;
 use super::body;
-use super::order::{Asked, OrderAnswer, carry_out};
+use super::order::{OrderAnswer, carry_out};
 use crate::setting::Setting;
+use crate::tuning::change::ChangeRequest;
 use crate::tuning::selector::Selector;
 use albireo_service::http::{Caller, Problem};
 use albireo_wire::Target;
@@ -75,12 +76,11 @@ pub(super) async fn put(
         Some(target) => Setting::Hold(target.check().map_err(|error| names(error.to_string()))?),
         None => Setting::HoldNothing,
     };
-    let asked = Asked {
+    let change = ChangeRequest {
         setting,
         select: request.select,
         dry_run: request.dry_run,
         why: request.why,
-        wait_s: request.wait_s,
     };
-    carry_out(&view, &caller, &headers, asked).await
+    carry_out(&view, &caller, &headers, change, request.wait_s).await
 }

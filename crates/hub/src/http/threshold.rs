@@ -2,7 +2,8 @@
 
 use super::HubView;
 use super::body;
-use super::order::{Asked, OrderAnswer, carry_out};
+use super::order::{OrderAnswer, carry_out};
+use crate::tuning::change::ChangeRequest;
 use crate::tuning::selector::Selector;
 use albireo_service::http::{Caller, Problem};
 use axum::body::Bytes;
@@ -54,12 +55,11 @@ pub(super) async fn put(
     let mut object = body::object(bytes)?;
     let knob = body::knob(&mut object)?;
     let request: ThresholdRequest = body::rest(object)?;
-    let asked = Asked {
+    let change = ChangeRequest {
         setting: knob.into(),
         select: request.select,
         dry_run: request.dry_run,
         why: request.why,
-        wait_s: request.wait_s,
     };
-    carry_out(&view, &caller, &headers, asked).await
+    carry_out(&view, &caller, &headers, change, request.wait_s).await
 }

@@ -134,5 +134,5 @@ fn has_it(facts: &NodeFacts, desired: Option<DesiredValue>, setting: Setting) ->
         Setting::HoldNothing => !matches!(desired, Some(Setting::Hold(_))),
         _ => desired == Some(setting),
     };
-    wanted && facts.status.is_some() && facts.seen().has(setting)
+    wanted && facts.status.is_some() && setting.is_had(facts.knob(), facts.target())
 }

@@ -70,17 +70,17 @@ impl Outcome {
         now: Millis,
     ) -> Self {
         use Outcome::{Applied, Missed, Pending, Refused, TimedOut, Untouched, Waiting};
-        let has_it = seen.generation >= generation && seen.has(wanted);
+        let has_it = seen.generation >= generation && wanted.is_had(seen.knob, seen.target);
         // A program that knows no targets takes the generation, and passes over what stands beside it.
         let unable = (seen.cannot_hold.as_ref())
             .filter(|_| seen.reachable && matches!(wanted, Setting::Hold(_)));
-        match (self, &seen.refused) {
+        let refused = (seen.refused.as_ref())
+            .filter(|(refused, _)| *refused == generation)
+            .map(|(_, reason)| reason);
+        match (self, unable.or(refused)) {
             (Applied { .. } | Untouched | Missed, _) => self.clone(),
             _ if has_it => Applied { at_ms: now },
-            _ if unable.is_some() => Refused {
-                reason: unable.cloned().unwrap_or_default(),
-            },
-            (_, Some((refused, reason))) if *refused == generation => Refused {
+            (_, Some(reason)) => Refused {
                 reason: reason.clone(),
             },
             (Refused { .. }, _) => self.clone(),
@@ -137,17 +137,6 @@ pub struct Seen {
     pub cannot_hold: Option<String>,
     /// The desired value it reported last as refused: generation and reason.
     pub refused: Option<(u64, String)>,
-}
-
-impl Seen {
-    /// Whether it has that. A knob's value that a target has moved to is on its way elsewhere, and is not had.
-    pub(crate) fn has(&self, setting: Setting) -> bool {
-        match setting {
-            Setting::Knob(knob) => self.knob == Some(knob) && self.target.is_none(),
-            Setting::Hold(target) => self.target == Some(target),
-            Setting::HoldNothing => self.target.is_none(),
-        }
-    }
 }
 
 /// One node of a rollout or trial.

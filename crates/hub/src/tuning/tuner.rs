@@ -496,5 +496,5 @@ fn drift_event(node: &str, desired: DesiredValue, facts: &NodeFacts, now: Millis
 fn drifted(facts: &NodeFacts, desired: DesiredValue) -> bool {
     facts.status.is_some()
         && facts.generation == desired.generation
-        && !facts.seen().has(desired.setting)
+        && !(desired.setting).is_had(facts.knob(), facts.target())
 }

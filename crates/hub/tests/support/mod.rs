@@ -11,9 +11,9 @@ pub mod postgres;
 
 use albireo_hub::config::HubConfig;
 use albireo_wire::{
-    AuditReport, AuditSums, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, DroppedFrames,
+    AuditReport, AuditSums, ClipEnd, ClipEnergy, ClipReport, Desired, DomainEnergy, DroppedFrames,
     EnergyQuality, FrameStates, HealthState, HealthStatus, KnobValue, NodeStatus, OutboxStatus,
-    Percentiles, ReportAnswer, ReportBatch, ReportRefusal, StatusMessage, VERSION,
+    Percentiles, PullRequest, ReportAnswer, ReportBatch, ReportRefusal, StatusMessage, VERSION,
 };
 use serde_json::Value;
 use std::path::Path;
@@ -350,4 +350,31 @@ pub fn full_status(instance: &str, seq: u64, reasons: &[(&str, &str)]) -> Status
         full: Some(Box::new(full)),
         ..status(instance, seq)
     }
+}
+
+/// Puts a node's status.
+pub async fn say(session: &zenoh::Session, node: &str, status: &StatusMessage) {
+    let payload = serde_json::to_vec(status).unwrap();
+    session
+        .put(format!("albireo/@status/{node}"), payload)
+        .await
+        .unwrap();
+}
+
+/// What the hub answers when the node asks what is desired.
+pub async fn pull(session: &zenoh::Session, node: &str, instance: &str) -> Desired {
+    let request = PullRequest {
+        v: VERSION,
+        instance: instance.into(),
+        generation: 0,
+    };
+    let replies = session
+        .get(format!("albireo/@pull/{node}"))
+        .payload(serde_json::to_vec(&request).unwrap())
+        .timeout(Duration::from_secs(20))
+        .await
+        .unwrap();
+    let reply = replies.recv_async().await.unwrap();
+    let sample = reply.into_result().unwrap();
+    albireo_wire::read(&sample.payload().to_bytes()).unwrap()
 }
