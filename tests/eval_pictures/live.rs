@@ -11,10 +11,10 @@ use albireo_eval::footage::{FrameSource, PictureFolder};
 use albireo_eval::pictures::{PicturedClip, run_pictured};
 use albireo_eval::run::Settings;
 use albireo_eval::source::ScreenRule;
-use albireo_node::LiveEvidence;
 use albireo_node::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_node::frame::{EncodedPicture, FrameFault, FrameLimits};
 use albireo_node::screen::{CameraScreen, ScreenConfig, ScreenHandle, ScreenKind};
+use albireo_node::{LiveEvidence, PixelWork};
 use std::future::pending;
 
 const CAMERA: CameraSlot = CameraSlot(0);
@@ -43,12 +43,9 @@ impl Node {
     /// A camera's evidence, as its loop in the node has it.
     fn camera(&self) -> LiveEvidence {
         let screen = CameraScreen::new(&self.screen, self.model.clone(), CAMERA);
-        LiveEvidence::new(
-            self.detector.clone(),
-            screen,
-            CAMERA,
-            FrameLimits::default(),
-        )
+        let preparation = self.detector.preparation().clone();
+        let pixels = PixelWork::new(preparation, FrameLimits::default(), 1);
+        LiveEvidence::new(self.detector.clone(), screen, CAMERA, pixels)
     }
 
     /// Detections of the evaluated classes, under their numbers.

@@ -158,6 +158,7 @@ impl Camera {
         let deciding = Instant::now();
         let decided = decide(&mut *self.policy, head, &mut source, &mut stream.outcome).await;
         let deciding = deciding.elapsed();
+        self.evidence.end_frame();
         if let Err(fault) = decided {
             return self.drops.count(DropKind::from(&fault), 1, &fault);
         }

@@ -2,15 +2,17 @@
 //! the screen and the detector, and keeps the times. A frame that needs nothing touches nothing here. While
 //! the detector is at work, the next frame's picture can be made ready if it is sure to be needed.
 
-mod picture_worker;
+mod picture_buffers;
+mod pixel_work;
 #[cfg(test)]
 mod tests;
 
 use crate::detector::{CameraSlot, Detected, DetectorHandle};
-use crate::frame::{EncodedPicture, FrameFault, FrameLimits};
+use crate::frame::{EncodedPicture, FrameFault};
 use crate::screen::{CameraScreen, ScreenCounts};
 use albireo_core::policy::{CallCause, Evidence, GreyPicture, Need};
-use picture_worker::{PictureWorker, Prefetch, PreparedFrame, Stage};
+pub use pixel_work::PixelWork;
+use pixel_work::{Prefetch, PreparedFrame, Source, Stage};
 use std::future::Future;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -23,6 +25,8 @@ pub struct Times {
     pub decode: Option<Duration>,
     /// The empty-scene screen.
     pub screen: Option<Duration>,
+    /// Waiting until the picture may be decoded: all cameras share so many places as keep the detector busy.
+    pub place: Duration,
     /// Resizing the picture to the detector's input; done ahead like decoding.
     pub letterbox: Option<Duration>,
     /// When the detector was asked and when it had answered, waiting included.
@@ -51,7 +55,7 @@ impl Times {
     /// The detector's time, letterbox and waiting included.
     pub(crate) fn detector(&self) -> Option<Duration> {
         self.detector_span
-            .map(|(start, end)| self.letterbox.unwrap_or_default() + (end - start))
+            .map(|(start, end)| self.place + self.letterbox.unwrap_or_default() + (end - start))
     }
 }
 
@@ -60,11 +64,15 @@ pub struct LiveEvidence {
     detector: DetectorHandle,
     screen: CameraScreen,
     slot: CameraSlot,
-    worker: PictureWorker,
-    /// What has been made of the picture of the frame in hand.
+    pixels: PixelWork,
+    /// Whether there is a frame in hand.
+    in_hand: bool,
+    /// What has been made of its picture.
     frame: PreparedFrame,
     /// What is being made of the next one.
     prefetch: Option<Prefetch>,
+    /// Whether that was begun with the frame in hand.
+    ahead: bool,
     /// What the detector found in the frame in hand.
     detected: Option<Detected>,
     /// Times of the frame in hand.
@@ -74,20 +82,22 @@ pub struct LiveEvidence {
 }
 
 impl LiveEvidence {
-    /// For the camera with this `slot` in the detector's queue.
+    /// For the camera with this `slot` in the detector's queue. All cameras of a detector share `pixels`.
     pub fn new(
         detector: DetectorHandle,
         screen: CameraScreen,
         slot: CameraSlot,
-        limits: FrameLimits,
+        pixels: PixelWork,
     ) -> Self {
         Self {
-            worker: PictureWorker::new(limits, detector.preparation().clone()),
+            pixels,
             detector,
             screen,
             slot,
+            in_hand: true,
             frame: PreparedFrame::default(),
             prefetch: None,
+            ahead: false,
             detected: None,
             times: Times::default(),
             hurry: CancellationToken::new(),
@@ -101,12 +111,25 @@ impl LiveEvidence {
         self
     }
 
-    /// Forgets the last frame's picture and times.
+    /// Forgets the last frame's times, and its picture if that has not been done.
     pub fn next_frame(&mut self) {
-        self.worker.take_back(std::mem::take(&mut self.frame));
+        self.end_frame();
+        self.in_hand = true;
         self.screen.next_frame();
         self.detected = None;
         self.times = Times::default();
+    }
+
+    /// Gives back what was made of the picture of the frame in hand, and what had been made ready for it and was not
+    /// needed: others wait for its place.
+    pub(crate) fn end_frame(&mut self) {
+        if !std::mem::replace(&mut self.in_hand, false) {
+            return;
+        }
+        self.frame = PreparedFrame::default();
+        if !std::mem::replace(&mut self.ahead, false) {
+            self.prefetch = None;
+        }
     }
 
     /// Where the time of the frame in hand went so far.
@@ -144,12 +167,12 @@ impl LiveEvidence {
         let known = match need {
             Need::Nothing => None,
             Need::Screen => empty.map(|empty| Evidence::Screen { empty }),
-            Need::GreyPicture | Need::SmallGreyPicture { .. } => {
-                Some(Evidence::GreyPicture(GreyPicture {
-                    size: self.frame.grey.size,
-                    pixels: &self.frame.grey.pixels,
-                }))
-            }
+            Need::GreyPicture | Need::SmallGreyPicture { .. } => self.frame.grey().map(|grey| {
+                Evidence::GreyPicture(GreyPicture {
+                    size: grey.size,
+                    pixels: &grey.pixels,
+                })
+            }),
             Need::Detections => {
                 let detected = self.detected.as_ref();
                 detected.map(|detected| Evidence::Detections(&detected.detections))
@@ -168,10 +191,13 @@ impl LiveEvidence {
             return Ok(None);
         }
         self.look(encoded, Stage::Picture).await?;
+        let Some(picture) = &self.frame.picture else {
+            return Ok(None);
+        };
         let start = Instant::now();
         let empty = tokio::select! {
             biased;
-            empty = self.screen.ask(self.slot, &self.frame.picture) => empty,
+            empty = self.screen.ask(self.slot, picture.shared()) => empty,
             () = self.hurry.cancelled() => None,
         };
         self.times.screen = Some(start.elapsed());
@@ -198,7 +224,6 @@ impl LiveEvidence {
         };
         self.times.letterbox = Some(prepared.took());
         let start = Instant::now();
-        let input = self.detector.preparation().format();
         let answer = {
             let hurry = &self.hurry;
             let answer = self.detector.detect_prepared(self.slot, prepared);
@@ -216,9 +241,10 @@ impl LiveEvidence {
             tokio::select! {
                 biased;
                 (picture, need) = next => {
-                    let target = self.screen.decoding_target(input, picture.size);
+                    let source = source(&self.detector, &self.screen, &picture);
                     self.prefetch =
-                        Stage::at(need).map(|stage| self.worker.begin(picture, target, stage));
+                        Stage::at(need).and_then(|stage| self.pixels.begin(source, stage));
+                    self.ahead = self.prefetch.is_some();
                     answer.await
                 }
                 answer = &mut answer => answer,
@@ -232,8 +258,9 @@ impl LiveEvidence {
                 end,
                 used: detected.took / detected.pictures.max(1),
             });
-            self.screen
-                .detected(&self.frame.picture, !detected.detections.is_empty());
+            let picture = self.frame.picture.as_deref();
+            let found_something = !detected.detections.is_empty();
+            self.screen.detected(picture, found_something);
         }
         Ok(answer)
     }
@@ -248,7 +275,8 @@ impl LiveEvidence {
         self.screen.counts()
     }
 
-    /// Makes of the picture what is needed, unless that is done. Screen and detector share the pixels.
+    /// Makes of the picture what is needed, unless that is done, or nothing is waited for any more. Screen and detector
+    /// share the pixels.
     async fn look(&mut self, encoded: &EncodedPicture, stage: Stage) -> Result<(), FrameFault> {
         if let Some(prefetch) = self.prefetch.take()
             && prefetch.is_of(encoded)
@@ -256,12 +284,30 @@ impl LiveEvidence {
             self.frame = prefetch.frame().await?;
         }
         if !self.frame.has(stage) {
+            if stage.needs_place() && self.frame.place.is_none() {
+                let start = Instant::now();
+                self.frame.place = tokio::select! {
+                    biased;
+                    place = self.pixels.place() => place,
+                    () = self.hurry.cancelled() => return Ok(()),
+                };
+                self.times.place += start.elapsed();
+            }
             let frame = std::mem::take(&mut self.frame);
-            let input = self.detector.preparation().format();
-            let target = self.screen.decoding_target(input, encoded.size);
-            self.frame = self.worker.look(frame, encoded, target, stage).await?;
+            let source = source(&self.detector, &self.screen, encoded);
+            self.frame = self.pixels.look(frame, source, stage).await?;
         }
         self.times.decode = self.frame.decode;
         Ok(())
+    }
+}
+
+/// How a picture is decoded for that detector and screen.
+fn source(detector: &DetectorHandle, screen: &CameraScreen, encoded: &EncodedPicture) -> Source {
+    let input = detector.preparation().format();
+    Source {
+        target: screen.decoding_target(input, encoded.size),
+        keep: screen.keeps_pictures(),
+        encoded: encoded.clone(),
     }
 }

@@ -33,6 +33,6 @@ mod threshold;
 mod uplink;
 
 pub use error::NodeError;
-pub use evidence::{LiveEvidence, Times};
+pub use evidence::{LiveEvidence, PixelWork, Times};
 pub use run::{run, run_prepared};
 pub use start::{Node, PolicyMaker, PreparedNode};

@@ -6,7 +6,7 @@ use super::camera::{Camera, InPlace};
 use super::config::{CameraConfig, NodeConfig};
 use super::counters::Counters;
 use super::error::NodeError;
-use super::evidence::LiveEvidence;
+use super::evidence::{LiveEvidence, PixelWork};
 use super::intake::{DropCounts, HeldFrames, Incoming, Intake, SourceFeed};
 use super::key_service::KeyService;
 use super::name::NodeName;
@@ -15,7 +15,7 @@ use super::target::{TargetKey, TargetTask};
 use super::threshold::ThresholdKey;
 use crate::clip::{ClipConfig, ClipTracker, ClosedClip};
 use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
-use crate::frame::{Delivery, FrameLimits, RingReceiver, RingSender, frame_ring};
+use crate::frame::{Delivery, RingReceiver, RingSender, frame_ring};
 use crate::power::{self, EnergyUser, PowerHandle};
 use crate::publishing::{self, Detections, PublishingThread};
 use crate::readiness;
@@ -254,6 +254,11 @@ impl PreparedNode {
             session: &session,
             power: &power,
             detector: &detector,
+            pixels: PixelWork::new(
+                detector.preparation().clone(),
+                config.frame,
+                config.detector.batch_size,
+            ),
             screen: screen.as_ref(),
             board: &board,
             publishing: &publishing,
@@ -467,6 +472,7 @@ struct Parts<'a> {
     session: &'a Session,
     power: &'a PowerHandle,
     detector: &'a DetectorHandle,
+    pixels: PixelWork,
     screen: Option<&'a ScreenHandle>,
     board: &'a Arc<Board>,
     publishing: &'a PublishingThread,
@@ -547,7 +553,7 @@ impl Parts<'_> {
             detector: self.detector.clone(),
             screen: self.screen.cloned(),
             screen_config: self.config.screen.clone(),
-            limits: self.config.frame,
+            pixels: self.pixels.clone(),
             clip: self.config.clip,
             power: self.power.clone(),
             detections: Arc::new(detections),
@@ -703,7 +709,7 @@ impl Parts<'_> {
             screen: (self.screen)
                 .filter(|_| self.config.screen.kind() == ScreenKind::Model)
                 .map(ScreenHandle::input_format),
-            limits: self.config.frame,
+            pixels: self.pixels.clone(),
             energy: audit_energy(self.power, name),
         });
         let stop = self.shutdown.clone();
@@ -759,7 +765,7 @@ struct CameraMaker {
     detector: DetectorHandle,
     screen: Option<ScreenHandle>,
     screen_config: ScreenConfig,
-    limits: FrameLimits,
+    pixels: PixelWork,
     clip: ClipConfig,
     power: PowerHandle,
     audit: Arc<CameraAudit>,
@@ -790,7 +796,7 @@ impl CameraMaker {
                 self.detector.clone(),
                 CameraScreen::new(&self.screen_config, self.screen.clone(), self.slot),
                 self.slot,
-                self.limits,
+                self.pixels.clone(),
             )
             .hurried_by(self.hurry.clone()),
             detections: Arc::clone(&self.detections),

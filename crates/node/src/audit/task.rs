@@ -2,7 +2,8 @@
 
 use super::frames::{AuditCount, CameraAudit, DrawnFrame};
 use crate::detector::DetectorHandle;
-use crate::frame::{EncodedPicture, FrameLimits, InputFormat, Picture, PixelLayout, decode};
+use crate::evidence::PixelWork;
+use crate::frame::InputFormat;
 use crate::power::EnergyUser;
 use crate::screen::decoding_target;
 use albireo_core::audit::AuditSums;
@@ -18,8 +19,8 @@ pub(crate) struct Auditor {
     pub detector: DetectorHandle,
     /// The input of the screen that the camera's frames are decoded for too, where that is a model.
     pub screen: Option<InputFormat>,
-    /// What a picture may be.
-    pub limits: FrameLimits,
+    /// Where pictures are decoded.
+    pub pixels: PixelWork,
     /// Whose the energy is.
     pub energy: EnergyUser,
 }
@@ -27,7 +28,6 @@ pub(crate) struct Auditor {
 impl Auditor {
     /// Looks at frames until `shutdown`.
     pub(crate) async fn run(&self, shutdown: CancellationToken) {
-        let mut picture = Picture::default();
         loop {
             let (number, frame) = tokio::select! {
                 biased;
@@ -38,33 +38,21 @@ impl Auditor {
                 biased;
                 // What is in hand is counted as missed where the last clip ends.
                 () = shutdown.cancelled() => return,
-                found = self.look(&frame, &mut picture) => found,
+                found = self.look(&frame) => found,
             };
             self.audit.done(number, found);
         }
     }
 
     /// What comes of a frame; `None` when the detector has no time for it, or its picture is broken.
-    async fn look(&self, frame: &DrawnFrame, buffer: &mut Picture) -> Option<AuditCount> {
+    async fn look(&self, frame: &DrawnFrame) -> Option<AuditCount> {
         let now = Instant::now();
         let until = now.checked_add(self.audit.wait()).unwrap_or(now);
         let turn = timeout_at(until, self.detector.spare_turn()).await.ok()??;
         // Only now that the detector is free: most pictures are never decoded.
-        let preparation = self.detector.preparation().clone();
-        let target = decoding_target(preparation.format(), self.screen, frame.picture.size);
-        let (encoded, limits): (EncodedPicture, _) = (frame.picture.clone(), self.limits);
-        let mut picture = std::mem::take(buffer);
-        let prepared = tokio::task::spawn_blocking(move || {
-            let layout = PixelLayout::Rgb8;
-            let decoded = decode(&encoded, &limits, layout, Some(target), &mut picture);
-            let prepared = decoded
-                .ok()
-                .and_then(|()| preparation.prepare(&picture).ok());
-            (prepared, picture)
-        })
-        .await;
-        let (prepared, picture) = prepared.ok()?;
-        *buffer = picture;
+        let input = self.detector.preparation().format();
+        let target = decoding_target(input, self.screen, frame.picture.size);
+        let prepared = self.pixels.prepared(frame.picture.clone(), target).await;
         let answer = self.detector.detect_spare(turn, prepared?, until).await;
         // The detector counts and logs its failures itself.
         let detected = answer.ok()??;

@@ -6,6 +6,7 @@ use crate::board::{Board, BoardSetup, Event};
 use crate::clip::{ClipConfig, ClipMeta, ClipTracker, ClosedClip};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
+use crate::evidence::PixelWork;
 use crate::frame::{Frame, FrameLimits, FrameOrder, PictureFormat, Pushed, RingSender, frame_ring};
 use crate::power::sampler::without_a_meter;
 use crate::screen::{CameraScreen, ScreenConfig};
@@ -78,11 +79,12 @@ impl Bench {
             ..DashcamSettings::default()
         })
         .unwrap();
+        let pixels = PixelWork::new(detector.preparation().clone(), FrameLimits::default(), 1);
         let auditor = Auditor {
             audit: Arc::clone(&audit),
             detector: detector.clone(),
             screen: None,
-            limits: FrameLimits::default(),
+            pixels: pixels.clone(),
             energy: power.user_aside("front audit"),
         };
         let camera = Camera {
@@ -94,7 +96,7 @@ impl Bench {
                 detector.clone(),
                 CameraScreen::new(&ScreenConfig::default(), None, slot),
                 slot,
-                FrameLimits::default(),
+                pixels,
             ),
             detections: Arc::new(Detections::every(silent_publisher().await).0),
             class_names: detector.class_names().into(),

@@ -1,14 +1,18 @@
-//! Pixel work of one camera, on blocking threads: decoding, grey, the detector's input. Buffers go round.
+//! Pixel work of all cameras, on blocking threads: decoding, grey, the detector's input. Buffers go round, and no more
+//! pictures are decoded for the detector at once than keep it busy.
 
+use super::picture_buffers::{PictureBuffers, PooledPicture};
 use crate::detector::{Preparation, PreparedPicture};
 use crate::frame::{
-    EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
+    EncodedPicture, FrameFault, FrameLimits, PixelLayout, decode, decode_grey_half,
     decode_small_grey,
 };
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::Need;
 use std::sync::Arc;
+use std::thread::available_parallelism;
 use std::time::{Duration, Instant};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio::task::JoinHandle;
 
 /// What is to be made of a picture.
@@ -35,165 +39,220 @@ impl Stage {
             Need::Detections => Some(Self::Prepared),
         }
     }
+
+    /// Whether the picture is decoded as it is, and a place needed.
+    pub(super) const fn needs_place(self) -> bool {
+        matches!(self, Self::Picture | Self::Prepared)
+    }
+}
+
+/// One picture and how it is to be decoded.
+#[derive(Clone)]
+pub(super) struct Source {
+    pub(super) encoded: EncodedPicture,
+    /// It may be decoded to fewer pixels, down to this.
+    pub(super) target: PictureSize,
+    /// Whether the decoded picture is needed after the detector's input has been made of it.
+    pub(super) keep: bool,
 }
 
 /// What has been made of one picture so far.
 #[derive(Default)]
 pub(super) struct PreparedFrame {
     /// The decoded picture, if there is one.
-    pub(super) picture: Arc<Picture>,
-    decoded: bool,
+    pub(super) picture: Option<PooledPicture>,
     /// The detector's input, until it is taken.
     pub(super) prepared: Option<PreparedPicture>,
-    /// The picture in grey, if there is one.
-    pub(super) grey: Picture,
-    /// Which of the grey pictures that is.
-    greyed: Option<Stage>,
+    /// The picture in grey, if there is one, and which of the grey pictures it is.
+    grey: Option<(Stage, PooledPicture)>,
     /// How long decoding took, grey included.
     pub(super) decode: Option<Duration>,
+    /// Its place among the pictures that are decoded at once, if it has one.
+    pub(super) place: Option<Place>,
+}
+
+/// The right to have a picture decoded for the detector.
+pub(super) struct Place {
+    _permit: OwnedSemaphorePermit,
 }
 
 impl PreparedFrame {
-    /// Whether nothing has been made of the picture yet.
-    fn is_empty(&self) -> bool {
-        !self.decoded && self.greyed.is_none()
-    }
-
-    /// Whether nothing more has to be done for `look`.
+    /// Whether nothing more has to be done for `stage`.
     pub(super) fn has(&self, stage: Stage) -> bool {
         match stage {
-            Stage::Grey | Stage::SmallGrey(_) => self.greyed == Some(stage),
-            Stage::Picture => self.decoded,
+            Stage::Grey | Stage::SmallGrey(_) => {
+                self.grey.as_ref().is_some_and(|(made, _)| *made == stage)
+            }
+            Stage::Picture => self.picture.is_some(),
             Stage::Prepared => self.prepared.is_some(),
         }
     }
 
-    fn add(
-        &mut self,
-        stage: Stage,
-        encoded: &EncodedPicture,
-        target: PictureSize,
-        limits: &FrameLimits,
-        preparation: &Preparation,
-    ) -> Result<(), FrameFault> {
+    /// The picture in grey, if there is one.
+    pub(super) fn grey(&self) -> Option<&PooledPicture> {
+        self.grey.as_ref().map(|(_, picture)| picture)
+    }
+
+    fn add(&mut self, stage: Stage, source: &Source, pixels: &PixelWork) -> Result<(), FrameFault> {
         let start = Instant::now();
+        let Source {
+            encoded, target, ..
+        } = source;
+        let State {
+            limits,
+            preparation,
+            pictures,
+            greys,
+            ..
+        } = &*pixels.0;
         match stage {
             Stage::Grey | Stage::SmallGrey(_) => {
-                self.greyed = None;
-                match stage {
-                    Stage::SmallGrey(width) => {
-                        decode_small_grey(encoded, limits, width, &mut self.grey)?;
-                    }
-                    _ => decode_grey_half(encoded, limits, &mut self.grey)?,
-                }
-                self.greyed = Some(stage);
+                self.grey = None;
+                let mut grey = greys.take(0);
+                let made = match stage {
+                    Stage::SmallGrey(width) => decode_small_grey(encoded, limits, width, &mut grey),
+                    _ => decode_grey_half(encoded, limits, &mut grey),
+                };
+                // Also after a fault its buffer goes back.
+                let grey = greys.pooled(grey);
+                made?;
+                self.grey = Some((stage, grey));
                 self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
             }
             Stage::Picture => {
-                // Whoever still holds the old picture keeps it, and this one gets a buffer of its own.
-                let mut picture =
-                    Arc::try_unwrap(std::mem::take(&mut self.picture)).unwrap_or_default();
                 let layout = PixelLayout::Rgb8;
-                decode(encoded, limits, layout, Some(target), &mut picture)?;
-                self.picture = Arc::new(picture);
-                self.decoded = true;
+                let most = encoded
+                    .size
+                    .pixels()
+                    .saturating_mul(layout.channels() as u64);
+                let mut picture = pictures.take(usize::try_from(most).unwrap_or(usize::MAX));
+                let made = decode(encoded, limits, layout, Some(*target), &mut picture);
+                let picture = pictures.pooled(picture);
+                made?;
+                self.picture = Some(picture);
                 self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
             }
             Stage::Prepared => {
-                if !self.decoded {
-                    self.add(Stage::Picture, encoded, target, limits, preparation)?;
+                if self.picture.is_none() {
+                    self.add(Stage::Picture, source, pixels)?;
                 }
-                let prepared = preparation.prepare(&self.picture);
+                let Some(picture) = &self.picture else {
+                    return Ok(());
+                };
+                let prepared = preparation.prepare(picture);
                 self.prepared = Some(prepared.map_err(|error| FrameFault::Undecodable {
                     reason: error.to_string(),
                 })?);
+                if !source.keep {
+                    self.picture = None;
+                }
             }
         }
         Ok(())
     }
 }
 
-/// Buffers of this size are kept for the next picture, whatever that is.
-const ALWAYS_KEPT: usize = 2 << 20;
+/// Where pictures are looked at. Clones share buffers and places.
+#[derive(Clone)]
+pub struct PixelWork(Arc<State>);
 
-/// Larger ones are kept when they are at most so many times what the picture before needed.
-const KEPT_TIMES: usize = 4;
-
-/// Where pictures are looked at.
-pub(super) struct PictureWorker {
+struct State {
     limits: FrameLimits,
     preparation: Preparation,
-    /// A frame of an earlier frame, for its buffers.
-    spare: PreparedFrame,
-    /// What the buffers of the last picture came to.
-    usual: usize,
+    /// Decoded pictures.
+    pictures: PictureBuffers,
+    /// Grey pictures, much smaller.
+    greys: PictureBuffers,
+    /// One for each picture that is decoded for the detector, from before it is decoded until the detector has answered.
+    places: Arc<Semaphore>,
 }
 
-impl PictureWorker {
-    pub(super) fn new(limits: FrameLimits, preparation: Preparation) -> Self {
-        Self {
+impl PixelWork {
+    /// For all cameras of one detector that looks at `batch_size` pictures at once, with inputs made by `preparation`.
+    ///
+    /// So many pictures have a place as one run looks at, as many again that are ready for the next, and one for each
+    /// two processors, which make them. The others wait encoded.
+    pub fn new(preparation: Preparation, limits: FrameLimits, batch_size: usize) -> Self {
+        let processors = available_parallelism().map_or(1, usize::from);
+        let places = (2 * batch_size.max(1)).saturating_add(processors.div_ceil(2));
+        Self::with_places(preparation, limits, places)
+    }
+
+    fn with_places(preparation: Preparation, limits: FrameLimits, places: usize) -> Self {
+        Self(Arc::new(State {
             limits,
             preparation,
-            spare: PreparedFrame::default(),
-            usual: 0,
-        }
+            pictures: PictureBuffers::new(places),
+            greys: PictureBuffers::new(places),
+            places: Arc::new(Semaphore::new(places.min(Semaphore::MAX_PERMITS))),
+        }))
     }
 
-    /// Takes the buffers of a frame that is done. Those of one giant picture among small ones are given back at once:
-    /// there may not be another picture for minutes.
-    pub(super) fn take_back(&mut self, frame: PreparedFrame) {
-        // Without anything, the buffers are elsewhere: spare, or with what is made ready ahead.
-        if frame.is_empty() {
-            return;
-        }
-        let bytes = frame.picture.pixels.capacity() + frame.grey.pixels.capacity();
-        let usual = std::mem::replace(&mut self.usual, bytes);
-        if bytes <= ALWAYS_KEPT || bytes / KEPT_TIMES <= usual {
-            self.spare = PreparedFrame {
-                picture: frame.picture,
-                grey: frame.grey,
-                ..PreparedFrame::default()
-            };
-        }
+    /// How many pictures' buffers nobody uses.
+    #[cfg(test)]
+    pub(super) fn idle(&self) -> usize {
+        self.0.pictures.idle()
     }
 
-    /// Makes of the picture what is missing in `frame`. It may be decoded to fewer pixels, down to `target`.
+    /// Waits for a place: those who ask first get one first.
+    pub(super) async fn place(&self) -> Option<Place> {
+        let permit = Arc::clone(&self.0.places).acquire_owned().await;
+        permit.ok().map(|_permit| Place { _permit })
+    }
+
+    /// Makes of the picture what is missing in `frame`.
     pub(super) async fn look(
-        &mut self,
+        &self,
         frame: PreparedFrame,
-        encoded: &EncodedPicture,
-        target: PictureSize,
+        source: Source,
         stage: Stage,
     ) -> Result<PreparedFrame, FrameFault> {
-        joined(self.spawn(frame, encoded.clone(), target, stage)).await
+        joined(self.spawn(frame, source, stage)).await
     }
 
-    /// Begins with a picture that is needed later.
-    pub(super) fn begin(
-        &mut self,
+    /// The detector's input of a picture, decoded to no fewer pixels than `target`; `None` when it is broken. Takes no
+    /// place: for whoever asks only while nobody waits.
+    pub(crate) async fn prepared(
+        &self,
         encoded: EncodedPicture,
         target: PictureSize,
-        stage: Stage,
-    ) -> Prefetch {
-        Prefetch {
-            work: self.spawn(PreparedFrame::default(), encoded.clone(), target, stage),
+    ) -> Option<PreparedPicture> {
+        let source = Source {
             encoded,
-        }
+            target,
+            keep: false,
+        };
+        let made = self.look(PreparedFrame::default(), source, Stage::Prepared);
+        made.await.ok()?.prepared
+    }
+
+    /// Begins with a picture that is needed later, if there is a place that nobody waits for.
+    pub(super) fn begin(&self, source: Source, stage: Stage) -> Option<Prefetch> {
+        let place = if stage.needs_place() {
+            let permit = Arc::clone(&self.0.places).try_acquire_owned().ok()?;
+            Some(Place { _permit: permit })
+        } else {
+            None
+        };
+        let frame = PreparedFrame {
+            place,
+            ..PreparedFrame::default()
+        };
+        Some(Prefetch {
+            encoded: source.encoded.clone(),
+            work: self.spawn(frame, source, stage),
+        })
     }
 
     fn spawn(
-        &mut self,
+        &self,
         mut frame: PreparedFrame,
-        encoded: EncodedPicture,
-        target: PictureSize,
+        source: Source,
         stage: Stage,
     ) -> JoinHandle<Result<PreparedFrame, FrameFault>> {
-        if frame.is_empty() {
-            frame = std::mem::take(&mut self.spare);
-        }
-        let (limits, preparation) = (self.limits, self.preparation.clone());
+        let pixels = self.clone();
         tokio::task::spawn_blocking(move || {
-            frame.add(stage, &encoded, target, &limits, &preparation)?;
+            frame.add(stage, &source, &pixels)?;
             Ok(frame)
         })
     }
@@ -236,9 +295,9 @@ async fn joined(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::{ColorOrder, Fit, InputFormat, TensorLayout, ValueRange};
+    use crate::frame::{ColorOrder, Fit, InputFormat, PictureFormat, TensorLayout, ValueRange};
 
-    fn worker() -> PictureWorker {
+    fn pixels(places: usize) -> PixelWork {
         let format = InputFormat {
             size: PictureSize::new(4, 2),
             fit: Fit::Stretch,
@@ -246,35 +305,41 @@ mod tests {
             value_range: ValueRange::To255,
             layout: TensorLayout::Nchw,
         };
-        PictureWorker::new(FrameLimits::default(), Preparation::new(format))
+        PixelWork::with_places(Preparation::new(format), FrameLimits::default(), places)
     }
 
-    fn seen(bytes: usize) -> PreparedFrame {
-        PreparedFrame {
-            picture: Arc::new(Picture {
-                pixels: vec![0; bytes],
-                ..Picture::default()
-            }),
-            decoded: true,
-            ..PreparedFrame::default()
+    fn source() -> Source {
+        let size = PictureSize::new(4, 2);
+        Source {
+            encoded: EncodedPicture {
+                format: PictureFormat::Rgb8,
+                bytes: vec![7; 24].into(),
+                size,
+            },
+            target: size,
+            keep: false,
         }
     }
 
-    #[test]
-    fn the_buffer_of_one_giant_picture_is_given_back_and_that_of_a_stream_of_them_is_kept() {
-        const HD: usize = 1920 * 1080 * 3;
-        const GIANT: usize = 16 * HD;
-        let mut worker = worker();
-        let mut kept = |bytes| {
-            worker.take_back(seen(bytes));
-            std::mem::take(&mut worker.spare).picture.pixels.capacity()
-        };
-        assert_eq!(kept(HD), 0, "nothing is known yet of what is usual");
-        assert_eq!(kept(HD), HD);
-        assert_eq!(kept(GIANT), 0);
-        assert_eq!(kept(GIANT), GIANT);
-        assert_eq!(kept(HD), HD);
-        assert_eq!(kept(640 * 360 * 3), 640 * 360 * 3);
-        assert_eq!(kept(ALWAYS_KEPT), ALWAYS_KEPT);
+    #[tokio::test]
+    async fn a_picture_is_made_ready_ahead_only_in_a_place_that_nobody_waits_for() {
+        let pixels = pixels(1);
+        let held = pixels.place().await;
+        assert!(pixels.begin(source(), Stage::Prepared).is_none());
+        assert!(pixels.begin(source(), Stage::Grey).is_some(), "needs none");
+        drop(held);
+        let ahead = pixels.begin(source(), Stage::Prepared).unwrap();
+        let frame = ahead.frame().await.unwrap();
+        assert!(frame.has(Stage::Prepared) && !frame.has(Stage::Picture));
+        assert!(pixels.begin(source(), Stage::Prepared).is_none());
+        drop(frame);
+        assert!(pixels.begin(source(), Stage::Prepared).is_some());
+    }
+
+    #[tokio::test]
+    async fn what_is_made_ready_and_not_wanted_gives_its_place_back() {
+        let pixels = pixels(1);
+        drop(pixels.begin(source(), Stage::Prepared));
+        assert!(pixels.place().await.is_some());
     }
 }

@@ -2,10 +2,12 @@
 
 use super::*;
 use crate::detector::DetectorConfig;
+use crate::frame::FrameLimits;
 use crate::screen::ScreenConfig;
 use albireo_core::geometry::PictureSize;
 use albireo_synth::{Dashcam, DashcamSettings};
 use bytes::Bytes;
+use futures_util::FutureExt;
 use std::path::Path;
 
 /// Pictures of the synthetic dashcam.
@@ -31,13 +33,15 @@ async fn evidence() -> LiveEvidence {
         timeout_ms: 60_000,
         ..DetectorConfig::default()
     };
+    let detector = DetectorHandle::start(&config).await.unwrap();
+    let pixels = PixelWork::new(detector.preparation().clone(), FrameLimits::default(), 1);
+    camera(&detector, pixels)
+}
+
+fn camera(detector: &DetectorHandle, pixels: PixelWork) -> LiveEvidence {
     let slot = CameraSlot(0);
-    LiveEvidence::new(
-        DetectorHandle::start(&config).await.unwrap(),
-        CameraScreen::new(&ScreenConfig::default(), None, slot),
-        slot,
-        FrameLimits::default(),
-    )
+    let screen = CameraScreen::new(&ScreenConfig::default(), None, slot);
+    LiveEvidence::new(detector.clone(), screen, slot, pixels)
 }
 
 /// What is found in `picture` by a camera that has seen nothing before.
@@ -108,19 +112,57 @@ async fn a_broken_picture_made_ready_ahead_is_the_fault_of_its_own_frame() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn decoded_pictures_take_turns_in_the_same_buffers() {
+async fn decoded_pictures_of_all_cameras_take_turns_in_the_same_buffers() {
     let [first, second, third] = pictures();
-    let mut evidence = evidence().await;
-    let mut buffers = std::collections::BTreeSet::new();
+    let detector = evidence().await.detector;
+    let pixels = PixelWork::new(detector.preparation().clone(), FrameLimits::default(), 1);
+    let mut cameras = [0; 4].map(|_| camera(&detector, pixels.clone()));
     for _ in 0..3 {
         for (picture, next) in [(&first, &second), (&second, &third), (&third, &first)] {
-            let next = std::future::ready((next.clone(), Need::Detections));
-            evidence.detect(picture, next).await.unwrap();
-            buffers.insert(evidence.frame.picture.pixels.as_ptr() as usize);
-            evidence.next_frame();
+            for camera in &mut cameras {
+                let next = std::future::ready((next.clone(), Need::Detections));
+                assert!(camera.detect(picture, next).await.unwrap().is_some());
+                camera.end_frame();
+                camera.next_frame();
+            }
         }
     }
-    assert!(buffers.len() <= 2, "{} buffers", buffers.len());
+    drop(cameras);
+    // Not as many as cameras, each of which had one ahead besides.
+    assert!(pixels.idle() <= 3, "{} buffers", pixels.idle());
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn what_was_made_ready_and_is_not_needed_is_given_back_with_its_frame() {
+    let [first, second, _] = pictures();
+    let mut evidence = evidence().await;
+    let next = std::future::ready((second, Need::Detections));
+    evidence.detect(&first, next).await.unwrap();
+    evidence.end_frame();
+    assert!(evidence.prefetch.is_some(), "its frame is to come");
+    evidence.next_frame();
+    // The policy needed nothing.
+    evidence.end_frame();
+    assert!(evidence.prefetch.is_none());
+}
+
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn who_waits_for_a_place_when_the_node_stops_waits_no_longer() {
+    let [first, ..] = pictures();
+    let hurry = CancellationToken::new();
+    let mut evidence = evidence().await.hurried_by(hurry.clone());
+    let mut held = Vec::new();
+    while let Some(Some(place)) = evidence.pixels.place().now_or_never() {
+        held.push(place);
+    }
+    assert!(held.len() >= 3);
+    let detecting = evidence.detect(&first, std::future::pending());
+    tokio::pin!(detecting);
+    assert!((&mut detecting).now_or_never().is_none());
+    hurry.cancel();
+    assert_eq!(detecting.await.unwrap(), None);
 }
 
 #[tokio::test]

@@ -56,6 +56,11 @@ impl CameraScreen {
         self.model.is_none() && !self.judge.is_agnostic()
     }
 
+    /// Whether it looks at a picture after the detector has.
+    pub(crate) const fn keeps_pictures(&self) -> bool {
+        self.judge.is_agnostic()
+    }
+
     /// The size to which a picture of `source` may be decoded, for this screen and a detector with that input.
     pub(crate) fn decoding_target(
         &self,
@@ -84,9 +89,9 @@ impl CameraScreen {
     }
 
     /// The detector looked at `picture` and did or did not find something.
-    pub(crate) fn detected(&mut self, picture: &Picture, found_something: bool) {
+    pub(crate) fn detected(&mut self, picture: Option<&Picture>, found_something: bool) {
         self.judge
-            .detected(found_something, || Thumbnail::of(picture));
+            .detected(found_something, || Thumbnail::of(picture?));
     }
 
     /// Why the detector looks at the frame in hand although the screen would say "empty".
