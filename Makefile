@@ -36,8 +36,9 @@ soak: onnxruntime python ## half an hour of a node under faults beside a hub, by
 bench: onnxruntime web ## the benches, optimised (takes a while the first time)
 	cargo bench --locked
 
-bench-peers: ## the decision core beside other trackers
+bench-peers: ## the decision core beside other trackers, the JPEG decoder beside others
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
+	cargo run --release --locked --manifest-path benches/decoders/Cargo.toml
 
 parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
 	cargo build --locked $$(bash tests/features.sh)

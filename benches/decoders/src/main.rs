@@ -1,0 +1,171 @@
+//! JPEG decoders beside each other, in turns within one run: what albireo uses (`zune-jpeg`), libjpeg-turbo (the feature
+//! `turbojpeg` uses it for pictures that are to be made smaller), and `jpeg-decoder`, which can scale too.
+//!
+//! ```text
+//! cargo run --release --locked --manifest-path benches/decoders/Cargo.toml [-- FILE.jpg …]
+//! ```
+//!
+//! Without files: pictures of the synthetic dashcam at three sizes. Tells the median and the 95 % of the milliseconds a
+//! picture takes, and the median beside that of `zune-jpeg` in colour.
+
+#![allow(clippy::expect_used, clippy::panic, clippy::print_stdout)]
+
+use albireo_core::geometry::PictureSize;
+use albireo_synth::{Dashcam, DashcamSettings};
+use std::hint::black_box;
+use std::time::Instant;
+use turbojpeg::{Decompressor, Image, PixelFormat, ScalingFactor};
+use zune_core::bytestream::ZCursor;
+use zune_core::colorspace::ColorSpace;
+use zune_core::options::DecoderOptions;
+
+const ROUNDS: usize = 40;
+
+/// A way from a file to pixels; the buffer is used again.
+struct Way {
+    name: &'static str,
+    decode: Box<dyn FnMut(&[u8], &mut Vec<u8>)>,
+}
+
+fn way(name: &'static str, decode: impl FnMut(&[u8], &mut Vec<u8>) + 'static) -> Way {
+    Way {
+        name,
+        decode: Box::new(decode),
+    }
+}
+
+/// As the node does it: strict, into a buffer that is there.
+fn zune(colors: ColorSpace) -> impl FnMut(&[u8], &mut Vec<u8>) {
+    move |file, pixels| {
+        let options = DecoderOptions::default()
+            .set_strict_mode(true)
+            .jpeg_set_out_colorspace(colors);
+        let mut decoder = zune_jpeg::JpegDecoder::new_with_options(ZCursor::new(file), options);
+        decoder.decode_headers().expect("a header");
+        pixels.resize(decoder.output_buffer_size().expect("a size"), 0);
+        decoder.decode_into(pixels).expect("a JPEG file");
+    }
+}
+
+fn turbo(format: PixelFormat, factor: ScalingFactor) -> impl FnMut(&[u8], &mut Vec<u8>) {
+    let mut decompressor = Decompressor::new().expect("libjpeg-turbo");
+    move |file, pixels| {
+        let header = decompressor.read_header(file).expect("a header");
+        decompressor.set_scaling_factor(factor).expect("a scale");
+        let (width, height) = (factor.scale(header.width), factor.scale(header.height));
+        let pitch = width * format.size();
+        pixels.resize(pitch * height, 0);
+        let image = Image {
+            pixels: pixels.as_mut_slice(),
+            width,
+            pitch,
+            height,
+            format,
+        };
+        decompressor.decompress(file, image).expect("a JPEG file");
+    }
+}
+
+fn jpeg_decoder(divisor: u16) -> impl FnMut(&[u8], &mut Vec<u8>) {
+    move |file, pixels| {
+        let mut decoder = jpeg_decoder::Decoder::new(file);
+        if divisor > 1 {
+            decoder.read_info().expect("a header");
+            let info = decoder.info().expect("a header");
+            decoder
+                .scale(info.width / divisor, info.height / divisor)
+                .expect("a scale");
+        }
+        *pixels = decoder.decode().expect("a JPEG file");
+    }
+}
+
+fn ways() -> Vec<Way> {
+    let [rgb, grey] = [PixelFormat::RGB, PixelFormat::GRAY];
+    vec![
+        way("zune-jpeg, colour", zune(ColorSpace::RGB)),
+        way("zune-jpeg, luma", zune(ColorSpace::Luma)),
+        way("libjpeg-turbo, colour", turbo(rgb, ScalingFactor::ONE)),
+        way("libjpeg-turbo, luma", turbo(grey, ScalingFactor::ONE)),
+        way(
+            "libjpeg-turbo, colour, half",
+            turbo(rgb, ScalingFactor::ONE_HALF),
+        ),
+        way(
+            "libjpeg-turbo, colour, quarter",
+            turbo(rgb, ScalingFactor::ONE_QUARTER),
+        ),
+        way(
+            "libjpeg-turbo, luma, quarter",
+            turbo(grey, ScalingFactor::ONE_QUARTER),
+        ),
+        way("jpeg-decoder, colour", jpeg_decoder(1)),
+        way("jpeg-decoder, colour, half", jpeg_decoder(2)),
+    ]
+}
+
+/// What is decoded, and what it is called.
+fn files() -> Vec<(String, Vec<Vec<u8>>)> {
+    let named: Vec<_> = std::env::args().skip(1).collect();
+    if !named.is_empty() {
+        let read = |name: String| {
+            let file = std::fs::read(&name).unwrap_or_else(|error| panic!("{name}: {error}"));
+            (name, vec![file])
+        };
+        return named.into_iter().map(read).collect();
+    }
+    let sized = |(width, height)| {
+        let mut dashcam = Dashcam::new(DashcamSettings {
+            seed: 7,
+            size: PictureSize::new(width, height),
+            ..DashcamSettings::default()
+        })
+        .expect("a dashcam");
+        let files: Vec<_> = (0..4)
+            .map(|index| {
+                dashcam
+                    .frame(index * 20)
+                    .encode_jpeg(85)
+                    .expect("a JPEG file")
+            })
+            .collect();
+        (format!("{width}x{height}, synthetic dashcam"), files)
+    };
+    [(640, 360), (1280, 720), (1920, 1080)].map(sized).into()
+}
+
+fn main() {
+    let mut ways = ways();
+    for (name, files) in files() {
+        let mut times = vec![Vec::new(); ways.len()];
+        let mut pixels = vec![Vec::new(); ways.len()];
+        for round in 0..=ROUNDS {
+            for file in &files {
+                for (way, (times, pixels)) in ways.iter_mut().zip(times.iter_mut().zip(&mut pixels))
+                {
+                    let start = Instant::now();
+                    (way.decode)(black_box(file), pixels);
+                    black_box(&pixels);
+                    // The first round warms up.
+                    if round > 0 {
+                        times.push(start.elapsed().as_secs_f64() * 1e3);
+                    }
+                }
+            }
+        }
+        let kilobytes = files.iter().map(Vec::len).sum::<usize>() / files.len() / 1000;
+        println!("{name}, {kilobytes} kB");
+        println!(
+            "{:<32} {:>8} {:>8} {:>8}",
+            "milliseconds", "median", "95 %", "ratio"
+        );
+        let mut ours = None;
+        for (way, mut times) in ways.iter().zip(times) {
+            times.sort_by(f64::total_cmp);
+            let (median, high) = (times[times.len() / 2], times[times.len() * 95 / 100]);
+            let ratio = median / *ours.get_or_insert(median);
+            println!("{:<32} {median:>8.3} {high:>8.3} {ratio:>8.2}", way.name);
+        }
+        println!();
+    }
+}
