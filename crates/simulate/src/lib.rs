@@ -113,6 +113,7 @@ pub async fn run(
         refused: read(&totals.refused),
         no_reply: read(&totals.no_reply),
         answers: totals.answers.summary(),
+        settled: totals.settled.summary(),
         spreads: totals.spreads(),
         costs,
     })

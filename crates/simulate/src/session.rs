@@ -47,6 +47,12 @@ enum Heard {
     Refused(usize, Option<RefusalReason>, Option<Duration>),
 }
 
+/// Within this time all nodes tell their first status.
+const FIRST_STATUSES: Duration = Duration::from_secs(5);
+
+/// So long after the beginning the flood that all nodes make by beginning at once is over.
+pub(crate) const SETTLED: Duration = Duration::from_secs(20);
+
 struct Place {
     node: SimNode,
     keys: FleetKeys,
@@ -66,6 +72,8 @@ pub(crate) struct Player {
     tell: mpsc::Sender<Heard>,
     /// No more clips are made: what is left is sent, however little.
     ending: bool,
+    /// From when on nothing is left of everybody's beginning at once.
+    settled: Instant,
     _pokes: Vec<Subscriber<()>>,
     _tokens: Vec<LivelinessToken>,
 }
@@ -177,6 +185,7 @@ impl Player {
             heard,
             tell,
             ending: false,
+            settled: Instant::now(),
             _pokes: pokes,
             _tokens: tokens,
         })
@@ -189,15 +198,15 @@ impl Player {
         end: CancellationToken,
         stop: CancellationToken,
     ) -> (u64, u64) {
+        self.settled = began + SETTLED;
         let status = Duration::from_secs_f64(self.options.status_s);
         let clip = Duration::from_secs_f64(self.options.clip_s);
         for index in 0..self.places.len() {
             // Everybody's times are spread over the period.
-            let name = (self.places[index].node.name.bytes())
-                .fold(self.options.seed, |seed, byte| mix(seed, byte.into()));
+            let name = self.salt(index);
             let spread = |period: Duration, salt| period.mul_f64(unit(mix(name, salt)));
             self.due.push(Reverse((
-                began + spread(status.min(Duration::from_secs(5)), 1),
+                began + spread(status.min(FIRST_STATUSES), 1),
                 index,
                 Due::Status,
             )));
@@ -228,7 +237,13 @@ impl Player {
                     let Some(Reverse((at, index, due))) = self.due.pop() else { continue };
                     match due {
                         Due::Status if !self.ending => {
-                            self.due.push(Reverse((at + status, index, Due::Status)));
+                            // All are known soon; from then on their times are spread over the whole period.
+                            let period = if at < began + FIRST_STATUSES {
+                                status.mul_f64(unit(mix(self.salt(index), 3)))
+                            } else {
+                                status
+                            };
+                            self.due.push(Reverse((at + period.max(FIRST_STATUSES.min(status)), index, Due::Status)));
                             if !away(at) { self.status(index).await }
                         }
                         Due::StatusNow if !self.ending => {
@@ -266,6 +281,12 @@ impl Player {
         sums
     }
 
+    /// A number of that node's own.
+    fn salt(&self, index: usize) -> u64 {
+        let name = self.places[index].node.name.bytes();
+        name.fold(self.options.seed, |seed, byte| mix(seed, byte.into()))
+    }
+
     fn handle(&mut self, heard: Heard) {
         match heard {
             Heard::Poke(index, generation) => {
@@ -276,6 +297,9 @@ impl Player {
             Heard::Desired(index, desired) => self.take(index, &desired),
             Heard::Acknowledged(index, answer, took) => {
                 self.totals.answers.add(took);
+                if !self.ending && self.settled <= Instant::now() {
+                    self.totals.settled.add(took);
+                }
                 let place = &mut self.places[index];
                 place.sending = false;
                 place.pause = FIRST_PAUSE;

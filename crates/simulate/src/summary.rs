@@ -40,6 +40,9 @@ pub struct Summary {
     pub no_reply: u64,
     /// Delay from sending a batch to its acknowledgement.
     pub answers: DelaySummary,
+    /// The same without two floods that only this program makes: all nodes begin at once, and send what they have at once
+    /// at the end.
+    pub settled: DelaySummary,
     /// How desired values spread.
     pub spreads: Vec<SpreadSummary>,
     /// What processes cost while the load ran.
@@ -90,6 +93,18 @@ impl fmt::Display for Summary {
             "acknowledgement  p50 {:.0} ms, p99 {:.0} ms, largest {:.0} ms",
             a.p50_ms, a.p99_ms, a.largest_ms
         )?;
+        let s = &self.settled;
+        if s.count > 0 {
+            writeln!(
+                f,
+                "  from {:.0} s on      p50 {:.0} ms, p99 {:.0} ms, largest {:.0} ms, of {} until the end",
+                crate::session::SETTLED.as_secs_f64(),
+                s.p50_ms,
+                s.p99_ms,
+                s.largest_ms,
+                s.count
+            )?;
+        }
         for spread in &self.spreads {
             writeln!(
                 f,

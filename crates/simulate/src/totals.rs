@@ -105,6 +105,8 @@ pub(crate) struct Totals {
     pub(crate) refused: AtomicU64,
     pub(crate) no_reply: AtomicU64,
     pub(crate) answers: Delays,
+    /// Those between the floods of the beginning and of the end.
+    pub(crate) settled: Delays,
     generations: Mutex<BTreeMap<u64, Spread>>,
 }
 

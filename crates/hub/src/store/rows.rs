@@ -32,8 +32,20 @@ impl Column for Option<String> {
     const TYPE: &'static str = "TEXT";
 }
 
+/// A statement with its parameters.
+type Bound = Query<'static, Any, AnyArguments>;
+
+/// Values that go to the database together: a row, or what is looked up.
+pub(crate) trait Values: Serialize {
+    /// How many.
+    const COUNT: usize;
+
+    /// `query` with these as its next parameters.
+    fn bind(&self, query: Bound) -> Bound;
+}
+
 /// A kind of row.
-pub(crate) trait Row: Serialize {
+pub(crate) trait Row: Values {
     /// Its columns: name and type.
     const COLUMNS: &'static [(&'static str, &'static str)];
 }
@@ -53,6 +65,17 @@ macro_rules! row {
             const COLUMNS: &'static [(&'static str, &'static str)] = &[
                 $((stringify!($field), <$type as $crate::store::rows::Column>::TYPE),)+
             ];
+        }
+
+        impl $crate::store::rows::Values for $name {
+            const COUNT: usize = <Self as $crate::store::rows::Row>::COLUMNS.len();
+
+            fn bind(
+                &self,
+                query: sqlx::query::Query<'static, sqlx::Any, sqlx::any::AnyArguments>,
+            ) -> sqlx::query::Query<'static, sqlx::Any, sqlx::any::AnyArguments> {
+                query$(.bind(self.$field.clone()))+
+            }
         }
 
         impl serde::Serialize for $name {
@@ -78,11 +101,11 @@ pub(crate) fn parameter<T: Serialize>(rows: &[T]) -> Result<String, serde_json::
 const CHUNKS: [usize; 3] = [64, 8, 1];
 
 /// The statements that do what `text` says on those rows.
-pub(crate) fn statements<T: Serialize>(
+pub(crate) fn statements<T: Values>(
     dialect: Dialect,
     text: &str,
     rows: &[T],
-) -> Result<Vec<Query<'static, Any, AnyArguments>>, StoreError> {
+) -> Result<Vec<Bound>, StoreError> {
     if rows.is_empty() {
         return Ok(Vec::new());
     }
@@ -91,56 +114,29 @@ pub(crate) fn statements<T: Serialize>(
             let query = sqlx::query(dialect.sql(text)).bind(parameter(rows)?);
             Ok(vec![query])
         }
-        Dialect::Sqlite => of_values(dialect, text, rows),
+        Dialect::Sqlite => Ok(of_values(dialect, text, rows)),
     }
 }
 
-fn of_values<T: Serialize>(
-    dialect: Dialect,
-    text: &str,
-    rows: &[T],
-) -> Result<Vec<Query<'static, Any, AnyArguments>>, StoreError> {
+fn of_values<T: Values>(dialect: Dialect, text: &str, rows: &[T]) -> Vec<Bound> {
     let text = columns_of_values(text);
+    let row = format!("({})", vec!["?"; T::COUNT].join(","));
     let mut statements = Vec::new();
     let mut rest = rows;
     for size in CHUNKS {
-        let mut chunks = rest.chunks_exact(size);
-        let mut sql = None;
-        for chunk in &mut chunks {
-            let mut values = Vec::new();
-            for row in chunk {
-                match serde_json::to_value(row)? {
-                    serde_json::Value::Array(row) => values.extend(row),
-                    other => values.push(other),
-                }
-            }
-            let sql = sql.get_or_insert_with(|| {
-                let row = vec!["?"; values.len() / size].join(",");
-                let list = vec![format!("({row})"); size].join(",");
-                dialect.sql(&text.replace("{ROWS}", &format!("(VALUES {list}) AS r")))
-            });
-            let query = sqlx::query(AssertSqlSafe(sql.0.clone()));
-            statements.push(values.into_iter().fold(query, bind));
-        }
+        let chunks = rest.chunks_exact(size);
         rest = chunks.remainder();
+        if chunks.len() == 0 {
+            continue;
+        }
+        let list = vec![row.as_str(); size].join(",");
+        let sql = dialect.sql(&text.replace("{ROWS}", &format!("(VALUES {list}) AS r")));
+        for chunk in chunks {
+            let query = sqlx::query(AssertSqlSafe(sql.0.clone()));
+            statements.push(chunk.iter().fold(query, |query, row| row.bind(query)));
+        }
     }
-    Ok(statements)
-}
-
-fn bind(
-    query: Query<'static, Any, AnyArguments>,
-    value: serde_json::Value,
-) -> Query<'static, Any, AnyArguments> {
-    use serde_json::Value;
-    match value {
-        Value::String(text) => query.bind(text),
-        Value::Number(number) => match number.as_i64() {
-            Some(number) => query.bind(number),
-            None => query.bind(number.as_f64()),
-        },
-        // Rows have numbers, texts and nothing else.
-        _ => query.bind(None::<i64>),
-    }
+    statements
 }
 
 /// `r.value ->> 0` of a JSON array is `r.column1` of a list of values.
@@ -199,6 +195,17 @@ pub(crate) enum Value {
     Number(i64),
     /// A text.
     Text(String),
+}
+
+impl<const N: usize> Values for Key<N> {
+    const COUNT: usize = N;
+
+    fn bind(&self, query: Bound) -> Bound {
+        self.0.iter().fold(query, |query, value| match value {
+            Value::Number(number) => query.bind(*number),
+            Value::Text(text) => query.bind(text.clone()),
+        })
+    }
 }
 
 impl<const N: usize> Serialize for Key<N> {

@@ -8,9 +8,8 @@ pub(crate) use names::SetupKey;
 pub(crate) use tallies::{Instance, Known};
 pub(crate) use tuning::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, columns};
 
-use super::rows::{Row, insert, statements};
+use super::rows::{Row, Values, insert, statements};
 use super::{Dialect, Store, StoreError};
-use serde::Serialize;
 use sqlx::any::AnyArguments;
 use sqlx::{Any, AnyConnection, Connection as _, Transaction};
 
@@ -84,7 +83,7 @@ impl Writing<'_> {
     }
 
     /// Runs a statement on those rows; nothing is done without rows. How many rows of the table it touched.
-    async fn with<T: Serialize>(&mut self, text: &str, rows: &[T]) -> Result<u64, StoreError> {
+    async fn with<T: Values>(&mut self, text: &str, rows: &[T]) -> Result<u64, StoreError> {
         let mut touched = 0;
         for query in statements(self.dialect, text, rows)? {
             touched += query.execute(&mut *self.transaction).await?.rows_affected();
@@ -93,7 +92,7 @@ impl Writing<'_> {
     }
 
     /// The rows a statement on those rows gives. Each row is looked up for itself: no statement gathers several.
-    async fn ask<T: Serialize>(
+    async fn ask<T: Values>(
         &mut self,
         text: &str,
         rows: &[T],
