@@ -9,7 +9,8 @@
 //! ```
 //!
 //! Every camera sends JPEG pictures of 1280x720 at 30 frames a second, in clips of 40 s, and the detector looks at each
-//! (`vanilla`), which is when most is held. Several programs take turns within one run.
+//! (`vanilla`), which is when most is held; with `--skip 30` at one of thirty, which is a node's quieter day. Several programs
+//! take turns within one run.
 
 #![allow(clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
@@ -37,6 +38,8 @@ struct Arguments {
     time: Duration,
     model: PathBuf,
     head: String,
+    /// The detector looks at one of so many frames.
+    skip: u64,
 }
 
 impl Arguments {
@@ -48,6 +51,7 @@ impl Arguments {
             time: Duration::from_secs(30),
             model: models.into(),
             head: "auto".to_owned(),
+            skip: 1,
         };
         let mut arguments = std::env::args().skip(1);
         while let Some(argument) = arguments.next() {
@@ -65,6 +69,7 @@ impl Arguments {
                 }
                 "--model" => read.model = value().into(),
                 "--head" => read.head = value(),
+                "--skip" => read.skip = value().parse().expect("a number of frames"),
                 // The first is Cargo's.
                 "--bench" | BARE => {}
                 other => panic!("{other}: not known; see the top of benches/memory.rs"),
@@ -161,10 +166,14 @@ fn node(
     let file = folder.join("node.toml");
     let mut text = format!(
         "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{port}\"]\nlog.level = \"error\"\n\
-         detector.model = \"{}\"\ndetector.head = \"{}\"\npower.source = \"none\"\npolicy.name = \"vanilla\"\n",
+         detector.model = \"{}\"\ndetector.head = \"{}\"\npower.source = \"none\"\n",
         arguments.model.display(),
         arguments.head,
     );
+    text += &match arguments.skip {
+        1 => "policy.name = \"vanilla\"\n".to_owned(),
+        n => format!("policy.name = \"fixed-skip\"\npolicy.fixed_skip.n = {n}\n"),
+    };
     for camera in 0..cameras {
         text += &format!("[[camera]]\nname = \"camera-{camera}\"\n");
     }

@@ -216,6 +216,11 @@ fn poker(session: Session, prefix: String) -> std::io::Result<Pokes> {
     Ok(Pokes(sender))
 }
 
+/// Most messages taken at once.
+const TAKEN_AT_ONCE: usize = 1024;
+/// Pause after them: thousands of messages a second would wake this task, and Zenoh's threads would pay for each waking.
+const TAKEN_EVERY: Duration = Duration::from_millis(5);
+
 async fn take(
     mut heard: mpsc::Receiver<Heard>,
     fleet: Arc<Fleet>,
@@ -224,37 +229,45 @@ async fn take(
     shutdown: CancellationToken,
 ) {
     let mut sweep = tokio::time::interval(SWEEP);
+    let mut several = Vec::with_capacity(TAKEN_AT_ONCE);
     loop {
-        let one = tokio::select! {
+        tokio::select! {
             () = shutdown.cancelled() => return,
-            one = heard.recv() => match one {
-                Some(one) => one,
-                None => return,
+            count = heard.recv_many(&mut several, TAKEN_AT_ONCE) => if count == 0 {
+                return;
             },
             _ = sweep.tick() => {
                 fleet.sweep(Instant::now(), unix_milliseconds());
                 continue;
             }
-        };
-        match one {
-            Heard::Token { node, present } => {
-                fleet.token(&node, present, Instant::now(), unix_milliseconds())
-            }
-            Heard::Status { node, payload } => {
-                let (now, now_ms) = (Instant::now(), unix_milliseconds());
-                let heard = if SignOfLife::is_one(&payload) {
-                    SignOfLife::read(&payload).map(|sign| fleet.alive(&node, sign, now, now_ms))
-                } else {
-                    albireo_wire::read::<StatusMessage>(&payload)
-                        .map(|message| fleet.heard(&node, &message, now, now_ms))
-                };
-                match heard {
-                    Ok(true) => pokes.poke(&node, 0),
-                    Ok(false) => {}
-                    Err(error) => {
-                        counters.unreadable.fetch_add(1, Ordering::Relaxed);
-                        tracing::debug!(node, %error, "a status cannot be read");
-                    }
+        }
+        let all = several.len() < TAKEN_AT_ONCE;
+        for one in several.drain(..) {
+            take_one(one, &fleet, &pokes, &counters);
+        }
+        if all {
+            tokio::time::sleep(TAKEN_EVERY).await;
+        }
+    }
+}
+
+fn take_one(one: Heard, fleet: &Fleet, pokes: &Pokes, counters: &ListenCounters) {
+    let (now, now_ms) = (Instant::now(), unix_milliseconds());
+    match one {
+        Heard::Token { node, present } => fleet.token(&node, present, now, now_ms),
+        Heard::Status { node, payload } => {
+            let heard = if SignOfLife::is_one(&payload) {
+                SignOfLife::read(&payload).map(|sign| fleet.alive(&node, sign, now, now_ms))
+            } else {
+                albireo_wire::read::<StatusMessage>(&payload)
+                    .map(|message| fleet.heard(&node, &message, now, now_ms))
+            };
+            match heard {
+                Ok(true) => pokes.poke(&node, 0),
+                Ok(false) => {}
+                Err(error) => {
+                    counters.unreadable.fetch_add(1, Ordering::Relaxed);
+                    tracing::debug!(node, %error, "a status cannot be read");
                 }
             }
         }
