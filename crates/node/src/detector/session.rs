@@ -7,7 +7,7 @@ use super::{
     ElementType, ExecutionProvider, GpuConfig, Metadata, RunError, Signature, StartError,
     TensorSpec,
 };
-use super::{onnxruntime, provider};
+use super::{fault, onnxruntime, provider};
 use half::f16;
 use ort::environment::Environment;
 use ort::logging::LogLevel;
@@ -181,28 +181,9 @@ impl OnnxSession {
     }
 }
 
-/// How ONNX Runtime and what it calls say that memory ran out: its arenas on the CPU and on a GPU, C++, CUDA.
-const MEMORY_RAN_OUT: [&str; 5] = [
-    "failed to allocate memory",
-    "smaller than requested bytes",
-    "bad_alloc",
-    "bad allocation",
-    "out of memory",
-];
-
-/// What ONNX Runtime said. That memory ran out is said in plain words first: its own are of arenas.
+/// What ONNX Runtime said, for people.
 fn in_words(error: &ort::Error) -> String {
-    // A sentence of ours goes on after it.
-    let said = error.message().trim_end().trim_end_matches('.');
-    let lower = said.to_lowercase();
-    if MEMORY_RAN_OUT.iter().any(|phrase| lower.contains(phrase)) {
-        format!(
-            "there is not enough memory for it; a smaller model or input size needs less, and on a GPU \
-             detector.gpu.memory_limit_mib may be too low: {said}"
-        )
-    } else {
-        said.to_owned()
-    }
+    fault::in_words(error.message())
 }
 
 /// Shape and elements of an output, float16 widened.
