@@ -95,7 +95,10 @@ pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Res
 /// What opening a detector says.
 fn opened(config: &DetectorConfig) -> String {
     match DetectorNetwork::open(config) {
-        Ok(network) => format!("works; the session runs on `{}`", network.provider().as_str()),
+        Ok(network) => format!(
+            "works; the session runs on `{}`",
+            network.provider().as_str()
+        ),
         Err(error) => error.to_string(),
     }
 }

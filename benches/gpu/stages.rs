@@ -61,7 +61,14 @@ pub(crate) async fn write(
     );
     page.table(
         &[
-            "model", "provider used", "input", "elements", "loading, s", "decode", "letterbox", "model",
+            "model",
+            "provider used",
+            "input",
+            "elements",
+            "loading, s",
+            "decode",
+            "letterbox",
+            "model",
             "head",
         ],
         &stages,
@@ -73,7 +80,14 @@ pub(crate) async fn write(
          and the pictures that really shared a run.",
     );
     page.table(
-        &["model", "1", "2", "4", "8", "what could not be run, and why"],
+        &[
+            "model",
+            "1",
+            "2",
+            "4",
+            "8",
+            "what could not be run, and why",
+        ],
         &batches,
     );
     Ok(())
@@ -103,10 +117,13 @@ fn one_by_one(
             times.push(time.as_secs_f64() * 1e3);
         }
     }
-    let element = network.signature().inputs.first().map_or(
-        ElementType::Other(NONE.to_owned()),
-        |input| input.element.clone(),
-    );
+    let element = network
+        .signature()
+        .inputs
+        .first()
+        .map_or(ElementType::Other(NONE.to_owned()), |input| {
+            input.element.clone()
+        });
     let mut row = vec![
         name_of(&config.model),
         // What the session says, not what was asked for.
@@ -127,7 +144,13 @@ fn decode_for(
 ) -> anyhow::Result<()> {
     let target = decoding_target(network.input_format(), None, encoded.size);
     let limits = FrameLimits::default();
-    Ok(decode(encoded, &limits, PixelLayout::Rgb8, Some(target), into)?)
+    Ok(decode(
+        encoded,
+        &limits,
+        PixelLayout::Rgb8,
+        Some(target),
+        into,
+    )?)
 }
 
 async fn together(
@@ -136,15 +159,20 @@ async fn together(
     frames: &[EncodedPicture],
 ) -> anyhow::Result<String> {
     let detector = DetectorHandle::start(config).await?;
-    let target = |frame: &EncodedPicture| {
-        decoding_target(detector.preparation().format(), None, frame.size)
-    };
+    let target =
+        |frame: &EncodedPicture| decoding_target(detector.preparation().format(), None, frame.size);
     // Decoded before: what is measured is the detector.
     let mut pictures = Vec::new();
     for frame in frames {
         let mut picture = Picture::default();
         let limits = FrameLimits::default();
-        decode(frame, &limits, PixelLayout::Rgb8, Some(target(frame)), &mut picture)?;
+        decode(
+            frame,
+            &limits,
+            PixelLayout::Rgb8,
+            Some(target(frame)),
+            &mut picture,
+        )?;
         pictures.push(Arc::new(picture));
     }
     let each = usize::from(arguments.runs).div_ceil(config.batch_size);
@@ -171,7 +199,13 @@ async fn together(
     }
     let rate = told.len() as f64 / start.elapsed().as_secs_f64();
     detector.stop().await;
-    let a_picture: Vec<_> = told.iter().map(|(model, pictures)| model / pictures).collect();
+    let a_picture: Vec<_> = told
+        .iter()
+        .map(|(model, pictures)| model / pictures)
+        .collect();
     let shared: f64 = told.iter().map(|(_, pictures)| pictures).sum::<f64>() / told.len() as f64;
-    Ok(format!("{} ms, {rate:.1}/s, {shared:.1} shared", ms(median(&a_picture))))
+    Ok(format!(
+        "{} ms, {rate:.1}/s, {shared:.1} shared",
+        ms(median(&a_picture))
+    ))
 }
