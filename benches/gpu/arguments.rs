@@ -99,6 +99,12 @@ pub(crate) fn name_of(path: &Path) -> String {
     name.to_string_lossy().into_owned()
 }
 
+/// What an error says of a model, with the file's name in the place of where it lies on this machine.
+pub(crate) fn without_folder(said: impl std::fmt::Display, model: &Path) -> String {
+    said.to_string()
+        .replace(&model.display().to_string(), &name_of(model))
+}
+
 /// The ONNX Runtime library: that of `ORT_DYLIB_PATH`, a file or a folder, else of `.cache/onnxruntime`.
 pub(crate) fn library() -> anyhow::Result<PathBuf> {
     let named = std::env::var_os("ORT_DYLIB_PATH").filter(|name| !name.is_empty());

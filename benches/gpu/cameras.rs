@@ -1,6 +1,6 @@
 //! Cameras that one detector carries at 30 frames a second, policy by policy, with the energy of each.
 
-use super::arguments::{Arguments, name_of};
+use super::arguments::{Arguments, name_of, without_folder};
 use super::card::{Card, Energy};
 use super::node::{Answer, Node, RATE, Settings, batch};
 use super::page::{NONE, Page, ms, percentile};
@@ -86,8 +86,9 @@ pub(crate) async fn write(
             match most(arguments, &detector, policy, &pictures, card, engines).await {
                 Ok((best, limit)) => rows.push(row(&model, policy, best.as_ref(), &limit)),
                 Err(error) => {
-                    let mut row = vec![name_of(&model), policy.to_owned(), format!("{error:#}")];
-                    row.resize(11, NONE.to_owned());
+                    let said = without_folder(format_args!("{error:#}"), &model);
+                    let mut row = vec![name_of(&model), policy.to_owned(), said];
+                    row.resize(12, NONE.to_owned());
                     rows.push(row);
                 }
             }
@@ -97,7 +98,7 @@ pub(crate) async fn write(
     page.text(format!(
         "JPEG pictures of {} from one Zenoh session to one node; each trial {} s after one that does not count. Carried: {:.0} % of \
          the frames answered, at most {:.0} % without the detector that was needed, 99 % of the answers within {LATEST_MS:.0} ms of \
-         the put. The number is doubled until it is too large, then halved in; tried up to {}. Decoding is the processor's work, \
+         the put. The number is doubled until it is too large, then the gap is halved; tried up to {}. Decoding is the processor's work, \
          so the processor may be what ends it: the last column says what was missed.",
         frames.first().map_or_else(String::new, |frame| frame.size.to_string()),
         arguments.seconds,

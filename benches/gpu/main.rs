@@ -19,6 +19,7 @@ use arguments::{Arguments, library, name_of};
 use card::Card;
 use clap::Parser;
 use page::Page;
+use std::process::ExitCode;
 
 /// World of the synthetic dashcam that is filmed, and how many pictures of it.
 const SEED: u64 = 301;
@@ -27,15 +28,25 @@ const PICTURES: usize = 60;
 /// What a page of a trial begins with; nothing else is overwritten by one.
 const TRIAL: &str = "**CPU provider: a trial of the script, not a GPU's figures.**";
 
-fn main() -> anyhow::Result<()> {
-    let arguments = Arguments::parse();
+fn main() -> ExitCode {
+    match run(&Arguments::parse()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // In one line: the parent of a process of its own tells the last.
+            eprintln!("{error:#}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+fn run(arguments: &Arguments) -> anyhow::Result<()> {
     if let Some(model) = &arguments.ways_of {
-        return ways::run(&arguments, model);
+        return ways::run(arguments, model);
     }
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .enable_all()
         .build()?;
-    runtime.block_on(measure(&arguments))
+    runtime.block_on(measure(arguments))
 }
 
 async fn measure(arguments: &Arguments) -> anyhow::Result<()> {
@@ -68,7 +79,7 @@ async fn measure(arguments: &Arguments) -> anyhow::Result<()> {
     let mut page = Page::default();
     beginning(&mut page, arguments, card.as_ref())?;
     stages::write(&mut page, arguments, &frames, engines.path()).await?;
-    ways::write(&mut page, arguments)?;
+    ways::write(&mut page, arguments).await?;
     cameras::write(&mut page, arguments, &frames, card.as_ref(), engines.path()).await?;
     starts::write(&mut page, arguments, &frames).await?;
     failures::write(&mut page, arguments).await?;
@@ -95,7 +106,7 @@ fn frames() -> anyhow::Result<Vec<EncodedPicture>> {
 
 /// What the page is of, and how it is made.
 fn beginning(page: &mut Page, arguments: &Arguments, card: Option<&Card>) -> anyhow::Result<()> {
-    page.text("# What a GPU does for the node");
+    page.lines("# What a GPU does for the node");
     if arguments.is_gpu() {
         page.text(format!(
             "Figures of one GPU, by `{}`.",
@@ -108,7 +119,7 @@ fn beginning(page: &mut Page, arguments: &Arguments, card: Option<&Card>) -> any
              GPU the same command writes this page anew, with the GPU's figures in the same places."
         ));
     }
-    page.text(format!(
+    page.lines(format!(
         "<!-- by hand, {} -->\n```sh\nmake gpu                                      # with CUDA; PROVIDER=tensorrt for TensorRT\n\
          make gpu MODELS=\"yolo11n.onnx yolo26m.onnx\"   # your own detectors, of any size; made beside them: half precision, an open batch\n\
          make gpu PROVIDER=cpu                         # a trial of the script without a GPU\n```",

@@ -22,7 +22,7 @@ pub(crate) const RATE: f64 = 30.0;
 const NODE: &str = "gpu";
 
 /// Building an engine takes TensorRT minutes.
-const PATIENCE: Duration = Duration::from_secs(1200);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(1200);
 
 /// An answer that came.
 pub(crate) struct Answer {

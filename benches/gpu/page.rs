@@ -5,17 +5,38 @@ use std::fmt::Display;
 /// Where a figure was not measured.
 pub(crate) const NONE: &str = "–";
 
+/// Columns of a paragraph.
+const WIDTH: usize = 130;
+
 #[derive(Default)]
 pub(crate) struct Page(String);
 
 impl Page {
     /// A paragraph, with an empty line after it.
     pub(crate) fn text(&mut self, text: impl Display) {
-        self.0 += &format!("{text}\n\n");
+        let mut length = 0;
+        for word in text.to_string().split_whitespace() {
+            if length > 0 && length + 1 + word.len() > WIDTH {
+                self.0.push('\n');
+                length = 0;
+            }
+            if length > 0 {
+                self.0.push(' ');
+                length += 1;
+            }
+            self.0 += word;
+            length += word.len();
+        }
+        self.0 += "\n\n";
+    }
+
+    /// Lines as they are, with an empty line after them.
+    pub(crate) fn lines(&mut self, lines: impl Display) {
+        self.0 += &format!("{lines}\n\n");
     }
 
     pub(crate) fn heading(&mut self, text: &str) {
-        self.text(format_args!("## {text}"));
+        self.lines(format_args!("## {text}"));
     }
 
     pub(crate) fn table(&mut self, header: &[&str], rows: &[Vec<String>]) {

@@ -1,6 +1,6 @@
 //! Milliseconds a frame by stage, and frames a second with several cameras in one run.
 
-use super::arguments::{Arguments, name_of};
+use super::arguments::{Arguments, name_of, without_folder};
 use super::page::{NONE, Page, median, ms};
 use albireo_node::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, ElementType,
@@ -28,7 +28,8 @@ pub(crate) async fn write(
         match one_by_one(arguments, &config, frames) {
             Ok(row) => stages.push(row),
             Err(error) => {
-                let mut row = vec![format!("{}: {error:#}", name_of(&model))];
+                let said = without_folder(format_args!("{error:#}"), &model);
+                let mut row = vec![name_of(&model), said];
                 row.resize(9, NONE.to_owned());
                 stages.push(row);
                 continue;
@@ -45,7 +46,8 @@ pub(crate) async fn write(
                 Ok(cell) => row.push(cell),
                 Err(error) => {
                     row.push(NONE.to_owned());
-                    refusals.push(format!("{batch}: {error:#}"));
+                    let said = without_folder(format_args!("{error:#}"), &model);
+                    refusals.push(format!("{batch}: {said}"));
                 }
             }
         }
@@ -56,7 +58,7 @@ pub(crate) async fn write(
     page.heading("Milliseconds a frame, by stage");
     page.text(
         "One picture after the other on one thread, medians. *Model* is one run as the node does it: the input copied to the \
-         device, the kernels, the output copied back; how much of it is copying stands in the next table but one. Decoding and \
+         device, the kernels, the output copied back; how much of it is copying is told below, under *Copies alone*. Decoding and \
          letterbox are always the processor's. *Loading* includes the first runs.",
     );
     page.table(

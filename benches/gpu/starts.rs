@@ -1,9 +1,10 @@
 //! From the start of the process to the first detection that arrives, with empty caches and with full ones.
 
-use super::arguments::{Arguments, name_of};
-use super::node::{Node, Settings};
+use super::arguments::{Arguments, name_of, without_folder};
+use super::node::{Node, PATIENCE, Settings};
 use super::page::{NONE, Page, median};
 use albireo_node::frame::EncodedPicture;
+use anyhow::bail;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -30,7 +31,7 @@ pub(crate) async fn write(
                 }
                 Ok((seconds, _)) => warm.push(seconds),
                 Err(error) => {
-                    row.push(format!("{error:#}"));
+                    row.push(without_folder(format_args!("{error:#}"), &model));
                     break;
                 }
             }
@@ -72,6 +73,9 @@ async fn start(
         node.send(0, Arc::clone(pictures), 60, until).await?;
         if let Some(first) = node.first_detection() {
             break first;
+        }
+        if started.elapsed() > PATIENCE {
+            bail!("no detection within {} s", PATIENCE.as_secs());
         }
         // Says why, if the node has ended.
         let ready = tokio::time::timeout(Duration::from_millis(100), node.ready(folder.path()));

@@ -1,27 +1,29 @@
-//! The ways into a session and out of it: plain, bound, on the device, through pinned memory, as a CUDA graph. In a process
-//! of its own: one may have one ONNX Runtime, the node's code keeps it, and a way that crashes takes only this with it.
+//! The ways into a session and out of it: plain, bound, on the device, as a CUDA graph; and copies alone, with pinned memory
+//! and without. In a process of its own: one may have one ONNX Runtime, the node's code keeps it, and a way that crashes takes only this with it.
 
-use super::arguments::{Arguments, library, name_of};
+mod process;
+
+use super::arguments::{Arguments, name_of, without_folder};
 use super::page::{NONE, Page, median, ms, percentile};
-use albireo_node::detector::ExecutionProvider;
 use anyhow::{Context, bail};
-use half::f16;
-use ort::environment::Environment;
-use ort::ep::{CUDA, TensorRT};
-use ort::logging::LogLevel;
-use ort::memory::{AllocationDevice, Allocator, AllocatorType, MemoryInfo, MemoryType};
-use ort::session::{IoBinding, Session};
-use ort::value::{
-    DynTensor, PrimitiveTensorElementType, Tensor, TensorElementType, TensorRef,
-    TensorValueTypeMarker, Value, ValueType,
-};
+pub(crate) use process::run;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
-use std::process::{Command, Stdio};
-use std::time::Instant;
+use std::process::Stdio;
+use std::time::Duration;
+use tokio::process::Command;
 
 /// Runs of each way that do not count: memory is laid out, a graph recorded.
 const WARM_UP: usize = 5;
+
+/// Building the engines of all ways takes TensorRT minutes.
+const PATIENCE: Duration = Duration::from_secs(1800);
+
+/// What the node does.
+const PLAIN: &str = "plain";
+
+/// Another way is worth it where it takes so large a part of the plain one's time, or less.
+const WORTH_IT: f64 = 0.95;
 
 /// Inputs that take turns.
 const INPUTS: usize = 3;
@@ -33,6 +35,15 @@ struct Measured {
     all_nodes: String,
     ways: Vec<Way>,
     copies: Vec<Copy>,
+}
+
+impl Measured {
+    /// The time of `way` as a part of the plain one's, turn by turn.
+    fn beside_plain(&self, way: &Way) -> Option<f64> {
+        let plain = self.ways.iter().find(|way| way.name == PLAIN)?;
+        let ratios = way.times.iter().zip(&plain.times);
+        median(&ratios.map(|(way, plain)| way / plain).collect::<Vec<_>>())
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -48,70 +59,74 @@ struct Way {
 
 #[derive(Serialize, Deserialize)]
 struct Copy {
+    /// What is copied; empty for the same over pinned memory.
     name: String,
     bytes: usize,
     times: Vec<f64>,
 }
 
 /// Both tables of all models.
-pub(crate) fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Result<()> {
+pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Result<()> {
     let (mut ways, mut copies) = (Vec::new(), Vec::new());
     for model in arguments.models()? {
         let name = name_of(&model);
         eprintln!("ways into {name}");
-        let measured = match in_a_process(arguments, &model) {
+        let measured = match in_a_process(arguments, &model).await {
             Ok(measured) => measured,
             Err(error) => {
-                ways.push(vec![name, format!("{error:#}")]);
+                let said = without_folder(format_args!("{error:#}"), &model);
+                ways.push(vec![name, said]);
                 continue;
             }
         };
-        let plain = measured.ways.first().and_then(|way| median(&way.times));
         let mut row = vec![name.clone(), measured.all_nodes.clone()];
-        let mut best = ("plain".to_owned(), plain.unwrap_or(f64::NAN));
+        let mut best: Option<(String, f64)> = None;
         for way in &measured.ways {
             let (middle, late) = (median(&way.times), percentile(&way.times, 0.95));
-            row.push(match (&way.why_not, middle) {
-                (Some(why_not), _) => why_not.clone(),
-                (None, None) => NONE.to_owned(),
-                (None, Some(middle)) => {
-                    // Half precision adds up in another order.
-                    let differs = if way.difference > 1e-2 {
-                        format!(", **differs by {:.3}**", way.difference)
-                    } else {
-                        String::new()
-                    };
-                    if differs.is_empty() && middle < best.1 {
-                        best = (way.name.clone(), middle);
-                    }
-                    format!("{} ({}){differs}", ms(Some(middle)), ms(late))
-                }
-            });
+            if let Some(why_not) = &way.why_not {
+                row.push(why_not.clone());
+                continue;
+            }
+            let mut cell = format!("{} ({})", ms(middle), ms(late));
+            // Half precision adds up in another order.
+            if way.difference > 1e-2 {
+                cell += &format!(", **differs by {:.3}**", way.difference);
+            } else if way.name != PLAIN
+                && let Some(ratio) = measured.beside_plain(way)
+                && best.as_ref().is_none_or(|(_, least)| ratio < *least)
+            {
+                best = Some((way.name.clone(), ratio));
+            }
+            row.push(cell);
         }
-        row.push(plain.map_or_else(
-            || NONE.to_owned(),
-            |plain| format!("{}: {:.2} times plain", best.0, best.1 / plain),
-        ));
+        row.push(match &best {
+            Some((name, ratio)) => format!("{name}: {ratio:.2}"),
+            None => NONE.to_owned(),
+        });
+        row.push(match best {
+            _ if !arguments.is_gpu() => "no choice on a CPU".to_owned(),
+            Some((name, ratio)) if ratio < WORTH_IT => name,
+            _ => PLAIN.to_owned(),
+        });
         ways.push(row);
+        let mut row = vec![name];
         for copy in &measured.copies {
-            let rate = median(&copy.times).map(|ms| copy.bytes as f64 / ms / 1e6);
-            copies.push(vec![
-                name.clone(),
-                copy.name.clone(),
-                copy.bytes.to_string(),
-                ms(median(&copy.times)),
-                rate.map_or_else(|| NONE.to_owned(), |rate| format!("{rate:.2}")),
-            ]);
+            if !copy.name.is_empty() && copy.bytes > 1 {
+                row.push(copy.bytes.to_string());
+            }
+            row.push(ms(median(&copy.times)));
         }
+        copies.push(row);
     }
     page.heading("Ways into a session and out of it");
     page.text(
         "Milliseconds from an input that lies in the processor's memory to outputs that lie there, median (95 %), taking turns \
          in one run. *Plain* is what the node does. *Bound* binds input and outputs in the processor's memory (`IoBinding`). *On \
-         the device* keeps both there at fixed addresses and copies explicitly; *pinned* copies over page-locked memory on the \
-         way, which costs one more copy on the processor, for the crate `ort` fills such memory only with `api-23`, and the \
-         node still runs with ONNX Runtime 1.22; *graph* is *on the device*, recorded once and replayed. The node keeps the \
-         plain way until another is faster by more than 5 % here, with the same outputs.",
+         the device* keeps both there at fixed addresses and copies explicitly; *graph* is the same, recorded once as a CUDA graph \
+         and replayed. Ratios are medians of the ratios of single turns. To be kept is another way than plain only where it takes \
+         95 % of its time or less with the same outputs. A way through pinned memory is not among them: the crate `ort` reads and \
+         writes such memory only with its feature `api-23`, which the node goes without, so as to run with ONNX Runtime 1.22; \
+         what it could save is in the next table.",
     );
     let names = [
         "model",
@@ -119,9 +134,9 @@ pub(crate) fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Result<()
         "plain",
         "bound",
         "on the device",
-        "pinned",
         "graph",
-        "fastest",
+        "best other, times plain",
+        "to be kept",
     ];
     for row in &mut ways {
         row.resize(names.len(), NONE.to_owned());
@@ -129,440 +144,44 @@ pub(crate) fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Result<()
     page.table(&names, &ways);
     page.heading("Copies alone");
     page.text(
-        "One copy by ONNX Runtime between the processor's memory and the device's, waited for, of the model's input and of its \
-         outputs; the copy of one number is what is spent on the way in any case. What pinned memory could save a frame is the \
-         difference of the rows with and without it.",
+        "Milliseconds of one copy by ONNX Runtime between the processor's memory and the device's, waited for, of the model's \
+         input and of its outputs. The copy of one byte is what is spent on the way in any case; what pinned memory could save a \
+         frame is the difference between the columns with and without it.",
     );
-    page.table(&["model", "copy", "bytes", "ms", "GB/s"], &copies);
+    page.table(
+        &[
+            "model",
+            "one byte",
+            "pinned",
+            "input, bytes",
+            "to the device",
+            "pinned",
+            "outputs, bytes",
+            "from the device",
+            "pinned",
+        ],
+        &copies,
+    );
     Ok(())
 }
 
-fn in_a_process(arguments: &Arguments, model: &Path) -> anyhow::Result<Measured> {
-    let output = Command::new(std::env::current_exe()?)
+async fn in_a_process(arguments: &Arguments, model: &Path) -> anyhow::Result<Measured> {
+    let measuring = Command::new(std::env::current_exe()?)
         .arg("--ways-of")
         .arg(model)
         .args(["--provider", arguments.provider.as_str()])
         .args(["--device", &arguments.device.to_string()])
         .args(["--runs", &arguments.runs.to_string()])
-        .stderr(Stdio::piped())
-        .output()?;
+        .stdin(Stdio::null())
+        .kill_on_drop(true)
+        .output();
+    let output = tokio::time::timeout(PATIENCE, measuring)
+        .await
+        .with_context(|| format!("not measured within {} s", PATIENCE.as_secs()))??;
     if !output.status.success() {
         let said = String::from_utf8_lossy(&output.stderr);
         let last = said.lines().last().unwrap_or_default();
         bail!("not measured ({}): {last}", output.status);
     }
     serde_json::from_slice(&output.stdout).context("what was measured")
-}
-
-/// The process of its own: measures and prints.
-pub(crate) fn run(arguments: &Arguments, model: &Path) -> anyhow::Result<()> {
-    let environment = ort::init_from(library()?)?
-        .with_name("ways")
-        .with_telemetry(false)
-        .build()?;
-    environment.set_log_level(LogLevel::Error);
-    let sessions = Sessions {
-        environment,
-        arguments,
-        model,
-    };
-    let session = sessions.open(false, false)?;
-    let measured = match session.inputs().first().map(|input| input.dtype()) {
-        Some(ValueType::Tensor { ty, shape, .. }) => {
-            let shape = closed(shape)?;
-            match ty {
-                TensorElementType::Float32 => measure::<f32>(&sessions, session, shape)?,
-                TensorElementType::Float16 => measure::<f16>(&sessions, session, shape)?,
-                TensorElementType::Uint8 => measure::<u8>(&sessions, session, shape)?,
-                other => bail!("its input has elements {other:?}"),
-            }
-        }
-        _ => bail!("its input is no tensor"),
-    };
-    println!("{}", serde_json::to_string(&measured)?);
-    Ok(())
-}
-
-/// A batch that is left open is one.
-fn closed(shape: &[i64]) -> anyhow::Result<Vec<i64>> {
-    let mut shape = shape.to_vec();
-    if let Some(batch) = shape.first_mut().filter(|batch| **batch == -1) {
-        *batch = 1;
-    }
-    if shape.iter().any(|side| *side < 1) {
-        bail!("its input {shape:?} leaves its size open");
-    }
-    Ok(shape)
-}
-
-struct Sessions<'a> {
-    environment: Environment,
-    arguments: &'a Arguments,
-    model: &'a Path,
-}
-
-impl Sessions<'_> {
-    /// As the node opens them; as a `graph`, or only if `every_node` is on the provider.
-    fn open(&self, graph: bool, every_node: bool) -> ort::Result<Session> {
-        let threads =
-            std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1));
-        let mut builder = Session::builder(&self.environment)?
-            .with_log_level(LogLevel::Error)?
-            .with_intra_threads(threads)?
-            .with_inter_threads(1)?
-            .with_intra_op_spinning(false)?;
-        if every_node {
-            builder = builder.with_disable_cpu_fallback()?;
-        }
-        let device = i32::try_from(self.arguments.device).unwrap_or(i32::MAX);
-        let cuda = || CUDA::default().with_device_id(device);
-        match self.arguments.provider {
-            ExecutionProvider::Cpu => {}
-            ExecutionProvider::Cuda => {
-                let cuda = cuda().with_cuda_graph(graph).build().error_on_failure();
-                builder = builder.with_execution_providers([cuda])?;
-            }
-            ExecutionProvider::TensorRt => {
-                let tensorrt = TensorRT::default()
-                    .with_device_id(device)
-                    .with_fp16(true)
-                    .with_cuda_graph(graph);
-                builder = builder.with_execution_providers([
-                    tensorrt.build().error_on_failure(),
-                    cuda().build().error_on_failure(),
-                ])?;
-            }
-        }
-        builder.commit_from_file(self.model)
-    }
-
-    /// Where the session's device has memory, and where copies are fast: the processor's own in a trial.
-    fn allocators(&self, session: &Session) -> ort::Result<[Allocator; 2]> {
-        if !self.arguments.is_gpu() {
-            return Ok([Allocator::default(), Allocator::default()]);
-        }
-        let device = i32::try_from(self.arguments.device).unwrap_or(i32::MAX);
-        let on = |place, kind| {
-            let info = MemoryInfo::new(place, device, AllocatorType::Device, kind)?;
-            Allocator::new(session, info)
-        };
-        Ok([
-            on(AllocationDevice::CUDA, MemoryType::Default)?,
-            on(AllocationDevice::CUDA_PINNED, MemoryType::CPUOutput)?,
-        ])
-    }
-}
-
-/// An element of an input.
-trait Element:
-    PrimitiveTensorElementType + Clone + std::marker::Copy + std::fmt::Debug + 'static
-{
-    /// Of a number from 0 to 1.
-    fn of(value: f32) -> Self;
-}
-
-impl Element for f32 {
-    fn of(value: f32) -> Self {
-        value
-    }
-}
-
-impl Element for f16 {
-    fn of(value: f32) -> Self {
-        Self::from_f32(value)
-    }
-}
-
-impl Element for u8 {
-    fn of(value: f32) -> Self {
-        (value * 255.0) as Self
-    }
-}
-
-/// A way to run a session: the outputs, and how long it took until they lay there.
-type Run<'a, T> = Box<dyn FnMut(&[T]) -> ort::Result<(Vec<Vec<f32>>, f64)> + 'a>;
-
-fn measure<T: Element>(
-    sessions: &Sessions<'_>,
-    session: Session,
-    shape: Vec<i64>,
-) -> anyhow::Result<Measured> {
-    let elements = usize::try_from(shape.iter().product::<i64>())?;
-    let mut noise = 1_u32;
-    let mut random = || {
-        noise = noise.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        T::of((noise >> 8) as f32 / f32::from(u16::MAX) / 256.0)
-    };
-    let inputs: Vec<Vec<T>> = (0..INPUTS)
-        .map(|_| (0..elements).map(|_| random()).collect())
-        .collect();
-
-    let all_nodes = match (sessions.arguments.is_gpu(), sessions.open(false, true)) {
-        (false, _) => "not asked on the CPU".to_owned(),
-        (true, Ok(_)) => "yes".to_owned(),
-        (true, Err(error)) => format!("no: {error}"),
-    };
-    let [device, pinned] = sessions.allocators(&session)?;
-    let mut plain = plain(session, shape.clone());
-    let (expected, _) = plain(&inputs[0])?;
-    drop(expected);
-    let graph = if sessions.arguments.is_gpu() {
-        sessions
-            .open(true, false)
-            .and_then(|session| on_the_device(sessions, session, &shape, &inputs[0], false))
-    } else {
-        Err(ort::Error::new("only on a GPU"))
-    };
-    let open = || sessions.open(false, false);
-    let mut ways: Vec<(&str, ort::Result<Run<'_, T>>)> = vec![
-        ("plain", Ok(Box::new(plain))),
-        ("bound", open().and_then(|session| bound(session, &shape))),
-        (
-            "on the device",
-            open().and_then(|session| on_the_device(sessions, session, &shape, &inputs[0], false)),
-        ),
-        (
-            "pinned",
-            open().and_then(|session| on_the_device(sessions, session, &shape, &inputs[0], true)),
-        ),
-        ("graph", graph),
-    ];
-    let mut measured = Measured {
-        all_nodes,
-        ways: ways
-            .iter()
-            .map(|(name, way)| Way {
-                name: (*name).to_owned(),
-                times: Vec::new(),
-                difference: 0.0,
-                why_not: way.as_ref().err().map(ToString::to_string),
-            })
-            .collect(),
-        copies: Vec::new(),
-    };
-    let runs = usize::from(sessions.arguments.runs);
-    for number in 0..WARM_UP + runs {
-        let input = &inputs[number % INPUTS];
-        let mut expected: Option<Vec<Vec<f32>>> = None;
-        for ((_, way), told) in ways.iter_mut().zip(&mut measured.ways) {
-            let Ok(run) = way else { continue };
-            match run(input) {
-                Ok((outputs, took)) => {
-                    if number >= WARM_UP {
-                        told.times.push(took);
-                    }
-                    let expected = expected.get_or_insert_with(|| outputs.clone());
-                    told.difference = told.difference.max(difference(expected, &outputs));
-                }
-                Err(error) => {
-                    told.times.clear();
-                    told.why_not = Some(error.to_string());
-                    *way = Err(error);
-                }
-            }
-        }
-    }
-    let outputs = match ways.first_mut() {
-        Some((_, Ok(plain))) => plain(&inputs[0])?.0,
-        _ => Vec::new(),
-    };
-    let outputs: usize = outputs.iter().map(Vec::len).sum();
-    for (name, length, to_the_device) in [
-        ("one number, to the device", 1, true),
-        ("input, to the device", elements, true),
-        ("outputs, from the device", outputs, false),
-    ] {
-        for (memory, host) in [("", &Allocator::default()), (", pinned", &pinned)] {
-            measured.copies.push(Copy {
-                name: format!("{name}{memory}"),
-                bytes: length * size_of::<f32>(),
-                times: copy(host, &device, length, to_the_device, runs)?,
-            });
-        }
-    }
-    Ok(measured)
-}
-
-/// What the node does.
-fn plain<T: Element>(
-    mut session: Session,
-    shape: Vec<i64>,
-) -> impl FnMut(&[T]) -> ort::Result<(Vec<Vec<f32>>, f64)> {
-    move |input| {
-        let start = Instant::now();
-        let input = TensorRef::from_array_view((shape.clone(), input))?;
-        let outputs = session.run(ort::inputs![input])?;
-        let took = since(start);
-        let values = (0..outputs.len()).map(|index| values(&outputs[index]));
-        Ok((values.collect::<ort::Result<_>>()?, took))
-    }
-}
-
-/// Input and outputs bound where the processor has them.
-fn bound<'a, T: Element>(mut session: Session, shape: &[i64]) -> ort::Result<Run<'a, T>> {
-    let mut binding = session.create_binding()?;
-    let mut host = Tensor::<T>::new(&Allocator::default(), shape)?;
-    let (input_name, output_names) = names(&session)?;
-    for name in output_names {
-        binding.bind_output_to_device(name, &MemoryInfo::default())?;
-    }
-    Ok(Box::new(move |input| {
-        let start = Instant::now();
-        host.try_extract_tensor_mut::<T>()?.1.copy_from_slice(input);
-        binding.bind_input(input_name.as_str(), &host)?;
-        let outputs = session.run_binding(&binding)?;
-        let took = since(start);
-        let values = (0..outputs.len()).map(|index| values(&outputs[index]));
-        Ok((values.collect::<ort::Result<_>>()?, took))
-    }))
-}
-
-/// An output on the device, on its way, and where the processor has it.
-struct Output {
-    device: DynTensor,
-    pinned: Option<DynTensor>,
-    host: DynTensor,
-}
-
-/// Input and outputs on the device at addresses that never change.
-fn on_the_device<'a, T: Element>(
-    sessions: &Sessions<'_>,
-    session: Session,
-    shape: &[i64],
-    example: &[T],
-    over_pinned: bool,
-) -> ort::Result<Run<'a, T>> {
-    let shapes = output_shapes(sessions, shape, example)?;
-    let [on_device, on_pinned] = sessions.allocators(&session)?;
-    let mut device = Tensor::<T>::new(&on_device, shape)?;
-    let mut pinned = over_pinned
-        .then(|| Tensor::<T>::new(&on_pinned, shape))
-        .transpose()?;
-    // A graph is recorded with what lies here.
-    TensorRef::from_array_view((shape, example))?.copy_into(&mut device)?;
-    let mut binding: IoBinding = session.create_binding()?;
-    let (input_name, output_names) = names(&session)?;
-    binding.bind_input(input_name, &device)?;
-    let mut outputs = Vec::new();
-    for (name, (element, shape)) in output_names.into_iter().zip(shapes) {
-        let shape = shape.as_slice();
-        let mut output = Output {
-            device: DynTensor::new(&on_device, element, shape)?,
-            pinned: over_pinned
-                .then(|| DynTensor::new(&on_pinned, element, shape))
-                .transpose()?,
-            host: DynTensor::new(&Allocator::default(), element, shape)?,
-        };
-        binding.bind_output(name, &mut output.device)?;
-        outputs.push(output);
-    }
-    let (mut session, shape) = (session, shape.to_vec());
-    Ok(Box::new(move |input| {
-        let start = Instant::now();
-        let input = TensorRef::from_array_view((shape.clone(), input))?;
-        match &mut pinned {
-            Some(pinned) => {
-                input.copy_into(&mut *pinned)?;
-                pinned.copy_into(&mut device)?;
-            }
-            None => input.copy_into(&mut device)?,
-        }
-        session.run_binding(&binding)?;
-        for output in &mut outputs {
-            match &mut output.pinned {
-                Some(pinned) => {
-                    output.device.copy_into(&mut *pinned)?;
-                    pinned.copy_into(&mut output.host)?;
-                }
-                None => output.device.copy_into(&mut output.host)?,
-            }
-        }
-        let took = since(start);
-        let values = outputs.iter().map(|output| values(&output.host));
-        Ok((values.collect::<ort::Result<_>>()?, took))
-    }))
-}
-
-/// Elements and shapes of the outputs, as a run has them.
-fn output_shapes<T: Element>(
-    sessions: &Sessions<'_>,
-    shape: &[i64],
-    example: &[T],
-) -> ort::Result<Vec<(TensorElementType, Vec<i64>)>> {
-    let mut session = sessions.open(false, false)?;
-    let input = TensorRef::from_array_view((shape, example))?;
-    let outputs = session.run(ort::inputs![input])?;
-    (0..outputs.len())
-        .map(|index| match outputs[index].dtype() {
-            ValueType::Tensor { ty, shape, .. } => Ok((*ty, shape.to_vec())),
-            other => Err(ort::Error::new(format!("an output is {other}"))),
-        })
-        .collect()
-}
-
-fn names(session: &Session) -> ort::Result<(String, Vec<String>)> {
-    let input = session.inputs().first();
-    let input = input.ok_or_else(|| ort::Error::new("it has no input"))?;
-    let outputs = session.outputs().iter();
-    Ok((
-        input.name().to_owned(),
-        outputs.map(|output| output.name().to_owned()).collect(),
-    ))
-}
-
-fn values<V: TensorValueTypeMarker + ?Sized>(output: &Value<V>) -> ort::Result<Vec<f32>> {
-    if let Ok((_, halves)) = output.try_extract_tensor::<f16>() {
-        return Ok(halves.iter().map(|half| half.to_f32()).collect());
-    }
-    Ok(output.try_extract_tensor::<f32>()?.1.to_vec())
-}
-
-/// The largest difference of two lists of outputs, relative to numbers above one.
-fn difference(expected: &[Vec<f32>], found: &[Vec<f32>]) -> f64 {
-    if expected.len() != found.len() {
-        return f64::INFINITY;
-    }
-    let mut largest = 0.0_f64;
-    for (expected, found) in expected.iter().zip(found) {
-        if expected.len() != found.len() {
-            return f64::INFINITY;
-        }
-        for (expected, found) in expected.iter().zip(found) {
-            let scale = expected.abs().max(1.0);
-            largest = largest.max(f64::from((expected - found).abs() / scale));
-        }
-    }
-    largest
-}
-
-/// Milliseconds of copies of so many numbers.
-fn copy(
-    host: &Allocator,
-    device: &Allocator,
-    length: usize,
-    to_the_device: bool,
-    runs: usize,
-) -> ort::Result<Vec<f64>> {
-    let mut near = Tensor::<f32>::new(host, [length])?;
-    let mut far = Tensor::<f32>::new(device, [length])?;
-    // Memory that was never written may not be there yet.
-    Tensor::from_array(([length], vec![0.5_f32; length]))?.copy_into(&mut near)?;
-    near.copy_into(&mut far)?;
-    let mut times = Vec::new();
-    for number in 0..WARM_UP + runs {
-        let start = Instant::now();
-        if to_the_device {
-            near.copy_into(&mut far)?;
-        } else {
-            far.copy_into(&mut near)?;
-        }
-        if number >= WARM_UP {
-            times.push(since(start));
-        }
-    }
-    Ok(times)
-}
-
-fn since(start: Instant) -> f64 {
-    start.elapsed().as_secs_f64() * 1e3
 }

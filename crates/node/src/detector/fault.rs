@@ -20,12 +20,13 @@ const MEMORY_RAN_OUT: [&str; 8] = [
 /// What the CUDA provider writes before the number of an error.
 const CUDA_FAILURE: &str = "cuda failure ";
 
-/// The errors of CUDA after which nothing works any more in this process, because the device is gone or because, as the
-/// CUDA Runtime API says of them, "the process must be terminated and relaunched" to use CUDA again.
-const DEVICE_IS_LOST: [u32; 17] = [
-    46,  // devices unavailable: busy with somebody else alone, or gone
-    100, // no device
-    101, // no device of that number
+/// The errors of CUDA that say that there is no device to be had: busy with somebody else alone, none at all, none of that
+/// number, not ready.
+const NO_DEVICE: [u32; 4] = [46, 100, 101, 802];
+
+/// The errors of CUDA after which nothing works any more in this process: as the CUDA Runtime API says of most of them, "the
+/// process must be terminated and relaunched" to use CUDA again.
+const CONTEXT_IS_LOST: [u32; 13] = [
     214, // memory error that could not be corrected
     220, // the same of NVLink
     700, // illegal address
@@ -38,12 +39,11 @@ const DEVICE_IS_LOST: [u32; 17] = [
     717, // invalid address space
     718, // invalid program counter
     719, // launch failure: what most hardware faults end as
-    802, // system not ready
     999, // unknown: what a GPU that fell off its bus ends as
 ];
 
-/// Whether `said` is of a GPU that this process has lost. Also recognised in the midst of a longer sentence.
-pub(super) fn device_is_lost(said: &str) -> bool {
+/// The numbers of the errors of CUDA that `said` tells of.
+fn cuda_failures(said: &str) -> Vec<u32> {
     let lower = said.to_lowercase();
     lower
         .match_indices(CUDA_FAILURE)
@@ -52,7 +52,15 @@ pub(super) fn device_is_lost(said: &str) -> bool {
             let end = rest.find(|sign: char| !sign.is_ascii_digit());
             rest[..end.unwrap_or(rest.len())].parse().ok()
         })
-        .any(|number: u32| DEVICE_IS_LOST.contains(&number))
+        .collect()
+}
+
+/// Whether `said`, of a session that worked before, is of a GPU that this process has lost. Also recognised in the midst of
+/// a longer sentence.
+pub(super) fn device_is_lost(said: &str) -> bool {
+    cuda_failures(said)
+        .iter()
+        .any(|number| NO_DEVICE.contains(number) || CONTEXT_IS_LOST.contains(number))
 }
 
 /// What ONNX Runtime said, with what it means and what to do before it where that is known: its own words are of arenas
@@ -61,10 +69,16 @@ pub(super) fn in_words(said: &str) -> String {
     // A sentence of ours goes on after it.
     let said = said.trim_end().trim_end_matches('.');
     let lower = said.to_lowercase();
-    if device_is_lost(said) {
+    let is_one_of = |numbers: &[u32]| (cuda_failures(said).iter()).any(|it| numbers.contains(it));
+    if is_one_of(&CONTEXT_IS_LOST) {
         format!(
             "the GPU is lost to this process; if the device itself works (nvidia-smi), a new start of the program \
              brings it back: {said}"
+        )
+    } else if is_one_of(&NO_DEVICE) {
+        format!(
+            "there is no such GPU that this process can use (nvidia-smi shows those there are, detector.gpu.device \
+             names one): {said}"
         )
     } else if MEMORY_RAN_OUT.iter().any(|phrase| lower.contains(phrase)) {
         format!(
@@ -109,8 +123,6 @@ mod tests {
     #[test]
     fn a_device_that_is_gone_or_a_process_that_has_lost_it_is_told_from_other_failures() {
         for (number, text) in [
-            (46, "CUDA-capable device(s) is/are busy or unavailable"),
-            (100, "no CUDA-capable device is detected"),
             (214, "uncorrectable ECC error encountered"),
             (700, "an illegal memory access was encountered"),
             (719, "unspecified launch failure"),
@@ -127,6 +139,16 @@ mod tests {
                 device_is_lost(&format!("the run failed: {words}")),
                 "{words}"
             );
+        }
+        for (number, text) in [
+            (46, "CUDA-capable device(s) is/are busy or unavailable"),
+            (100, "no CUDA-capable device is detected"),
+            (101, "invalid device ordinal"),
+        ] {
+            // At a start, where nothing is lost that was not there.
+            let words = in_words(&cuda(number, text));
+            assert!(words.starts_with("there is no such GPU"), "{words}");
+            assert!(words.contains(text) && device_is_lost(&words), "{words}");
         }
         for said in [
             cuda(2, "out of memory"),
