@@ -39,7 +39,7 @@ bench: onnxruntime web ## the benches, optimised (takes a while the first time)
 bench-peers: ## the decision core beside other trackers
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
 
-gpu: onnxruntime ## what an NVIDIA GPU does for the node, into docs/gpu.md (PROVIDER=cpu tries the script without one; MODELS="a.onnx b.onnx")
+gpu: onnxruntime ## what an NVIDIA GPU does for the node, into docs/gpu.md (PROVIDER=cpu: a trial without one)
 	@ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" bash benches/gpu.sh
 
 parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
