@@ -11,7 +11,7 @@ DEMO_SECONDS ?=
 # Python's ONNX Runtime as ours keeps and sends nothing of what is run.
 export ORT_DISABLE_TELEMETRY := 1
 
-.PHONY: help demo test web browser lint soak board onnxruntime python debian release dist bench bench-peers parity clean
+.PHONY: help demo test web browser lint soak board onnxruntime python debian release dist bench bench-peers gpu parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -39,6 +39,9 @@ bench: onnxruntime web ## the benches, optimised (takes a while the first time)
 bench-peers: ## the decision core beside other trackers, the JPEG decoder beside others
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
 	cargo run --release --locked --manifest-path benches/decoders/Cargo.toml
+
+gpu: onnxruntime ## what an NVIDIA GPU does for the node, into docs/gpu.md (PROVIDER=cpu: a trial without one)
+	@ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" bash benches/gpu.sh
 
 parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
 	cargo build --locked $$(bash tests/features.sh)

@@ -4,6 +4,7 @@ mod class_names;
 mod classes;
 mod config;
 mod error;
+mod fault;
 mod gpu;
 mod handle;
 pub mod head;

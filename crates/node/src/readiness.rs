@@ -2,7 +2,7 @@
 //!
 //! | part | not ready | degraded |
 //! | --- | --- | --- |
-//! | `detector` | it starts, or its session is being rebuilt | |
+//! | `detector` | it starts, its session is being rebuilt, or its GPU is lost | |
 //! | `screen` | | its session is being rebuilt: the detector is asked instead |
 //! | `cameras` | they are not subscribed to yet | no frame has come from one for a while, or its source is opened again |
 //! | `power` | | the meter cannot be read, or gives no samples |
@@ -53,9 +53,17 @@ pub const PARTS: [&str; 9] = [
 ];
 
 /// How the node is, for the service manager. What has been broken for `stuck_after` and is the node's own (not a
-/// router that is away) is left to a new start.
-pub(crate) fn look(readiness: &Readiness, stuck_after: Duration) -> Look {
+/// router that is away) is left to a new start; a GPU that this process has lost, at once.
+pub(crate) fn look(
+    readiness: &Readiness,
+    detector: &DetectorStatus,
+    stuck_after: Duration,
+) -> Look {
     let health = readiness.health();
+    let lost = match detector {
+        DetectorStatus::Lost { reason, .. } => Some(format!("{DETECTOR}: {reason}")),
+        _ => None,
+    };
     let waits = (health.faults.iter())
         .any(|fault| fault.part == ZENOH && fault.fault.effect == Effect::NotReady);
     let stuck = health.faults.iter().find(|fault| {
@@ -70,7 +78,8 @@ pub(crate) fn look(readiness: &Readiness, stuck_after: Duration) -> Look {
     Look {
         ready: health.is_ready(),
         reasons: reasons.join("; "),
-        stuck: stuck.map(|fault| format!("{}: {}", fault.part, fault.fault.reason)),
+        stuck: lost
+            .or_else(|| stuck.map(|fault| format!("{}: {}", fault.part, fault.fault.reason))),
     }
 }
 
@@ -78,7 +87,7 @@ pub(crate) fn look(readiness: &Readiness, stuck_after: Duration) -> Look {
 pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
     match status {
         DetectorStatus::Starting => Some(Fault::not_ready("the session is being built")),
-        DetectorStatus::Degraded { reason, .. } => {
+        DetectorStatus::Degraded { reason, .. } | DetectorStatus::Lost { reason, .. } => {
             Some(Fault::not_ready(format!("degraded: {reason}")))
         }
         DetectorStatus::Ready { .. } => None,
@@ -147,6 +156,7 @@ mod tests {
     async fn only_what_is_the_nodes_own_and_lasts_is_stuck() {
         let readiness = Readiness::default();
         let limit = Duration::from_secs(60);
+        let look = |readiness: &Readiness, limit| look(readiness, &DetectorStatus::Starting, limit);
         let detector = readiness.part(DETECTOR);
         detector.not_ready("the session is being built");
         assert!(!look(&readiness, limit).ready);
@@ -168,5 +178,24 @@ mod tests {
             "{}",
             seen.reasons
         );
+    }
+
+    #[test]
+    fn a_lost_gpu_is_left_to_a_new_start_at_once_and_a_failed_run_is_not() {
+        let readiness = Readiness::default();
+        let limit = Duration::from_secs(900);
+        let reason = "the GPU is lost to this process".to_owned();
+        let provider = crate::detector::ExecutionProvider::Cuda;
+        let failed = DetectorStatus::Degraded {
+            reason: reason.clone(),
+            provider,
+        };
+        assert_eq!(look(&readiness, &failed, limit).stuck, None);
+        let lost = DetectorStatus::Lost { reason, provider };
+        let stuck = look(&readiness, &lost, limit).stuck.unwrap();
+        assert!(stuck.starts_with("detector: the GPU is lost"), "{stuck}");
+        let told = of_detector(&lost).unwrap();
+        assert_eq!(told.effect, Effect::NotReady);
+        assert!(told.reason.contains("the GPU is lost"), "{told:?}");
     }
 }

@@ -82,7 +82,7 @@ pub async fn run_prepared(
     };
     let (told, stuck_after) = (Arc::clone(prepared.board()), config.node.stuck_after());
     let telling = tokio::spawn(albireo_service::notify::run(
-        move || readiness::look(told.readiness(), stuck_after),
+        move || readiness::look(told.readiness(), &told.detector_status(), stuck_after),
         shutdown.clone(),
     ));
     tracing::info!(

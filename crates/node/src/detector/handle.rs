@@ -217,9 +217,9 @@ impl DetectorHandle {
     /// What really runs the model, or ran it last.
     pub fn provider(&self) -> ExecutionProvider {
         match *self.task.status().borrow() {
-            DetectorStatus::Ready { provider } | DetectorStatus::Degraded { provider, .. } => {
-                provider
-            }
+            DetectorStatus::Ready { provider }
+            | DetectorStatus::Degraded { provider, .. }
+            | DetectorStatus::Lost { provider, .. } => provider,
             // Not seen from outside: a handle exists only once the first model stands.
             DetectorStatus::Starting => ExecutionProvider::Cpu,
         }

@@ -19,4 +19,12 @@ pub enum DetectorStatus {
         /// What ran it before.
         provider: ExecutionProvider,
     },
+    /// What ran it is gone, and a new session in this process did not bring it back: what a new start of the program can
+    /// repair. It is still tried.
+    Lost {
+        /// What happened, in words.
+        reason: String,
+        /// What ran it before.
+        provider: ExecutionProvider,
+    },
 }

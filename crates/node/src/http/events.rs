@@ -60,7 +60,9 @@ impl DetectorEvent {
         let (name, reason) = match status {
             DetectorStatus::Starting => ("starting", None),
             DetectorStatus::Ready { .. } => ("ready", None),
-            DetectorStatus::Degraded { reason, .. } => ("degraded", Some(reason.clone())),
+            DetectorStatus::Degraded { reason, .. } | DetectorStatus::Lost { reason, .. } => {
+                ("degraded", Some(reason.clone()))
+            }
         };
         Self {
             status: name,

@@ -89,9 +89,9 @@ pub(super) struct NotReady {
 pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
     match status {
         DetectorStatus::Starting => None,
-        DetectorStatus::Ready { provider } | DetectorStatus::Degraded { provider, .. } => {
-            Some(provider.as_str())
-        }
+        DetectorStatus::Ready { provider }
+        | DetectorStatus::Degraded { provider, .. }
+        | DetectorStatus::Lost { provider, .. } => Some(provider.as_str()),
     }
 }
 

@@ -367,8 +367,8 @@ impl<I, T> TaskState<I, T> {
         self.status.send_replace(DetectorStatus::Ready { provider });
     }
 
-    /// Says in the status why there is no session yet.
-    pub(super) fn still_degraded(&self, reason: String) {
+    /// Says in the status why there is no session yet, and whether what ran it is `lost` to this process.
+    pub(super) fn still_degraded(&self, reason: String, lost: bool) {
         let mut state = self.lock();
         if matches!(state.phase, Phase::Stopped) {
             return;
@@ -376,8 +376,10 @@ impl<I, T> TaskState<I, T> {
         state.phase = Phase::Degraded(reason.clone());
         let provider = state.provider;
         drop(state);
-        self.status
-            .send_replace(DetectorStatus::Degraded { reason, provider });
+        self.status.send_replace(match lost {
+            true => DetectorStatus::Lost { reason, provider },
+            false => DetectorStatus::Degraded { reason, provider },
+        });
     }
 
     /// Closes the queue for good. The run in hand goes on; what waits is turned away.

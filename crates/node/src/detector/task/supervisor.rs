@@ -6,13 +6,14 @@ use super::state::TaskState;
 use super::worker::{self, Event};
 use super::{Factory, TaskSettings};
 use crate::detector::StartError;
+use crate::detector::fault;
 use crate::detector::model::{Interrupter, Model};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot, watch};
-use tokio::time::{Instant, sleep, sleep_until};
+use tokio::time::{Instant, sleep_until};
 use tokio_util::sync::CancellationToken;
 use tracing::{error, info, warn};
 
@@ -115,7 +116,9 @@ impl<M: Model> Supervisor<M> {
                     Some(Err(reason)) => {
                         Counters::add(&self.shared.counters.rebuilds_failed);
                         error!(task = self.settings.name, %reason, "the session could not be rebuilt");
-                        self.shared.still_degraded(reason.to_string());
+                        let reason = reason.to_string();
+                        let lost = fault::device_is_lost(&reason);
+                        self.shared.still_degraded(reason, lost);
                     }
                     None => return,
                 }
@@ -237,27 +240,47 @@ impl<M: Model> Supervisor<M> {
         );
     }
 
-    /// Waits `pause`, and on until few enough threads hang in runs that were given up.
+    /// Waits `pause`, on until the worker that failed is gone or has taken too long for that, and on until few enough
+    /// threads hang.
     async fn pause(&mut self, pause: Duration) -> End {
         let stop = self.stop.clone();
-        let over = sleep(pause);
-        tokio::pin!(over);
-        let mut passed = false;
+        let over = Instant::now() + pause;
+        // A session gives its memory back as it goes, and beside it the next might find none on a GPU. One that hangs in
+        // that (CUDA may, once a device is lost) must not be waited for for ever.
+        let patience = Instant::now() + pause.max(self.settings.timeout);
         loop {
-            if passed {
+            let now = Instant::now();
+            let leaving = self.alive && !self.abandoned.contains(&self.worker);
+            if leaving && now >= patience {
+                self.abandoned.insert(self.worker);
+                self.count_abandoned();
+                warn!(
+                    task = self.settings.name,
+                    "a session that failed does not end and is left behind"
+                );
+                continue;
+            }
+            if now >= over && !leaving {
                 if self.abandoned.len() < self.settings.most_abandoned {
                     return End::Failed;
                 }
-                self.shared.still_degraded(format!(
-                    "{} runs hang; the session is rebuilt when one of them ends",
-                    self.abandoned.len()
-                ));
+                self.shared.still_degraded(
+                    format!(
+                        "{} runs hang; the session is rebuilt when one of them ends",
+                        self.abandoned.len()
+                    ),
+                    false,
+                );
             }
+            let next = [(now < over, over), (leaving, patience)];
+            let next = next
+                .into_iter()
+                .find_map(|(waits, until)| waits.then_some(until));
             tokio::select! {
                 biased;
                 () = stop.cancelled() => return End::Stopped,
                 _ = self.next_event() => {}
-                () = &mut over, if !passed => passed = true,
+                () = sleep_until(next.unwrap_or(now)), if next.is_some() => {}
             }
         }
     }

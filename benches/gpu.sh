@@ -1,0 +1,50 @@
+#!/usr/bin/env bash
+# Measures what one NVIDIA GPU does for the node and writes docs/gpu.md; `make gpu` calls it. Set by variables:
+#   PROVIDER=cuda|tensorrt|cpu   what runs the models; cpu is a trial of this script, short and marked as such
+#   MODELS="a.onnx b.onnx"       detectors; without it those at hand. Variants are made beside them: float16, an open batch
+#   CAMERA_MODELS="a.onnx"       detectors that cameras are put on; without it the demonstration detector, which has learned
+#                                what is in the pictures
+#   RUNS SECONDS_EACH MOST_CAMERAS DEVICE OUT        see cargo bench --bench gpu -- --help
+#   GPU_BENCH=… ALBIREO_BIN=…    the bench and the program, built elsewhere: for a machine without Rust
+# Variants need Python with the packages of benches/gpu/requirements.txt (GPU_PYTHON names one); without them they are left out.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+provider=${PROVIDER:-cuda}
+shared=${ALBIREO_SHARED:-../shared}
+read -ra models <<<"${MODELS:-models/detector.onnx $(ls "$shared"/models/yolox_nano_416.onnx 2>/dev/null || true)}"
+read -ra camera_models <<<"${CAMERA_MODELS:-models/detector.onnx}"
+if [ "$provider" = cpu ]; then
+    : "${RUNS:=30}" "${SECONDS_EACH:=3}" "${MOST_CAMERAS:=4}"
+fi
+
+python=${GPU_PYTHON:-.cache/gpu/python/bin/python}
+if [ ! -x "$python" ] && [ -z "${GPU_PYTHON:-}" ]; then
+    (python3 -m venv .cache/gpu/python && "$python" -m pip install --quiet --disable-pip-version-check \
+        -r benches/gpu/requirements.txt) || rm -rf .cache/gpu/python
+fi
+if [ -x "$python" ]; then
+    mapfile -t variants < <("$python" benches/gpu/variants.py .cache/gpu/models "${models[@]}")
+    models+=("${variants[@]}")
+else
+    echo "no Python with onnx: half precision and open batches are left out" >&2
+fi
+
+arguments=(--provider "$provider" --date "$(date +%F)")
+for model in "${models[@]}"; do arguments+=(--model "$model"); done
+for model in "${camera_models[@]}"; do arguments+=(--camera-model "$model"); done
+[ -z "${RUNS:-}" ] || arguments+=(--runs "$RUNS")
+[ -z "${SECONDS_EACH:-}" ] || arguments+=(--seconds "$SECONDS_EACH")
+[ -z "${MOST_CAMERAS:-}" ] || arguments+=(--most-cameras "$MOST_CAMERAS")
+[ -z "${DEVICE:-}" ] || arguments+=(--device "$DEVICE")
+[ -z "${OUT:-}" ] || arguments+=(--out "$OUT")
+
+if [ -n "${GPU_BENCH:-}" ]; then
+    run=("$GPU_BENCH")
+else
+    run=(cargo bench --locked --bench gpu --)
+fi
+if ! "${run[@]}" "${arguments[@]}"; then
+    echo "nothing was written. Without a GPU, \`make gpu PROVIDER=cpu\` tries the script with the processor." >&2
+    exit 1
+fi

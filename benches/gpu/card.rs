@@ -1,0 +1,129 @@
+//! The card by NVML: what it is, and the energy it uses while something goes on, by its own counter and by its power added
+//! up.
+
+use anyhow::{Context, anyhow};
+use nvml_wrapper::Nvml;
+use std::ffi::OsStr;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Time between two looks at the power.
+const EVERY: Duration = Duration::from_millis(20);
+
+#[derive(Clone)]
+pub(crate) struct Card {
+    nvml: Arc<Nvml>,
+    device: u32,
+}
+
+/// What was used in a while.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Energy {
+    /// By the card's energy counter, joules.
+    pub counter: Option<f64>,
+    /// By its power, looked at every 20 ms and added up, joules.
+    pub integrated: Option<f64>,
+    /// How long it was.
+    pub seconds: f64,
+}
+
+impl Energy {
+    /// The counter's joules, else the power's.
+    pub(crate) fn joules(self) -> Option<f64> {
+        self.counter.or(self.integrated)
+    }
+
+    /// Mean watts.
+    pub(crate) fn watts(self) -> Option<f64> {
+        self.joules().map(|joules| joules / self.seconds)
+    }
+}
+
+impl Card {
+    /// # Errors
+    /// Without NVIDIA's driver, or when it has no such card.
+    pub(crate) fn open(device: u32) -> anyhow::Result<Self> {
+        let library = OsStr::new("libnvidia-ml.so.1");
+        let nvml = Nvml::builder()
+            .lib_path(library)
+            .init()
+            .map_err(|_| anyhow!("no NVIDIA driver: libnvidia-ml.so.1 cannot be loaded"))?;
+        nvml.device_by_index(device)
+            .with_context(|| format!("NVML shows no card {device}"))?;
+        Ok(Self {
+            nvml: Arc::new(nvml),
+            device,
+        })
+    }
+
+    /// Its name, memory and driver.
+    pub(crate) fn description(&self) -> anyhow::Result<String> {
+        let card = self.nvml.device_by_index(self.device)?;
+        let memory = card.memory_info()?;
+        Ok(format!(
+            "{}, {:.0} GiB, driver {}",
+            card.name()?,
+            memory.total as f64 / f64::from(1 << 30),
+            self.nvml.sys_driver_version()?,
+        ))
+    }
+
+    fn counter(&self) -> Option<f64> {
+        let card = self.nvml.device_by_index(self.device).ok()?;
+        Some(card.total_energy_consumption().ok()? as f64 * 1e-3)
+    }
+
+    fn watts(&self) -> Option<f64> {
+        let card = self.nvml.device_by_index(self.device).ok()?;
+        Some(f64::from(card.power_usage().ok()?) * 1e-3)
+    }
+
+    /// Begins to measure.
+    pub(crate) fn measure(&self) -> Measuring {
+        let (card, over) = (self.clone(), Arc::new(AtomicBool::new(false)));
+        let (begun, before) = (Instant::now(), self.counter());
+        let stop = over.clone();
+        let thread = std::thread::spawn(move || {
+            let (mut last, mut at) = (card.watts()?, Instant::now());
+            let mut joules = 0.0;
+            while !stop.load(Ordering::Relaxed) {
+                std::thread::sleep(EVERY);
+                let watts = card.watts()?;
+                joules += (last + watts) / 2.0 * at.elapsed().as_secs_f64();
+                (last, at) = (watts, Instant::now());
+            }
+            Some(joules)
+        });
+        Measuring {
+            card: self.clone(),
+            begun,
+            before,
+            over,
+            thread,
+        }
+    }
+}
+
+/// Ends with [`end`](Self::end).
+pub(crate) struct Measuring {
+    card: Card,
+    begun: Instant,
+    before: Option<f64>,
+    over: Arc<AtomicBool>,
+    thread: JoinHandle<Option<f64>>,
+}
+
+impl Measuring {
+    pub(crate) fn end(self) -> Energy {
+        let counter = self.card.counter().zip(self.before);
+        let seconds = self.begun.elapsed().as_secs_f64();
+        self.over.store(true, Ordering::Relaxed);
+        Energy {
+            counter: counter.map(|(after, before)| after - before),
+            integrated: self.thread.join().ok().flatten(),
+            seconds,
+        }
+    }
+}

@@ -1,0 +1,234 @@
+//! A node in a process of its own, and cameras that send to it.
+
+use super::arguments::Arguments;
+use albireo_node::detector::DetectorConfig;
+use albireo_node::frame::EncodedPicture;
+use albireo_wire::{DetectionsMessage, FrameAttachment, VERSION, read};
+use anyhow::{Context, anyhow, bail};
+use parking_lot::Mutex;
+use std::net::TcpListener;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::time::MissedTickBehavior;
+use zenoh::Session;
+use zenoh::bytes::Encoding;
+use zenoh::qos::CongestionControl;
+
+/// Frames a second of every camera.
+pub(crate) const RATE: f64 = 30.0;
+
+const NODE: &str = "gpu";
+
+/// Building an engine takes TensorRT minutes.
+pub(crate) const PATIENCE: Duration = Duration::from_secs(1200);
+
+/// An answer that came.
+pub(crate) struct Answer {
+    pub camera: usize,
+    pub message: DetectionsMessage,
+    pub at: Instant,
+}
+
+/// A node that runs, and a session to it.
+pub(crate) struct Node {
+    process: Child,
+    session: Session,
+    http: u16,
+    answers: Arc<Mutex<Vec<Answer>>>,
+    /// When its process was started.
+    pub started: Instant,
+}
+
+impl Drop for Node {
+    fn drop(&mut self) {
+        let _ = self.process.kill();
+        let _ = self.process.wait();
+    }
+}
+
+/// What a node is started with.
+pub(crate) struct Settings<'a> {
+    pub detector: DetectorConfig,
+    pub policy: &'a str,
+    pub cameras: usize,
+    /// Where CUDA and TensorRT keep what they have built.
+    pub caches: &'a Path,
+    pub folder: &'a Path,
+}
+
+impl Node {
+    /// Starts it; it connects to this process, so that nothing is waited for that it does not itself wait for.
+    pub(crate) async fn start(settings: &Settings<'_>) -> anyhow::Result<Self> {
+        let (port, http) = (free_port()?, free_port()?);
+        let session = listening(port).await?;
+        let answers: Arc<Mutex<Vec<Answer>>> = Arc::default();
+        let kept = Arc::clone(&answers);
+        session
+            .declare_subscriber(format!("albireo/{NODE}/*/detections"))
+            .callback(move |sample| {
+                let at = Instant::now();
+                let camera = sample.key_expr().split('/').nth(2);
+                let camera = camera.and_then(|name| name.strip_prefix('c')?.parse().ok());
+                let message = read(&sample.payload().to_bytes()).ok();
+                if let (Some(camera), Some(message)) = (camera, message) {
+                    kept.lock().push(Answer {
+                        camera,
+                        message,
+                        at,
+                    });
+                }
+            })
+            .background()
+            .await
+            .map_err(zenoh_failed)?;
+        let file = settings.folder.join("node.toml");
+        std::fs::write(&file, configuration(settings, port, http)?)?;
+        let program =
+            std::env::var_os("ALBIREO_BIN").unwrap_or(env!("CARGO_BIN_EXE_albireo").into());
+        let log = std::fs::File::create(settings.folder.join("node.log"))?;
+        let started = Instant::now();
+        let process = Command::new(program)
+            .args(["node", "--config"])
+            .arg(&file)
+            .env("CUDA_CACHE_PATH", settings.caches)
+            .stdin(Stdio::null())
+            .stdout(Stdio::null())
+            .stderr(log)
+            .spawn()
+            .context("the program")?;
+        Ok(Self {
+            process,
+            session,
+            http,
+            answers,
+            started,
+        })
+    }
+
+    /// Waits until the node is ready; which provider its detector really has.
+    pub(crate) async fn ready(&mut self, folder: &Path) -> anyhow::Result<String> {
+        let url = format!("http://127.0.0.1:{}/readyz", self.http);
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = self.process.try_wait()? {
+                let log = std::fs::read_to_string(folder.join("node.log")).unwrap_or_default();
+                let last = log.lines().last().unwrap_or_default();
+                bail!("the node ended ({status}): {last}");
+            }
+            if let Ok(answer) = reqwest::get(&url).await
+                && answer.status().is_success()
+            {
+                let told: serde_json::Value = answer.json().await?;
+                let provider = told["provider"].as_str();
+                return Ok(provider.context("/readyz names no provider")?.to_owned());
+            }
+            if begun.elapsed() > PATIENCE {
+                bail!("the node was not ready within {} s", PATIENCE.as_secs());
+            }
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    }
+
+    /// Sends the frames of one camera until `frames` are sent or `until` says so; when each was put, by its number.
+    pub(crate) async fn send(
+        &self,
+        camera: usize,
+        pictures: Arc<Vec<EncodedPicture>>,
+        frames: u64,
+        until: impl Fn() -> bool,
+    ) -> anyhow::Result<Vec<Instant>> {
+        let publisher = self
+            .session
+            .declare_publisher(format!("albireo/{NODE}/c{camera}/frame"))
+            .congestion_control(CongestionControl::Drop)
+            .await
+            .map_err(zenoh_failed)?;
+        let mut clock = tokio::time::interval(Duration::from_secs_f64(1.0 / RATE));
+        clock.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        let mut put = Vec::new();
+        // There and back, so that nothing jumps where the pictures begin anew; no two cameras see the same.
+        let there_and_back = 2 * (pictures.len() - 1).max(1);
+        while (put.len() as u64) < frames && !until() {
+            clock.tick().await;
+            let place = (put.len() + camera * 7) % there_and_back;
+            let picture = &pictures[place.min(there_and_back - place).min(pictures.len() - 1)];
+            let attachment = FrameAttachment {
+                v: VERSION,
+                seq: Some(put.len() as u64),
+                ..FrameAttachment::default()
+            };
+            put.push(Instant::now());
+            publisher
+                .put(picture.bytes.clone())
+                .encoding(Encoding::IMAGE_JPEG)
+                .attachment(serde_json::to_vec(&attachment)?)
+                .await
+                .map_err(zenoh_failed)?;
+        }
+        Ok(put)
+    }
+
+    /// Takes the answers that have come.
+    pub(crate) fn answers(&self) -> Vec<Answer> {
+        std::mem::take(&mut *self.answers.lock())
+    }
+
+    /// When the first answer came that the detector had a part in.
+    pub(crate) fn first_detection(&self) -> Option<Instant> {
+        let answers = self.answers.lock();
+        let detected =
+            |answer: &&Answer| !answer.message.degraded && !answer.message.state.is_skipped();
+        answers.iter().find(detected).map(|answer| answer.at)
+    }
+}
+
+fn configuration(settings: &Settings<'_>, port: u16, http: u16) -> anyhow::Result<String> {
+    let mut detector = settings.detector.clone();
+    detector.model = std::path::absolute(&detector.model)?;
+    let mut text = format!(
+        "node.name = \"{NODE}\"\nhttp.listen = \"127.0.0.1:{http}\"\nzenoh.listen = []\n\
+         zenoh.connect = [\"tcp/127.0.0.1:{port}\"]\nlog.level = \"error\"\npower.source = \"none\"\n\
+         policy.name = \"{}\"\n",
+        settings.policy
+    );
+    let sections =
+        toml::Table::from_iter([("detector".to_owned(), toml::Value::try_from(detector)?)]);
+    text += &toml::to_string(&sections)?;
+    for camera in 0..settings.cameras {
+        text += &format!("[[camera]]\nname = \"c{camera}\"\n");
+    }
+    Ok(text)
+}
+
+fn free_port() -> anyhow::Result<u16> {
+    Ok(TcpListener::bind("127.0.0.1:0")?.local_addr()?.port())
+}
+
+async fn listening(port: u16) -> anyhow::Result<Session> {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("scouting/multicast/enabled", "false".to_owned()),
+        ("listen/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
+    ] {
+        config.insert_json5(key, &value).map_err(zenoh_failed)?;
+    }
+    zenoh::open(config).await.map_err(zenoh_failed)
+}
+
+fn zenoh_failed(error: zenoh::Error) -> anyhow::Error {
+    anyhow!("Zenoh: {error}")
+}
+
+/// Whether the model takes several pictures in a run: as many as are worth it.
+pub(crate) fn batch(arguments: &Arguments, model: &Path, engines: &Path) -> usize {
+    let config = DetectorConfig {
+        batch_size: 8,
+        ..arguments.detector(model, Some(engines))
+    };
+    match albireo_node::detector::DetectorNetwork::open(&config) {
+        Ok(_) => 8,
+        Err(_) => 1,
+    }
+}

@@ -1,0 +1,169 @@
+//! What ONNX Runtime says when a GPU's memory has run out or the GPU is gone, recognised and put into plain words.
+//!
+//! Its CUDA provider writes `CUDA failure 700: an illegal memory access was encountered ; GPU=0 ; hostname=… ; expr=…`
+//! (`onnxruntime/core/providers/cuda/cuda_call.cc`), its arenas `Failed to allocate memory for requested buffer of size …`
+//! (`core/framework/bfc_arena.cc`). The numbers are those of `cudaError` in the CUDA Runtime API.
+
+/// How ONNX Runtime and what it calls say that memory ran out: its arenas on the CPU and on a GPU, C++, CUDA, cuBLAS and
+/// cuDNN.
+const MEMORY_RAN_OUT: [&str; 8] = [
+    "failed to allocate memory",
+    "smaller than requested bytes",
+    "failed to find a free memory block",
+    "bad_alloc",
+    "bad allocation",
+    "out of memory",
+    "status_alloc_failed",
+    "allocation_failed",
+];
+
+/// What the CUDA provider writes before the number of an error.
+const CUDA_FAILURE: &str = "cuda failure ";
+
+/// The errors of CUDA that say that there is no device to be had: busy with somebody else alone, none at all, none of that
+/// number, not ready.
+const NO_DEVICE: [u32; 4] = [46, 100, 101, 802];
+
+/// The errors of CUDA after which nothing works any more in this process: as the CUDA Runtime API says of most of them, "the
+/// process must be terminated and relaunched" to use CUDA again.
+const CONTEXT_IS_LOST: [u32; 13] = [
+    214, // memory error that could not be corrected
+    220, // the same of NVLink
+    700, // illegal address
+    702, // a kernel took too long
+    709, // context destroyed
+    710, // assertion in a kernel
+    714, // hardware stack error
+    715, // illegal instruction
+    716, // misaligned address
+    717, // invalid address space
+    718, // invalid program counter
+    719, // launch failure: what most hardware faults end as
+    999, // unknown: what a GPU that fell off its bus ends as
+];
+
+/// The numbers of the errors of CUDA that `said` tells of.
+fn cuda_failures(said: &str) -> Vec<u32> {
+    let lower = said.to_lowercase();
+    lower
+        .match_indices(CUDA_FAILURE)
+        .filter_map(|(at, before)| {
+            let rest = &lower[at + before.len()..];
+            let end = rest.find(|sign: char| !sign.is_ascii_digit());
+            rest[..end.unwrap_or(rest.len())].parse().ok()
+        })
+        .collect()
+}
+
+/// Whether `said`, of a session that worked before, is of a GPU that this process has lost. Also recognised in the midst of
+/// a longer sentence.
+pub(super) fn device_is_lost(said: &str) -> bool {
+    cuda_failures(said)
+        .iter()
+        .any(|number| NO_DEVICE.contains(number) || CONTEXT_IS_LOST.contains(number))
+}
+
+/// What ONNX Runtime said, with what it means and what to do before it where that is known: its own words are of arenas
+/// and of numbers.
+pub(super) fn in_words(said: &str) -> String {
+    // A sentence of ours goes on after it.
+    let said = said.trim_end().trim_end_matches('.');
+    let lower = said.to_lowercase();
+    let is_one_of = |numbers: &[u32]| (cuda_failures(said).iter()).any(|it| numbers.contains(it));
+    if is_one_of(&CONTEXT_IS_LOST) {
+        format!(
+            "the GPU is lost to this process; if the device itself works (nvidia-smi), a new start of the program \
+             brings it back: {said}"
+        )
+    } else if is_one_of(&NO_DEVICE) {
+        format!(
+            "there is no such GPU that this process can use (nvidia-smi shows those there are, detector.gpu.device \
+             names one): {said}"
+        )
+    } else if MEMORY_RAN_OUT.iter().any(|phrase| lower.contains(phrase)) {
+        format!(
+            "there is not enough memory for it; a smaller model or input size or detector.batch_size needs less, and \
+             on a GPU other programs may hold it, or detector.gpu.memory_limit_mib may be too low: {said}"
+        )
+    } else {
+        said.to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A message as the CUDA provider composes it.
+    fn cuda(number: u32, text: &str) -> String {
+        format!(
+            "Non-zero status code returned while running Conv node. Name:'conv1' Status Message: \
+             CUDA failure {number}: {text} ; GPU=0 ; hostname=board ; expr=cudaStreamSynchronize(stream); "
+        )
+    }
+
+    #[test]
+    fn memory_that_ran_out_is_said_in_plain_words_whoever_ran_out_of_it() {
+        for said in [
+            "Failed to allocate memory for requested buffer of size 104857600",
+            "Available memory of 1048576 is smaller than requested bytes of 26214400",
+            "Failed to find a free memory block despite calling Extend. rounded_bytes=256",
+            "std::bad_alloc",
+            "CUDA failure 2: out of memory ; GPU=0 ; hostname=board ; expr=cudaMalloc((void**)&p, size); ",
+            "CUBLAS failure 3: CUBLAS_STATUS_ALLOC_FAILED ; GPU=0 ; hostname=board ; expr=cublasCreate(&handle); ",
+            "CUDNN failure 5003: CUDNN_STATUS_INTERNAL_ERROR_DEVICE_ALLOCATION_FAILED ; GPU=0 ; hostname=board",
+        ] {
+            let words = in_words(said);
+            assert!(words.starts_with("there is not enough memory"), "{words}");
+            assert!(words.contains(said.trim_end()), "{words}");
+            assert!(!device_is_lost(&words), "{words}");
+        }
+    }
+
+    #[test]
+    fn a_device_that_is_gone_or_a_process_that_has_lost_it_is_told_from_other_failures() {
+        for (number, text) in [
+            (214, "uncorrectable ECC error encountered"),
+            (700, "an illegal memory access was encountered"),
+            (719, "unspecified launch failure"),
+            (999, "unknown error"),
+        ] {
+            let words = in_words(&cuda(number, text));
+            assert!(
+                words.starts_with("the GPU is lost to this process"),
+                "{words}"
+            );
+            assert!(words.contains(text), "{words}");
+            // Also in a sentence of ours.
+            assert!(
+                device_is_lost(&format!("the run failed: {words}")),
+                "{words}"
+            );
+        }
+        for (number, text) in [
+            (46, "CUDA-capable device(s) is/are busy or unavailable"),
+            (100, "no CUDA-capable device is detected"),
+            (101, "invalid device ordinal"),
+        ] {
+            // At a start, where nothing is lost that was not there.
+            let words = in_words(&cuda(number, text));
+            assert!(words.starts_with("there is no such GPU"), "{words}");
+            assert!(words.contains(text) && device_is_lost(&words), "{words}");
+        }
+        for said in [
+            cuda(2, "out of memory"),
+            cuda(1, "invalid argument"),
+            cuda(7000, "of another library"),
+            "CUDA failure".to_owned(),
+            "CUDA failure 99999999999: too long a number".to_owned(),
+            "CUDNN failure 700: of another library".to_owned(),
+            "Got invalid dimensions for input".to_owned(),
+        ] {
+            assert!(!device_is_lost(&said), "{said}");
+        }
+        assert_eq!(
+            in_words("Got invalid dimensions. "),
+            "Got invalid dimensions"
+        );
+    }
+}

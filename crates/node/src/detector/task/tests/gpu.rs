@@ -1,0 +1,132 @@
+//! A GPU whose memory runs out or that is lost, in the words of ONNX Runtime's CUDA provider.
+
+use super::*;
+use crate::detector::fault;
+
+/// As ONNX Runtime's CUDA provider composes it.
+const OUT_OF_MEMORY: &str =
+    "CUDA failure 2: out of memory ; GPU=0 ; hostname=board ; expr=cudaMalloc((void**)&p, size); ";
+const LOST: &str = "Status Message: CUDA failure 719: unspecified launch failure ; GPU=0 ; hostname=board ; \
+                    expr=cudaStreamSynchronize(stream); ";
+
+impl Stage {
+    /// A run that fails with `reason`: what its asker is told.
+    async fn fail_with(&mut self, reason: &'static str) -> String {
+        let failing = self.begin(0).await;
+        self.end(Step::FailWith(reason));
+        let error = failing.await.unwrap().unwrap_err();
+        self.ended.recv().await.unwrap();
+        error.to_string()
+    }
+
+    async fn until_lost(&self) -> String {
+        let lost = |status: &DetectorStatus| matches!(status, DetectorStatus::Lost { .. });
+        match &*self.task.status().wait_for(lost).await.unwrap() {
+            DetectorStatus::Lost { reason, .. } => reason.clone(),
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn gpu_memory_that_runs_out_is_answered_in_words_and_tried_again_with_growing_pauses() {
+    let mut stage = stage(settings()).await;
+    let words: &'static str = fault::in_words(OUT_OF_MEMORY).leak();
+    for (rebuilds, pause) in [(1, 100), (2, 200), (3, 400)] {
+        let told = stage.fail_with(words).await;
+        assert!(told.contains("there is not enough memory"), "{told}");
+        let status = stage.until_degraded().await;
+        assert!(status.contains("CUDA failure 2: out of memory"), "{status}");
+        pass(Duration::from_millis(pause)).await;
+        stage
+            .until_counted(|counters| counters.rebuilds == rebuilds)
+            .await;
+        stage.until_ready().await;
+    }
+    let counters = stage.task.counters();
+    assert_eq!((counters.failed, counters.rebuilds_failed), (3, 0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_gpu_that_no_new_session_brings_back_is_told_as_lost_and_still_tried() {
+    let mut stage = stage(settings()).await;
+    let words: &'static str = fault::in_words(LOST).leak();
+    *stage.build_failure.lock() = words;
+    stage.failing_builds.store(2, Ordering::SeqCst);
+    let told = stage.fail_with(words).await;
+    assert!(told.contains("the GPU is lost to this process"), "{told}");
+    // One failed run is no proof: a new session may work.
+    assert!(matches!(
+        *stage.task.status().borrow(),
+        DetectorStatus::Degraded { .. }
+    ));
+    for (pause, failed) in [(100, 1), (200, 2)] {
+        pass(Duration::from_millis(pause)).await;
+        stage
+            .until_counted(|counters| counters.rebuilds_failed == failed)
+            .await;
+        let reason = stage.until_lost().await;
+        for part in [
+            "scripted.onnx",
+            "CUDA failure 719",
+            "a new start of the program",
+        ] {
+            assert!(reason.contains(part), "{part} is not in: {reason}");
+        }
+        let refused = stage.ask(1).await.unwrap().unwrap_err();
+        assert!(
+            matches!(refused, InferenceError::Unavailable(_)),
+            "{refused}"
+        );
+    }
+    // It came back after all.
+    settle().await;
+    pass(Duration::from_millis(400)).await;
+    stage.until_ready().await;
+    assert_eq!(stage.task.counters().rebuilds, 3);
+}
+
+#[tokio::test(start_paused = true)]
+async fn another_failure_to_build_is_not_taken_for_a_lost_gpu() {
+    let mut stage = stage(settings()).await;
+    *stage.build_failure.lock() = fault::in_words(OUT_OF_MEMORY).leak();
+    stage.failing_builds.store(1, Ordering::SeqCst);
+    stage.fail_with(LOST).await;
+    pass(Duration::from_millis(100)).await;
+    stage
+        .until_counted(|counters| counters.rebuilds_failed == 1)
+        .await;
+    settle().await;
+    let reason = stage.until_degraded().await;
+    assert!(reason.contains("CUDA failure 2"), "{reason}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_next_session_waits_until_the_failed_one_has_given_its_memory_back() {
+    let mut stage = stage(settings()).await;
+    let (go_on, until) = blocking::channel();
+    *stage.end.lock() = Some(until);
+    stage.fail_with(OUT_OF_MEMORY).await;
+    pass(TIMEOUT - Duration::from_millis(1)).await;
+    assert_eq!(stage.task.counters().rebuilds, 0);
+    go_on.send(()).unwrap();
+    stage.until_ready().await;
+    let counters = stage.task.counters();
+    assert_eq!((counters.rebuilds, counters.abandoned), (1, 0));
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_failed_session_that_hangs_in_its_end_is_left_behind_and_counted() {
+    let mut stage = stage(settings()).await;
+    let (go_on, until) = blocking::channel();
+    *stage.end.lock() = Some(until);
+    stage.fail_with(LOST).await;
+    pass(TIMEOUT).await;
+    stage.until_ready().await;
+    let counters = stage.task.counters();
+    assert_eq!((counters.rebuilds, counters.abandoned), (1, 1));
+    go_on.send(()).unwrap();
+    stage
+        .until_counted(|counters| counters.abandoned == 0)
+        .await;
+}
