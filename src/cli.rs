@@ -35,7 +35,7 @@ mod simulate;
 mod size;
 #[cfg(feature = "synth")]
 pub mod synth;
-mod telemetry;
+mod variables;
 
 use albireo_node::detector::end_all_sessions;
 use anyhow::Context;
@@ -140,13 +140,14 @@ enum Command {
 }
 
 impl Command {
-    /// Whether ONNX Runtime may be loaded for it.
-    fn runs_models(&self) -> bool {
+    /// What its libraries have to find set.
+    fn variables(&self) -> &'static [variables::Variable] {
         match self {
-            Self::Node(_) | Self::Check(_) | Self::Detect(_) => true,
+            Self::Node(_) => &[variables::NO_TELEMETRY, variables::FEW_HEAPS],
+            Self::Check(_) | Self::Detect(_) => &[variables::NO_TELEMETRY],
             #[cfg(feature = "eval")]
-            Self::Compare(_) | Self::Eval(_) | Self::Demo(_) => true,
-            _ => false,
+            Self::Compare(_) | Self::Eval(_) | Self::Demo(_) => &[variables::NO_TELEMETRY],
+            _ => &[],
         }
     }
 }
@@ -165,9 +166,7 @@ impl Arguments {
 
     /// Does what was asked. Says on standard error what went wrong.
     pub fn run(self) -> ExitCode {
-        if self.command.runs_models() {
-            telemetry::turn_off();
-        }
+        variables::start_with(self.command.variables());
         let ended = match self.command {
             Command::Node(arguments) => node::run(&arguments),
             #[cfg(feature = "hub")]
