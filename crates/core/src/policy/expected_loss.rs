@@ -270,6 +270,10 @@ impl ExpectedLoss {
     fn look(&mut self, picture: GreyPicture<'_>, screened: bool) -> Need {
         let aspect = self.objects.aspect();
         if let Some(follower) = &mut self.follower {
+            if !follower.has_looked() {
+                let prior = self.settings.flow.birth_prior;
+                self.births.expect(&self.settings.call, prior);
+            }
             let objects = self.objects.as_mut_slice();
             follower.look(&self.settings.flow, objects, aspect, picture);
         }

@@ -19,8 +19,12 @@
 //! ```
 //!
 //! and the miss probability `1 − (1 − π)·h^health_weight`.
+//!
+//! A side of the box that lies on the picture's border is where the picture ends and not the object. What comes into
+//! view there as the object moves inwards belongs to it: such a side stays on the border, and by how far it was held
+//! there since the last detection is by how far it may be off ([`Object::judge`]).
 
-use super::motion::{LOG_HEIGHT, LOG_WIDTH, X, Y};
+use super::motion::{LOG_HEIGHT, LOG_WIDTH, Measured, X, Y};
 use super::object::Object;
 use super::settings::Flow;
 use crate::flow::{BoxFlow, BoxFlowSettings, BoxMotion, GreyView, Pyramid};
@@ -37,6 +41,8 @@ pub(super) struct Follower {
     age: u32,
     /// The typical spread of what was followed.
     spread: f64,
+    /// Whether it was given a picture since it began.
+    looked: bool,
 }
 
 /// The typical spread before anything was followed.
@@ -56,6 +62,7 @@ impl Follower {
             now: Pyramid::default(),
             age: 0,
             spread: FIRST_SPREAD,
+            looked: false,
         }
     }
 
@@ -65,6 +72,12 @@ impl Follower {
         self.now.clear();
         self.age = 0;
         self.spread = FIRST_SPREAD;
+        self.looked = false;
+    }
+
+    /// Whether it was given a picture since it began.
+    pub(crate) fn has_looked(&self) -> bool {
+        self.looked
     }
 
     /// Another `step` frames began.
@@ -98,6 +111,7 @@ impl Follower {
         let Some(view) = grey_view(picture) else {
             return;
         };
+        self.looked = true;
         let (width, height) = (view.width(), view.height());
         self.now.fill(view, self.flow.settings().tracker.levels);
         if self.before.size() != self.now.size() {
@@ -107,11 +121,11 @@ impl Follower {
         // Picture heights to pixels.
         let scale = [width as f64 / aspect, height as f64];
         for object in objects {
-            self.follow(settings, object, scale);
+            self.follow(settings, object, aspect, scale);
         }
     }
 
-    fn follow(&mut self, settings: &Flow, object: &mut Object, scale: [f64; 2]) {
+    fn follow(&mut self, settings: &Flow, object: &mut Object, aspect: f64, scale: [f64; 2]) {
         let Some(mut then) = object.filter.remembered() else {
             return;
         };
@@ -149,9 +163,17 @@ impl Follower {
         let variance = variance(settings, object, motion.spread, smaller, scale[1]);
         object.filter.follow(&moved, &variance);
         let filtered = object.filter.position();
+        let mut end: Measured = std::array::from_fn(|axis| then[axis] + moved[axis]);
+        let margin = settings.border / scale[1];
+        for (held, (sides, length)) in [([X, LOG_WIDTH], aspect), ([Y, LOG_HEIGHT], 1.0)]
+            .into_iter()
+            .enumerate()
+        {
+            object.held[held] += hold(&then, &mut end, sides, length, margin);
+        }
         object.offset = Some(std::array::from_fn(|axis| {
             // No box is carried away by more than a few of its sides.
-            (then[axis] + moved[axis] - filtered[axis]).clamp(-LARGEST_OFFSET, LARGEST_OFFSET)
+            (end[axis] - filtered[axis]).clamp(-LARGEST_OFFSET, LARGEST_OFFSET)
         }));
         object.followed = true;
         object.trailing = true;
@@ -188,6 +210,36 @@ pub(in crate::policy) fn grey_view(picture: GreyPicture<'_>) -> Option<GreyView<
     GreyView::new(width, height, width, picture.pixels).filter(|_| whole)
 }
 
+/// Along the axis `center` of a picture of that `length`, lets the box `end` reach as far as the sides of the box `then`
+/// that lay within `margin` of the picture's border. Returns by how much it is the longer for it.
+fn hold(
+    then: &Measured,
+    end: &mut Measured,
+    [center, side]: [usize; 2],
+    length: f64,
+    margin: f64,
+) -> f64 {
+    let span = |measured: &Measured| {
+        let half = measured[side].exp() / 2.0;
+        [measured[center] - half, measured[center] + half]
+    };
+    let [was_low, was_high] = span(then);
+    let [mut low, mut high] = span(end);
+    let own = high - low;
+    if was_low <= margin {
+        low = low.min(was_low.max(0.0));
+    }
+    if was_high >= length - margin {
+        high = high.max(was_high.min(length));
+    }
+    let longer = high - low - own;
+    if longer > 0.0 {
+        end[center] = (low + high) / 2.0;
+        end[side] = (high - low).ln();
+    }
+    longer.max(0.0)
+}
+
 fn reliability(settings: &Flow, agreement: f64, motion: &BoxMotion) -> f64 {
     agreement * (1.0 - settings.spread_weight * motion.spread).max(0.0)
 }
@@ -204,8 +256,13 @@ fn variance(settings: &Flow, object: &Object, spread: f64, smaller: f64, height:
 
 #[cfg(test)]
 mod tests {
-    use crate::policy::BoxSource;
+    use super::hold;
+    use crate::detection::{ClassId, Detection};
+    use crate::geometry::BoundingBox;
+    use crate::policy::expected_loss::object::Object;
+    use crate::policy::expected_loss::settings::{ExpectedLossSettings, Pixels};
     use crate::policy::testing::ride;
+    use crate::policy::{BoxSource, ObjectId};
 
     #[test]
     fn a_box_is_followed_where_prediction_cannot_know_its_motion() {
@@ -236,5 +293,60 @@ mod tests {
             calls.iter().filter(|index| **index >= 4).count()
         };
         assert!(after(4) > after(usize::MAX));
+    }
+
+    /// A box from `low` to `high` along x, held on its way `from` there in a picture of width 2: its sides and by how
+    /// much it is longer.
+    fn held(from: [f64; 2], [low, high]: [f64; 2]) -> ([f64; 2], f64) {
+        let along = |low: f64, high: f64| [(low + high) / 2.0, 0.5, (high - low).ln(), 0.0];
+        let mut end = along(low, high);
+        let longer = hold(&along(from[0], from[1]), &mut end, [0, 2], 2.0, 0.01);
+        let half = end[2].exp() / 2.0;
+        ([end[0] - half, end[0] + half], longer)
+    }
+
+    #[test]
+    fn what_comes_into_view_at_the_border_belongs_to_the_object() {
+        let near = |(sides, longer): ([f64; 2], f64), expected: ([f64; 2], f64)| {
+            let off = [
+                sides[0] - expected.0[0],
+                sides[1] - expected.0[1],
+                longer - expected.1,
+            ];
+            assert!(
+                off.iter().all(|off| off.abs() < 1e-12),
+                "{sides:?} {longer} {expected:?}"
+            );
+        };
+        // Entering at the left and at the right.
+        near(held([0.0, 0.1], [0.04, 0.15]), ([0.0, 0.15], 0.04));
+        near(held([1.8, 1.995], [1.7, 1.9]), ([1.7, 1.995], 0.095));
+        // Leaving, and far from the border.
+        near(held([0.0, 0.1], [-0.03, 0.07]), ([-0.03, 0.07], 0.0));
+        near(held([0.1, 0.2], [0.15, 0.25]), ([0.15, 0.25], 0.0));
+        // Half outside and coming back: no farther out than the border.
+        near(held([-0.05, 0.05], [0.02, 0.12]), ([0.0, 0.12], 0.02));
+    }
+
+    #[test]
+    fn a_followed_box_that_was_right_is_no_surprise() {
+        let settings = ExpectedLossSettings {
+            pixels: Pixels::Flow,
+            ..ExpectedLossSettings::default()
+        };
+        let at = |center_x: f64| Detection {
+            bounding_box: BoundingBox::new(center_x, 0.5, 0.1, 0.1),
+            class: ClassId(0),
+            confidence: 0.9,
+        };
+        let surprise = |trailing: bool| {
+            let mut object = Object::new(&settings, ObjectId(0), &at(0.4), 1.0, &[0.0; 3], 1.0);
+            object.predict(&settings);
+            object.offset = Some([0.1, 0.0, 0.0, 0.0]);
+            object.trailing = trailing;
+            object.update(&settings, &at(0.5), 1.0)
+        };
+        assert!(surprise(true) < 1e-12);
+        assert!(surprise(false) > 0.5);
     }
 }

@@ -213,6 +213,14 @@ impl MotionFilter {
         self.refresh_sides();
     }
 
+    /// Moves the box, and not its velocity nor its variance.
+    pub(crate) fn shift(&mut self, offset: &Measured) {
+        for (axis, offset) in self.axes.iter_mut().zip(offset) {
+            axis.x += offset;
+        }
+        self.refresh_sides();
+    }
+
     /// Takes a measurement; returns the four squared normalised innovations y²/S.
     pub(crate) fn update(&mut self, settings: &Motion, measured: &Measured) -> [f64; 4] {
         let r = measurement_variance(settings, self.size());

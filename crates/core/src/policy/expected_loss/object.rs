@@ -56,6 +56,9 @@ pub(super) struct Object {
     pub offset: Option<Measured>,
     /// Whether it was followed since its last detection.
     pub trailing: bool,
+    /// How far sides that lie on the picture's border were held there since the last detection, while what is inside
+    /// moved away from it; along x and y, picture heights.
+    pub held: [f64; 2],
 }
 
 impl Object {
@@ -86,6 +89,7 @@ impl Object {
             agreement: 1.0,
             health: 1.0,
             trailing: false,
+            held: [0.0; 2],
             offset: (settings.pixels == Pixels::Flow).then_some([0.0; 4]),
         }
     }
@@ -108,6 +112,10 @@ impl Object {
     ) -> f64 {
         let measured = measure(detection.bounding_box, aspect);
         let largest = settings.surprise.largest_innovation;
+        // What was reported is what the innovation must judge: α is to say how far off that is.
+        if let Some(offset) = self.offset.filter(|_| self.trailing) {
+            self.filter.shift(&offset);
+        }
         let innovations = self.filter.update(&settings.motion, &measured);
         let n = innovations.iter().map(|n| n.min(largest)).sum::<f64>() / 4.0;
         self.alpha = scale(&settings.surprise, self.alpha, n, settings.surprise.rate);
@@ -122,6 +130,7 @@ impl Object {
         self.seen = Some(detection.bounding_box);
         self.health = 1.0;
         self.trailing = false;
+        self.held = [0.0; 2];
         if let Some(offset) = &mut self.offset {
             let own = self.filter.position();
             let share = settings.flow.detected;
@@ -153,13 +162,17 @@ impl Object {
     /// `π = exp(−0.25 / (2σ²))`, the probability that a Rayleigh variable of that variance exceeds 1/2.
     ///
     /// What optical flow takes from its health is a probability of its own: `1 − (1 − π)·h^weight`.
+    /// A side that is held at the picture's border may be off by as far as it was held:
+    /// `σ² += (held_x/w)² + (held_y/h)²`.
     pub(crate) fn judge(&mut self, health_weight: f64) {
         self.miss_probability = self.missing(self.filter.relative_variance(), health_weight);
     }
 
     /// The miss probability with that relative variance of the box.
     fn missing(&self, relative_variance: f64, health_weight: f64) -> f64 {
-        let off = fading(0.125 / (self.alpha * relative_variance));
+        let [width, height] = self.filter.sides();
+        let held = (self.held[0] / width).powi(2) + (self.held[1] / height).powi(2);
+        let off = fading(0.125 / (self.alpha * relative_variance + held));
         if self.health < 1.0 {
             1.0 - (1.0 - off) * self.health.powf(health_weight)
         } else {

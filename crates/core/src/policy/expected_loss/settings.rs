@@ -70,6 +70,12 @@ pub struct Flow {
     pub lost: f64,
     /// The power of health in the miss probability.
     pub health_weight: f64,
+    /// A side of a box that lies so near to the picture's border, pixels of the grey picture, stays there while what
+    /// is inside moves away from it.
+    pub border: f64,
+    /// With the first picture, takes the place of `call.birth_prior`: where followed boxes are seldom lost, most of
+    /// what a call brings is new objects.
+    pub birth_prior: f64,
 }
 
 impl Default for Flow {
@@ -89,6 +95,8 @@ impl Default for Flow {
             doubt: 0.7,
             lost: 0.5,
             health_weight: 1.0,
+            border: 4.0,
+            birth_prior: 0.1,
         }
     }
 }
@@ -433,6 +441,8 @@ impl ExpectedLossSettings {
                 ("flow.doubt", flow.doubt, 0.0, 1.0),
                 ("flow.lost", flow.lost, 0.0, 1.0),
                 ("flow.health_weight", flow.health_weight, 0.0, 10.0),
+                ("flow.border", flow.border, 0.0, 1e3),
+                ("flow.birth_prior", flow.birth_prior, 0.0, 100.0),
             ],
         )?;
         check_ranges(
