@@ -36,34 +36,31 @@ pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Res
         );
     }
     let config = arguments.detector(&demonstration, None);
-    row(
-        format!("`detector.gpu.memory_limit_mib = {TOO_SMALL}`"),
-        if arguments.is_gpu() {
+    let too_little = GpuConfig {
+        memory_limit_mib: TOO_SMALL,
+        ..config.gpu.clone()
+    };
+    let nowhere = GpuConfig {
+        device: 63,
+        ..config.gpu.clone()
+    };
+    for (what, gpu) in [
+        (
+            format!("`detector.gpu.memory_limit_mib = {TOO_SMALL}`"),
+            too_little,
+        ),
+        ("a GPU with the number 63".to_owned(), nowhere),
+    ] {
+        let said = if arguments.is_gpu() {
             opened(&DetectorConfig {
-                gpu: GpuConfig {
-                    memory_limit_mib: TOO_SMALL,
-                    ..config.gpu.clone()
-                },
+                gpu,
                 ..config.clone()
             })
         } else {
             "not tried: without meaning for the CPU provider".to_owned()
-        },
-    );
-    row(
-        "a GPU with the number 63".to_owned(),
-        if arguments.is_gpu() {
-            opened(&DetectorConfig {
-                gpu: GpuConfig {
-                    device: 63,
-                    ..config.gpu.clone()
-                },
-                ..config.clone()
-            })
-        } else {
-            "not tried: without meaning for the CPU provider".to_owned()
-        },
-    );
+        };
+        row(what, said);
+    }
     row(
         "a model whose first run wants 512 TiB".to_owned(),
         opened(&DetectorConfig {

@@ -65,14 +65,12 @@ pub struct LiveEvidence {
     screen: CameraScreen,
     slot: CameraSlot,
     pixels: PixelWork,
-    /// Whether there is a frame in hand.
-    in_hand: bool,
-    /// What has been made of its picture.
+    /// What has been made of the picture of the frame in hand.
     frame: PreparedFrame,
+    /// What was begun for that frame before its turn, until it is needed.
+    begun: Option<Prefetch>,
     /// What is being made of the next one.
     prefetch: Option<Prefetch>,
-    /// Whether that was begun with the frame in hand.
-    ahead: bool,
     /// What the detector found in the frame in hand.
     detected: Option<Detected>,
     /// Times of the frame in hand.
@@ -94,10 +92,9 @@ impl LiveEvidence {
             detector,
             screen,
             slot,
-            in_hand: true,
             frame: PreparedFrame::default(),
+            begun: None,
             prefetch: None,
-            ahead: false,
             detected: None,
             times: Times::default(),
             hurry: CancellationToken::new(),
@@ -114,7 +111,7 @@ impl LiveEvidence {
     /// Forgets the last frame's times, and its picture if that has not been done.
     pub fn next_frame(&mut self) {
         self.end_frame();
-        self.in_hand = true;
+        self.begun = self.prefetch.take();
         self.screen.next_frame();
         self.detected = None;
         self.times = Times::default();
@@ -123,13 +120,8 @@ impl LiveEvidence {
     /// Gives back what was made of the picture of the frame in hand, and what had been made ready for it and was not
     /// needed: others wait for its place.
     pub(crate) fn end_frame(&mut self) {
-        if !std::mem::replace(&mut self.in_hand, false) {
-            return;
-        }
         self.frame = PreparedFrame::default();
-        if !std::mem::replace(&mut self.ahead, false) {
-            self.prefetch = None;
-        }
+        self.begun = None;
     }
 
     /// Where the time of the frame in hand went so far.
@@ -244,7 +236,6 @@ impl LiveEvidence {
                     let source = source(&self.detector, &self.screen, &picture);
                     self.prefetch =
                         Stage::at(need).and_then(|stage| self.pixels.begin(source, stage));
-                    self.ahead = self.prefetch.is_some();
                     answer.await
                 }
                 answer = &mut answer => answer,
@@ -278,10 +269,10 @@ impl LiveEvidence {
     /// Makes of the picture what is needed, unless that is done, or nothing is waited for any more. Screen and detector
     /// share the pixels.
     async fn look(&mut self, encoded: &EncodedPicture, stage: Stage) -> Result<(), FrameFault> {
-        if let Some(prefetch) = self.prefetch.take()
-            && prefetch.is_of(encoded)
+        if let Some(begun) = self.begun.take()
+            && begun.is_of(encoded)
         {
-            self.frame = prefetch.frame().await?;
+            self.frame = begun.frame().await?;
         }
         if !self.frame.has(stage) {
             if stage.needs_place() && self.frame.place.is_none() {

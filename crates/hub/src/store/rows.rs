@@ -33,7 +33,7 @@ impl Column for Option<String> {
 }
 
 /// A statement with its parameters.
-type Bound = Query<'static, Any, AnyArguments>;
+pub(crate) type Bound = Query<'static, Any, AnyArguments>;
 
 /// Values that go to the database together: a row, or what is looked up.
 pub(crate) trait Values: Serialize {
@@ -70,10 +70,7 @@ macro_rules! row {
         impl $crate::store::rows::Values for $name {
             const COUNT: usize = <Self as $crate::store::rows::Row>::COLUMNS.len();
 
-            fn bind(
-                &self,
-                query: sqlx::query::Query<'static, sqlx::Any, sqlx::any::AnyArguments>,
-            ) -> sqlx::query::Query<'static, sqlx::Any, sqlx::any::AnyArguments> {
+            fn bind(&self, query: $crate::store::rows::Bound) -> $crate::store::rows::Bound {
                 query$(.bind(self.$field.clone()))+
             }
         }

@@ -8,9 +8,8 @@ pub(crate) use names::SetupKey;
 pub(crate) use tallies::{Instance, Known};
 pub(crate) use tuning::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, columns};
 
-use super::rows::{Row, Values, insert, statements};
+use super::rows::{Bound, Row, Values, insert, statements};
 use super::{Dialect, Store, StoreError};
-use sqlx::any::AnyArguments;
 use sqlx::{Any, AnyConnection, Connection as _, Transaction};
 
 /// The connection that writes. It is made when it is needed, and anew after an error.
@@ -78,7 +77,7 @@ impl Writing<'_> {
         Ok(self.transaction.commit().await?)
     }
 
-    fn query(&self, text: &str) -> sqlx::query::Query<'static, Any, AnyArguments> {
+    fn query(&self, text: &str) -> Bound {
         sqlx::query(self.dialect.sql(text))
     }
 

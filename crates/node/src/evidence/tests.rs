@@ -142,9 +142,10 @@ async fn what_was_made_ready_and_is_not_needed_is_given_back_with_its_frame() {
     evidence.end_frame();
     assert!(evidence.prefetch.is_some(), "its frame is to come");
     evidence.next_frame();
+    assert!(evidence.begun.is_some(), "its frame has come");
     // The policy needed nothing.
     evidence.end_frame();
-    assert!(evidence.prefetch.is_none());
+    assert!(evidence.begun.is_none() && evidence.prefetch.is_none());
 }
 
 #[tokio::test]
