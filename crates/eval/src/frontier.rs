@@ -23,7 +23,9 @@ pub use comparison::PairedDifference;
 pub use comparison::ViewStudy;
 pub use comparison::{Study, study};
 pub use leave_one_out::Tried;
-pub use leave_one_out::{LeaveOneOut, Variation, leave_one_out, render as render_leave_one_out};
+pub use leave_one_out::{
+    Judging, LeaveOneOut, Variation, leave_one_out, render as render_leave_one_out,
+};
 pub use operating_point::Candidate;
 pub use operating_point::ClipFigures;
 pub use operating_point::{FrontierError, NotASetting, OperatingPoint, SettingValue};

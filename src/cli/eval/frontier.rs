@@ -3,7 +3,8 @@
 
 use albireo_eval::data::recorded;
 use albireo_eval::frontier::{
-    LeaveOneOut, Study, Variation, View, leave_one_out, render, render_leave_one_out, study, write,
+    Judging, Study, Variation, View, ViewedClip, leave_one_out, render, render_leave_one_out,
+    study, write,
 };
 use anyhow::Context;
 use clap::Args;
@@ -59,15 +60,24 @@ pub(super) fn run_leave_one_out(arguments: &LeaveOneOutArguments) -> anyhow::Res
         "{}: leaving one clip out takes at least two with ground truth",
         arguments.folder.display()
     );
-    let steps = arguments.setting.iter().map(LeaveOneOut::steps).sum();
+    let judging = Judging::of_boxes();
+    print_leave_one_out(&arguments.setting, &judging, &viewed, &view.name)
+}
+
+/// Tries every setting and prints its table.
+pub(super) fn print_leave_one_out(
+    settings: &[Variation],
+    judging: &Judging,
+    clips: &[ViewedClip],
+    view: &str,
+) -> anyhow::Result<()> {
+    let steps = settings.iter().map(|setting| judging.steps(setting)).sum();
     let bar = progress(steps, "operating points")?;
-    println!(
-        "AP@50 of expected-loss, {} clips, {}",
-        viewed.len(),
-        view.name
-    );
-    for variation in &arguments.setting {
-        let result = leave_one_out(variation, &viewed, &|| bar.inc(1))?;
+    let mut names: Vec<_> = clips.iter().map(|clip| &clip.name).collect();
+    names.dedup();
+    println!("{judging}, {} clips, {view}", names.len());
+    for variation in settings {
+        let result = leave_one_out(variation, judging, clips, &|| bar.inc(1))?;
         bar.suspend(|| print!("{}", render_leave_one_out(&result)));
     }
     bar.finish_and_clear();

@@ -1,6 +1,7 @@
 //! `albireo eval video`, `pictures` and `synth`: a real detector's one pass over the pictures, then every
 //! policy on what it found.
 
+use super::frontier::print_leave_one_out;
 use super::{LOOKED, RunArguments, listed, policies, print_conclusion, projected_power, settings};
 use crate::cli::rate::parse_rate;
 use crate::cli::size::parse_size;
@@ -9,7 +10,10 @@ use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{ExpectedLoss, FrameState, Need, PolicyConfig};
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Thinned, Video, VideoEncoding};
-use albireo_eval::frontier::{SettingValue, pixel_steps, pixel_study, render_pixels, write_pixels};
+use albireo_eval::frontier::{
+    Judging, SettingValue, Variation, at_rate, pixel_steps, pixel_study, render_pixels,
+    write_pixels,
+};
 use albireo_eval::pictures::{
     DashcamClip, GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsAsked,
     StepTimes, TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
@@ -71,6 +75,16 @@ struct EqualArguments {
     /// A setting of expected-loss other than its own in that comparison; may be given again
     #[arg(long, value_name = "SETTING=VALUE", requires = "equal_skip")]
     setting: Vec<SettingValue>,
+    /// Instead of that comparison, whether a setting of expected-loss with optical flow was fitted to single clips: the
+    /// values to try, for instance flow.detected=0.6,0.8,1. Each clip is judged by AP@75 with the value that is best on
+    /// all others; may be given again
+    #[arg(
+        long,
+        value_name = "SETTING=VALUE,…",
+        requires = "equal_skip",
+        conflicts_with = "setting"
+    )]
+    leave_one_out: Vec<Variation>,
 }
 
 /// Arguments of `albireo eval pictures`.
@@ -270,6 +284,8 @@ struct Evaluation<'a> {
 struct EqualSkipRates {
     skip_rates: Vec<f64>,
     settings: Vec<SettingValue>,
+    /// What is tried instead of the comparison.
+    leave_one_out: Vec<Variation>,
     /// Frames a second; `None` for as recorded.
     rates: Vec<Option<f64>>,
     clips: Vec<PicturedClip>,
@@ -384,6 +400,7 @@ impl<'a> Evaluation<'a> {
         self.equal = Some(EqualSkipRates {
             skip_rates: equal.equal_skip.clone(),
             settings: equal.setting.clone(),
+            leave_one_out: equal.leave_one_out.clone(),
             rates: if rates.is_empty() { vec![None] } else { rates },
             clips: Vec::new(),
         });
@@ -392,6 +409,9 @@ impl<'a> Evaluation<'a> {
 
     /// Compares at equal skip rates.
     fn compare(&self, equal: &EqualSkipRates) -> anyhow::Result<()> {
+        if !equal.leave_one_out.is_empty() {
+            return self.leave_one_out(equal);
+        }
         let steps = pixel_steps(equal.rates.len(), equal.skip_rates.len());
         let bar = ProgressBar::new(steps as u64);
         let confidence = self.settings.confidence;
@@ -404,6 +424,25 @@ impl<'a> Evaluation<'a> {
         if let Some(folder) = &self.arguments.out {
             write_pixels(&studies, folder)?;
             eprintln!("Written to {}", folder.display());
+        }
+        Ok(())
+    }
+
+    /// Tries settings at every frame rate.
+    fn leave_one_out(&self, equal: &EqualSkipRates) -> anyhow::Result<()> {
+        let judging = Judging::of_flow(equal.skip_rates.clone());
+        for rate in &equal.rates {
+            let viewed =
+                (equal.clips.iter()).map(|clip| at_rate(clip, *rate, self.settings.confidence));
+            let viewed: Vec<_> = viewed.filter(|starts| !starts.is_empty()).collect();
+            ensure!(
+                viewed.len() > 1,
+                "--leave-one-out takes at least two clips in which something is to be found, and there are {}",
+                viewed.len()
+            );
+            let view = rate.map_or("as recorded".to_owned(), |rate| format!("{rate} frames/s"));
+            let viewed: Vec<_> = viewed.into_iter().flatten().collect();
+            print_leave_one_out(&equal.leave_one_out, &judging, &viewed, &view)?;
         }
         Ok(())
     }

@@ -3,17 +3,58 @@
 //! A setting is tried at several values. For every clip the value is taken that is best on all *other*
 //! clips, and the clip is judged with that. If the mean over the clips so judged keeps up with the best
 //! single value, the choice of the value generalises; if it falls behind, the value was fitted to single
-//! clips.
+//! clips. Clips of one name, those that a thinned video can begin as, are one clip, with the mean of their figures.
 
-use super::operating_point::{Candidate, FrontierError, OperatingPoint};
+use super::operating_point::{Candidate, ClipFigures, FrontierError, averaged};
 use super::view::ViewedClip;
 use crate::statistics::mean;
 use albireo_core::policy::ExpectedLoss;
 use serde::Serialize;
 use std::fmt::Write;
 
-/// Skip rates over which a value is judged, by its mean AP@50.
-const SKIP_RATES: [f64; 6] = [0.24, 0.38, 0.49, 0.60, 0.70, 0.80];
+/// How the values of a setting are judged.
+#[derive(Clone, Debug)]
+pub struct Judging {
+    policy: &'static str,
+    /// The figure's name.
+    figure: &'static str,
+    of: fn(&ClipFigures) -> f64,
+    skip_rates: Vec<f64>,
+}
+
+impl Judging {
+    /// On detections alone: expected-loss, by its mean AP@50 over six skip rates.
+    pub fn of_boxes() -> Self {
+        Self {
+            policy: ExpectedLoss::NAME,
+            figure: "AP@50",
+            of: |clip| clip.ap50,
+            skip_rates: vec![0.24, 0.38, 0.49, 0.60, 0.70, 0.80],
+        }
+    }
+
+    /// With pictures: expected-loss with optical flow, by its mean AP@75 over these skip rates.
+    pub fn of_flow(skip_rates: Vec<f64>) -> Self {
+        Self {
+            policy: ExpectedLoss::FLOW_NAME,
+            figure: "AP@75",
+            of: |clip| clip.ap75,
+            skip_rates,
+        }
+    }
+
+    /// Number of operating points found for `variation`, for a progress bar.
+    pub fn steps(&self, variation: &Variation) -> usize {
+        variation.values.len() * self.skip_rates.len()
+    }
+}
+
+impl std::fmt::Display for Judging {
+    /// `AP@50 of expected-loss`.
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(formatter, "{} of {}", self.figure, self.policy)
+    }
+}
 
 /// A setting of expected-loss and the values to try.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -55,8 +96,8 @@ impl std::str::FromStr for Variation {
 pub struct Tried {
     /// The value.
     pub value: serde_json::Value,
-    /// Mean AP@50 over all clips at each of the skip rates.
-    pub ap50: Vec<f64>,
+    /// The mean figure over all clips at each of the skip rates.
+    pub figure: Vec<f64>,
     /// Number of clips for which it is the best on all others.
     pub chosen: usize,
 }
@@ -70,16 +111,12 @@ pub struct LeaveOneOut {
     pub skip_rates: Vec<f64>,
     /// Its values.
     pub tried: Vec<Tried>,
-    /// Mean AP@50 at each skip rate when the value for each clip is chosen on all others.
+    /// The mean figure at each skip rate when the value for each clip is chosen on all others.
     pub held_out: Vec<f64>,
 }
 
-impl LeaveOneOut {
-    /// Number of operating points found for `variation`, for a progress bar.
-    pub fn steps(variation: &Variation) -> usize {
-        variation.values.len() * SKIP_RATES.len()
-    }
-}
+/// The figure of one value: of each skip rate, of each clip.
+type Reached = Vec<Vec<f64>>;
 
 /// Tries all values on all clips; `done` is called after each operating point.
 ///
@@ -87,65 +124,64 @@ impl LeaveOneOut {
 /// [`FrontierError`] when the setting or a value does not exist, or a policy fails.
 pub fn leave_one_out(
     variation: &Variation,
+    judging: &Judging,
     clips: &[ViewedClip],
     done: &dyn Fn(),
 ) -> Result<LeaveOneOut, FrontierError> {
-    let ours = Candidate::as_reported(ExpectedLoss::NAME)?;
-    let candidates: Vec<_> = variation
-        .values
-        .iter()
+    let ours = Candidate::as_reported(judging.policy)?;
+    // All values are checked before the first takes its minutes.
+    let candidates: Vec<_> = (variation.values.iter())
         .map(|value| ours.with_expected_loss(&variation.setting, value.clone()))
         .collect::<Result<_, _>>()?;
-    let mut points = Vec::with_capacity(candidates.len());
-    for candidate in &candidates {
-        let at_rates: Vec<OperatingPoint> = SKIP_RATES
-            .iter()
-            .map(|&skip_rate| {
-                let point = candidate.at_skip_rate(skip_rate, clips);
-                done();
-                point
-            })
-            .collect::<Result<_, _>>()?;
-        points.push(at_rates);
-    }
-    let chosen: Vec<usize> = (0..clips.len())
-        .map(|left_out| best_without(&points, left_out))
+    let at_rate = |candidate: &Candidate, skip_rate: f64| -> Result<Vec<f64>, FrontierError> {
+        let point = candidate.at_skip_rate(skip_rate, clips)?;
+        done();
+        Ok(averaged(&point.clips).iter().map(judging.of).collect())
+    };
+    let reached: Vec<Reached> = (candidates.iter())
+        .map(|candidate| {
+            let rates = judging.skip_rates.iter();
+            rates.map(|&rate| at_rate(candidate, rate)).collect()
+        })
+        .collect::<Result<_, _>>()?;
+    let count = reached.first().and_then(|rates| rates.first());
+    let chosen: Vec<usize> = (0..count.map_or(0, Vec::len))
+        .map(|left_out| best_without(&reached, left_out))
         .collect();
-    let held_out = (0..SKIP_RATES.len())
+    let held_out = (0..judging.skip_rates.len())
         .map(|rate| {
             let clips = chosen.iter().enumerate();
-            let ap50 = clips.map(|(clip, &value)| points[value][rate].clips[clip].ap50);
-            mean(ap50).unwrap_or_default()
+            mean(clips.map(|(clip, &value)| reached[value][rate][clip])).unwrap_or_default()
         })
         .collect();
-    let tried = (variation.values.iter().zip(&points).enumerate())
-        .map(|(index, (value, at_rates))| Tried {
+    let over_clips = |clips: &Vec<f64>| mean(clips.iter().copied()).unwrap_or_default();
+    let tried = (variation.values.iter().zip(&reached).enumerate())
+        .map(|(index, (value, rates))| Tried {
             value: value.clone(),
-            ap50: at_rates.iter().map(|point| point.ap50).collect(),
+            figure: rates.iter().map(over_clips).collect(),
             chosen: chosen.iter().filter(|&&best| best == index).count(),
         })
         .collect();
     Ok(LeaveOneOut {
         setting: variation.setting.clone(),
-        skip_rates: SKIP_RATES.to_vec(),
+        skip_rates: judging.skip_rates.clone(),
         tried,
         held_out,
     })
 }
 
-/// Index of the value with the highest AP@50 over all rates and all clips but `left_out`; the first of
-/// equals.
-fn best_without(points: &[Vec<OperatingPoint>], left_out: usize) -> usize {
-    let total = |at_rates: &Vec<OperatingPoint>| -> f64 {
-        let clips = at_rates.iter().flat_map(|point| {
-            let kept = point.clips.iter().enumerate();
+/// Index of the value with the highest figure over all rates and all clips but `left_out`; the first of equals.
+fn best_without(reached: &[Reached], left_out: usize) -> usize {
+    let total = |rates: &Reached| -> f64 {
+        let clips = rates.iter().flat_map(|clips| {
+            let kept = clips.iter().enumerate();
             kept.filter(|(clip, _)| *clip != left_out)
         });
-        clips.map(|(_, figures)| figures.ap50).sum()
+        clips.map(|(_, figure)| figure).sum()
     };
     let mut best = (0, f64::NEG_INFINITY);
-    for (index, at_rates) in points.iter().enumerate() {
-        let reached = total(at_rates);
+    for (index, rates) in reached.iter().enumerate() {
+        let reached = total(rates);
         if reached > best.1 {
             best = (index, reached);
         }
@@ -166,51 +202,33 @@ pub fn render(result: &LeaveOneOut) -> String {
     for tried in &result.tried {
         let value = tried.value.to_string();
         let _ = write!(text, "| {} | {} |", value.trim_matches('"'), tried.chosen);
-        row_of(&mut text, &tried.ap50);
+        row_of(&mut text, &tried.figure);
     }
     text.push_str("| left out | |");
     row_of(&mut text, &result.held_out);
     text
 }
 
-fn row_of(text: &mut String, ap50: &[f64]) {
-    for value in ap50 {
+fn row_of(text: &mut String, figures: &[f64]) {
+    for value in figures {
         let _ = write!(text, " {value:.4} |");
     }
     let _ = writeln!(
         text,
         " {:.4} |",
-        mean(ap50.iter().copied()).unwrap_or_default()
+        mean(figures.iter().copied()).unwrap_or_default()
     );
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frontier::ClipFigures;
-
-    fn point(ap50: &[f64]) -> OperatingPoint {
-        let clips = ap50.iter().map(|&ap50| ClipFigures {
-            clip: "a clip".to_owned(),
-            skip_rate: 0.5,
-            ap50,
-            ..ClipFigures::default()
-        });
-        OperatingPoint {
-            policy: "a policy".to_owned(),
-            value: None,
-            skip_rate: 0.5,
-            ap50: 0.0,
-            map: 0.0,
-            clips: clips.collect(),
-        }
-    }
 
     #[test]
     fn a_value_that_wins_by_one_clip_alone_is_not_chosen_for_that_clip() {
-        let points = [vec![point(&[0.9, 0.5, 0.5])], vec![point(&[0.5, 0.6, 0.6])]];
-        assert_eq!(best_without(&points, 0), 1);
-        assert_eq!(best_without(&points, 1), 0);
+        let reached = [vec![vec![0.9, 0.5, 0.5]], vec![vec![0.5, 0.6, 0.6]]];
+        assert_eq!(best_without(&reached, 0), 1);
+        assert_eq!(best_without(&reached, 1), 0);
     }
 
     #[test]

@@ -141,6 +141,32 @@ impl OperatingPoint {
     }
 }
 
+/// One entry for all clips of a name: the mean of their figures.
+pub(super) fn averaged(clips: &[ClipFigures]) -> Vec<ClipFigures> {
+    let mut groups: Vec<Vec<&ClipFigures>> = Vec::new();
+    for clip in clips {
+        match groups.iter_mut().find(|group| group[0].clip == clip.clip) {
+            Some(group) => group.push(clip),
+            None => groups.push(vec![clip]),
+        }
+    }
+    let average = |group: Vec<&ClipFigures>| {
+        let over = |of: fn(&ClipFigures) -> f64| {
+            mean(group.iter().map(|clip| of(clip))).unwrap_or_default()
+        };
+        ClipFigures {
+            clip: group[0].clip.clone(),
+            skip_rate: over(|clip| clip.skip_rate),
+            ap50: over(|clip| clip.ap50),
+            ap75: over(|clip| clip.ap75),
+            map: over(|clip| clip.map),
+            f1: [over(|clip| clip.f1[0]), over(|clip| clip.f1[1])],
+            looked: over(|clip| clip.looked),
+        }
+    };
+    groups.into_iter().map(average).collect()
+}
+
 impl Candidate {
     /// A policy of the paper, `NAME[:SETTING]`, decided and judged as in the published code.
     ///

@@ -4,7 +4,9 @@
 //! A clip at a lower frame rate is as many clips as it can begin with frames; they are judged each by itself and
 //! averaged, so that a clip stays one sample of the paired tests.
 
-use super::operating_point::{Candidate, ClipFigures, FrontierError, OperatingPoint, SettingValue};
+use super::operating_point::{
+    Candidate, ClipFigures, FrontierError, OperatingPoint, SettingValue, averaged,
+};
 use super::view::ViewedClip;
 use crate::footage::Sieve;
 use crate::pictures::PicturedClip;
@@ -100,30 +102,6 @@ impl PolicyAtSkip {
     pub fn mean(&self, of: Figure) -> f64 {
         mean(self.clips.iter().map(of)).unwrap_or_default()
     }
-}
-
-/// One entry for all clips of a name.
-fn averaged(clips: &[ClipFigures]) -> Vec<ClipFigures> {
-    let mut groups: Vec<Vec<&ClipFigures>> = Vec::new();
-    for clip in clips {
-        match groups.iter_mut().find(|group| group[0].clip == clip.clip) {
-            Some(group) => group.push(clip),
-            None => groups.push(vec![clip]),
-        }
-    }
-    let average = |group: Vec<&ClipFigures>| {
-        let over = |of: Figure| mean(group.iter().map(|clip| of(clip))).unwrap_or_default();
-        ClipFigures {
-            clip: group[0].clip.clone(),
-            skip_rate: over(|clip| clip.skip_rate),
-            ap50: over(|clip| clip.ap50),
-            ap75: over(|clip| clip.ap75),
-            map: over(|clip| clip.map),
-            f1: [over(|clip| clip.f1[0]), over(|clip| clip.f1[1])],
-            looked: over(|clip| clip.looked),
-        }
-    };
-    groups.into_iter().map(average).collect()
 }
 
 /// A difference between two policies, clip by clip.
