@@ -1,5 +1,6 @@
 //! A frame that needs no detector, end to end: a picture of some 36 kB to a node and to a bare Zenoh echo in a process of
-//! its own, which answers with a message as long as the node's. They take turns within one run.
+//! its own, which answers with a message as long as the node's. They take turns within one run, and so does a node that
+//! is audited as it is by default: its detector looks at one predicted frame of fifty afterwards.
 //!
 //! ```text
 //! cargo bench --bench predicted_frame [-- ROUNDS]
@@ -69,14 +70,14 @@ impl Drop for Answerer {
 
 impl Answerer {
     /// A node whose detector runs on one frame of a thousand.
-    fn node(folder: &std::path::Path) -> Self {
+    fn node(folder: &std::path::Path, audit: f64) -> Self {
         let port = free_port();
-        let file = folder.join("node.toml");
+        let file = folder.join(format!("node-{audit}.toml"));
         let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models/detector.onnx");
         let text = format!(
             "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{port}\"]\nlog.level = \"warn\"\n\
              detector.model = \"{models}\"\npower.source = \"none\"\npolicy.name = \"fixed-skip\"\n\
-             policy.fixed_skip.n = 1000\n"
+             policy.fixed_skip.n = 1000\naudit.share = {audit}\n"
         );
         std::fs::write(&file, text).expect("the configuration is written");
         let mut program = Command::new(
@@ -292,7 +293,8 @@ async fn main() {
     );
     let answerers = [
         ("bare echo", Answerer::echo()),
-        ("node", Answerer::node(folder.path())),
+        ("node", Answerer::node(folder.path(), 0.0)),
+        ("node, audited", Answerer::node(folder.path(), 0.02)),
     ];
     let mut lines = Vec::new();
     for (_, answerer) in &answerers {
@@ -331,7 +333,7 @@ async fn main() {
         println!();
         medians.push(cells);
     }
-    if let [echo, node] = &medians[..] {
+    if let [echo, node, ..] = &medians[..] {
         println!(
             "the node adds {:.3} ms at 30 frames/s and {:.3} ms at 1000; its processor time is {:.2} times the echo's",
             node[0] - echo[0],

@@ -512,7 +512,9 @@ impl Parts<'_> {
             .await
             .map_err(refused("detections cannot be published"))?;
         let detections = match config.delivery {
-            Delivery::Newest => Detections::Live(self.publishing.lane(detections, WAITING_ANSWERS)),
+            Delivery::Newest => {
+                Detections::Live(self.publishing.lane_at_once(detections, WAITING_ANSWERS))
+            }
             Delivery::Every => {
                 let (detections, thread) = Detections::every(detections);
                 let span = tracing::info_span!("detections", camera = name);

@@ -7,7 +7,8 @@ pub use tail::{LogLine, conceal, last_lines, lines_after};
 use crate::config::{LogConfig, LogFormat, check_level};
 use std::io::IsTerminal;
 use tail::Tail;
-use tracing_subscriber::filter::ParseError;
+use tracing::Subscriber;
+use tracing_subscriber::filter::{LevelFilter, ParseError};
 use tracing_subscriber::layer::{Identity, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 use tracing_subscriber::{EnvFilter, Layer, Registry};
@@ -44,10 +45,12 @@ pub enum LogError {
 /// # Errors
 /// When the level cannot be read, or a log was set up before.
 pub fn start(config: &LogConfig) -> Result<(), LogError> {
-    start_beside(config, Identity::new())
+    // A layer without a filter wants everything, also what libraries trace for every message.
+    start_beside(config, Identity::new().with_filter(LevelFilter::OFF))
 }
 
-/// As [`start`], with a layer of the service's own that sees what it wants, whatever the level of the log.
+/// As [`start`], with a layer of the service's own that sees what it wants, whatever the level of the log. It has a
+/// filter of its own: without one every line of every library is made ready for it.
 ///
 /// # Errors
 /// As there.
@@ -62,8 +65,21 @@ pub fn start_beside(
         check_level(asked).map_err(LogError::Variable)?;
     }
     let level = asked.as_deref().unwrap_or(&config.level);
+    subscriber(level, config.format, beside)?
+        .try_init()
+        .map_err(|error| LogError::Taken(error.to_string()))?;
+    crate::panics::log_panics();
+    Ok(())
+}
+
+/// What the log of that level consists of.
+fn subscriber(
+    level: &str,
+    format: LogFormat,
+    beside: impl Layer<Registry> + Send + Sync,
+) -> Result<impl Subscriber + Send + Sync, ParseError> {
     let written = tracing_subscriber::fmt::layer().with_writer(std::io::stderr);
-    let written = match config.format {
+    let written = match format {
         LogFormat::Human => written
             .with_ansi(std::io::stderr().is_terminal())
             .with_filter(filter(level)?)
@@ -74,14 +90,10 @@ pub fn start_beside(
             .with_filter(filter(level)?)
             .boxed(),
     };
-    tracing_subscriber::registry()
+    Ok(tracing_subscriber::registry()
         .with(beside)
         .with(written)
-        .with(Tail.with_filter(filter(tail_level(level))?))
-        .try_init()
-        .map_err(|error| LogError::Taken(error.to_string()))?;
-    crate::panics::log_panics();
-    Ok(())
+        .with(Tail.with_filter(filter(tail_level(level))?)))
 }
 
 /// The level of the lines that are kept: what a person who opens the page wants to read is there even where the log is
@@ -101,7 +113,29 @@ fn filter(level: &str) -> Result<EnvFilter, ParseError> {
 
 #[cfg(test)]
 mod tests {
-    use super::{filter, tail_level};
+    use super::{filter, subscriber, tail_level};
+    use crate::config::LogFormat;
+    use tracing::{Level, subscriber::with_default};
+    use tracing_subscriber::Layer;
+    use tracing_subscriber::filter::LevelFilter;
+    use tracing_subscriber::layer::Identity;
+
+    #[test]
+    fn what_nobody_reads_is_not_made() {
+        let nothing_beside = Identity::new().with_filter(LevelFilter::OFF);
+        let log = subscriber("warn", LogFormat::Human, nothing_beside).unwrap();
+        with_default(log, || {
+            assert!(tracing::enabled!(Level::INFO));
+            assert!(tracing::enabled!(target: "zenoh", Level::WARN));
+            for unread in [
+                tracing::enabled!(Level::DEBUG),
+                tracing::enabled!(target: "zenoh", Level::INFO),
+                !tracing::trace_span!(target: "zenoh", "of every message").is_disabled(),
+            ] {
+                assert!(!unread);
+            }
+        });
+    }
 
     #[test]
     fn what_is_kept_is_never_less_than_info() {
