@@ -209,6 +209,22 @@ impl FrameSender {
         }
     }
 
+    /// The picture's bytes as they travel: in shared memory where this sender places them there and there is some.
+    pub fn place(&self, picture: &EncodedPicture) -> ZBytes {
+        payload(self.shared.as_deref(), picture.bytes.as_ref())
+    }
+
+    /// Puts one frame whose picture was [placed](Self::place) before; blocks where the network does.
+    ///
+    /// # Errors
+    /// As of [`put`](Self::put).
+    pub fn put_placed(&self, frame: &OutgoingFrame, placed: ZBytes) -> anyhow::Result<()> {
+        match &self.way {
+            Way::Put(publisher) => put_payload(publisher, placed, frame),
+            Way::Ask(_) => bail!("this sender's frames wait to be taken"),
+        }
+    }
+
     /// Sends one frame.
     ///
     /// # Errors
@@ -250,8 +266,17 @@ fn put(
     shared: Option<&SharedFrames>,
     frame: &OutgoingFrame,
 ) -> anyhow::Result<()> {
+    let payload = payload(shared, frame.picture.bytes.as_ref());
+    put_payload(publisher, payload, frame)
+}
+
+fn put_payload(
+    publisher: &Publisher<'_>,
+    payload: ZBytes,
+    frame: &OutgoingFrame,
+) -> anyhow::Result<()> {
     publisher
-        .put(payload(shared, frame.picture.bytes.as_ref()))
+        .put(payload)
         .encoding(encoding(frame.picture.format))
         .attachment(serde_json::to_vec(&frame.attachment)?)
         .wait()

@@ -45,7 +45,7 @@ impl OverlapCosts {
     }
 
     /// Appends the pairs within the gate to `edges`, in order of rows and columns. Of many columns only those are
-    /// measured that lie where the row does.
+    /// measured that reach far enough into the row's box.
     pub(super) fn gate<'a>(
         &mut self,
         settings: &Association,
@@ -82,7 +82,8 @@ impl OverlapCosts {
             };
             if many {
                 let own = object.area();
-                self.index.visit(object, |column| {
+                let within_reach = core_of(object, settings.iou_gate);
+                self.index.visit(within_reach, |column| {
                     compete(column, overlap((object, own), self.boxes[column]));
                 });
             } else {
@@ -125,6 +126,25 @@ impl OverlapCosts {
             .extend(columns.map(|(((&x1, &x2), (&y1, &y2)), &area)| {
                 overlap((object, own), (Corners { x1, y1, x2, y2 }, area))
             }));
+    }
+}
+
+/// What every box reaches into that is within the gate. With I and U the areas of intersection and union, and w, h the
+/// sides of `object`: the part of w that both share is at least I/h ≥ gate·U/h ≥ gate·w. So the other begins before
+/// `x2 − gate·w` and ends behind `x1 + gate·w`, and likewise along y. Where the gate is above one half, these are the
+/// other way round, and still right.
+fn core_of(object: Corners, gate: f64) -> Corners {
+    // A little less, so that rounding leaves nobody out.
+    let share = (gate - 1e-6).max(0.0);
+    let (x, y) = (
+        share * (object.x2 - object.x1),
+        share * (object.y2 - object.y1),
+    );
+    Corners {
+        x1: object.x1 + x,
+        y1: object.y1 + y,
+        x2: object.x2 - x,
+        y2: object.y2 - y,
     }
 }
 

@@ -236,6 +236,7 @@ proptest! {
     #[test]
     fn looking_only_where_boxes_may_meet_changes_no_match_not_even_among_equals(
         seen in scene(150), found in scene(150), same_class_only: bool,
+        iou_gate in prop_oneof![Just(0.0), Just(SETTINGS.iou_gate), Just(0.5), 0.0..1.0],
     ) {
         let states: Vec<_> = seen
             .into_iter()
@@ -249,7 +250,7 @@ proptest! {
             .into_iter()
             .map(|(place, class, _)| Detection { class: ClassId(class), ..detection(place) })
             .collect();
-        let settings = Association { same_class_only, ..SETTINGS };
+        let settings = Association { same_class_only, iou_gate, ..SETTINGS };
         prop_assert_eq!(
             associate(&settings, &states, &detections),
             associate_without_index(&settings, &states, &detections)
