@@ -307,7 +307,7 @@ impl Shared {
         };
         lane.busy = true;
         let outlet = Arc::clone(&lane.outlet);
-        let took = MutexGuard::unlocked(state, || {
+        let took = MutexGuard::unlocked(state, move || {
             let began = Instant::now();
             if let Err(error) = outlet.put(json) {
                 error.log(&outlet.key(), false);
