@@ -28,6 +28,7 @@ fn said(seeds: &str, setting: &str) -> (bool, String) {
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn every_clip_is_judged_by_the_value_that_is_best_on_the_others() {
     let (succeeded, text) = said("1-3", "flow.detected=0,1");
     assert!(succeeded, "{text}");
@@ -51,6 +52,7 @@ fn every_clip_is_judged_by_the_value_that_is_best_on_the_others() {
 }
 
 #[test]
+#[ignore = "needs ONNX Runtime"]
 fn what_cannot_be_tried_is_named() {
     let (succeeded, text) = said("1", "flow.detected=0,1");
     assert!(!succeeded && text.contains("at least two clips"), "{text}");
