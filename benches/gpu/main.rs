@@ -130,7 +130,8 @@ fn beginning(page: &mut Page, arguments: &Arguments, card: Option<&Card>) -> any
          `onnxruntime-gpu` has the build, `ORT_DYLIB_PATH` names its `libonnxruntime.so`, `LD_LIBRARY_PATH` the rest. Without them \
          it stops with what ONNX Runtime said and writes nothing. `CAMERA_MODELS`, `SECONDS_EACH`, `MOST_CAMERAS`, `RUNS`, `DEVICE` and \
          `OUT` set the rest. For a machine without Rust the bench is built elsewhere (`cargo bench --no-run --bench gpu` says where it \
-         lies) and named in `GPU_BENCH`, the program in `ALBIREO_BIN`. Speed is that of the architecture: models exported with random weights do for everything but the cameras, where `CAMERA_MODELS` should know what it sees.",
+         lies) and named in `GPU_BENCH`, the program in `ALBIREO_BIN`. Speed is that of the architecture: models exported with random \
+         weights do for everything but the cameras, where `CAMERA_MODELS` should know what it sees.",
     );
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();

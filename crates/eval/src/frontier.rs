@@ -29,7 +29,7 @@ pub use leave_one_out::{
 pub use operating_point::Candidate;
 pub use operating_point::ClipFigures;
 pub use operating_point::{FrontierError, NotASetting, OperatingPoint, SettingValue};
-pub use pixels::{RateStudy, at_rate, pixel_steps, pixel_study};
+pub use pixels::{RateStudy, all_at_rate, pixel_steps, pixel_study};
 pub use pixels_text::{render_pixels, write_pixels};
 pub use report::write;
 pub use text::render;

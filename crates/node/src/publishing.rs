@@ -424,6 +424,13 @@ mod tests {
         }
     }
 
+    /// Waits until a put is under way.
+    fn wait_until_busy(lane: &PublishLane) {
+        while !lane.shared.state.lock().lanes.iter().any(|lane| lane.busy) {
+            thread::yield_now();
+        }
+    }
+
     impl Told {
         /// What is published next, and whether by this thread.
         fn next(&self) -> (Vec<u8>, bool) {
@@ -457,10 +464,7 @@ mod tests {
         let told = told();
         thread::scope(|scope| {
             scope.spawn(|| told.lane.publish(b"slow".to_vec()));
-            let state = &told.lane.shared.state;
-            while !state.lock().lanes.iter().any(|lane| lane.busy) {
-                thread::yield_now();
-            }
+            wait_until_busy(&told.lane);
             for json in [b"a", b"b", b"c"] {
                 told.lane.publish(json.to_vec());
             }
@@ -481,9 +485,7 @@ mod tests {
         } = told();
         thread::scope(|scope| {
             scope.spawn(|| lane.publish(b"slow".to_vec()));
-            while !lane.shared.state.lock().lanes.iter().any(|lane| lane.busy) {
-                thread::yield_now();
-            }
+            wait_until_busy(&lane);
             lane.publish(b"last".to_vec());
             drop(publishing);
             let_go.send(()).unwrap();

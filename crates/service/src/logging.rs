@@ -45,8 +45,12 @@ pub enum LogError {
 /// # Errors
 /// When the level cannot be read, or a log was set up before.
 pub fn start(config: &LogConfig) -> Result<(), LogError> {
-    // A layer without a filter wants everything, also what libraries trace for every message.
-    start_beside(config, Identity::new().with_filter(LevelFilter::OFF))
+    start_beside(config, nothing())
+}
+
+/// A layer that wants nothing: one without a filter wants everything, also what libraries trace for every message.
+fn nothing() -> impl Layer<Registry> + Send + Sync {
+    Identity::new().with_filter(LevelFilter::OFF)
 }
 
 /// As [`start`], with a layer of the service's own that sees what it wants, whatever the level of the log. It has a
@@ -113,17 +117,13 @@ fn filter(level: &str) -> Result<EnvFilter, ParseError> {
 
 #[cfg(test)]
 mod tests {
-    use super::{filter, subscriber, tail_level};
+    use super::{filter, nothing, subscriber, tail_level};
     use crate::config::LogFormat;
     use tracing::{Level, subscriber::with_default};
-    use tracing_subscriber::Layer;
-    use tracing_subscriber::filter::LevelFilter;
-    use tracing_subscriber::layer::Identity;
 
     #[test]
     fn what_nobody_reads_is_not_made() {
-        let nothing_beside = Identity::new().with_filter(LevelFilter::OFF);
-        let log = subscriber("warn", LogFormat::Human, nothing_beside).unwrap();
+        let log = subscriber("warn", LogFormat::Human, nothing()).unwrap();
         with_default(log, || {
             assert!(tracing::enabled!(Level::INFO));
             assert!(tracing::enabled!(target: "zenoh", Level::WARN));

@@ -11,7 +11,7 @@ use albireo_core::policy::{ExpectedLoss, FrameState, Need, PolicyConfig};
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Thinned, Video, VideoEncoding};
 use albireo_eval::frontier::{
-    Judging, SettingValue, Variation, at_rate, pixel_steps, pixel_study, render_pixels,
+    Judging, SettingValue, Variation, all_at_rate, pixel_steps, pixel_study, render_pixels,
     write_pixels,
 };
 use albireo_eval::pictures::{
@@ -432,9 +432,7 @@ impl<'a> Evaluation<'a> {
     fn leave_one_out(&self, equal: &EqualSkipRates) -> anyhow::Result<()> {
         let judging = Judging::of_flow(equal.skip_rates.clone());
         for rate in &equal.rates {
-            let viewed =
-                (equal.clips.iter()).map(|clip| at_rate(clip, *rate, self.settings.confidence));
-            let viewed: Vec<_> = viewed.filter(|starts| !starts.is_empty()).collect();
+            let viewed = all_at_rate(&equal.clips, *rate, self.settings.confidence);
             ensure!(
                 viewed.len() > 1,
                 "--leave-one-out takes at least two clips in which something is to be found, and there are {}",

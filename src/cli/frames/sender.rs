@@ -203,10 +203,7 @@ impl FrameSender {
     /// # Errors
     /// When Zenoh refuses it, or the frames of this sender are asked for.
     pub fn put(&self, frame: &OutgoingFrame) -> anyhow::Result<()> {
-        match &self.way {
-            Way::Put(publisher) => put(publisher, self.shared.as_deref(), frame),
-            Way::Ask(_) => bail!("this sender's frames wait to be taken"),
-        }
+        self.put_placed(frame, self.place(&frame.picture))
     }
 
     /// The picture's bytes as they travel: in shared memory where this sender places them there and there is some.
@@ -220,7 +217,7 @@ impl FrameSender {
     /// As of [`put`](Self::put).
     pub fn put_placed(&self, frame: &OutgoingFrame, placed: ZBytes) -> anyhow::Result<()> {
         match &self.way {
-            Way::Put(publisher) => put_payload(publisher, placed, frame),
+            Way::Put(publisher) => put(publisher, placed, frame),
             Way::Ask(_) => bail!("this sender's frames wait to be taken"),
         }
     }
@@ -235,9 +232,12 @@ impl FrameSender {
             Way::Put(publisher) => {
                 let (publisher, shared) = (Arc::clone(publisher), self.shared.clone());
                 // A put that has to wait for room blocks its thread.
-                tokio::task::spawn_blocking(move || put(&publisher, shared.as_deref(), &frame))
-                    .await
-                    .context("publishing a frame")??;
+                tokio::task::spawn_blocking(move || {
+                    let placed = payload(shared.as_deref(), frame.picture.bytes.as_ref());
+                    put(&publisher, placed, &frame)
+                })
+                .await
+                .context("publishing a frame")??;
                 Ok(SentFrame::Gone)
             }
             Way::Ask(querier) => ask(querier, self.shared.clone(), frame).await,
@@ -261,22 +261,9 @@ fn payload(shared: Option<&SharedFrames>, picture: &[u8]) -> ZBytes {
         .unwrap_or_else(|| ZBytes::from(picture))
 }
 
-fn put(
-    publisher: &Publisher<'_>,
-    shared: Option<&SharedFrames>,
-    frame: &OutgoingFrame,
-) -> anyhow::Result<()> {
-    let payload = payload(shared, frame.picture.bytes.as_ref());
-    put_payload(publisher, payload, frame)
-}
-
-fn put_payload(
-    publisher: &Publisher<'_>,
-    payload: ZBytes,
-    frame: &OutgoingFrame,
-) -> anyhow::Result<()> {
+fn put(publisher: &Publisher<'_>, placed: ZBytes, frame: &OutgoingFrame) -> anyhow::Result<()> {
     publisher
-        .put(payload)
+        .put(placed)
         .encoding(encoding(frame.picture.format))
         .attachment(serde_json::to_vec(&frame.attachment)?)
         .wait()

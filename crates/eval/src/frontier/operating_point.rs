@@ -229,15 +229,10 @@ impl Candidate {
         setting: &str,
         value: serde_json::Value,
     ) -> Result<Self, FrontierError> {
-        let mut varied = self.clone();
-        let nested = setting
-            .rsplit('.')
-            .fold(value, |inner, key| serde_json::json!({ key: inner }));
-        if let serde_json::Value::Object(table) = nested {
-            varied.config.expected_loss = table;
-        }
-        varied.build()?;
-        Ok(varied)
+        self.with_settings(&[SettingValue {
+            path: setting.to_owned(),
+            value,
+        }])
     }
 
     /// This policy with these settings of expected-loss beside those it has.

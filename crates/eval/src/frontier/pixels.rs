@@ -51,9 +51,20 @@ pub(super) const FIGURES: [(&str, Figure); 5] = [
     ("F1@75", |clip| clip.f1[1]),
 ];
 
+/// Each of `pictured` at `rate` frames a second, or as recorded, as clips for each frame it can begin with; without those
+/// of which nothing is left to be judged.
+pub fn all_at_rate(
+    pictured: &[PicturedClip],
+    rate: Option<f64>,
+    confidence: f64,
+) -> Vec<Vec<ViewedClip>> {
+    let clips = pictured.iter().map(|clip| at_rate(clip, rate, confidence));
+    clips.filter(|phases| !phases.is_empty()).collect()
+}
+
 /// `pictured` at `rate` frames a second, or as recorded: a clip for each frame it can begin with. Without ground truth,
 /// or without a box in it, there are none.
-pub fn at_rate(pictured: &PicturedClip, rate: Option<f64>, confidence: f64) -> Vec<ViewedClip> {
+fn at_rate(pictured: &PicturedClip, rate: Option<f64>, confidence: f64) -> Vec<ViewedClip> {
     let clip = &pictured.clip;
     let (Some(detections), Some(truth)) = (&clip.detections, &clip.truth) else {
         return Vec::new();
@@ -177,10 +188,7 @@ pub fn pixel_study(
     done: &dyn Fn(),
 ) -> Result<Vec<RateStudy>, FrontierError> {
     let study = |rate: &Option<f64>| {
-        let clips: Vec<Vec<ViewedClip>> = (pictured.iter())
-            .map(|clip| at_rate(clip, *rate, confidence))
-            .filter(|phases| !phases.is_empty())
-            .collect();
+        let clips = all_at_rate(pictured, *rate, confidence);
         if clips.is_empty() {
             return Err(FrontierError::NoClips);
         }
