@@ -16,9 +16,9 @@
 
 use albireo::cli::frames::{FrameSender, Haste, OutgoingFrame, open_session};
 use albireo_core::geometry::PictureSize;
-use albireo_node::detector::{DetectorConfig, DetectorNetwork};
-use albireo_node::frame::{EncodedPicture, Picture, PictureFormat};
 use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
+use albireo_vision::picture::{EncodedPicture, Picture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};

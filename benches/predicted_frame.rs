@@ -12,7 +12,7 @@
 #![allow(clippy::expect_used, clippy::print_stdout)]
 
 use albireo_core::geometry::PictureSize;
-use albireo_node::frame::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
+use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
 use albireo_wire::{FrameAttachment, VERSION};
 use bytes::Bytes;
 use std::process::{Child, Command, Stdio};

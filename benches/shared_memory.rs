@@ -14,7 +14,7 @@
 
 use albireo::cli::frames::{FrameSender, Haste, OutgoingFrame, open_session};
 use albireo_core::geometry::PictureSize;
-use albireo_node::frame::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
+use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
 use albireo_wire::{DetectionsMessage, FrameAttachment, VERSION, read};
 use bytes::Bytes;
 use std::collections::HashMap;

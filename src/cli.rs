@@ -37,7 +37,7 @@ mod size;
 pub mod synth;
 mod variables;
 
-use albireo_node::detector::end_all_sessions;
+use albireo_vision::detector::end_all_sessions;
 use anyhow::Context;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::process::ExitCode;

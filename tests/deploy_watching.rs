@@ -6,7 +6,7 @@
 use crate::http_api::served::Served;
 use crate::support::fleet::{HubProcess, settings, sqlite};
 use crate::support::{PATIENCE, albireo, free_port};
-use albireo_node::board::PowerSnapshot;
+use albireo_node::state::board::PowerSnapshot;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};

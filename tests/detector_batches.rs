@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used)]
 
 use super::support::detectors;
-use albireo_node::detector::{CameraSlot, Detected, DetectorConfig, DetectorHandle};
+use albireo_vision::detector::{CameraSlot, Detected, DetectorConfig, DetectorHandle};
 
 /// A model with an open batch; the score of a car is how red the picture is, that of a traffic light how green.
 fn config(model: &str) -> DetectorConfig {

@@ -4,7 +4,7 @@
 
 use super::support::detectors::{PICTURE, config, one_colour};
 use albireo_core::geometry::PictureSize;
-use albireo_node::detector::{
+use albireo_vision::detector::{
     CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle, DetectorNetwork,
     DetectorStatus, HeadName, InferenceError,
 };

@@ -4,9 +4,9 @@
 
 use super::support::shared;
 use albireo_core::geometry::PictureSize;
-use albireo_node::detector::{CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle};
-use albireo_node::frame::{ColorOrder, Picture, PixelLayout};
-use albireo_node::screen::{ScreenConfig, ScreenHandle};
+use albireo_vision::detector::{CameraSlot, ClassNames, Detected, DetectorConfig, DetectorHandle};
+use albireo_vision::picture::{ColorOrder, Picture, PixelLayout};
+use albireo_vision::screen::{ScreenConfig, ScreenHandle};
 use std::process::Command;
 use std::sync::Arc;
 

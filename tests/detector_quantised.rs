@@ -4,9 +4,9 @@
 #![allow(clippy::unwrap_used)]
 
 use albireo_core::detection::Detection;
-use albireo_node::detector::{DetectorConfig, DetectorNetwork, HeadName};
-use albireo_node::frame::{Picture, PixelLayout};
 use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_vision::detector::{DetectorConfig, DetectorNetwork, HeadName};
+use albireo_vision::picture::{Picture, PixelLayout};
 use std::path::Path;
 
 /// Worlds the detector was not trained on, and not calibrated with.

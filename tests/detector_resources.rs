@@ -4,7 +4,7 @@
 
 use super::support::detectors::{config, model, one_colour};
 use super::support::{PATIENCE, albireo};
-use albireo_node::detector::{
+use albireo_vision::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus, InferenceError,
 };
 use std::process::Stdio;

@@ -5,11 +5,11 @@
 
 use super::support::detectors::{PICTURE, config, model, one_colour};
 use albireo_core::geometry::Corners;
-use albireo_node::detector::{
+use albireo_vision::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus, ExecutionProvider, HeadName,
 };
-use albireo_node::frame::ColorOrder;
-use albireo_node::screen::{ScreenConfig, ScreenHandle};
+use albireo_vision::picture::ColorOrder;
+use albireo_vision::screen::{ScreenConfig, ScreenHandle};
 use std::sync::Arc;
 
 const CAMERA: CameraSlot = CameraSlot(0);

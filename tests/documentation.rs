@@ -354,7 +354,7 @@ const MESSAGES: [(&str, &str, &str); 14] = [
 ];
 
 fn message_reference() -> String {
-    let document = serde_json::to_value(albireo_node::http::openapi()).unwrap();
+    let document = serde_json::to_value(albireo_node::api::http::openapi()).unwrap();
     let schemas = &document["components"]["schemas"];
     let mut text = "# Messages\n\nWhat goes over Zenoh, and the events of HTTP, as the code has them; a test holds this page to it \
         (`ALBIREO_UPDATE=1` writes it). All are JSON. `…` is `{prefix}/{node}`, by default `albireo/node`. Every message carries \
@@ -453,7 +453,7 @@ fn a_real_message_has_the_fields_of_the_reference() {
     let message = crate::http_api::sample_detections();
     let sent: Map<String, Value> =
         serde_json::from_value(serde_json::to_value(message).unwrap()).unwrap();
-    let document = serde_json::to_value(albireo_node::http::openapi()).unwrap();
+    let document = serde_json::to_value(albireo_node::api::http::openapi()).unwrap();
     let schemas = &document["components"]["schemas"];
     let mut found = Vec::new();
     fields(schemas, &schemas["DetectionsMessage"], &mut found);

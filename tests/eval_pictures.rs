@@ -22,9 +22,9 @@ use albireo_eval::run::{Settings, run_stored};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, PolicySpec, resolve};
 use albireo_eval::trace;
-use albireo_node::detector::{DetectorConfig, HeadName};
-use albireo_node::frame::ColorOrder;
-use albireo_node::screen::ScreenConfig;
+use albireo_vision::detector::{DetectorConfig, HeadName};
+use albireo_vision::picture::ColorOrder;
+use albireo_vision::screen::ScreenConfig;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 

@@ -7,7 +7,7 @@ use crate::support::policies::Before;
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
 use albireo_node::config::CameraConfig;
-use albireo_node::frame::Delivery;
+use albireo_node::input::Delivery;
 use albireo_wire::{FrameAnswer, FrameAttachment, VERSION};
 use std::sync::{Arc, Condvar, Mutex};
 use tokio::task::JoinHandle;

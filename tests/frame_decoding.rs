@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use albireo_core::geometry::PictureSize;
-use albireo_node::frame::{
+use albireo_vision::picture::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode,
     decode_grey_half, decode_small_grey, to_jpeg,
 };

@@ -3,9 +3,8 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
 use albireo_core::geometry::PictureSize;
-use albireo_node::frame::{
-    Frame, FrameLimits, PayloadFormat, PictureFormat, RawSample, RejectedFrame, read_frame,
-};
+use albireo_node::input::{Frame, PayloadFormat, RawSample, RejectedFrame, read_frame};
+use albireo_vision::picture::{FrameLimits, PictureFormat};
 use albireo_wire::DroppedFrames;
 use bytes::Bytes;
 use serde_json::Value;

@@ -3,9 +3,9 @@
 #![allow(clippy::expect_used, clippy::unwrap_used)]
 
 use albireo_core::geometry::PictureSize;
-use albireo_node::detector::head::{self, Suppression, TensorView, keep_best, suppress};
-use albireo_node::detector::{ElementType, HeadName, Metadata, Signature, TensorSpec};
-use albireo_node::frame::{
+use albireo_vision::detector::head::{self, Suppression, TensorView, keep_best, suppress};
+use albireo_vision::detector::{ElementType, HeadName, Metadata, Signature, TensorSpec};
+use albireo_vision::picture::{
     ColorOrder, Fit, InputFormat, Letterbox, Picture, PixelLayout, TensorLayout, ValueRange,
 };
 use flate2::read::GzDecoder;

@@ -5,8 +5,8 @@
 
 use crate::support::both_ways;
 use albireo_core::geometry::PictureSize;
-use albireo_node::board::Board;
 use albireo_node::config::{CameraConfig, NodeConfig};
+use albireo_node::state::board::Board;
 use albireo_node::{Node, NodeError, PreparedNode};
 use albireo_synth::{Dashcam, DashcamSettings};
 use albireo_wire::{ClipReport, DetectionsMessage, FrameAttachment, VERSION};
@@ -37,7 +37,7 @@ pub(crate) fn configuration() -> NodeConfig {
     config.detector.timeout_ms = 60_000;
     config.policy.name = "vanilla".to_owned();
     config.cameras = vec![CameraConfig {
-        delivery: albireo_node::frame::Delivery::Every,
+        delivery: albireo_node::input::Delivery::Every,
         ..CameraConfig::named(CAMERA)
     }];
     config
@@ -370,7 +370,7 @@ async fn the_open_clip_is_published_when_the_node_stops() {
 async fn without_a_meter_every_report_is_out_before_the_node_has_stopped() {
     const CLIPS: u64 = 40;
     let mut config = configuration();
-    config.power.source = albireo_node::power::PowerSource::None;
+    config.power.source = albireo_power::PowerSource::None;
     config.power.interval_ms = 10_000;
     let mut bench = Bench::start(&config).await;
     let mut reports = bench.reports().await;
@@ -439,7 +439,7 @@ async fn a_ros_2_camera_beside_another_is_answered_under_its_own_key() {
     let mut config = configuration();
     config.cameras.push(CameraConfig {
         key: Some("camera/image_raw/compressed".to_owned()),
-        format: albireo_node::frame::PayloadFormat::Ros2CompressedImage,
+        format: albireo_node::input::PayloadFormat::Ros2CompressedImage,
         ..CameraConfig::named("ros")
     });
     let mut bench = Bench::start(&config).await;

@@ -31,7 +31,7 @@ fn current(service: &str, document: &impl serde::Serialize) {
 #[cfg(feature = "hub")]
 #[test]
 fn the_descriptions_that_the_pages_are_built_on_are_the_programs() {
-    current("node", &albireo_node::http::openapi());
+    current("node", &albireo_node::api::http::openapi());
     current("hub", &albireo_hub::http::openapi());
 }
 

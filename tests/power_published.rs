@@ -5,8 +5,8 @@
 #![allow(clippy::unwrap_used)]
 
 use crate::support::shared;
-use albireo_node::clip::energy_of;
-use albireo_node::power::SpanEnergy;
+use albireo_node::camera::clip::energy_of;
+use albireo_power::SpanEnergy;
 use albireo_wire::{DomainEnergy, EnergyQuality, FrameStates};
 use serde::Deserialize;
 use std::time::Duration;

@@ -3,9 +3,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use albireo_node::power::{
-    self, Meter, MeterError, PowerConfig, PowerHandle, PowerSource, Tegrastats,
-};
+use albireo_power::{self, Meter, MeterError, PowerConfig, PowerHandle, PowerSource, Tegrastats};
 use albireo_wire::EnergyQuality;
 use serde_json::{Value, json};
 use std::path::Path;

@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::support::shared;
-use albireo_node::power::{Domain, RailMap, TegrastatsLine};
+use albireo_power::{Domain, RailMap, TegrastatsLine};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;

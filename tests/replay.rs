@@ -7,9 +7,8 @@ use albireo::cli::replay::{
     self, Ffmpeg, FrameSource, ReplayArguments, Sent, Video, VideoEncoding,
 };
 use albireo_core::geometry::PictureSize;
-use albireo_node::frame::{
-    Frame, FrameLimits, PayloadFormat, RawSample, RingReceiver, frame_ring, read_frame,
-};
+use albireo_node::input::{Frame, PayloadFormat, RawSample, RingReceiver, frame_ring, read_frame};
+use albireo_vision::picture::FrameLimits;
 use albireo_wire::{FrameAnswer, VERSION};
 use clap::Parser;
 use std::path::{Path, PathBuf};

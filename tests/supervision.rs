@@ -8,7 +8,7 @@ use crate::support::detectors::model;
 use crate::support::policies::Before;
 use albireo_core::policy::{Policy, PolicyConfig};
 use albireo_node::PreparedNode;
-use albireo_node::board::Board;
+use albireo_node::state::board::Board;
 use albireo_wire::{ClipEnd, HealthState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -1,6 +1,6 @@
 //! What the user may choose.
 
-use albireo_node::detector::{DetectorConfig, ExecutionProvider, GpuConfig};
+use albireo_vision::detector::{DetectorConfig, ExecutionProvider, GpuConfig};
 use anyhow::{Context, bail};
 use std::path::{Path, PathBuf};
 

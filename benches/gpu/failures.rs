@@ -3,11 +3,11 @@
 use super::arguments::Arguments;
 use super::page::Page;
 use albireo_core::geometry::PictureSize;
-use albireo_node::detector::{
+use albireo_vision::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, DetectorStatus, ExecutionProvider,
     GpuConfig,
 };
-use albireo_node::frame::Picture;
+use albireo_vision::picture::Picture;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;

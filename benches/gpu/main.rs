@@ -12,8 +12,8 @@ mod starts;
 mod ways;
 
 use albireo_eval::footage::{FrameSource, Synthetic};
-use albireo_node::detector::DetectorNetwork;
-use albireo_node::frame::EncodedPicture;
+use albireo_vision::detector::DetectorNetwork;
+use albireo_vision::picture::EncodedPicture;
 use anyhow::{Context, bail};
 use arguments::{Arguments, library, name_of};
 use card::Card;

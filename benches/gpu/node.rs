@@ -1,8 +1,8 @@
 //! A node in a process of its own, and cameras that send to it.
 
 use super::arguments::Arguments;
-use albireo_node::detector::DetectorConfig;
-use albireo_node::frame::EncodedPicture;
+use albireo_vision::detector::DetectorConfig;
+use albireo_vision::picture::EncodedPicture;
 use albireo_wire::{DetectionsMessage, FrameAttachment, VERSION, read};
 use anyhow::{Context, anyhow, bail};
 use parking_lot::Mutex;
@@ -227,7 +227,7 @@ pub(crate) fn batch(arguments: &Arguments, model: &Path, engines: &Path) -> usiz
         batch_size: 8,
         ..arguments.detector(model, Some(engines))
     };
-    match albireo_node::detector::DetectorNetwork::open(&config) {
+    match albireo_vision::detector::DetectorNetwork::open(&config) {
         Ok(_) => 8,
         Err(_) => 1,
     }

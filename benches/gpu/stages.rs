@@ -2,11 +2,11 @@
 
 use super::arguments::{Arguments, name_of, without_folder};
 use super::page::{NONE, Page, median, ms};
-use albireo_node::detector::{
+use albireo_vision::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, DetectorNetwork, ElementType,
 };
-use albireo_node::frame::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
-use albireo_node::screen::decoding_target;
+use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture, PixelLayout, decode};
+use albireo_vision::screen::decoding_target;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Instant;

@@ -3,7 +3,7 @@
 use super::arguments::{Arguments, name_of, without_folder};
 use super::node::{Node, PATIENCE, Settings};
 use super::page::{NONE, Page, median};
-use albireo_node::frame::EncodedPicture;
+use albireo_vision::picture::EncodedPicture;
 use anyhow::bail;
 use std::path::Path;
 use std::sync::Arc;

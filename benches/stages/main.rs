@@ -9,9 +9,11 @@ mod table;
 mod throughput;
 
 use albireo_eval::footage::{FrameSource, PictureFolder, Synthetic};
-use albireo_node::detector::{DetectorConfig, DetectorHandle};
-use albireo_node::frame::{EncodedPicture, FrameLimits, InputFormat, Picture, PixelLayout, decode};
-use albireo_node::screen::decoding_target;
+use albireo_vision::detector::{DetectorConfig, DetectorHandle};
+use albireo_vision::picture::{
+    EncodedPicture, FrameLimits, InputFormat, Picture, PixelLayout, decode,
+};
+use albireo_vision::screen::decoding_target;
 use anyhow::{Context, bail};
 use arguments::{Arguments, load_average, name_of};
 use clap::Parser;

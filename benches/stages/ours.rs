@@ -6,11 +6,12 @@ use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{
     Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, decide_at_once,
 };
-use albireo_node::answer::{AnswerContext, detections_message};
-use albireo_node::detector::{DetectorConfig, DetectorNetwork};
-use albireo_node::frame::{EncodedPicture, Frame, FrameLimits, Picture};
+use albireo_node::camera::answer::{AnswerContext, detections_message};
+use albireo_node::input::Frame;
 use albireo_service::config::ZenohConfig;
 use albireo_service::session;
+use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
+use albireo_vision::picture::{EncodedPicture, FrameLimits, Picture};
 use albireo_wire::Latency;
 use anyhow::{Context, anyhow, bail};
 use std::net::TcpListener;
@@ -110,7 +111,7 @@ impl<'a> OurPath<'a> {
     ) -> anyhow::Result<()> {
         let frame = Frame {
             sequence: self.frames,
-            order: albireo_node::frame::FrameOrder::default(),
+            order: albireo_node::input::FrameOrder::default(),
             time_ns: self.frames * 100_000_000,
             clip: None,
             picture: encoded.clone(),

@@ -3,8 +3,8 @@
 
 use super::decode_for;
 use super::samples::median;
-use albireo_node::detector::{CameraSlot, DetectorHandle, DetectorNetwork, PreparedPicture};
-use albireo_node::frame::{EncodedPicture, Picture};
+use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorNetwork, PreparedPicture};
+use albireo_vision::picture::{EncodedPicture, Picture};
 use std::sync::Arc;
 use std::time::Instant;
 use tokio::task::JoinHandle;

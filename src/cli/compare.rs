@@ -10,9 +10,9 @@ use albireo_eval::compare::{
 use albireo_eval::footage::SourceName;
 use albireo_eval::spec::BASELINE;
 use albireo_node::config::NodeConfig;
-use albireo_node::detector::HeadName;
-use albireo_node::power::{self, PowerSource};
+use albireo_power::{self, PowerSource};
 use albireo_service::{logging, signals};
+use albireo_vision::detector::HeadName;
 use anyhow::{Context, bail, ensure};
 use clip::LoadedClip;
 use indicatif::{HumanDuration, ProgressBar, ProgressStyle};
@@ -221,7 +221,7 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> 
     }
     if config.log.level == albireo_service::config::LogConfig::default().level {
         // Dropped frames are told in the table; a node that forgets its reports and is not ready at once is meant so.
-        config.log.level = "warn,albireo_node::intake=error,albireo_node::outbox=error,albireo_service::readiness=error"
+        config.log.level = "warn,albireo_node::input::intake=error,albireo_node::delivery::outbox=error,albireo_service::readiness=error"
                 .to_owned();
     }
     let variants = variants(&arguments.policy, &arguments.u, &config.policy)?;
@@ -230,7 +230,7 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> 
 
 /// The meter all runs use.
 struct Chosen {
-    config: power::PowerConfig,
+    config: albireo_power::PowerConfig,
     name: String,
 }
 
@@ -239,7 +239,7 @@ async fn choose_meter(config: &NodeConfig) -> anyhow::Result<Chosen> {
     let mut config = config.power.clone();
     let wanted = config.clone();
     let opened = tokio::task::spawn_blocking(move || {
-        power::open(&wanted).map(|meter| (meter.source().to_owned(), meter.quality()))
+        albireo_power::open(&wanted).map(|meter| (meter.source().to_owned(), meter.quality()))
     });
     let (name, quality) = opened.await.context("the power meter")??;
     let family = name.split('(').next().unwrap_or_default();

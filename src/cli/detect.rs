@@ -2,13 +2,13 @@
 
 use super::size::parse_size;
 use albireo_core::geometry::PictureSize;
-use albireo_node::detector::{
+use albireo_vision::detector::{
     ClassNames, DetectorConfig, DetectorNetwork, ExecutionProvider, Found, HeadName,
 };
-use albireo_node::frame::{
+use albireo_vision::picture::{
     FrameLimits, Picture, PixelLayout, decode, picture_files, read_picture_file,
 };
-use albireo_node::screen::decoding_target;
+use albireo_vision::screen::decoding_target;
 use anyhow::Context;
 use indicatif::ProgressBar;
 use serde::Serialize;

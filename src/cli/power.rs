@@ -1,7 +1,7 @@
 //! `albireo power`: which power sources work on this machine, their rails, and watts now.
 
 use albireo_node::config::NodeConfig;
-use albireo_node::power::{SourceSurvey, survey};
+use albireo_power::{SourceSurvey, survey};
 use std::fmt::Write;
 use std::path::PathBuf;
 
@@ -86,7 +86,7 @@ fn watts(watts: Option<f64>) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use albireo_node::power::RailNow;
+    use albireo_power::RailNow;
     use albireo_wire::EnergyQuality;
 
     fn source(name: &'static str) -> SourceSurvey {

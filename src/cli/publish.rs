@@ -2,13 +2,13 @@
 
 use super::block_on;
 use super::frames::{FrameSender, FrameTarget, Haste, NOBODY, OutgoingFrame, open_session};
-use albireo_node::frame::{EncodedPicture, FrameFault, FrameLimits};
-use albireo_node::source::{
+use albireo_node::input::source::{
     Handover, LiveSource, RtspTransport, SourceAddress, SourceSettings, SourceSink,
 };
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::config::LogConfig;
 use albireo_service::{logging, signals};
+use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
 use albireo_wire::{FrameAttachment, VERSION};
 use anyhow::{Context, anyhow, bail};
 use std::sync::Arc;

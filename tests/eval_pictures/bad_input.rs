@@ -5,8 +5,8 @@ use albireo_core::geometry::PictureSize;
 use albireo_eval::data::LoadReport;
 use albireo_eval::footage::{FootageError, FrameSource};
 use albireo_eval::pictures::{GroundTruth, Observer, PassSettings, TruthFormat, collect};
-use albireo_node::frame::EncodedPicture;
-use albireo_node::screen::ScreenConfig;
+use albireo_vision::picture::EncodedPicture;
+use albireo_vision::screen::ScreenConfig;
 use std::path::Path;
 use std::process::Command;
 

@@ -1,8 +1,8 @@
 use super::served::{KNOB, Served, board, problem};
-use albireo_node::frame::FrameLimits;
-use albireo_node::http::{NodeView, router};
+use albireo_node::api::http::{NodeView, router};
 use albireo_service::config::{HttpConfig, Token};
 use albireo_service::http::{self, HttpError};
+use albireo_vision::picture::FrameLimits;
 use reqwest::{Method, StatusCode};
 use std::path::PathBuf;
 use tokio::net::TcpListener;

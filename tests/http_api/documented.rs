@@ -1,9 +1,9 @@
 use super::served::{KNOB, Served, clip, frame};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
-use albireo_node::board::LatestFrame;
-use albireo_node::frame::{EncodedPicture, PictureFormat};
+use albireo_node::state::board::LatestFrame;
 use albireo_service::config::HttpConfig;
+use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use serde_json::Value;
 use std::collections::BTreeSet;
 use tokio::process::Command;
@@ -87,13 +87,13 @@ async fn the_document_has_every_route_and_each_is_there() {
     }
     assert_eq!(
         document,
-        serde_json::to_value(albireo_node::http::openapi()).unwrap()
+        serde_json::to_value(albireo_node::api::http::openapi()).unwrap()
     );
 }
 
 #[test]
 fn every_operation_has_a_name_of_its_own() {
-    let mut documents = vec![serde_json::to_value(albireo_node::http::openapi()).unwrap()];
+    let mut documents = vec![serde_json::to_value(albireo_node::api::http::openapi()).unwrap()];
     #[cfg(feature = "hub")]
     documents.push(serde_json::to_value(albireo_hub::http::openapi()).unwrap());
     for document in documents {
@@ -121,7 +121,7 @@ async fn every_reference_in_the_document_leads_somewhere() {
             _ => {}
         }
     }
-    let document = serde_json::to_value(albireo_node::http::openapi()).unwrap();
+    let document = serde_json::to_value(albireo_node::api::http::openapi()).unwrap();
     let mut found = Vec::new();
     references(&document, &mut found);
     assert!(found.len() > 20, "{found:?}");

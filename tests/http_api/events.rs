@@ -1,6 +1,6 @@
 use super::served::{Served, clip, frame, problem};
 use albireo_core::policy::FrameState;
-use albireo_node::detector::{DetectorStatus, ExecutionProvider};
+use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use futures_util::StreamExt;
 use reqwest::Response;
 use serde_json::{Value, json};

@@ -1,10 +1,10 @@
 use super::served::{Served, clip, frame, problem};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
-use albireo_node::board::{LatestFrame, PowerSnapshot};
-use albireo_node::detector::{DetectorStatus, ExecutionProvider};
-use albireo_node::frame::{EncodedPicture, PictureFormat};
+use albireo_node::state::board::{LatestFrame, PowerSnapshot};
 use albireo_service::config::HttpConfig;
+use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
+use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{DroppedFrames, EnergyQuality};
 use reqwest::{Method, StatusCode};
 use serde_json::json;

@@ -1,8 +1,8 @@
 use super::exposition::{Samples, read};
 use super::served::{Served, clip, frame};
 use albireo_core::policy::FrameState;
-use albireo_node::board::PowerSnapshot;
-use albireo_node::power::MeterCost;
+use albireo_node::state::board::PowerSnapshot;
+use albireo_power::MeterCost;
 use albireo_wire::{DomainWatts, DroppedFrames, EnergyQuality};
 use reqwest::Method;
 use std::io::Write;

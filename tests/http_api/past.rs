@@ -2,11 +2,11 @@
 
 use super::served::{KNOB, Served, board, clip, frame, problem};
 use albireo_core::policy::FrameState;
-use albireo_node::board::PowerSnapshot;
+use albireo_node::api::http::{NodeView, router};
 use albireo_node::config::NodeConfig;
-use albireo_node::frame::FrameLimits;
-use albireo_node::http::{NodeView, router};
+use albireo_node::state::board::PowerSnapshot;
 use albireo_service::config::{HttpConfig, Token, without_secrets};
+use albireo_vision::picture::FrameLimits;
 use albireo_wire::{CallCause, EnergyQuality};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;

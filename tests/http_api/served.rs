@@ -2,13 +2,13 @@
 
 use albireo_core::detection::ObjectId;
 use albireo_core::policy::{BoxSource, FrameState, Knob};
-use albireo_node::board::{Board, BoardSetup, CameraSetup, DetectorFacts};
-use albireo_node::detector::{DetectorStatus, ExecutionProvider};
-use albireo_node::frame::FrameLimits;
-use albireo_node::http::{NodeView, router};
-use albireo_node::target::TargetSetup;
+use albireo_node::api::http::{NodeView, router};
+use albireo_node::state::board::{Board, BoardSetup, CameraSetup, DetectorFacts};
+use albireo_node::state::target::TargetSetup;
 use albireo_service::config::HttpConfig;
 use albireo_service::http::{self, HttpError};
+use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
+use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     BoxMessage, CallCause, ClipEnd, ClipEnergy, ClipReport, DetectionsMessage, DomainEnergy,
     DroppedFrames, EnergyQuality, FrameStates, KnobChange, KnobValue, Latency, Percentiles,
@@ -61,8 +61,8 @@ pub(crate) fn board(
     let board = Board::new(BoardSetup {
         node: "car-7".to_owned(),
         cameras: vec![camera("front"), camera("rear")],
-        outbox: albireo_node::outbox::Outbox::open(
-            &albireo_node::outbox::OutboxConfig::default(),
+        outbox: albireo_node::delivery::outbox::Outbox::open(
+            &albireo_node::delivery::outbox::OutboxConfig::default(),
             state_dir.as_deref(),
         )
         .unwrap(),

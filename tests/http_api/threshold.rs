@@ -181,16 +181,16 @@ async fn a_change_that_is_kept_is_said_to_survive() {
     // The same routes over a board with a state directory.
     let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
     node.address = listener.local_addr().unwrap();
-    let view = albireo_node::http::NodeView {
+    let view = albireo_node::api::http::NodeView {
         board,
-        limits: albireo_node::frame::FrameLimits::default(),
+        limits: albireo_vision::picture::FrameLimits::default(),
         config: std::sync::Arc::new(serde_json::Value::Null),
     };
     let stop = node.shutdown.clone();
     tokio::spawn(async move {
         albireo_service::http::run(
             &HttpConfig::default(),
-            albireo_node::http::router(view, stop.clone()),
+            albireo_node::api::http::router(view, stop.clone()),
             listener,
             stop,
         )

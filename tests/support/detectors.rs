@@ -1,8 +1,8 @@
 //! The tiny models of tests/fixtures/models, and pictures for them.
 
 use albireo_core::geometry::PictureSize;
-use albireo_node::detector::DetectorConfig;
-use albireo_node::frame::Picture;
+use albireo_vision::detector::DetectorConfig;
+use albireo_vision::picture::Picture;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 

@@ -2,7 +2,7 @@
 
 use super::{Copy, INPUTS, Measured, PLAIN, WARM_UP, Way};
 use crate::arguments::{Arguments, library};
-use albireo_node::detector::ExecutionProvider;
+use albireo_vision::detector::ExecutionProvider;
 use anyhow::bail;
 use half::f16;
 use ort::environment::Environment;

@@ -12,7 +12,7 @@ use crate::spec::PolicySpec;
 use crate::trace::{self, TraceError};
 use crate::worst::worst_frames;
 use albireo_core::policy::{ExpectedLoss, PolicyConfigError};
-use albireo_node::screen::ScreenConfig;
+use albireo_vision::screen::ScreenConfig;
 use rayon::iter::{ParallelBridge, ParallelIterator};
 use std::path::PathBuf;
 

@@ -5,7 +5,7 @@ use crate::run::Settings;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{GreyPicture, Need};
-use albireo_node::screen::{ScreenConfig, ScreenJudge, ScreenKind, Thumbnail};
+use albireo_vision::screen::{ScreenConfig, ScreenJudge, ScreenKind, Thumbnail};
 use serde::{Deserialize, Serialize};
 
 /// Evidence about the frames of one clip. Only what the policy needs is asked for, in order of frames.

@@ -7,7 +7,7 @@ use crate::replay::Replay;
 use crate::result::ClipResult;
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::FrameState;
-use albireo_node::frame::EncodedPicture;
+use albireo_vision::picture::EncodedPicture;
 use std::path::PathBuf;
 
 /// Frames of a clip that are kept for each policy.

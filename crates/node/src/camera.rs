@@ -2,23 +2,29 @@
 //! counts the open clip. One task a camera, which whoever brings a frame takes further himself where he can
 //! ([`InPlace`]); the detector, the screen and the meter are shared.
 
+pub mod answer;
+pub mod audit;
+pub mod clip;
+pub mod evidence;
 mod in_place;
+pub(crate) mod publishing;
 
 pub(crate) use in_place::InPlace;
 
-use super::answer::{AnswerContext, detections_message};
-use super::audit::{CameraAudit, DrawnFrame};
-use super::board::CameraBoard;
-use super::evidence::LiveEvidence;
-use super::intake::{DropCounts, DropKind, Incoming};
-use super::report::ClipAccounts;
-use crate::clip::{FrameArrival, FrameResult};
-use crate::frame::{EncodedPicture, FrameFault, RingReceiver};
-use crate::publishing::Detections;
+use crate::camera::answer::{AnswerContext, detections_message};
+use crate::camera::audit::{CameraAudit, DrawnFrame};
+use crate::camera::clip::{FrameArrival, FrameResult};
+use crate::camera::evidence::LiveEvidence;
+use crate::camera::publishing::Detections;
+use crate::delivery::report::ClipAccounts;
+use crate::input::RingReceiver;
+use crate::input::intake::{DropCounts, DropKind, Incoming};
+use crate::state::board::CameraBoard;
 use albireo_core::policy::{
     CallCause, Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, decide,
 };
 use albireo_service::clock::milliseconds;
+use albireo_vision::picture::{EncodedPicture, FrameFault};
 use albireo_wire::{KnobValue, Latency};
 use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};

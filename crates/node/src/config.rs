@@ -4,17 +4,18 @@
 mod machine;
 mod validate;
 
-use crate::audit::AuditConfig;
-use crate::clip::ClipConfig;
-use crate::detector::DetectorConfig;
-use crate::frame::{Delivery, FrameLimits, PayloadFormat};
-use crate::outbox::OutboxConfig;
-use crate::power::PowerConfig;
-use crate::screen::ScreenConfig;
-use crate::source::{Handover, RtspTransport, SourceAddress, SourceSettings};
-use crate::target::TargetConfig;
+use crate::camera::audit::AuditConfig;
+use crate::camera::clip::ClipConfig;
+use crate::delivery::outbox::OutboxConfig;
+use crate::input::source::{Handover, RtspTransport, SourceAddress, SourceSettings};
+use crate::input::{Delivery, PayloadFormat};
+use crate::state::target::TargetConfig;
 use albireo_core::policy::PolicyConfig;
+use albireo_power::PowerConfig;
 use albireo_service::config::{HttpConfig, LogConfig, NamedToken, UplinkConfig, ZenohConfig};
+use albireo_vision::detector::DetectorConfig;
+use albireo_vision::picture::FrameLimits;
+use albireo_vision::screen::ScreenConfig;
 use albireo_wire::{KeyError, NodeKeys};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;

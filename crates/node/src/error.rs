@@ -1,12 +1,12 @@
 //! Why a node cannot start, or had to end: which part, and what to do.
 
-use crate::board::SetupError;
-use crate::detector::StartError;
-use crate::power::MeterError;
-use crate::source::SourceError;
+use crate::input::source::SourceError;
+use crate::state::board::SetupError;
 use albireo_core::policy::PolicyConfigError;
+use albireo_power::MeterError;
 use albireo_service::http::HttpError;
 use albireo_service::supervise::TaskFailed;
+use albireo_vision::detector::StartError;
 use albireo_wire::KeyError;
 
 /// Why a node cannot start, or had to end.

@@ -2,13 +2,13 @@
 //! node opens, the router, the hub. For `albireo check --online`.
 
 use crate::config::{CameraConfig, NodeConfig};
-use crate::detector::{DetectorConfig, DetectorNetwork};
-use crate::frame::{EncodedPicture, FrameFault, Picture};
-use crate::screen::ScreenHandle;
-use crate::source::{LiveSource, SourceSink};
+use crate::input::source::{LiveSource, SourceSink};
 use albireo_service::clock::milliseconds;
 use albireo_service::config::{ZenohConfig, ZenohMode};
 use albireo_service::session;
+use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
+use albireo_vision::picture::{EncodedPicture, FrameFault, Picture};
+use albireo_vision::screen::ScreenHandle;
 use albireo_wire::FleetKeys;
 use std::sync::Arc;
 use std::time::{Duration, Instant};

@@ -1,9 +1,10 @@
 //! The service: a node and its HTTP interface, from start to stop.
 
-use crate::board::Board;
+use crate::api::http::{self, NodeView};
 use crate::config::NodeConfig;
-use crate::http::{self, NodeView};
-use crate::{Node, NodeError, PreparedNode, readiness};
+use crate::state::board::Board;
+use crate::state::readiness;
+use crate::{Node, NodeError, PreparedNode};
 use albireo_service::config::without_secrets;
 use axum::http::Method;
 use std::collections::BTreeSet;

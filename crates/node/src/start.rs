@@ -1,31 +1,32 @@
 //! Starts the parts of a node in a fixed order, and stops them in the opposite one.
 
-use super::audit::{Auditor, CameraAudit};
-use super::board::{Board, BoardSetup, CameraBoard};
-use super::camera::{Camera, InPlace};
-use super::config::{CameraConfig, NodeConfig};
-use super::counters::Counters;
-use super::error::NodeError;
-use super::evidence::{LiveEvidence, PixelWork};
-use super::intake::{DropCounts, HeldFrames, Incoming, Intake, SourceFeed};
-use super::key_service::KeyService;
-use super::name::NodeName;
-use super::report::{ClipAccounts, Reporter};
-use super::target::{TargetKey, TargetTask};
-use super::threshold::ThresholdKey;
-use crate::clip::{ClipConfig, ClipTracker, ClosedClip};
-use crate::detector::{CameraSlot, DetectorHandle, DetectorStatus};
-use crate::frame::{Delivery, RingReceiver, RingSender, frame_ring};
-use crate::power::{self, EnergyUser, PowerHandle};
-use crate::publishing::{self, Detections, PublishingThread};
-use crate::readiness;
-use crate::screen::{CameraScreen, ScreenConfig, ScreenHandle, ScreenKind};
-use crate::source::{LiveSource, SourceSettings};
-use crate::uplink::{DesiredKeeper, Uplink, UplinkSetup, Way};
+use crate::api::key_service::KeyService;
+use crate::api::name::NodeName;
+use crate::api::threshold::ThresholdKey;
+use crate::camera::audit::{Auditor, CameraAudit};
+use crate::camera::clip::{ClipConfig, ClipTracker, ClosedClip};
+use crate::camera::evidence::LiveEvidence;
+use crate::camera::publishing::{self, Detections, PublishingThread};
+use crate::camera::{Camera, InPlace};
+use crate::config::{CameraConfig, NodeConfig};
+use crate::delivery::report::{ClipAccounts, Reporter};
+use crate::delivery::uplink::{DesiredKeeper, Uplink, UplinkSetup, Way};
+use crate::error::NodeError;
+use crate::input::intake::{DropCounts, HeldFrames, Incoming, Intake, SourceFeed};
+use crate::input::source::{LiveSource, SourceSettings};
+use crate::input::{Delivery, RingReceiver, RingSender, frame_ring};
+use crate::state::board::{Board, BoardSetup, CameraBoard};
+use crate::state::counters::Counters;
+use crate::state::readiness;
+use crate::state::target::{TargetKey, TargetTask};
 use albireo_core::policy::{Policy, PolicyConfigError};
+use albireo_power::{EnergyUser, PowerHandle};
 use albireo_service::readiness::{Effect, Fault, Latch};
 use albireo_service::session;
 use albireo_service::supervise::{Restarts, Supervisor};
+use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
+use albireo_vision::pixel_work::PixelWork;
+use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle, ScreenKind};
 use albireo_wire::{CameraKeys, NodeKeys};
 use std::fmt;
 use std::sync::Arc;
@@ -173,7 +174,7 @@ impl PreparedNode {
         })?;
         let sampling = CancellationToken::new();
         let unless_started = sampling.clone().drop_guard();
-        let (power, sampler) = power::start(&config.power, sampling.clone()).await?;
+        let (power, sampler) = albireo_power::start(&config.power, sampling.clone()).await?;
         tracing::info!(model = %config.detector.model.display(), "loading the detector");
         let detector = DetectorHandle::start(&config.detector)
             .await
@@ -365,7 +366,7 @@ impl Node {
 
     /// The execution provider that really runs the detector, as far as it is known.
     pub fn provider(&self) -> Option<&'static str> {
-        crate::http::provider(&self.detector.status().borrow())
+        crate::api::http::provider(&self.detector.status().borrow())
     }
 
     /// Runs until the shutdown token is cancelled or a task fails that the node cannot do without. Then lets the

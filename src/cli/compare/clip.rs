@@ -2,7 +2,7 @@
 
 use albireo_core::geometry::PictureSize;
 use albireo_eval::footage::{FootageError, FrameSource};
-use albireo_node::frame::EncodedPicture;
+use albireo_vision::picture::EncodedPicture;
 use anyhow::{Context, bail};
 use std::sync::Arc;
 

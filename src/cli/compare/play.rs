@@ -6,10 +6,10 @@ use crate::cli::replay::{FrameSender, Haste, PublishOptions, Rate, flush, open_s
 use albireo_core::policy::{Knob, PolicyConfig};
 use albireo_eval::compare::{Boxes, ClassNumbers};
 use albireo_node::PreparedNode;
-use albireo_node::advice::{Advice, SkipWatch};
-use albireo_node::board::{Board, CameraBoard};
 use albireo_node::config::{CameraConfig, NodeConfig};
-use albireo_node::frame::Delivery;
+use albireo_node::input::Delivery;
+use albireo_node::state::advice::{Advice, SkipWatch};
+use albireo_node::state::board::{Board, CameraBoard};
 use albireo_service::config::{Configuration, ZenohConfig};
 use albireo_wire::{ClipReport, DetectionsMessage, read};
 use anyhow::{Context, anyhow, bail};

@@ -1,7 +1,7 @@
 //! What the demonstration prints: an address, a live line, a line for every clip, a summary.
 
-use albireo_node::board::{Board, Event, SharedEvent};
 use albireo_node::config::NodeConfig;
+use albireo_node::state::board::{Board, Event, SharedEvent};
 use albireo_wire::{ClipEnergy, ClipReport, DetectionsMessage, EnergyQuality, FrameStates};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::collections::BTreeMap;

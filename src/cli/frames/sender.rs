@@ -1,7 +1,7 @@
 //! Sends frames to a node: as a camera does, or so that none is missed.
 
 use super::shared::SharedFrames;
-use albireo_node::frame::{EncodedPicture, PictureFormat};
+use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAnswer, FrameAttachment, read};
 use anyhow::{Context, anyhow, bail};
 use parking_lot::Mutex;

@@ -2,7 +2,7 @@
 
 use crate::cli::frames::{FrameSender, OutgoingFrame, SentFrame};
 use albireo_eval::footage::{FrameSource, Stopper};
-use albireo_node::frame::{EncodedPicture, PictureFormat};
+use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
 use anyhow::{Context, anyhow};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};

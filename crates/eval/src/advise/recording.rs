@@ -3,7 +3,7 @@
 use crate::data::Clip;
 use crate::pictures::PicturedClip;
 use crate::statistics::mean;
-use albireo_node::screen::Thumbnail;
+use albireo_vision::screen::Thumbnail;
 
 /// A clip with the detector's answer to every frame.
 #[derive(Clone, Debug)]

@@ -1,7 +1,7 @@
 //! What is known of a comparison and of each of its runs.
 
 use super::agreement::Agreement;
-use albireo_node::advice::Advice;
+use albireo_node::state::advice::Advice;
 use albireo_wire::ClipReport;
 use serde::Serialize;
 

@@ -215,7 +215,7 @@ mod tests {
     use super::super::summary::tests::{comparison, run};
     use super::super::{Agreement, summarise};
     use super::*;
-    use albireo_node::advice::Advice;
+    use albireo_node::state::advice::Advice;
 
     fn told(joules: [f64; 2], ap50: f64, calls: u64) -> Vec<String> {
         let runs = (0..3)

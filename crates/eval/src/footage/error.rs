@@ -1,8 +1,8 @@
 //! Why footage cannot be had.
 
-use albireo_node::frame::{FrameFault, PictureFileError};
-use albireo_node::source::{CutError, SourceError};
+use albireo_node::input::source::{CutError, SourceError};
 use albireo_synth::SynthError;
+use albireo_vision::picture::{FrameFault, PictureFileError};
 
 /// Why footage cannot be opened or read on.
 #[derive(Debug, thiserror::Error)]

@@ -2,7 +2,7 @@
 
 use super::error::FootageError;
 use super::source::{FrameSource, clip_name};
-use albireo_node::frame::{EncodedPicture, picture_files, read_picture_file};
+use albireo_vision::picture::{EncodedPicture, picture_files, read_picture_file};
 use std::path::{Path, PathBuf};
 
 /// The JPEG and PNG files of a folder, ordered by name with numbers by value (`9.jpg` before `10.jpg`).

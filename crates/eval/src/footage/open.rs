@@ -5,7 +5,7 @@ use super::folder::PictureFolder;
 use super::source::FrameSource;
 use super::synthetic::Synthetic;
 use super::video::{Ffmpeg, Video, VideoEncoding};
-use albireo_node::frame::is_picture_file;
+use albireo_vision::picture::is_picture_file;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 

@@ -1,7 +1,7 @@
 //! Where replayed frames come from.
 
 use super::error::FootageError;
-use albireo_node::frame::EncodedPicture;
+use albireo_vision::picture::EncodedPicture;
 use std::path::Path;
 
 /// Ends a source from another thread: its pending and later [`FrameSource::next`] calls return soon.

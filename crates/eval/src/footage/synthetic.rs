@@ -2,8 +2,8 @@
 
 use super::error::FootageError;
 use super::source::FrameSource;
-use albireo_node::frame::{EncodedPicture, PictureFormat};
 use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use bytes::Bytes;
 
 /// The dashcam's pictures as JPEG, without end.

@@ -2,7 +2,7 @@
 
 use super::error::FootageError;
 use super::source::{FrameSource, Stopper};
-use albireo_node::frame::EncodedPicture;
+use albireo_vision::picture::EncodedPicture;
 
 /// Which frames are taken of footage that is thinned from one frame rate to another.
 #[derive(Clone, Copy, Debug, PartialEq)]

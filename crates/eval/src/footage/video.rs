@@ -2,17 +2,17 @@
 
 use super::error::FootageError;
 use super::source::{FrameSource, Stopper, clip_name};
-use albireo_node::frame::{EncodedPicture, FrameLimits, picture_of_file};
-use albireo_node::source::{
+use albireo_node::input::source::{
     FfmpegInput, Handover, Running, SourceAddress, SourceKind, Stop, read_part, read_png,
 };
+use albireo_vision::picture::{EncodedPicture, FrameLimits, picture_of_file};
 use bytes::Bytes;
 use parking_lot::Mutex;
 use serde::Deserialize;
 use std::path::Path;
 use std::sync::Arc;
 
-pub use albireo_node::source::Ffmpeg;
+pub use albireo_node::input::source::Ffmpeg;
 
 /// How the frames of a video are encoded before they are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]

@@ -6,7 +6,7 @@ use crate::source::{ClipEvidence, SourceError};
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{GreyPicture, Need};
-use albireo_node::frame::Picture;
+use albireo_vision::picture::Picture;
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::Serialize;

@@ -3,14 +3,14 @@
 
 use crate::data::classes::{Meaning, from_name};
 use albireo_core::detection::{ClassId, Detection};
-use albireo_node::detector::{
+use albireo_vision::detector::{
     CameraSlot, DetectorConfig, DetectorHandle, ExecutionProvider, InferenceError, StartError,
 };
-use albireo_node::frame::{
+use albireo_vision::picture::{
     EncodedPicture, FrameFault, FrameLimits, Picture, PixelLayout, decode, decode_grey_half,
     decode_small_grey,
 };
-use albireo_node::screen::{ScreenConfig, ScreenHandle, decoding_target};
+use albireo_vision::screen::{ScreenConfig, ScreenHandle, decoding_target};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::runtime::Runtime;

@@ -4,8 +4,8 @@ use super::observer::{Observation, ObserveError, Observer};
 use crate::data::{Clip, LoadReport, StoredDetection};
 use crate::footage::{FootageError, FrameSource};
 use albireo_core::geometry::{Corners, PictureSize};
-use albireo_node::frame::Picture;
-use albireo_node::screen::Thumbnail;
+use albireo_vision::picture::Picture;
+use albireo_vision::screen::Thumbnail;
 use std::sync::Arc;
 
 /// What to keep of the pass.

@@ -4,8 +4,8 @@ use crate::average_precision::TruthBox;
 use crate::data::classes::{Meaning, from_name};
 use crate::footage::{FootageError, FrameSource, Synthetic};
 use albireo_core::detection::BDD100K_CLASSES;
-use albireo_node::frame::{EncodedPicture, PictureFormat};
 use albireo_synth::{Dashcam, DashcamSettings, SynthError};
+use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use bytes::Bytes;
 
 /// The pictures of one clip, as JPEG, as the dashcam sends them.

@@ -4,7 +4,7 @@ use crate::result::ClipResult;
 use crate::table::short;
 use crate::worst::{FramePicture, SHOWN_POLICIES, WorstFrame};
 use albireo_core::geometry::Corners;
-use albireo_node::frame::{PictureFormat, read_picture_file};
+use albireo_vision::picture::{PictureFormat, read_picture_file};
 use maud::{Markup, html};
 
 /// Frames that are shown of each policy.

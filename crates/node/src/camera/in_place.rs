@@ -120,7 +120,7 @@ impl Drop for TakenAway<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::frame::{Pushed, RingSender, frame_ring};
+    use crate::input::{Pushed, RingSender, frame_ring};
     use std::thread::{self, ThreadId};
     use std::time::Duration;
     use tokio::sync::{mpsc, oneshot};

@@ -1,18 +1,19 @@
 //! A camera's loop with the demonstration detector: what it does with frames out of order and late.
 
 use super::*;
-use crate::audit::{AuditConfig, Auditor};
-use crate::board::{Board, BoardSetup, Event};
-use crate::clip::{ClipConfig, ClipMeta, ClipTracker, ClosedClip};
+use crate::camera::audit::{AuditConfig, Auditor};
+use crate::camera::clip::{ClipConfig, ClipMeta, ClipTracker, ClosedClip};
 use crate::config::{CameraConfig, NodeConfig};
-use crate::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
-use crate::evidence::PixelWork;
-use crate::frame::{Frame, FrameLimits, FrameOrder, PictureFormat, Pushed, RingSender, frame_ring};
-use crate::power::sampler::without_a_meter;
-use crate::screen::{CameraScreen, ScreenConfig};
+use crate::input::{Frame, FrameOrder, Pushed, RingSender, frame_ring};
+use crate::state::board::{Board, BoardSetup, Event};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::PolicyConfig;
+use albireo_power::sampler::without_a_meter;
 use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
+use albireo_vision::picture::{FrameLimits, PictureFormat};
+use albireo_vision::pixel_work::PixelWork;
+use albireo_vision::screen::{CameraScreen, ScreenConfig};
 use albireo_wire::{AuditReport, ClipEnd, DetectionsMessage};
 use std::path::Path;
 use std::time::Duration;

@@ -2,9 +2,9 @@
 //! `albireo check` only; a node finds out when it opens them.
 
 use super::NodeConfig;
-use crate::detector::{ClassNames, ExecutionProvider, find_library};
 use albireo_service::config::{Finding, Findings};
 use albireo_service::http::token_file_fault;
+use albireo_vision::detector::{ClassNames, ExecutionProvider, find_library};
 use std::net::TcpListener;
 use std::path::Path;
 

@@ -1,12 +1,12 @@
 //! What a configuration's values must keep to beyond their types.
 
 use super::{CameraConfig, NodeConfig};
-use crate::detector::ClassNames;
-use crate::frame::Delivery;
-use crate::source::SourceKind;
+use crate::input::Delivery;
+use crate::input::source::SourceKind;
 use albireo_core::policy::Knob;
 use albireo_core::target::{KnobRange, Target};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings, NamedToken};
+use albireo_vision::detector::ClassNames;
 use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
 

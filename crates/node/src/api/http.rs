@@ -1,0 +1,187 @@
+//! The routes of a node.
+
+mod cameras;
+mod change;
+mod clips;
+mod diag;
+mod events;
+mod health;
+mod history;
+mod index;
+mod log;
+mod metrics;
+mod node;
+mod picture;
+mod pictures;
+mod states;
+mod target;
+mod threshold;
+
+pub(crate) use health::provider;
+
+use crate::state::board::{Board, CameraBoard, FrameEvent, ThresholdEvent};
+use albireo_service::http::{self, Page, Problem};
+use albireo_vision::picture::FrameLimits;
+use albireo_wire::{
+    CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment, Poke, PullRequest,
+    ReportAnswer, ReportBatch, StatusMessage,
+};
+use axum::Router;
+use axum::http::StatusCode;
+use axum::routing::get;
+use std::sync::Arc;
+use tokio::sync::Semaphore;
+use tokio_util::sync::CancellationToken;
+use utoipa::openapi::OpenApi;
+use utoipa::{Modify, OpenApi as _};
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+/// What the routes look at.
+#[derive(Clone, Debug)]
+pub struct NodeView {
+    /// The live board.
+    pub board: Arc<Board>,
+    /// Limits for decoding the latest picture of a camera that does not send JPEG.
+    pub limits: FrameLimits,
+    /// The configuration as it may be shown: without its secrets.
+    pub config: Arc<serde_json::Value>,
+}
+
+/// What every handler gets.
+#[derive(Clone)]
+struct RouteState {
+    view: NodeView,
+    metrics: Arc<metrics::Metrics>,
+    pictures: Arc<pictures::Pictures>,
+    /// Places for event streams.
+    streams: Arc<Semaphore>,
+    shutdown: CancellationToken,
+    /// For the index.
+    routes: Arc<[index::Route]>,
+}
+
+impl RouteState {
+    fn board(&self) -> &Arc<Board> {
+        &self.view.board
+    }
+
+    fn camera(&self, name: &str) -> Result<&Arc<CameraBoard>, Problem> {
+        self.board().camera(name).ok_or_else(|| {
+            let names: Vec<_> = self
+                .board()
+                .cameras()
+                .iter()
+                .map(|camera| camera.name().to_owned())
+                .collect();
+            let detail = format!(
+                "there is no camera `{name}`; there is: {}",
+                names.join(", ")
+            );
+            Problem::new(StatusCode::NOT_FOUND, detail).allowing(names)
+        })
+    }
+}
+
+#[derive(utoipa::OpenApi)]
+#[openapi(
+    info(
+        title = "albireo node",
+        description = "Watch a node and turn its uncertainty threshold. Errors are problem documents (RFC 9457). \
+                       Where a token is set, everything but `/` and what it loads, `/api/v1/caller`, `/healthz`, `/readyz`, `/openapi.json` and `/docs` needs it.",
+    ),
+    components(schemas(
+        Problem,
+        // What the events carry and what goes over Zenoh: a stream's contents cannot be described, the messages in
+        // it can.
+        CountersMessage,
+        DetectionsMessage,
+        FrameAttachment,
+        FrameAnswer,
+        ReportBatch,
+        ReportAnswer,
+        StatusMessage,
+        PullRequest,
+        Desired,
+        Poke,
+        FrameEvent,
+        ThresholdEvent,
+        events::DetectorEvent
+    )),
+    modifiers(&Security),
+    security((), ("token" = []))
+)]
+struct Description;
+
+struct Security;
+
+impl Modify for Security {
+    fn modify(&self, openapi: &mut OpenApi) {
+        use utoipa::openapi::security::{HttpAuthScheme, HttpBuilder, SecurityScheme};
+        let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).build();
+        openapi
+            .components
+            .get_or_insert_default()
+            .add_security_scheme("token", SecurityScheme::Http(token));
+    }
+}
+
+fn described() -> OpenApiRouter<RouteState> {
+    OpenApiRouter::with_openapi(Description::openapi())
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz))
+        .routes(routes!(http::caller))
+        .routes(routes!(node::overview))
+        .routes(routes!(threshold::get_all, threshold::put_all))
+        .routes(routes!(threshold::get_one, threshold::put_one))
+        .routes(routes!(target::get, target::put))
+        .routes(routes!(states::all))
+        .routes(routes!(states::one))
+        .routes(routes!(index::index))
+        .routes(routes!(cameras::list))
+        .routes(routes!(cameras::one))
+        .routes(routes!(cameras::detections))
+        .routes(routes!(history::camera))
+        .routes(routes!(history::skip_estimate))
+        .routes(routes!(history::power))
+        .routes(routes!(picture::jpeg))
+        .routes(routes!(clips::list))
+        .routes(routes!(events::stream))
+        .routes(routes!(log::tail))
+        .routes(routes!(diag::archive))
+        .routes(routes!(metrics::text))
+}
+
+/// The OpenAPI document of a node, as `/openapi.json` gives it.
+pub fn openapi() -> OpenApi {
+    described().split_for_parts().1
+}
+
+/// All routes, with their description and the page.
+pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
+    let (router, openapi) = described().split_for_parts();
+    let pictures = Arc::<pictures::Pictures>::default();
+    let metrics = Arc::new(metrics::Metrics::new(Arc::clone(&view.board), &pictures));
+    #[cfg(feature = "swagger")]
+    let router = router.merge(
+        // The document itself is served below: this only tells the page where it is.
+        utoipa_swagger_ui::SwaggerUi::new("/docs")
+            .config(utoipa_swagger_ui::Config::new(["/openapi.json"])),
+    );
+    let routes = index::routes(&openapi).into();
+    let openapi = Arc::new(openapi);
+    Page::Node
+        .serve_on(router)
+        .route(
+            "/openapi.json",
+            get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),
+        )
+        .with_state(RouteState {
+            view,
+            metrics,
+            pictures,
+            streams: Arc::new(Semaphore::new(events::MOST_STREAMS)),
+            shutdown,
+            routes,
+        })
+}

@@ -1,0 +1,169 @@
+//! Which cameras there are, and where one stands.
+
+use super::RouteState;
+use crate::state::advice::Advice;
+use crate::state::board::CameraBoard;
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::Knob;
+use albireo_service::clock::{seconds, significant};
+use albireo_service::http::Problem;
+use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, KnobSource, KnobValue};
+use axum::Json;
+use axum::extract::{Path, State};
+use axum::http::StatusCode;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// A camera.
+#[derive(Serialize, ToSchema)]
+pub(super) struct CameraEntry {
+    /// Its name.
+    camera: String,
+    /// Zenoh key its frames come on.
+    key: String,
+    /// Frames processed since the node started.
+    frames: u64,
+    /// Clips ended since the node started.
+    clips: u64,
+    /// Seconds since its newest frame; absent before the first.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    last_frame_age_s: Option<f64>,
+    /// Columns of its newest frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    width: Option<u32>,
+    /// Rows of its newest frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    height: Option<u32>,
+    /// What the published code would want in the place of `u` in pictures of this size; absent where that is the same
+    /// number, before the first frame, and under other policies.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    u_as_published: Option<f64>,
+    /// What to try, when nothing is skipped although objects are followed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    advice: Option<Advice>,
+}
+
+/// The cameras of a node.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Cameras {
+    /// In the order of the configuration.
+    cameras: Vec<CameraEntry>,
+}
+
+/// Where one camera stands.
+#[derive(Serialize, ToSchema)]
+pub(super) struct CameraDetail {
+    #[serde(flatten)]
+    entry: CameraEntry,
+    /// The program's version.
+    version: &'static str,
+    /// The policy that decides its frames.
+    policy: &'static str,
+    /// The threshold in force from its next frame on; absent when the policy has none.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    value: Option<KnobValue>,
+    /// Who set it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    set_by: Option<KnobSource>,
+    /// What the policy calls its threshold, its range and its default; absent when the policy has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    knob: Option<Knob>,
+    /// How many frames had each state; they add up to `frames`.
+    states: FrameStates,
+    /// Share of frames that skipped the detector: state E or P and not degraded.
+    skip_rate: f64,
+    /// Frames answered from prediction because the detector could not be had.
+    degraded_frames: u64,
+    /// Frames not processed, by kind.
+    dropped: DroppedFrames,
+}
+
+fn entry(camera: &CameraBoard) -> CameraEntry {
+    let snapshot = camera.snapshot();
+    let picture =
+        (snapshot.latest.as_ref()).map(|latest| PictureSize::new(latest.width, latest.height));
+    CameraEntry {
+        camera: camera.name().to_owned(),
+        key: camera.key().to_owned(),
+        frames: snapshot.states.frames(),
+        clips: snapshot.clips,
+        last_frame_age_s: snapshot.last_frame_age.map(seconds),
+        width: picture.map(|picture| picture.width),
+        height: picture.map(|picture| picture.height),
+        u_as_published: picture.and_then(|picture| camera.published_threshold(picture)),
+        advice: snapshot.advice,
+    }
+}
+
+/// The cameras
+///
+/// `curl http://127.0.0.1:8080/api/v1/cameras`
+#[utoipa::path(get, operation_id = "list_cameras", path = "/api/v1/cameras", tag = "frames", responses((status = 200, body = Cameras)))]
+pub(super) async fn list(State(shared): State<RouteState>) -> Json<Cameras> {
+    let cameras = shared.board().cameras();
+    Json(Cameras {
+        cameras: cameras.iter().map(|camera| entry(camera)).collect(),
+    })
+}
+
+/// Where a camera stands: policy, threshold, frame states, what to try
+///
+/// `curl http://127.0.0.1:8080/api/v1/cameras/front`
+#[utoipa::path(
+    get, path = "/api/v1/cameras/{camera}", tag = "frames",
+    params(("camera" = String, Path, description = "The camera's name.")),
+    responses(
+        (status = 200, body = CameraDetail),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn one(
+    State(shared): State<RouteState>,
+    Path(camera): Path<String>,
+) -> Result<Json<CameraDetail>, Problem> {
+    let camera = shared.camera(&camera)?;
+    let snapshot = camera.snapshot();
+    let skip_rate = significant(snapshot.skip_rate(), 4);
+    Ok(Json(CameraDetail {
+        entry: entry(camera),
+        version: env!("CARGO_PKG_VERSION"),
+        policy: camera.policy(),
+        value: camera.knob_value(),
+        set_by: camera.knob().map(|_| camera.knob_source()),
+        knob: camera.knob(),
+        states: snapshot.states,
+        skip_rate,
+        degraded_frames: snapshot.degraded_frames,
+        dropped: snapshot.dropped,
+    }))
+}
+
+/// What was found in a camera's newest frame
+///
+/// The message that was published on Zenoh for it.
+/// `curl http://127.0.0.1:8080/api/v1/cameras/front/detections`
+#[utoipa::path(
+    get, path = "/api/v1/cameras/{camera}/detections", tag = "frames",
+    params(("camera" = String, Path, description = "The camera's name.")),
+    responses(
+        (status = 200, body = DetectionsMessage),
+        (status = 404, body = Problem, content_type = "application/problem+json",
+         description = "There is no such camera, or it has had no frame yet."),
+    )
+)]
+pub(super) async fn detections(
+    State(shared): State<RouteState>,
+    Path(camera): Path<String>,
+) -> Result<Json<DetectionsMessage>, Problem> {
+    let camera = shared.camera(&camera)?;
+    let latest = camera.snapshot().latest.ok_or_else(|| {
+        let detail = format!(
+            "camera `{}` has had no frame yet; it listens on the Zenoh key {}",
+            camera.name(),
+            camera.key()
+        );
+        Problem::new(StatusCode::NOT_FOUND, detail)
+    })?;
+    Ok(Json(DetectionsMessage::clone(&latest)))
+}

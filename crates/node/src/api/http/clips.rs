@@ -1,0 +1,90 @@
+//! Recent clip reports.
+
+use super::RouteState;
+use crate::state::board::RECENT_CLIPS;
+use albireo_service::http::Problem;
+use albireo_wire::ClipReport;
+use axum::Json;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Query, State};
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+use utoipa::{IntoParams, ToSchema};
+
+/// Which clips.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Selection {
+    /// Of this camera only.
+    camera: Option<String>,
+    /// At most this many; 50 without it.
+    #[param(minimum = 1, maximum = 256)]
+    limit: Option<usize>,
+    /// Reports with a lower number only: `next` of an answer, for the clips before those.
+    before: Option<u64>,
+    /// Reports with a higher number only: the highest number seen, for the clips since.
+    after: Option<u64>,
+}
+
+/// Recent clip reports, newest first.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Clips {
+    /// The reports, as published on Zenoh.
+    #[schema(value_type = Vec<ClipReport>)]
+    clips: Vec<ArcReport>,
+    /// To be given as `before` for the clips before these; absent when there are none in memory.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    next: Option<u64>,
+}
+
+/// A shared report; serialised as the report itself.
+struct ArcReport(Arc<ClipReport>);
+
+impl Serialize for ArcReport {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.0.serialize(serializer)
+    }
+}
+
+/// Recent clip reports, newest first
+///
+/// The node keeps the newest 256 in memory. `before` and `after` take the numbers of reports (`report`), which grow.
+/// `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
+#[utoipa::path(
+    get, operation_id = "list_clips", path = "/api/v1/clips", tag = "clips", params(Selection),
+    responses(
+        (status = 200, body = Clips),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn list(
+    State(shared): State<RouteState>,
+    selection: Result<Query<Selection>, QueryRejection>,
+) -> Result<Json<Clips>, Problem> {
+    let Query(selection) = selection.map_err(|rejection| {
+        Problem::new(StatusCode::BAD_REQUEST, rejection.body_text())
+            .allowing(["camera", "limit", "before", "after"])
+    })?;
+    let limit = selection.limit.unwrap_or(50);
+    if !(1..=RECENT_CLIPS).contains(&limit) {
+        let detail = format!("`limit` must be from 1 to {RECENT_CLIPS}, not {limit}");
+        return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
+    }
+    if let Some(camera) = &selection.camera {
+        shared.camera(camera)?;
+    }
+    let first = selection.after.map_or(0, |after| after.saturating_add(1));
+    let numbers = first..selection.before.unwrap_or(u64::MAX);
+    // One more than asked for tells whether there are more.
+    let board = shared.board();
+    let mut clips = board.clips_between(selection.camera.as_deref(), numbers, limit + 1);
+    let more = clips.len() > limit;
+    clips.truncate(limit);
+    let next = clips.last().map(|clip| clip.report).filter(|_| more);
+    Ok(Json(Clips {
+        clips: clips.into_iter().map(ArcReport).collect(),
+        next,
+    }))
+}

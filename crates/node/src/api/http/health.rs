@@ -1,0 +1,151 @@
+//! Whether the node lives, and whether it works.
+
+use super::RouteState;
+use crate::state::board::Board;
+use albireo_service::http::{self, Problem};
+use albireo_service::readiness::PartFault;
+use albireo_vision::detector::DetectorStatus;
+use albireo_wire::HealthState;
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::response::{IntoResponse, Response};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// The process answers.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Health {
+    /// Always `ok`.
+    status: &'static str,
+    /// The node.
+    node: String,
+    /// The program's version.
+    version: &'static str,
+    /// Seconds since it started.
+    uptime_s: f64,
+}
+
+/// What is wrong with one of the node's parts.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Reason {
+    /// Which part: `detector`, `screen`, `cameras`, `power`, `outbox`, `zenoh`, `uplink`, `disk` or `tasks`.
+    part: String,
+    /// Which of several: the name of a camera or a task. Absent where it is the part itself.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    subject: Option<String>,
+    /// `not_ready` when the node cannot do its work, `degraded` when it works beside the fault.
+    effect: &'static str,
+    /// What is the matter.
+    reason: String,
+    /// Seconds since the part is at fault.
+    since_s: f64,
+}
+
+impl From<PartFault> for Reason {
+    fn from(fault: PartFault) -> Self {
+        Self {
+            part: fault.part.into_owned(),
+            subject: (!fault.subject.is_empty()).then(|| fault.subject.into_owned()),
+            effect: fault.fault.effect.as_str(),
+            reason: fault.fault.reason,
+            since_s: albireo_service::clock::seconds(fault.lasted),
+        }
+    }
+}
+
+/// Whether frames are processed as the configuration wants it, and by what.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Readiness {
+    /// Whether frames are answered as wanted, perhaps with a part missing.
+    ready: bool,
+    /// Whether every part works.
+    state: HealthState,
+    /// The node.
+    node: String,
+    /// The policy that decides frames.
+    policy: &'static str,
+    /// File name of the detector's model.
+    model: String,
+    /// Execution provider that really runs the detector; absent while it starts.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    provider: Option<&'static str>,
+    /// Execution providers asked for, in order.
+    requested_providers: Vec<&'static str>,
+    /// What is wrong; empty when every part works.
+    reasons: Vec<Reason>,
+}
+
+/// [`Readiness`] as a problem document.
+#[derive(Serialize, ToSchema)]
+pub(super) struct NotReady {
+    #[serde(flatten)]
+    problem: Problem,
+    #[serde(flatten)]
+    readiness: Readiness,
+}
+
+/// The provider in use by a status.
+pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
+    match status {
+        DetectorStatus::Starting => None,
+        DetectorStatus::Ready { provider }
+        | DetectorStatus::Degraded { provider, .. }
+        | DetectorStatus::Lost { provider, .. } => Some(provider.as_str()),
+    }
+}
+
+/// How the node is now.
+pub(super) fn readiness(board: &Board) -> Readiness {
+    let facts = board.detector_facts();
+    let health = board.readiness().health();
+    Readiness {
+        ready: health.is_ready(),
+        state: health.state(),
+        node: board.node().to_owned(),
+        policy: board.policy(),
+        model: facts.model.clone(),
+        provider: provider(&board.detector_status()),
+        requested_providers: facts.requested.iter().map(|name| name.as_str()).collect(),
+        reasons: health.faults.iter().cloned().map(Reason::from).collect(),
+    }
+}
+
+/// Whether the process answers
+///
+/// Touches neither the detector nor the GPU. `curl http://127.0.0.1:8080/healthz`
+#[utoipa::path(get, operation_id = "healthz", path = "/healthz", tag = "health", security(()), responses((status = 200, body = Health)))]
+pub(super) async fn healthz(State(shared): State<RouteState>) -> Json<Health> {
+    let board = shared.board();
+    Json(Health {
+        status: "ok",
+        node: board.node().to_owned(),
+        version: env!("CARGO_PKG_VERSION"),
+        uptime_s: albireo_service::clock::seconds(board.uptime()),
+    })
+}
+
+/// Whether frames are processed as wanted, and by which execution provider
+///
+/// 503 while starting, and when a part fails that the node cannot do without. 200 with reasons when another part
+/// fails. `curl http://127.0.0.1:8080/readyz`
+#[utoipa::path(
+    get, operation_id = "readyz", path = "/readyz", tag = "health", security(()),
+    responses(
+        (status = 200, body = Readiness),
+        (status = 503, body = NotReady, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn readyz(State(shared): State<RouteState>) -> Response {
+    let readiness = readiness(shared.board());
+    if readiness.ready {
+        return Json(readiness).into_response();
+    }
+    let reasons = shared.board().readiness().health().status().reasons;
+    let words: Vec<_> = (reasons.iter())
+        .map(|(part, reason)| format!("{part}: {reason}"))
+        .collect();
+    let status = StatusCode::SERVICE_UNAVAILABLE;
+    let problem = Problem::new(status, words.join("; "));
+    http::response(status, &NotReady { problem, readiness })
+}

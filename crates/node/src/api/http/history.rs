@@ -1,0 +1,349 @@
+//! The past, as a page that is opened now shows it.
+
+use super::RouteState;
+use crate::state::board::{Estimate, FRAMES, PastFrame, PastSlot, SLOT_S};
+use albireo_core::policy::{CallCause, FrameState};
+use albireo_service::clock::unix_milliseconds;
+use albireo_service::http::Problem;
+use albireo_wire::{EnergyQuality, KnobValue};
+use axum::Json;
+use axum::extract::rejection::QueryRejection;
+use axum::extract::{Path, Query, State};
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use utoipa::{IntoParams, ToSchema};
+
+/// How much of the past.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Selection {
+    /// At most so many of the last frames, 0 to 8192; 3000 by default.
+    frames: Option<usize>,
+}
+
+/// The last frames, column by column: the n-th entry of each is of the n-th frame, the oldest first.
+#[derive(Default, Serialize, ToSchema)]
+pub(super) struct PastFrames {
+    /// Sequence number.
+    seq: Vec<u64>,
+    /// Milliseconds before `now_ms` that it was answered.
+    age_ms: Vec<u64>,
+    /// Frame state.
+    state: Vec<FrameState>,
+    /// Why the detector was called; null where it was not.
+    cause: Vec<Option<CallCause>>,
+    /// Whether the detector was needed and could not be had.
+    degraded: Vec<bool>,
+    /// Boxes reported.
+    boxes: Vec<u16>,
+    /// Largest uncertainty before the decision; null without objects.
+    tau_max: Vec<Option<f32>>,
+    /// Threshold in force; null where the policy has none.
+    knob: Vec<Option<f32>>,
+    /// Milliseconds of the detector; null where it did not run.
+    detector_ms: Vec<Option<f32>>,
+    /// Milliseconds from reception to publication.
+    total_ms: Vec<Option<f32>>,
+}
+
+/// A piece of the last hour.
+#[derive(Serialize, ToSchema)]
+pub(super) struct CameraSlot {
+    /// When it began, milliseconds since the Unix epoch.
+    at_ms: i64,
+    /// Frames processed.
+    frames: u32,
+    /// Of these, without the detector: state E or P and not degraded.
+    skipped: u32,
+    /// Of these, answered from prediction because the detector could not be had.
+    degraded: u32,
+    /// Frames that the detector was called for.
+    calls: u32,
+    /// Median time of the detector, milliseconds; absent where it did not run.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    detector_p50_ms: Option<f32>,
+    /// 99th percentile of it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    detector_p99_ms: Option<f32>,
+}
+
+/// What became of a camera's frames lately.
+#[derive(Serialize, ToSchema)]
+pub(super) struct CameraHistory {
+    /// Camera.
+    camera: String,
+    /// The node's clock now, milliseconds since the Unix epoch.
+    now_ms: i64,
+    /// Length of a piece of the hour, seconds.
+    slot_s: u64,
+    /// The last hour in pieces, the oldest first, the last one still open; those without a frame are left out.
+    slots: Vec<CameraSlot>,
+    /// The last frames.
+    frames: PastFrames,
+}
+
+/// A moment of the node's life by the wall clock as it goes now: a clock that was set in between moves all of them.
+struct Clock {
+    now_ms: i64,
+    age: Duration,
+}
+
+impl Clock {
+    fn new(age: Duration) -> Self {
+        Self {
+            now_ms: unix_milliseconds(),
+            age,
+        }
+    }
+
+    fn before_now_ms(&self, at_ms: u64) -> u64 {
+        u64::try_from(self.age.as_millis())
+            .unwrap_or(u64::MAX)
+            .saturating_sub(at_ms)
+    }
+
+    fn of_slot(&self, slot: u64) -> i64 {
+        let before = self.before_now_ms(slot.saturating_mul(SLOT_S * 1000));
+        self.now_ms - i64::try_from(before).unwrap_or(i64::MAX)
+    }
+}
+
+fn columns(frames: &[PastFrame], clock: &Clock) -> PastFrames {
+    let mut columns = PastFrames::default();
+    for frame in frames {
+        columns.seq.push(frame.seq);
+        columns.age_ms.push(clock.before_now_ms(frame.at_ms));
+        columns.state.push(frame.state);
+        columns.cause.push(frame.cause);
+        columns.degraded.push(frame.degraded);
+        columns.boxes.push(frame.boxes);
+        columns.tau_max.push(frame.tau_max());
+        columns.knob.push(frame.knob());
+        columns.detector_ms.push(frame.detector_ms());
+        columns.total_ms.push(frame.total_ms());
+    }
+    columns
+}
+
+fn piece(slot: &PastSlot, clock: &Clock) -> CameraSlot {
+    let known = |ms: f32| (ms > 0.0).then_some(ms);
+    CameraSlot {
+        at_ms: clock.of_slot(slot.slot),
+        frames: slot.frames,
+        skipped: slot.skipped,
+        degraded: slot.degraded,
+        calls: slot.calls,
+        detector_p50_ms: known(slot.detector_p50_ms),
+        detector_p99_ms: known(slot.detector_p99_ms),
+    }
+}
+
+/// A camera's last minutes frame by frame, and its last hour in pieces
+///
+/// The node keeps the newest 8192 frames and 360 pieces of ten seconds in memory, whoever looks.
+/// `curl 'http://127.0.0.1:8080/api/v1/cameras/front/history?frames=100'`
+#[utoipa::path(
+    get, operation_id = "camera_history", path = "/api/v1/cameras/{camera}/history", tag = "frames",
+    params(("camera" = String, Path, description = "The camera's name."), Selection),
+    responses(
+        (status = 200, body = CameraHistory),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn camera(
+    State(shared): State<RouteState>,
+    Path(camera): Path<String>,
+    selection: Result<Query<Selection>, QueryRejection>,
+) -> Result<Json<CameraHistory>, Problem> {
+    let Query(selection) = selection.map_err(|rejection| {
+        Problem::new(StatusCode::BAD_REQUEST, rejection.body_text()).allowing(["frames"])
+    })?;
+    let most = selection.frames.unwrap_or(3000);
+    if most > FRAMES {
+        let detail = format!("`frames` must be from 0 to {FRAMES}, not {most}");
+        return Err(Problem::new(StatusCode::BAD_REQUEST, detail));
+    }
+    let camera = shared.camera(&camera)?;
+    let (frames, slots, age) = camera.past(most);
+    let clock = Clock::new(age);
+    Ok(Json(CameraHistory {
+        camera: camera.name().to_owned(),
+        now_ms: clock.now_ms,
+        slot_s: SLOT_S,
+        slots: slots.iter().map(|slot| piece(slot, &clock)).collect(),
+        frames: columns(&frames, &clock),
+    }))
+}
+
+/// Power of a piece of the last hour.
+#[derive(Serialize, ToSchema)]
+pub(super) struct PowerPiece {
+    /// When it began, milliseconds since the Unix epoch.
+    at_ms: i64,
+    /// How far to trust it: the worst during the piece.
+    quality: EnergyQuality,
+    /// Mean power over the time that samples cover, watts, by domain.
+    watts: BTreeMap<&'static str, f32>,
+}
+
+/// Power over the last hour.
+#[derive(Serialize, ToSchema)]
+pub(super) struct PowerHistory {
+    /// Length of a piece, seconds.
+    slot_s: u64,
+    /// The pieces, the oldest first, the last one still open; those without a figure are left out.
+    slots: Vec<PowerPiece>,
+}
+
+/// The node's power over the last hour, in pieces
+///
+/// `curl http://127.0.0.1:8080/api/v1/power`
+#[utoipa::path(get, operation_id = "power_history", path = "/api/v1/power", tag = "energy", responses((status = 200, body = PowerHistory)))]
+pub(super) async fn power(State(shared): State<RouteState>) -> Json<PowerHistory> {
+    let (slots, age) = shared.board().power_past();
+    let clock = Clock::new(age);
+    let slots = slots.iter().map(|slot| PowerPiece {
+        at_ms: clock.of_slot(slot.slot),
+        quality: slot.quality,
+        watts: slot.watts().collect(),
+    });
+    Json(PowerHistory {
+        slot_s: SLOT_S,
+        slots: slots.collect(),
+    })
+}
+
+/// Which values.
+#[derive(Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub(super) struct Values {
+    /// Values of the threshold, separated by commas, at most 64; without it, 41 from a hundredth of the default to a hundred
+    /// times it.
+    values: Option<String>,
+}
+
+/// What one value would have skipped.
+#[derive(Serialize, ToSchema)]
+pub(super) struct ValueEstimate {
+    /// The value.
+    value: f64,
+    /// Frames without the detector.
+    skipped: usize,
+    /// Share of the frames.
+    skip_rate: f64,
+}
+
+/// What other thresholds would have skipped over the last minutes.
+#[derive(Serialize, ToSchema)]
+pub(super) struct SkipEstimates {
+    /// Camera.
+    camera: String,
+    /// Always true: under another value other frames would have been matched, so objects would have evolved differently.
+    /// Recorded uncertainties are scaled by how they grew with the time since a call.
+    estimated: bool,
+    /// Frames looked at.
+    frames: usize,
+    /// Time they took, seconds.
+    duration_s: f64,
+    /// Frames that really were answered without the detector.
+    skipped: usize,
+    /// Share of the frames, really.
+    skip_rate: f64,
+    /// The threshold in force, under its name.
+    #[serde(flatten)]
+    #[schema(value_type = BTreeMap<String, f64>)]
+    knob: KnobValue,
+    /// What each value would have skipped, in the order asked for.
+    values: Vec<ValueEstimate>,
+}
+
+/// Most values of one question.
+const MOST_VALUES: usize = 64;
+
+fn asked(text: &str) -> Result<Vec<f64>, Problem> {
+    let values: Result<Vec<f64>, _> = text.split(',').map(|value| value.trim().parse()).collect();
+    match values {
+        Ok(values) if values.len() <= MOST_VALUES && values.iter().all(|v| *v > 0.0) => Ok(values),
+        _ => {
+            let detail = format!(
+                "`values` must be at most {MOST_VALUES} numbers above 0, separated by commas"
+            );
+            Err(Problem::new(StatusCode::BAD_REQUEST, detail))
+        }
+    }
+}
+
+/// What other thresholds would have skipped over the last minutes
+///
+/// An estimate from the uncertainties that were recorded frame by frame, for the threshold `u`.
+/// `curl 'http://127.0.0.1:8080/api/v1/cameras/front/skip-estimate?values=1e-4,3e-4,1e-3'`
+#[utoipa::path(
+    get, operation_id = "skip_estimate", path = "/api/v1/cameras/{camera}/skip-estimate", tag = "threshold",
+    params(("camera" = String, Path, description = "The camera's name."), Values),
+    responses(
+        (status = 200, body = SkipEstimates),
+        (status = 409, body = Problem, content_type = "application/problem+json",
+         description = "The policy is not turned by u, or has no record to estimate from yet."),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn skip_estimate(
+    State(shared): State<RouteState>,
+    Path(camera): Path<String>,
+    values: Result<Query<Values>, QueryRejection>,
+) -> Result<Json<SkipEstimates>, Problem> {
+    let Query(values) = values.map_err(|rejection| {
+        Problem::new(StatusCode::BAD_REQUEST, rejection.body_text()).allowing(["values"])
+    })?;
+    let camera = shared.camera(&camera)?;
+    let cannot = |why: &str| Problem::new(StatusCode::CONFLICT, why);
+    let (Some(knob), Some(about)) = (camera.knob_value(), camera.knob()) else {
+        return Err(cannot("the policy has no threshold to estimate with"));
+    };
+    if knob.name != "u" {
+        let why =
+            "only the threshold `u` is compared with what is recorded; this policy is turned by ";
+        return Err(cannot(&format!("{why}`{}`", knob.name)));
+    }
+    let values = match values.values.as_deref() {
+        Some(text) => asked(text)?,
+        None => (0..=40)
+            .map(|step| about.default * 10_f64.powf((f64::from(step) - 20.0) / 10.0))
+            .collect(),
+    };
+    // Some milliseconds of computing: not on a thread that frames wait for.
+    let camera = std::sync::Arc::clone(camera);
+    let name = camera.name().to_owned();
+    let computed = tokio::task::spawn_blocking(move || {
+        let estimate = camera.skip_estimate();
+        let (first, last) = estimate.span_ms()?;
+        let values: Vec<(f64, Estimate)> = (values.into_iter())
+            .map(|value| (value, estimate.at(value)))
+            .collect();
+        Some((estimate.really(), last - first, values))
+    });
+    let Ok(Some((really, span_ms, values))) = computed.await else {
+        return Err(cannot("no frame after a detector call is recorded yet"));
+    };
+    Ok(Json(SkipEstimates {
+        camera: name,
+        estimated: true,
+        frames: really.frames,
+        duration_s: span_ms as f64 / 1e3,
+        skipped: really.skipped,
+        skip_rate: really.skip_rate(),
+        knob,
+        values: values
+            .into_iter()
+            .map(|(value, estimate)| ValueEstimate {
+                value,
+                skipped: estimate.skipped,
+                skip_rate: estimate.skip_rate(),
+            })
+            .collect(),
+    }))
+}

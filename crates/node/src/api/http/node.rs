@@ -1,0 +1,69 @@
+//! The node itself, in one answer: what the head of the page shows.
+
+use super::RouteState;
+use super::health::{Readiness, readiness};
+use crate::state::board::Balance;
+use albireo_service::clock::seconds;
+use albireo_wire::{EnergyQuality, OutboxStatus};
+use axum::Json;
+use axum::extract::State;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use utoipa::ToSchema;
+
+/// A node: how it is, since when it runs, and what it has used since.
+#[derive(Serialize, ToSchema)]
+pub(super) struct NodeOverview {
+    /// The program's version.
+    version: &'static str,
+    /// Seconds since it started.
+    uptime_s: f64,
+    #[serde(flatten)]
+    readiness: Readiness,
+    /// Reports that wait for a hub.
+    outbox: OutboxStatus,
+    /// Energy since the start.
+    energy: EnergySinceStart,
+    /// What was saved since the start.
+    since_start: Balance,
+    /// What was saved today: since midnight UTC, or since the start where that is later.
+    today: Balance,
+}
+
+/// What the whole node has used since it started.
+#[derive(Serialize, ToSchema)]
+pub(super) struct EnergySinceStart {
+    /// Where the figures come from: `rapl`, `estimate`, …; `none` without a source.
+    source: String,
+    /// How far to trust them.
+    quality: EnergyQuality,
+    /// Joules by domain, over the time that samples cover.
+    joules: BTreeMap<String, f64>,
+    /// That time, seconds.
+    covered_s: BTreeMap<String, f64>,
+}
+
+/// The node in one answer
+///
+/// As `/readyz`, with status 200 whatever the state: this is to be looked at, not to be probed.
+/// `curl http://127.0.0.1:8080/api/v1/node`
+#[utoipa::path(get, operation_id = "node_overview", path = "/api/v1/node", tag = "health", responses((status = 200, body = NodeOverview)))]
+pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverview> {
+    let board = shared.board();
+    let power = board.power();
+    let (since_start, today) = board.balances();
+    Json(NodeOverview {
+        version: env!("CARGO_PKG_VERSION"),
+        uptime_s: seconds(board.uptime()),
+        readiness: readiness(board),
+        outbox: board.outbox().counts().status(),
+        energy: EnergySinceStart {
+            source: power.source,
+            quality: power.quality,
+            joules: power.joules,
+            covered_s: power.covered_s,
+        },
+        since_start,
+        today,
+    })
+}

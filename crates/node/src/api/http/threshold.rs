@@ -1,0 +1,205 @@
+//! Reading and turning the uncertainty threshold.
+
+use super::RouteState;
+use super::change::{message, off_the_runtime};
+use crate::state::board::CameraBoard;
+use albireo_core::policy::{Knob, short};
+use albireo_service::http::Problem;
+use albireo_wire::{KnobValue, ThresholdMessage, VERSION};
+use axum::Json;
+use axum::body::Bytes;
+use axum::extract::rejection::BytesRejection;
+use axum::extract::{Path, State};
+use axum::http::{HeaderMap, StatusCode};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+/// One camera's threshold.
+#[derive(Serialize, ToSchema)]
+pub(super) struct CameraThreshold {
+    /// Camera.
+    camera: String,
+    /// The value in force from its next frame on; absent when the policy has none.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    value: Option<KnobValue>,
+    /// What the policy calls it, its range and its default; absent when the policy has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    knob: Option<Knob>,
+}
+
+/// The thresholds of a node.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Thresholds {
+    /// The value in force, where all cameras have the same.
+    #[serde(flatten, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
+    value: Option<KnobValue>,
+    /// Whether values changed while running hold after a restart: a `state_dir` is set and can be
+    /// written to.
+    survives_restart: bool,
+    /// Each camera's.
+    cameras: Vec<CameraThreshold>,
+}
+
+/// One camera's threshold, as read or as changed.
+#[derive(Serialize, ToSchema)]
+pub(super) struct OneThreshold {
+    #[serde(flatten)]
+    threshold: CameraThreshold,
+    /// Whether a value changed while running holds after a restart.
+    survives_restart: bool,
+}
+
+fn of(camera: &CameraBoard) -> CameraThreshold {
+    CameraThreshold {
+        camera: camera.name().to_owned(),
+        value: camera.knob_value(),
+        knob: camera.knob(),
+    }
+}
+
+fn thresholds(shared: &RouteState) -> Thresholds {
+    let cameras: Vec<_> = shared
+        .board()
+        .cameras()
+        .iter()
+        .map(|camera| of(camera))
+        .collect();
+    let first = cameras.first().and_then(|camera| camera.value);
+    Thresholds {
+        value: first.filter(|_| cameras.iter().all(|camera| camera.value == first)),
+        survives_restart: shared.board().thresholds_are_kept(),
+        cameras,
+    }
+}
+
+fn one_threshold(shared: &RouteState, camera: &CameraBoard) -> OneThreshold {
+    OneThreshold {
+        threshold: of(camera),
+        survives_restart: shared.board().thresholds_are_kept(),
+    }
+}
+
+/// Reads the value out of a request. `knob` is for telling what is allowed.
+fn value(
+    headers: &HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+    knob: Option<Knob>,
+) -> Result<f64, Problem> {
+    let expected = expected(knob);
+    let message: ThresholdMessage =
+        message(headers, body, &expected).map_err(|problem| problem.with_knob(knob))?;
+    let fault = |what: &str| {
+        Problem::new(
+            StatusCode::UNPROCESSABLE_ENTITY,
+            format!("the body must be {expected}: {what}"),
+        )
+        .with_knob(knob)
+    };
+    if message.v != VERSION {
+        let what = format!("version {} is not known here, only {VERSION}", message.v);
+        return Err(fault(&what));
+    }
+    match knob {
+        Some(knob) => (message.value_of(&knob)).map_err(|error| fault(&error.to_string())),
+        // Changing it will tell that there is nothing to change.
+        None => Ok(message.knob.value),
+    }
+}
+
+fn expected(knob: Option<Knob>) -> String {
+    match knob {
+        Some(knob) => format!(
+            "a JSON object such as {{\"{}\": {}}} with {}",
+            knob.name,
+            short(knob.default),
+            knob.range()
+        ),
+        None => "a JSON object such as {\"u\": 0.0003}".to_owned(),
+    }
+}
+
+/// The thresholds in force
+///
+/// `curl http://127.0.0.1:8080/api/v1/threshold`
+#[utoipa::path(get, operation_id = "thresholds", path = "/api/v1/threshold", tag = "threshold", responses((status = 200, body = Thresholds)))]
+pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds> {
+    Json(thresholds(&shared))
+}
+
+/// Changes the threshold of all cameras, or of none
+///
+/// It holds from each camera's next frame. A policy's knob goes by its own name: `u`, or `lambda` under
+/// expected-loss.
+/// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
+#[utoipa::path(
+    put, operation_id = "set_thresholds", path = "/api/v1/threshold", tag = "threshold", request_body = ThresholdMessage,
+    responses(
+        (status = 200, body = Thresholds),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn put_all(
+    State(shared): State<RouteState>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Result<Json<Thresholds>, Problem> {
+    let knob = shared
+        .board()
+        .cameras()
+        .first()
+        .and_then(|camera| camera.knob());
+    let value = value(&headers, body, knob)?;
+    let board = shared.board().clone();
+    off_the_runtime(move || board.set_all_thresholds(value))
+        .await?
+        .map_err(|error| Problem::from_knob_error(&error, knob))?;
+    Ok(Json(thresholds(&shared)))
+}
+
+/// A camera's threshold in force
+///
+/// `curl http://127.0.0.1:8080/api/v1/cameras/front/threshold`
+#[utoipa::path(
+    get, operation_id = "camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold",
+    params(("camera" = String, Path, description = "The camera's name.")),
+    responses(
+        (status = 200, body = OneThreshold),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn get_one(
+    State(shared): State<RouteState>,
+    Path(camera): Path<String>,
+) -> Result<Json<OneThreshold>, Problem> {
+    let camera = shared.camera(&camera)?;
+    Ok(Json(one_threshold(&shared, camera)))
+}
+
+/// Changes a camera's threshold
+///
+/// It holds from the camera's next frame.
+/// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
+#[utoipa::path(
+    put, operation_id = "set_camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold", request_body = ThresholdMessage,
+    params(("camera" = String, Path, description = "The camera's name.")),
+    responses(
+        (status = 200, body = OneThreshold),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn put_one(
+    State(shared): State<RouteState>,
+    Path(camera): Path<String>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Result<Json<OneThreshold>, Problem> {
+    let camera = shared.camera(&camera)?.clone();
+    let value = value(&headers, body, camera.knob())?;
+    let changed = camera.clone();
+    off_the_runtime(move || changed.set_threshold(value))
+        .await?
+        .map_err(|error| Problem::from_knob_error(&error, camera.knob()))?;
+    Ok(Json(one_threshold(&shared, &camera)))
+}

@@ -1,0 +1,37 @@
+//! A camera's threshold on its Zenoh key.
+
+use crate::api::key_service::KeyValue;
+use crate::state::board::CameraBoard;
+use albireo_wire::{MessageError, ThresholdMessage, VERSION};
+use std::sync::Arc;
+
+/// One camera's threshold.
+pub(crate) struct ThresholdKey(pub Arc<CameraBoard>);
+
+impl KeyValue for ThresholdKey {
+    fn what(&self) -> &'static str {
+        "threshold"
+    }
+
+    fn change(&self, payload: &[u8]) -> Result<Vec<u8>, String> {
+        let board = &self.0;
+        // `v` may be left out here, as in a hand-typed put, so the versioned reader does not fit.
+        let message: ThresholdMessage = serde_json::from_slice(payload)
+            .map_err(|error| format!("expected JSON such as {{\"u\":3e-4}}: {error}"))?;
+        if message.v != VERSION {
+            return Err(MessageError::Version { found: message.v }.to_string());
+        }
+        if let Some(knob) = board.knob() {
+            message.value_of(&knob).map_err(|error| error.to_string())?;
+        }
+        (board.set_threshold(message.knob.value)).map_err(|error| error.to_string())?;
+        self.in_force()
+    }
+
+    fn in_force(&self) -> Result<Vec<u8>, String> {
+        let knob =
+            (self.0.knob_value()).ok_or_else(|| "the policy in use has no threshold".to_owned())?;
+        serde_json::to_vec(&ThresholdMessage { v: VERSION, knob })
+            .map_err(|error| error.to_string())
+    }
+}

@@ -1,0 +1,91 @@
+//! From a policy's outcome to the message on the wire.
+
+use crate::input::Frame;
+use albireo_core::geometry::{BoundingBox, PictureSize};
+use albireo_core::policy::{Outcome, OutputBox};
+use albireo_service::clock::significant;
+use albireo_wire::{BoxMessage, DetectionsMessage, KnobValue, Latency, VERSION};
+
+/// What the message says about the frame besides the policy's outcome.
+#[derive(Debug)]
+pub struct AnswerContext<'a> {
+    /// The frame answered.
+    pub frame: &'a Frame,
+    /// The clip it belongs to.
+    pub clip: &'a str,
+    /// The knob's value in force.
+    pub knob: Option<KnobValue>,
+    /// Names of the detector's classes.
+    pub class_names: &'a [String],
+    /// Where the time went.
+    pub latency: Latency,
+}
+
+/// The detections message of one frame, its figures rounded to what they mean: corners to a hundredth of a pixel,
+/// confidence to four digits, τ to six. Boxes are clipped to the picture; those of which nothing is in
+/// the picture are left out.
+pub fn detections_message(outcome: &Outcome, context: &AnswerContext<'_>) -> DetectionsMessage {
+    let size = context.frame.picture.size;
+    DetectionsMessage {
+        v: VERSION,
+        seq: context.frame.sequence,
+        t_ns: context.frame.time_ns,
+        clip: context.clip.to_owned(),
+        state: outcome.state,
+        degraded: outcome.degraded,
+        cause: outcome.cause,
+        tau_max: outcome.tau_max.map(|tau| significant(tau, 6)),
+        knob: context.knob,
+        width: size.width,
+        height: size.height,
+        boxes: outcome
+            .boxes
+            .iter()
+            .filter_map(|output| box_message(output, size, context.class_names))
+            .collect(),
+        latency_ms: context.latency,
+    }
+}
+
+fn box_message(output: &OutputBox, size: PictureSize, names: &[String]) -> Option<BoxMessage> {
+    let class = names
+        .get(usize::from(output.class.0))
+        .cloned()
+        .unwrap_or_else(|| format!("class-{}", output.class.0));
+    Some(BoxMessage {
+        corners: clipped_corners(output.bounding_box, size)?,
+        class,
+        confidence: ((output.confidence * 1e4).round() / 1e4) as f32,
+        source: output.source,
+        object: output.object,
+        confirmed: output.confirmed,
+    })
+}
+
+/// Left, top, right, bottom in pixels, to a hundredth of a pixel; `None` when nothing of the box is in
+/// the picture.
+fn clipped_corners(bounding_box: BoundingBox, size: PictureSize) -> Option<[f32; 4]> {
+    let (width, height) = (f64::from(size.width), f64::from(size.height));
+    let corners = bounding_box.pixel_corners(size);
+    let (x1, x2) = (corners.x1.clamp(0.0, width), corners.x2.clamp(0.0, width));
+    let (y1, y2) = (corners.y1.clamp(0.0, height), corners.y2.clamp(0.0, height));
+    // NaN fails the comparison and is left out too.
+    let visible = x2 > x1 && y2 > y1;
+    visible.then(|| [x1, y1, x2, y2].map(|edge| ((edge * 100.0).round() / 100.0) as f32))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_box_is_clipped_to_the_picture_and_one_outside_is_left_out() {
+        let size = PictureSize::new(200, 100);
+        let edge = BoundingBox::new(0.0, 0.5, 0.2, 0.2);
+        assert_eq!(clipped_corners(edge, size), Some([0.0, 40.0, 20.0, 60.0]));
+        let outside = BoundingBox::new(-0.2, 0.5, 0.2, 0.2);
+        assert_eq!(clipped_corners(outside, size), None);
+        let broken = BoundingBox::new(f64::NAN, 0.5, 0.2, 0.2);
+        assert_eq!(clipped_corners(broken, size), None);
+    }
+}

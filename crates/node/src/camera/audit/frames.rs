@@ -1,0 +1,180 @@
+//! The drawn frames of one camera that wait, and what came of those that do not.
+
+use crate::state::board::CameraBoard;
+use albireo_core::audit::{AuditDraw, AuditSums};
+use albireo_core::policy::{FrameState, OutputBox};
+use albireo_vision::picture::EncodedPicture;
+use albireo_wire::AuditFigures;
+use parking_lot::Mutex;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::Notify;
+
+/// Most drawn frames of a camera that wait: each holds its encoded picture.
+const MOST_WAITING: usize = 2;
+
+/// What an audit has counted.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct AuditCount {
+    /// What was compared, and what could not be looked at in time.
+    pub sums: AuditSums,
+    /// Times the detector looked.
+    pub calls: u64,
+    /// Its time for that, microseconds.
+    pub detector_us: u64,
+}
+
+impl AuditCount {
+    /// Adds the other's counts.
+    pub(crate) fn merge(&mut self, more: &Self) {
+        self.sums.merge(&more.sums);
+        self.calls = self.calls.saturating_add(more.calls);
+        self.detector_us = self.detector_us.saturating_add(more.detector_us);
+    }
+
+    /// In figures, without groups.
+    pub(crate) fn figures(&self) -> AuditFigures {
+        AuditFigures::new(&self.sums, self.calls, self.detector_us)
+    }
+
+    /// In figures, with groups.
+    pub(crate) fn figures_with_groups(&self) -> AuditFigures {
+        AuditFigures::with_groups(&self.sums, self.calls, self.detector_us)
+    }
+
+    pub(super) fn missed() -> Self {
+        let mut count = Self::default();
+        count.sums.add_missed();
+        count
+    }
+}
+
+/// A frame that was drawn: what was shown, and the picture to look at.
+#[derive(Clone, Debug)]
+pub(crate) struct DrawnFrame {
+    /// The picture, still encoded.
+    pub picture: EncodedPicture,
+    /// What was published for it.
+    pub shown: Vec<OutputBox>,
+    /// Its state.
+    pub state: FrameState,
+    /// Frames since the detector last looked, this one included.
+    pub pause: u32,
+}
+
+/// One camera's audit, shared between its loop and the task that looks. The loop only leaves frames here.
+#[derive(Debug)]
+pub(crate) struct CameraAudit {
+    draw: AuditDraw,
+    share: f64,
+    /// How long a frame may wait for the detector.
+    wait: Duration,
+    board: Arc<CameraBoard>,
+    state: Mutex<State>,
+    came: Notify,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    waiting: VecDeque<DrawnFrame>,
+    /// The frame that is looked at, by its number.
+    in_hand: Option<u64>,
+    taken: u64,
+    /// Mostly nothing, and asked for at every frame.
+    since_reported: Option<Box<AuditCount>>,
+}
+
+impl CameraAudit {
+    /// For the camera of `board`.
+    pub(crate) fn new(
+        draw: AuditDraw,
+        share: f64,
+        wait: Duration,
+        board: Arc<CameraBoard>,
+    ) -> Self {
+        Self {
+            draw,
+            share,
+            wait,
+            board,
+            state: Mutex::default(),
+            came: Notify::new(),
+        }
+    }
+
+    /// Share of the skipped frames that is drawn; `None` without an audit.
+    pub(crate) fn share(&self) -> Option<f64> {
+        (!self.draw.is_off()).then_some(self.share)
+    }
+
+    /// How long a frame may wait for the detector.
+    pub(crate) const fn wait(&self) -> Duration {
+        self.wait
+    }
+
+    /// Whether the frame with this number is drawn.
+    pub(crate) const fn draws(&self, frame: u64) -> bool {
+        self.draw.draw(frame)
+    }
+
+    /// Leaves a drawn frame to be looked at. Where too many wait already, it is missed.
+    pub(crate) fn offer(&self, frame: DrawnFrame) {
+        let mut state = self.state.lock();
+        if state.waiting.len() >= MOST_WAITING {
+            return self.count(&mut state, &AuditCount::missed());
+        }
+        state.waiting.push_back(frame);
+        drop(state);
+        self.came.notify_one();
+    }
+
+    /// The next frame to look at, and its number for [`done`](Self::done).
+    pub(crate) async fn next(&self) -> (u64, DrawnFrame) {
+        loop {
+            if let Some(next) = self.try_next() {
+                return next;
+            }
+            self.came.notified().await;
+        }
+    }
+
+    fn try_next(&self) -> Option<(u64, DrawnFrame)> {
+        let mut state = self.state.lock();
+        let frame = state.waiting.pop_front()?;
+        state.taken += 1;
+        state.in_hand = Some(state.taken);
+        Some((state.taken, frame))
+    }
+
+    /// Counts what came of the frame in hand; `None` when it could not be looked at in time. A frame that was given up
+    /// meanwhile is counted already.
+    pub(crate) fn done(&self, frame: u64, found: Option<AuditCount>) {
+        let mut state = self.state.lock();
+        if state.in_hand == Some(frame) {
+            state.in_hand = None;
+            self.count(&mut state, &found.unwrap_or_else(AuditCount::missed));
+        }
+    }
+
+    /// Gives up what waits and what is in hand: the camera's last clip ends, and all that was drawn must be in it.
+    pub(crate) fn give_up(&self) {
+        let mut state = self.state.lock();
+        let given_up = state.waiting.len() + usize::from(state.in_hand.is_some());
+        state.waiting.clear();
+        state.in_hand = None;
+        for _ in 0..given_up {
+            self.count(&mut state, &AuditCount::missed());
+        }
+    }
+
+    /// What was counted since the last call, if anything: the open clip's part.
+    pub(crate) fn take(&self) -> Option<Box<AuditCount>> {
+        self.state.lock().since_reported.take()
+    }
+
+    fn count(&self, state: &mut State, more: &AuditCount) {
+        state.since_reported.get_or_insert_default().merge(more);
+        self.board.record_audit(more);
+    }
+}

@@ -1,0 +1,70 @@
+//! The task that looks at drawn frames, one a camera.
+
+use super::frames::{AuditCount, CameraAudit, DrawnFrame};
+use albireo_core::audit::AuditSums;
+use albireo_power::EnergyUser;
+use albireo_vision::detector::DetectorHandle;
+use albireo_vision::picture::InputFormat;
+use albireo_vision::pixel_work::PixelWork;
+use albireo_vision::screen::decoding_target;
+use std::sync::Arc;
+use tokio::time::{Instant, timeout_at};
+use tokio_util::sync::CancellationToken;
+
+/// Looks at one camera's drawn frames.
+pub(crate) struct Auditor {
+    /// Where they wait.
+    pub audit: Arc<CameraAudit>,
+    /// What looks.
+    pub detector: DetectorHandle,
+    /// The input of the screen that the camera's frames are decoded for too, where that is a model.
+    pub screen: Option<InputFormat>,
+    /// Where pictures are decoded.
+    pub pixels: PixelWork,
+    /// Whose the energy is.
+    pub energy: EnergyUser,
+}
+
+impl Auditor {
+    /// Looks at frames until `shutdown`.
+    pub(crate) async fn run(&self, shutdown: CancellationToken) {
+        loop {
+            let (number, frame) = tokio::select! {
+                biased;
+                () = shutdown.cancelled() => return,
+                next = self.audit.next() => next,
+            };
+            let found = tokio::select! {
+                biased;
+                // What is in hand is counted as missed where the last clip ends.
+                () = shutdown.cancelled() => return,
+                found = self.look(&frame) => found,
+            };
+            self.audit.done(number, found);
+        }
+    }
+
+    /// What comes of a frame; `None` when the detector has no time for it, or its picture is broken.
+    async fn look(&self, frame: &DrawnFrame) -> Option<AuditCount> {
+        let now = Instant::now();
+        let until = now.checked_add(self.audit.wait()).unwrap_or(now);
+        let turn = timeout_at(until, self.detector.spare_turn()).await.ok()??;
+        // Only now that the detector is free: most pictures are never decoded.
+        let input = self.detector.preparation().format();
+        let target = decoding_target(input, self.screen, frame.picture.size);
+        let prepared = self.pixels.prepared(frame.picture.clone(), target).await;
+        let answer = self.detector.detect_spare(turn, prepared?, until).await;
+        // The detector counts and logs its failures itself.
+        let detected = answer.ok()??;
+        let end = Instant::now();
+        let start = end.checked_sub(detected.took).unwrap_or(now);
+        self.energy.detector(start, end, detected.took);
+        let mut sums = AuditSums::default();
+        sums.add(&frame.shown, &detected.detections, frame.state, frame.pause);
+        Some(AuditCount {
+            sums,
+            calls: 1,
+            detector_us: u64::try_from(detected.took.as_micros()).unwrap_or(u64::MAX),
+        })
+    }
+}

@@ -1,0 +1,99 @@
+use super::*;
+use crate::config::{CameraConfig, NodeConfig};
+use crate::state::board::{Board, BoardSetup};
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::FrameState;
+use albireo_vision::detector::DetectorStatus;
+use albireo_vision::picture::{EncodedPicture, PictureFormat};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::watch;
+
+fn audit() -> (Arc<Board>, CameraAudit) {
+    let config = NodeConfig {
+        cameras: vec![CameraConfig::named("front")],
+        ..NodeConfig::default()
+    };
+    let (_, status) = watch::channel(DetectorStatus::Starting);
+    let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
+    let camera = Arc::clone(board.camera("front").unwrap());
+    let draw = config.audit.draw(0);
+    let audit = CameraAudit::new(draw, 0.02, Duration::from_secs(1), camera);
+    (board, audit)
+}
+
+fn frame() -> DrawnFrame {
+    DrawnFrame {
+        picture: EncodedPicture {
+            format: PictureFormat::Jpeg,
+            bytes: Vec::new().into(),
+            size: PictureSize::new(640, 360),
+        },
+        shown: Vec::new(),
+        state: FrameState::E,
+        pause: 1,
+    }
+}
+
+fn compared() -> AuditCount {
+    let mut count = AuditCount {
+        calls: 1,
+        detector_us: 30_000,
+        ..AuditCount::default()
+    };
+    count.sums.add(&[], &[], FrameState::E, 1);
+    count
+}
+
+#[tokio::test]
+async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
+    let (board, audit) = audit();
+    for _ in 0..4 {
+        audit.offer(frame());
+    }
+    // Two wait, and there is no room for the others.
+    assert_eq!(audit.take().expect("something was counted").sums.missed, 2);
+    let (first, _) = audit.next().await;
+    audit.done(first, Some(compared()));
+    let (second, _) = audit.next().await;
+    audit.done(second, None);
+    let taken = audit.take().expect("something was counted");
+    assert_eq!(
+        (taken.sums.drawn(), taken.sums.missed, taken.calls),
+        (2, 1, 1)
+    );
+
+    // One in hand and one that waits when the camera ends; what comes of it afterwards counts no more.
+    audit.offer(frame());
+    audit.offer(frame());
+    let (third, _) = audit.next().await;
+    audit.give_up();
+    audit.done(third, Some(compared()));
+    let taken = audit.take().expect("something was counted");
+    assert_eq!((taken.sums.drawn(), taken.sums.missed), (2, 2));
+
+    // A camera's loop that begins anew goes on.
+    audit.offer(frame());
+    let (fourth, _) = audit.next().await;
+    audit.done(fourth, Some(compared()));
+    let total = board.camera("front").unwrap().audit();
+    assert_eq!(
+        (total.sums.drawn(), total.sums.missed, total.calls),
+        (7, 5, 2)
+    );
+}
+
+#[test]
+fn a_share_of_nothing_is_no_audit_and_cameras_draw_apart() {
+    let off = AuditConfig {
+        share: 0.0,
+        ..AuditConfig::default()
+    };
+    assert!(off.draw(0).is_off());
+    let half = AuditConfig {
+        share: 0.5,
+        ..AuditConfig::default()
+    };
+    let draws = [half.draw(0), half.draw(1)];
+    assert!((0..100).any(|frame| draws[0].draw(frame) != draws[1].draw(frame)));
+}

@@ -1,0 +1,183 @@
+//! From a closed clip to its report on the wire.
+
+use super::latencies::Latencies;
+use crate::camera::audit::AuditCount;
+use albireo_power::{OpenSpan, SpanEnergy};
+use albireo_wire::{
+    AuditReport, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FULL_COVERAGE,
+    FrameStates, KnobChange, KnobValue, VERSION,
+};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// How long the last report may wait for its energy when the node stops.
+const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
+
+/// The audit's part of a clip that has ended.
+#[derive(Debug)]
+pub(crate) struct ClosedAudit {
+    /// Share of the skipped frames that is drawn.
+    pub share: f64,
+    /// What became known during the clip.
+    pub count: AuditCount,
+    /// Its energy, still to be closed.
+    pub energy: Option<OpenSpan>,
+}
+
+impl ClosedAudit {
+    fn report(&self) -> AuditReport {
+        AuditReport {
+            share: self.share,
+            calls: self.count.calls,
+            detector_us: self.count.detector_us,
+            joules: None,
+            sums: self.count.sums.clone(),
+        }
+    }
+}
+
+/// A clip that has ended.
+#[derive(Debug)]
+pub(crate) struct ClosedClip {
+    /// The camera's own name, or `window-N`.
+    pub clip: Arc<str>,
+    /// Why it ended.
+    pub ended_by: ClipEnd,
+    /// Capture time of its first frame, nanoseconds since the Unix epoch.
+    pub started_ns: u64,
+    /// When it began: the arrival of its first frame, or the end of the window before.
+    pub start: Instant,
+    /// When it ended.
+    pub end: Instant,
+    /// Frame states; they add up to the frames.
+    pub states: FrameStates,
+    /// Frames answered from prediction because the detector could not be had.
+    pub degraded: u64,
+    /// Frames not processed, by kind.
+    pub dropped: DroppedFrames,
+    /// Threshold at the end.
+    pub knob: Option<KnobValue>,
+    /// The threshold at the start, then its changes.
+    pub knob_changes: Vec<KnobChange>,
+    /// Latencies from reception to publication.
+    pub total: Latencies,
+    /// Latencies of the detector, over the frames where it ran.
+    pub detector: Latencies,
+    /// Its energy, still to be closed.
+    pub energy: OpenSpan,
+    /// What its audit has found, if there is one.
+    pub audit: Option<ClosedAudit>,
+}
+
+/// What the report says of the node and no tracker counts.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct ClipMeta {
+    /// Node.
+    pub node: String,
+    /// Camera.
+    pub camera: String,
+    /// Number of the report within the node's life.
+    pub report: u64,
+    /// Policy.
+    pub policy: String,
+    /// Detector model: file name.
+    pub model: String,
+    /// Execution provider that really ran it.
+    pub provider: String,
+}
+
+impl ClosedClip {
+    /// From the clip's start to its end.
+    pub(crate) fn duration(&self) -> Duration {
+        self.end.saturating_duration_since(self.start)
+    }
+
+    /// The report as far as it is known at once, without energy: what a hub is told should the node die before the
+    /// meter has answered.
+    pub(crate) fn without_energy(&self, meta: ClipMeta) -> ClipReport {
+        let duration = self.duration();
+        ClipReport {
+            v: VERSION,
+            node: meta.node,
+            camera: meta.camera,
+            clip: self.clip.to_string(),
+            report: meta.report,
+            ended_by: self.ended_by,
+            started_ns: self.started_ns,
+            duration_s: duration.as_secs_f64(),
+            frames: self.states.frames(),
+            states: self.states,
+            skip_rate: self.states.skip_rate(self.degraded),
+            degraded_frames: self.degraded,
+            dropped: self.dropped,
+            policy: meta.policy,
+            knob: self.knob,
+            knob_changes: self.knob_changes.clone(),
+            model: meta.model,
+            provider: meta.provider,
+            total_latency_ms: self.total.percentiles(),
+            detector_latency_ms: self.detector.percentiles(),
+            energy: energy_of(&SpanEnergy::unavailable(""), None, duration, 0),
+            board: None,
+            audit: self.audit.as_ref().map(ClosedAudit::report),
+        }
+    }
+
+    /// The report, with the clip's energy and the board's state during it. Waits until the meter was read
+    /// after the clip's end, which is asked for at once: some milliseconds for a meter that answers, and not at
+    /// all without one. To be awaited away from the frames' way.
+    pub(crate) async fn into_report(self, meta: ClipMeta) -> ClipReport {
+        let mut report = self.without_energy(meta);
+        let patience = match self.ended_by {
+            ClipEnd::Shutdown => PATIENCE_AT_THE_END,
+            ClipEnd::NextClip | ClipEnd::Window | ClipEnd::Silence => Duration::MAX,
+        };
+        let duration = self.duration();
+        if let Some(spent) = self.energy.close(self.end, patience).await {
+            report.energy = energy_of(&spent.node, spent.joules, duration, report.frames);
+            report.board = spent.board;
+        }
+        let audit_energy = self.audit.and_then(|audit| audit.energy);
+        if let (Some(energy), Some(audit)) = (audit_energy, report.audit.as_mut())
+            && let Some(spent) = energy.close(self.end, patience).await
+            && spent.node.quality != EnergyQuality::Unavailable
+        {
+            audit.joules = spent.joules;
+        }
+        report
+    }
+}
+
+/// The energy section of a report, from the node's energy and the clip's part of its total. Where samples do
+/// not cover the whole clip there is no energy-delay product: the energy would be that of a part of the time.
+pub fn energy_of(
+    node: &SpanEnergy,
+    joules: Option<f64>,
+    duration: Duration,
+    frames: u64,
+) -> ClipEnergy {
+    let known = node.quality != EnergyQuality::Unavailable;
+    let joules = joules.filter(|_| known);
+    ClipEnergy {
+        joules,
+        node_joules: node.total_joules().filter(|_| known),
+        edp: joules
+            .filter(|_| node.coverage >= FULL_COVERAGE)
+            .and_then(|j| energy_delay_product(j, duration, frames)),
+        quality: node.quality,
+        source: node.source.clone(),
+        total_from: node.total_from.clone(),
+        samples: node.samples,
+        coverage: node.coverage,
+        domains: node.domains.clone(),
+    }
+}
+
+/// Energy-delay product, J·ms/frame: energy × duration ÷ frames (paper, evaluation). None without frames.
+pub fn energy_delay_product(joules: f64, duration: Duration, frames: u64) -> Option<f64> {
+    (frames > 0).then(|| joules * duration.as_secs_f64() * 1e3 / frames as f64)
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,245 @@
+//! Promises of the clip report and its energy.
+
+use super::*;
+use crate::camera::clip::tests::{Camera, ms};
+use crate::camera::clip::{ClipConfig, ClipTracker, FrameArrival};
+use albireo_power::sampler::start_with;
+use albireo_power::{Domain, Meter, MeterError, NoMeter, PowerHandle, Reading, Value, Values};
+use albireo_wire::DomainEnergy;
+use tokio_util::sync::CancellationToken;
+
+fn measured(joules: f64) -> SpanEnergy {
+    SpanEnergy {
+        source: "rapl".to_owned(),
+        quality: EnergyQuality::Measured,
+        total_from: "sum_of_rails".to_owned(),
+        samples: 400,
+        coverage: 1.0,
+        domains: vec![DomainEnergy {
+            domain: "total".to_owned(),
+            joules,
+            mean_watts: joules / 40.0,
+            peak_watts: None,
+        }],
+    }
+}
+
+fn meta() -> ClipMeta {
+    ClipMeta {
+        node: "car-7".to_owned(),
+        camera: "front".to_owned(),
+        report: 5,
+        policy: "albireo".to_owned(),
+        model: "yolo.onnx".to_owned(),
+        provider: "cpu".to_owned(),
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_report_has_the_papers_energy_delay_product_and_counters_that_add_up() {
+    let mut camera = Camera::new();
+    let mut closed = None;
+    for i in 0..=200 {
+        closed = camera.frame(i * 200, None);
+    }
+    let closed = closed.unwrap();
+    let energy = energy_of(&measured(811.5), Some(811.5), closed.duration(), 200);
+    let report = closed.into_report(meta()).await;
+    assert_eq!(report.frames, 200);
+    assert_eq!(report.states.frames(), report.frames);
+    // Of 80 frames without the detector 6 should have had it.
+    assert_eq!((report.degraded_frames, report.states.p), (6, 40));
+    assert!((report.skip_rate - 74.0 / 200.0).abs() < 1e-12);
+    assert_eq!(report.duration_s, 40.0);
+    // 811.5 J over 40 s and 200 frames: 200 ms a frame.
+    assert!((energy.edp.unwrap() - 811.5 * 200.0).abs() < 1e-6);
+    assert_eq!(report.total_latency_ms.count, 200);
+    assert_eq!(report.detector_latency_ms.count, 120);
+    assert_eq!(report.total_latency_ms.p99, 12.0);
+}
+
+#[test]
+fn without_frames_or_without_a_meter_there_is_no_product_and_no_nan() {
+    assert_eq!(energy_delay_product(5.0, ms(100), 0), None);
+    let none = energy_of(&SpanEnergy::unavailable("none"), None, ms(100), 5);
+    assert_eq!(
+        (none.joules, none.node_joules, none.edp),
+        (None, None, None)
+    );
+    assert_eq!(none.quality, EnergyQuality::Unavailable);
+}
+
+#[test]
+fn energy_of_a_part_of_the_time_makes_no_product() {
+    for (coverage, has_product) in [(1.0, true), (0.9991, true), (0.998, false), (0.47, false)] {
+        let node = SpanEnergy {
+            coverage,
+            ..measured(10.0)
+        };
+        let energy = energy_of(&node, Some(10.0), ms(1000), 10);
+        assert_eq!(energy.edp.is_some(), has_product, "{coverage}");
+        assert_eq!((energy.joules, energy.coverage), (Some(10.0), coverage));
+        assert_eq!(energy.is_whole(), has_product);
+    }
+}
+
+/// A board that draws ten watts, as long as it answers.
+struct TenWatts {
+    since: Instant,
+    until_s: f64,
+}
+
+impl TenWatts {
+    fn start(interval: Duration, until_s: f64) -> (PowerHandle, CancellationToken) {
+        let stop = CancellationToken::new();
+        let meter = Self {
+            since: Instant::now(),
+            until_s,
+        };
+        let (power, _task) = start_with(Box::new(meter), interval, stop.clone());
+        (power, stop)
+    }
+}
+
+impl Meter for TenWatts {
+    fn source(&self) -> &str {
+        "ten"
+    }
+
+    fn quality(&self) -> EnergyQuality {
+        EnergyQuality::Measured
+    }
+
+    fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
+        if now.duration_since(self.since).as_secs_f64() > self.until_s {
+            return Err(MeterError::Failed("it has stopped".to_owned()));
+        }
+        let mut values = Values::default();
+        values.set(Domain::Total, Value::power(10.0));
+        Ok(vec![Reading {
+            at: None,
+            values,
+            total_from: "input_rail".into(),
+            rails: Vec::new(),
+        }])
+    }
+}
+
+fn frame(clip: &str) -> FrameArrival<'_> {
+    FrameArrival {
+        t_ns: 0,
+        clip: Some(clip),
+        arrival: Instant::now(),
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_clips_of_two_cameras_add_up_to_the_nodes_energy() {
+    let (power, stop) = TenWatts::start(ms(100), f64::MAX);
+    let start = Instant::now();
+    let mut cameras: Vec<_> = ["front", "rear"]
+        .iter()
+        .map(|name| ClipTracker::new(ClipConfig::default(), power.user(name)))
+        .collect();
+    for second in 0..60_u32 {
+        for (i, tracker) in cameras.iter_mut().enumerate() {
+            tracker.arrive(&frame("drive"));
+            // The rear camera needs the detector in every third second only. It waits meanwhile for the front
+            // camera's run, which costs it nothing.
+            if i == 0 || second.is_multiple_of(3) {
+                let now = Instant::now();
+                tracker.detector_ran(now, now + ms(50), ms(50));
+            }
+        }
+        tokio::time::sleep(ms(1000)).await;
+    }
+    let mut joules = Vec::new();
+    let end = Instant::now();
+    for tracker in &mut cameras {
+        let report = tracker.shutdown(end).unwrap().into_report(meta()).await;
+        let energy = report.energy;
+        assert!((energy.node_joules.unwrap() - 600.0).abs() < 1e-6);
+        assert_eq!(energy.quality, EnergyQuality::Measured);
+        joules.push(energy.joules.unwrap());
+    }
+    assert_eq!(start.elapsed().as_secs(), 60);
+    assert!((joules[0] + joules[1] - 600.0).abs() < 1e-6, "{joules:?}");
+    assert!((joules[1] - 100.0).abs() < 5.0, "{joules:?}");
+    stop.cancel();
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_closed_clip_waits_for_no_interval() {
+    for (interval, until_s) in [
+        (10, f64::MAX),
+        (100, f64::MAX),
+        (10_000, f64::MAX),
+        (10_000, 15.0),
+    ] {
+        let (power, stop) = TenWatts::start(ms(interval), until_s);
+        let mut tracker = ClipTracker::new(ClipConfig::default(), power.user("front"));
+        // Past an interval, so that the next is far away.
+        tokio::time::sleep(ms(20_001)).await;
+        for clip in 0..20 {
+            tracker.arrive(&frame(&clip.to_string()));
+            tokio::time::sleep(ms(1000)).await;
+            let closed = tracker.arrive(&frame("between")).unwrap();
+            let asked = Instant::now();
+            let report = closed.into_report(meta()).await;
+            let waited = asked.elapsed();
+            assert!(waited <= ms(1100), "{waited:?} at {interval} ms");
+            if until_s == f64::MAX {
+                let joules = report.energy.joules.unwrap();
+                assert!((joules - 10.0).abs() < 0.01, "{joules} J at {interval} ms");
+                assert!(report.energy.coverage > 1.0 - 1e-9);
+            }
+            tracker.shutdown(Instant::now());
+        }
+        stop.cancel();
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn without_a_meter_no_report_waits() {
+    let stop = CancellationToken::new();
+    let (power, _task) = start_with(Box::new(NoMeter), ms(10_000), stop.clone());
+    let mut tracker = ClipTracker::new(ClipConfig::default(), power.user("front"));
+    let start = Instant::now();
+    for clip in 0..1000 {
+        if let Some(closed) = tracker.arrive(&frame(&clip.to_string())) {
+            let report = closed.into_report(meta()).await;
+            assert_eq!(report.energy.quality, EnergyQuality::Unavailable);
+        }
+    }
+    assert_eq!(start.elapsed(), Duration::ZERO);
+    stop.cancel();
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_last_report_waits_no_longer_than_the_node_may_take_to_stop() {
+    // A meter that answers with nothing new, as tegrastats does between its lines.
+    struct Silent;
+    impl Meter for Silent {
+        fn source(&self) -> &str {
+            "silent"
+        }
+
+        fn quality(&self) -> EnergyQuality {
+            EnergyQuality::Measured
+        }
+
+        fn poll(&mut self, _now: Instant) -> Result<Vec<Reading>, MeterError> {
+            Ok(Vec::new())
+        }
+    }
+    let stop = CancellationToken::new();
+    let (power, _task) = start_with(Box::new(Silent), ms(10_000), stop.clone());
+    let mut tracker = ClipTracker::new(ClipConfig::default(), power.user("front"));
+    tracker.arrive(&frame("last"));
+    tokio::time::sleep(ms(500)).await;
+    let asked = Instant::now();
+    let closed = tracker.shutdown(asked).unwrap();
+    closed.into_report(meta()).await;
+    assert!(asked.elapsed() <= ms(301), "{:?}", asked.elapsed());
+    stop.cancel();
+}

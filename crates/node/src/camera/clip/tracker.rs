@@ -1,0 +1,344 @@
+//! When a clip begins and ends, and what is counted in between.
+//!
+//! A clip that the camera names ends when the camera names another. Otherwise clips are windows of
+//! `window_s`; while frames keep coming, a window begins where the last one ended, so that no time and no
+//! energy falls between two windows. Every clip also ends when the camera has been silent for `silence_s`,
+//! and on shutdown; it then ends one mean frame interval after its last frame arrived (or when that frame
+//! was answered, if that is later), so that the silence itself is not charged to it.
+
+use super::config::ClipConfig;
+use super::latencies::Latencies;
+use super::report::{ClosedAudit, ClosedClip};
+use crate::camera::audit::AuditCount;
+use albireo_core::policy::FrameState;
+use albireo_power::{EnergyUser, OpenSpan};
+use albireo_wire::{ClipEnd, DroppedFrames, FrameStates, KnobChange, KnobValue};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Most threshold values one report tells; after that only the newest is kept up to date.
+const MOST_CHANGES: usize = 256;
+
+/// A frame that is about to be processed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FrameArrival<'a> {
+    /// Capture time, nanoseconds since the Unix epoch.
+    pub t_ns: u64,
+    /// The camera's own name of the clip, if it names one.
+    pub clip: Option<&'a str>,
+    /// When it was received.
+    pub arrival: Instant,
+}
+
+/// What became of the frame.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct FrameResult {
+    /// Sequence number.
+    pub seq: u64,
+    /// Frame state.
+    pub state: FrameState,
+    /// The detector was needed but could not be had.
+    pub degraded: bool,
+    /// From reception to publication.
+    pub total: Duration,
+    /// Time of the detector, if it ran.
+    pub detector: Option<Duration>,
+    /// Threshold in force for this frame, if the policy has one.
+    pub knob: Option<KnobValue>,
+}
+
+/// The clip now open.
+#[derive(Debug)]
+struct OpenClip {
+    clip: Arc<str>,
+    windowed: bool,
+    started_ns: u64,
+    start: Instant,
+    first_arrival: Instant,
+    last_arrival: Instant,
+    last_answered: Instant,
+    arrivals: u64,
+    states: FrameStates,
+    degraded: u64,
+    dropped: DroppedFrames,
+    knob: Option<KnobValue>,
+    knob_changes: Vec<KnobChange>,
+    total: Latencies,
+    detector: Latencies,
+    energy: OpenSpan,
+    audit: AuditCount,
+    /// The energy of the audit, beside the clip's own.
+    audit_energy: Option<OpenSpan>,
+}
+
+/// The audit that a camera's clips tell of.
+#[derive(Debug)]
+struct Audited {
+    share: f64,
+    energy: EnergyUser,
+    /// Counted while no clip was open: it goes to the next.
+    pending: AuditCount,
+}
+
+/// Counts the open clip of one camera.
+#[derive(Debug)]
+pub(crate) struct ClipTracker {
+    energy: EnergyUser,
+    audit: Option<Audited>,
+    window: Duration,
+    silence: Duration,
+    windows: u64,
+    open: Option<OpenClip>,
+    /// Drops counted while no clip was open: they go to the next.
+    pending: DroppedFrames,
+    /// End of the last window, where the next one begins if frames keep coming.
+    last_window_end: Option<Instant>,
+}
+
+impl ClipTracker {
+    /// No clip yet, of a camera whose part of the node's energy is `energy`.
+    pub(crate) fn new(config: ClipConfig, energy: EnergyUser) -> Self {
+        let seconds =
+            |s: f64, least: f64| Duration::try_from_secs_f64(s.max(least)).unwrap_or(Duration::MAX);
+        Self {
+            energy,
+            audit: None,
+            window: seconds(config.window_s, 0.001),
+            silence: seconds(config.silence_s, 0.001),
+            windows: 0,
+            open: None,
+            pending: DroppedFrames::default(),
+            last_window_end: None,
+        }
+    }
+
+    /// Clips tell of an audit too, that draws `share` and uses the energy of `energy`.
+    #[must_use]
+    pub(crate) fn audited_with(mut self, share: f64, energy: EnergyUser) -> Self {
+        self.audit = Some(Audited {
+            share,
+            energy,
+            pending: AuditCount::default(),
+        });
+        self
+    }
+
+    /// Counts what an audit has found.
+    pub(crate) fn audited(&mut self, more: &AuditCount) {
+        if let Some(open) = &mut self.open {
+            open.audit.merge(more);
+        } else if let Some(audit) = &mut self.audit {
+            audit.pending.merge(more);
+        }
+    }
+
+    /// Takes note of a frame about to be processed: it belongs to the clip that is open afterwards (see
+    /// [`clip`](Self::clip)). Gives back the clips that ended before it, oldest first: seldom one, never
+    /// more than one a call.
+    pub(crate) fn arrive(&mut self, frame: &FrameArrival<'_>) -> Option<ClosedClip> {
+        let closed = self.close_before(frame);
+        self.energy.frame(frame.arrival);
+        match &mut self.open {
+            Some(open) => {
+                open.arrivals += 1;
+                open.last_arrival = open.last_arrival.max(frame.arrival);
+                open.last_answered = open.last_answered.max(frame.arrival);
+                open.keep_until_its_end();
+            }
+            None => self.begin(frame),
+        }
+        closed
+    }
+
+    /// Counts the outcome of the frame that arrived last.
+    pub(crate) fn count(&mut self, frame: &FrameResult) {
+        let Some(open) = &mut self.open else { return };
+        open.states.count(frame.state);
+        open.degraded += u64::from(frame.degraded);
+        open.total.add(frame.total);
+        if let Some(detector) = frame.detector {
+            open.detector.add(detector);
+        }
+        open.last_answered = open.last_answered.max(open.last_arrival + frame.total);
+        if let Some(knob) = frame.knob
+            && open.knob != Some(knob)
+        {
+            if open.knob_changes.len() == MOST_CHANGES {
+                open.knob_changes.pop();
+            }
+            open.knob_changes.push(KnobChange {
+                seq: frame.seq,
+                knob,
+            });
+        }
+        open.knob = frame.knob;
+        open.keep_until_its_end();
+    }
+
+    /// Notes a run of the detector from `start` to `end`, of which this camera used `used`.
+    pub(crate) fn detector_ran(&self, start: Instant, end: Instant, used: Duration) {
+        self.energy.detector(start, end, used);
+    }
+
+    /// Counts frames that were not processed.
+    pub(crate) fn dropped(&mut self, more: &DroppedFrames) {
+        let dropped = self
+            .open
+            .as_mut()
+            .map_or(&mut self.pending, |o| &mut o.dropped);
+        *dropped += more;
+    }
+
+    /// The clip the last frame belongs to.
+    pub(crate) fn clip(&self) -> Option<&Arc<str>> {
+        self.open.as_ref().map(|open| &open.clip)
+    }
+
+    /// When [`tick`](Self::tick) should be called, should no frame arrive before.
+    pub(crate) fn deadline(&self) -> Option<Instant> {
+        let open = self.open.as_ref()?;
+        let silent = open.last_arrival + self.silence;
+        Some(if open.windowed {
+            silent.min(open.start + self.window)
+        } else {
+            silent
+        })
+    }
+
+    /// Ends the clip whose window is full or whose camera has been silent for long enough. To be called
+    /// while no frame is being processed.
+    pub(crate) fn tick(&mut self, now: Instant) -> Option<ClosedClip> {
+        let open = self.open.as_ref()?;
+        if open.windowed && now >= open.start + self.window {
+            // A camera that stopped during the window ends it by its silence, not by the clock.
+            let window_end = open.start + self.window;
+            if window_end <= open.last_arrival + self.silence {
+                return self.close(ClipEnd::Window, window_end);
+            }
+        }
+        if now >= open.last_arrival + self.silence {
+            let end = open.natural_end().min(now);
+            return self.close(ClipEnd::Silence, end);
+        }
+        None
+    }
+
+    /// Ends the open clip because the node stops.
+    pub(crate) fn shutdown(&mut self, now: Instant) -> Option<ClosedClip> {
+        let end = self.open.as_ref()?.natural_end().min(now);
+        self.close(ClipEnd::Shutdown, end)
+    }
+
+    fn close_before(&mut self, frame: &FrameArrival<'_>) -> Option<ClosedClip> {
+        if let Some(closed) = self.tick(frame.arrival) {
+            return Some(closed);
+        }
+        let open = self.open.as_ref()?;
+        let same = match frame.clip {
+            Some(name) => !open.windowed && &*open.clip == name,
+            None => open.windowed,
+        };
+        if same {
+            return None;
+        }
+        let end = frame.arrival.max(open.last_arrival);
+        self.close(ClipEnd::NextClip, end)
+    }
+
+    fn begin(&mut self, frame: &FrameArrival<'_>) {
+        let windowed = frame.clip.is_none();
+        let clip = match frame.clip {
+            Some(name) => Arc::from(name),
+            None => {
+                self.windows += 1;
+                format!("window-{}", self.windows - 1).into()
+            }
+        };
+        // Frames keep coming; and the window that begins there is not over before the frame came.
+        let keeps_coming = self.silence.min(self.window);
+        let start = match self.last_window_end.take() {
+            Some(end)
+                if windowed && frame.arrival.saturating_duration_since(end) < keeps_coming =>
+            {
+                end
+            }
+            _ => frame.arrival,
+        };
+        let arrival = frame.arrival.max(start);
+        let energy = self.energy.open(start);
+        energy.until(arrival);
+        let audit_energy = self.audit.as_ref().map(|audit| audit.energy.open(start));
+        if let Some(energy) = &audit_energy {
+            energy.until(arrival);
+        }
+        let audit = self.audit.as_mut();
+        let pending = audit.map(|audit| std::mem::take(&mut audit.pending));
+        self.open = Some(OpenClip {
+            clip,
+            windowed,
+            started_ns: frame.t_ns,
+            start,
+            first_arrival: arrival,
+            last_arrival: arrival,
+            last_answered: arrival,
+            arrivals: 1,
+            states: FrameStates::default(),
+            degraded: 0,
+            dropped: std::mem::take(&mut self.pending),
+            knob: None,
+            knob_changes: Vec::new(),
+            total: Latencies::default(),
+            detector: Latencies::default(),
+            energy,
+            audit: pending.unwrap_or_default(),
+            audit_energy,
+        });
+    }
+
+    fn close(&mut self, ended_by: ClipEnd, end: Instant) -> Option<ClosedClip> {
+        let open = self.open.take()?;
+        self.last_window_end = (ended_by == ClipEnd::Window).then_some(end);
+        Some(ClosedClip {
+            clip: open.clip,
+            ended_by,
+            started_ns: open.started_ns,
+            start: open.start,
+            end,
+            states: open.states,
+            degraded: open.degraded,
+            dropped: open.dropped,
+            knob: open.knob,
+            knob_changes: open.knob_changes,
+            total: open.total,
+            detector: open.detector,
+            energy: open.energy,
+            audit: self.audit.as_ref().map(|audit| ClosedAudit {
+                share: audit.share,
+                count: open.audit,
+                energy: open.audit_energy,
+            }),
+        })
+    }
+}
+
+impl OpenClip {
+    /// Keeps the energy up to where the clip ends if nothing more happens.
+    fn keep_until_its_end(&self) {
+        let end = self.natural_end();
+        self.energy.until(end);
+        if let Some(energy) = &self.audit_energy {
+            energy.until(end);
+        }
+    }
+
+    /// One mean frame interval after the last arrival, or when that frame was answered, if later.
+    fn natural_end(&self) -> Instant {
+        let between = self
+            .last_arrival
+            .saturating_duration_since(self.first_arrival);
+        let intervals = u32::try_from(self.arrivals.saturating_sub(1)).unwrap_or(u32::MAX);
+        let mean = between.checked_div(intervals).unwrap_or_default();
+        self.last_answered.max(self.last_arrival + mean)
+    }
+}

@@ -1,0 +1,301 @@
+//! Gets a policy the evidence it asks for: decodes the picture when the first need of pixels comes, asks
+//! the screen and the detector, and keeps the times. A frame that needs nothing touches nothing here. While
+//! the detector is at work, the next frame's picture can be made ready if it is sure to be needed.
+
+#[cfg(test)]
+mod tests;
+
+use albireo_core::policy::{CallCause, Evidence, GreyPicture, Need};
+use albireo_vision::detector::{CameraSlot, Detected, DetectorHandle};
+use albireo_vision::picture::{EncodedPicture, FrameFault};
+use albireo_vision::pixel_work::{PixelWork, Prefetch, PreparedFrame, Source, Stage};
+use albireo_vision::screen::{CameraScreen, ScreenCounts};
+use std::future::Future;
+use std::time::Duration;
+use tokio::time::Instant;
+use tokio_util::sync::CancellationToken;
+
+/// Where the time of one frame went.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Times {
+    /// Decoding the picture, also when that was done while the detector looked at the frame before.
+    pub decode: Option<Duration>,
+    /// The empty-scene screen.
+    pub screen: Option<Duration>,
+    /// Waiting until the picture may be decoded: all cameras share so many places as keep the detector busy.
+    pub place: Duration,
+    /// Resizing the picture to the detector's input; done ahead like decoding.
+    pub letterbox: Option<Duration>,
+    /// When the detector was asked and when it had answered, waiting included.
+    pub detector_span: Option<(Instant, Instant)>,
+    /// The run that answered, and this frame's part in it.
+    pub(crate) detector_run: Option<DetectorRun>,
+    /// Whether a grey picture was looked at.
+    pub looked: bool,
+    /// All of it together: what is left of the frame's time is the policy's own.
+    pub evidence: Duration,
+}
+
+/// The detector's run for a frame: what the frame's camera used of it. A run that failed or took too long is
+/// nobody's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct DetectorRun {
+    /// When it began.
+    pub start: Instant,
+    /// When it had ended.
+    pub end: Instant,
+    /// The frame's part of the time between: an even part for each of the pictures it looked at.
+    pub used: Duration,
+}
+
+impl Times {
+    /// The detector's time, letterbox and waiting included.
+    pub(crate) fn detector(&self) -> Option<Duration> {
+        self.detector_span
+            .map(|(start, end)| self.place + self.letterbox.unwrap_or_default() + (end - start))
+    }
+}
+
+/// One camera's evidence: what its pictures, the screen and the detector say.
+pub struct LiveEvidence {
+    detector: DetectorHandle,
+    screen: CameraScreen,
+    slot: CameraSlot,
+    pixels: PixelWork,
+    /// What has been made of the picture of the frame in hand.
+    frame: PreparedFrame,
+    /// What was begun for that frame before its turn, until it is needed.
+    begun: Option<Prefetch>,
+    /// What is being made of the next one.
+    prefetch: Option<Prefetch>,
+    /// What the detector found in the frame in hand.
+    detected: Option<Detected>,
+    /// Times of the frame in hand.
+    times: Times,
+    /// Once cancelled neither detector nor screen is waited for.
+    hurry: CancellationToken,
+}
+
+impl LiveEvidence {
+    /// For the camera with this `slot` in the detector's queue. All cameras of a detector share `pixels`.
+    pub fn new(
+        detector: DetectorHandle,
+        screen: CameraScreen,
+        slot: CameraSlot,
+        pixels: PixelWork,
+    ) -> Self {
+        Self {
+            pixels,
+            detector,
+            screen,
+            slot,
+            frame: PreparedFrame::default(),
+            begun: None,
+            prefetch: None,
+            detected: None,
+            times: Times::default(),
+            hurry: CancellationToken::new(),
+        }
+    }
+
+    /// Once `hurry` is cancelled no answer is waited for: the node stops, and a frame must not keep it.
+    #[must_use]
+    pub fn hurried_by(mut self, hurry: CancellationToken) -> Self {
+        self.hurry = hurry;
+        self
+    }
+
+    /// Forgets the last frame's times, and its picture if that has not been done.
+    pub fn next_frame(&mut self) {
+        self.end_frame();
+        self.begun = self.prefetch.take();
+        self.screen.next_frame();
+        self.detected = None;
+        self.times = Times::default();
+    }
+
+    /// Gives back what was made of the picture of the frame in hand, and what had been made ready for it and was not
+    /// needed: others wait for its place.
+    pub(crate) fn end_frame(&mut self) {
+        self.frame = PreparedFrame::default();
+        self.begun = None;
+    }
+
+    /// Where the time of the frame in hand went so far.
+    pub const fn times(&self) -> Times {
+        self.times
+    }
+
+    /// What `need` asks for of the frame in hand, whose picture is `encoded`. While the detector looks, `next` is
+    /// waited for: the next frame's picture and what it will need, to be made ready meanwhile.
+    ///
+    /// # Errors
+    /// [`FrameFault`] when the picture cannot be decoded.
+    pub async fn evidence<Next>(
+        &mut self,
+        need: Need,
+        encoded: &EncodedPicture,
+        next: impl FnOnce() -> Next + Send,
+    ) -> Result<Evidence<'_>, FrameFault>
+    where
+        Next: Future<Output = (EncodedPicture, Need)> + Send,
+    {
+        let start = Instant::now();
+        let mut empty = None;
+        match need {
+            Need::Nothing => {}
+            Need::Screen => empty = self.screen(encoded).await?,
+            Need::GreyPicture => self.look(encoded, Stage::Grey).await?,
+            Need::SmallGreyPicture { width } => {
+                self.look(encoded, Stage::SmallGrey(width)).await?;
+                self.times.looked = true;
+            }
+            Need::Detections => self.detected = self.detect(encoded, next()).await?,
+        }
+        self.times.evidence += start.elapsed();
+        let known = match need {
+            Need::Nothing => None,
+            Need::Screen => empty.map(|empty| Evidence::Screen { empty }),
+            Need::GreyPicture | Need::SmallGreyPicture { .. } => self.frame.grey().map(|grey| {
+                Evidence::GreyPicture(GreyPicture {
+                    size: grey.size,
+                    pixels: &grey.pixels,
+                })
+            }),
+            Need::Detections => {
+                let detected = self.detected.as_ref();
+                detected.map(|detected| Evidence::Detections(&detected.detections))
+            }
+        };
+        Ok(known.unwrap_or(Evidence::Unavailable))
+    }
+
+    /// The screen's verdict: whether it says that nothing is in view. `None` when it cannot say, or when
+    /// there is no screen.
+    ///
+    /// # Errors
+    /// [`FrameFault`] when the picture cannot be decoded.
+    async fn screen(&mut self, encoded: &EncodedPicture) -> Result<Option<bool>, FrameFault> {
+        if self.screen.is_none() {
+            return Ok(None);
+        }
+        self.look(encoded, Stage::Picture).await?;
+        let Some(picture) = &self.frame.picture else {
+            return Ok(None);
+        };
+        let start = Instant::now();
+        let empty = tokio::select! {
+            biased;
+            empty = self.screen.ask(self.slot, picture.shared()) => empty,
+            () = self.hurry.cancelled() => None,
+        };
+        self.times.screen = Some(start.elapsed());
+        Ok(empty)
+    }
+
+    /// What the detector finds; `None` when it cannot be had for this frame. `next` is the next frame's
+    /// picture and what it will need: when it comes before the detector's answer, it is made ready meanwhile.
+    ///
+    /// # Errors
+    /// [`FrameFault`] when the picture cannot be decoded.
+    async fn detect(
+        &mut self,
+        encoded: &EncodedPicture,
+        next: impl Future<Output = (EncodedPicture, Need)>,
+    ) -> Result<Option<Detected>, FrameFault> {
+        // A picture that nobody will look at is not decoded.
+        if self.detector.accepts().is_err() {
+            return Ok(None);
+        }
+        self.look(encoded, Stage::Prepared).await?;
+        let Some(prepared) = self.frame.prepared.take() else {
+            return Ok(None);
+        };
+        self.times.letterbox = Some(prepared.took());
+        let start = Instant::now();
+        let answer = {
+            let hurry = &self.hurry;
+            let answer = self.detector.detect_prepared(self.slot, prepared);
+            let answer = async {
+                tokio::select! {
+                    biased;
+                    // The detector counts and logs its failures itself.
+                    answer = answer => answer.ok(),
+                    () = hurry.cancelled() => None,
+                }
+            };
+            tokio::pin!(answer);
+            // A frame that waits already is begun with before the detector is asked: that is only a word to
+            // another thread.
+            tokio::select! {
+                biased;
+                (picture, need) = next => {
+                    let source = source(&self.detector, &self.screen, &picture);
+                    self.prefetch =
+                        Stage::at(need).and_then(|stage| self.pixels.begin(source, stage));
+                    answer.await
+                }
+                answer = &mut answer => answer,
+            }
+        };
+        let end = Instant::now();
+        self.times.detector_span = Some((start, end));
+        if let Some(detected) = &answer {
+            self.times.detector_run = Some(DetectorRun {
+                start: end.checked_sub(detected.took).unwrap_or(start),
+                end,
+                used: detected.took / detected.pictures.max(1),
+            });
+            let picture = self.frame.picture.as_deref();
+            let found_something = !detected.detections.is_empty();
+            self.screen.detected(picture, found_something);
+        }
+        Ok(answer)
+    }
+
+    /// Why the detector looks at the frame in hand although the screen would say "empty".
+    pub(crate) fn overruled(&self) -> Option<CallCause> {
+        self.screen.overruled()
+    }
+
+    /// What the screen has counted.
+    pub fn screen_counts(&self) -> ScreenCounts {
+        self.screen.counts()
+    }
+
+    /// Makes of the picture what is needed, unless that is done, or nothing is waited for any more. Screen and detector
+    /// share the pixels.
+    async fn look(&mut self, encoded: &EncodedPicture, stage: Stage) -> Result<(), FrameFault> {
+        if let Some(begun) = self.begun.take()
+            && begun.is_of(encoded)
+        {
+            self.frame = begun.frame().await?;
+        }
+        if !self.frame.has(stage) {
+            if stage.needs_place() && self.frame.place.is_none() {
+                let start = Instant::now();
+                self.frame.place = tokio::select! {
+                    biased;
+                    place = self.pixels.place() => place,
+                    () = self.hurry.cancelled() => return Ok(()),
+                };
+                self.times.place += start.elapsed();
+            }
+            let frame = std::mem::take(&mut self.frame);
+            let source = source(&self.detector, &self.screen, encoded);
+            self.frame = self.pixels.look(frame, source, stage).await?;
+        }
+        self.times.decode = self.frame.decode;
+        Ok(())
+    }
+}
+
+/// How a picture is decoded for that detector and screen.
+fn source(detector: &DetectorHandle, screen: &CameraScreen, encoded: &EncodedPicture) -> Source {
+    let input = detector.preparation().format();
+    Source {
+        target: screen.decoding_target(input, encoded.size),
+        keep: screen.keeps_pictures(),
+        encoded: encoded.clone(),
+    }
+}

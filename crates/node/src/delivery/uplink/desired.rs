@@ -1,0 +1,422 @@
+//! What the hub desires of the node, and what came of it.
+
+use crate::delivery::outbox::Outbox;
+use crate::state::board::Board;
+use albireo_wire::{Desired, KnobSource, RefusedDesired, Target};
+use parking_lot::{Mutex, MutexGuard};
+use serde::{Deserialize, Serialize};
+
+const SETTING: &str = "desired";
+
+/// As it is kept in the state file.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
+struct Kept {
+    /// Highest generation seen.
+    generation: u64,
+    /// Highest generation that came into force.
+    in_force: u64,
+    refused: Option<RefusedDesired>,
+}
+
+impl Kept {
+    /// Notes what came of a generation.
+    fn note(&mut self, generation: u64, applied: Result<(), String>) {
+        self.generation = generation;
+        match applied {
+            Ok(()) => {
+                self.in_force = generation;
+                self.refused = None;
+            }
+            Err(reason) => {
+                tracing::warn!(generation, reason, "a desired value was refused");
+                self.refused = Some(RefusedDesired { generation, reason });
+            }
+        }
+    }
+}
+
+/// Applies what is desired, once a generation.
+#[derive(Debug)]
+pub(crate) struct DesiredKeeper {
+    /// Whether a value changed at the node gives way to the hub's when next heard.
+    hub_wins: bool,
+    kept: Mutex<Kept>,
+}
+
+impl DesiredKeeper {
+    /// With what was desired before the restart.
+    pub(crate) fn open(outbox: &Outbox, hub_wins: bool) -> Self {
+        Self {
+            hub_wins,
+            kept: Mutex::new(outbox.setting(SETTING).unwrap_or_default()),
+        }
+    }
+
+    /// Compares with what was kept, where that could not be read before: of two generations the higher one stands, and
+    /// of one generation what was kept, for it knows what was changed at the node since.
+    pub(super) fn read_again(&self, board: &Board, outbox: &Outbox) {
+        let mut kept = self.kept.lock();
+        let before: Kept = outbox.setting(SETTING).unwrap_or_default();
+        let seen_before = before.generation >= kept.generation;
+        if seen_before {
+            *kept = before;
+        } else {
+            outbox.set(SETTING, &*kept);
+        }
+        for camera in board.cameras() {
+            camera.read_kept_threshold(seen_before);
+        }
+        board.read_kept_target(seen_before);
+    }
+
+    /// The highest generation seen.
+    pub(super) fn generation(&self) -> u64 {
+        self.kept.lock().generation
+    }
+
+    /// The generation whose value is in force, 0 for none.
+    pub(super) fn generation_in_force(&self) -> u64 {
+        self.kept.lock().in_force
+    }
+
+    /// The desired value that was not taken.
+    pub(super) fn refused(&self) -> Option<RefusedDesired> {
+        self.kept.lock().refused.clone()
+    }
+
+    /// Takes what is desired; whether anything changed. A lower generation never replaces a higher.
+    pub(super) fn take(&self, desired: &Desired, board: &Board, outbox: &Outbox) -> bool {
+        let mut kept = self.kept.lock();
+        if desired.generation < kept.generation {
+            tracing::warn!(
+                generation = desired.generation,
+                known = kept.generation,
+                "an older desired value than the one known: not taken"
+            );
+            return false;
+        }
+        if desired.generation > 0 && (desired.target.is_some() || desired.hold_nothing) {
+            return self.take_target(kept, desired.generation, desired.target, board, outbox);
+        }
+        let Some(knob) = desired.knob.filter(|_| desired.generation > 0) else {
+            let newer = desired.generation > kept.generation;
+            kept.generation = desired.generation;
+            if newer {
+                kept.in_force = desired.generation;
+                kept.refused = None;
+                outbox.set(SETTING, &*kept);
+            }
+            return newer;
+        };
+        if desired.generation == kept.generation {
+            let drifted = board.cameras().iter().any(|camera| {
+                camera.knob_source() != KnobSource::Hub || camera.knob_value() != Some(knob)
+            });
+            if kept.refused.is_some() || !drifted || !self.hub_wins {
+                return false;
+            }
+        }
+        let applied = board
+            .cameras()
+            .iter()
+            .try_for_each(|camera| match camera.knob() {
+                Some(own) if own.name != knob.name => Err(format!(
+                    "the policy in use is turned by `{}`, not by `{}`",
+                    own.name, knob.name
+                )),
+                _ => camera
+                    .check_threshold(knob.value)
+                    .map(drop)
+                    .map_err(|error| error.to_string()),
+            })
+            .and_then(|()| {
+                board.cameras().iter().try_for_each(|camera| {
+                    camera
+                        .set_threshold_by(knob.value, KnobSource::Hub)
+                        .map(drop)
+                        .map_err(|error| error.to_string())
+                })
+            });
+        kept.note(desired.generation, applied);
+        outbox.set(SETTING, &*kept);
+        true
+    }
+
+    /// As [`take`](Self::take), of a target, or of none at all.
+    fn take_target(
+        &self,
+        mut kept: MutexGuard<'_, Kept>,
+        generation: u64,
+        target: Option<Target>,
+        board: &Board,
+        outbox: &Outbox,
+    ) -> bool {
+        if generation == kept.generation {
+            let drifted = board.target().report().target != target;
+            if kept.refused.is_some() || !drifted || !self.hub_wins {
+                return false;
+            }
+        }
+        let applied = board
+            .set_target(target, KnobSource::Hub)
+            .map_err(|error| error.to_string());
+        kept.note(generation, applied);
+        outbox.set(SETTING, &*kept);
+        true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::delivery::outbox::OutboxConfig;
+    use crate::state::board::{BoardSetup, CameraSetup, DetectorFacts};
+    use crate::state::target::TargetSetup;
+    use albireo_core::policy::Knob;
+    use albireo_vision::detector::DetectorStatus;
+    use albireo_wire::{KnobValue, VERSION};
+    use std::path::Path;
+    use std::sync::Arc;
+    use tokio::sync::watch;
+
+    const KNOB: Knob = Knob {
+        name: "u",
+        meaning: "The detector is skipped while every uncertainty is below it.",
+        minimum: 1e-12,
+        maximum: 1.0,
+        default: 3e-4,
+        useful_minimum: 1.5e-4,
+        useful_maximum: 1e-2,
+    };
+
+    fn board(state: &Path) -> Arc<Board> {
+        let (_, detector_status) = watch::channel(DetectorStatus::Starting);
+        let camera = |name: &str| CameraSetup {
+            name: name.to_owned(),
+            key: format!("albireo/n/{name}/frame"),
+            knob: Some(KNOB),
+            threshold: None,
+            sizeless: true,
+            longest_pause: None,
+            audited: true,
+        };
+        Board::new(BoardSetup {
+            node: "n".to_owned(),
+            cameras: vec![camera("front"), camera("rear")],
+            outbox: Outbox::open(&OutboxConfig::default(), Some(state)).unwrap(),
+            policy: "albireo",
+            target: TargetSetup {
+                policy: "albireo",
+                knob: Some(KNOB),
+                ..TargetSetup::default()
+            },
+            detector: DetectorFacts::default(),
+            detector_status,
+        })
+    }
+
+    fn desired(generation: u64, value: f64) -> Desired {
+        Desired {
+            v: VERSION,
+            generation,
+            knob: Some(KnobValue { name: "u", value }),
+            ..Desired::nothing()
+        }
+    }
+
+    fn held(generation: u64, target: Option<Target>) -> Desired {
+        Desired {
+            generation,
+            target,
+            hold_nothing: target.is_none(),
+            ..Desired::nothing()
+        }
+    }
+
+    fn target(board: &Board) -> Option<Target> {
+        board.target().report().target
+    }
+
+    #[test]
+    fn a_target_and_a_value_take_each_others_place_by_one_generation() {
+        let folder = tempfile::tempdir().unwrap();
+        let board = board(folder.path());
+        let outbox = board.outbox();
+        let keeper = DesiredKeeper::open(outbox, false);
+        let half = Some(Target::SkipRate(0.5));
+        assert!(keeper.take(&held(3, half), &board, outbox));
+        assert_eq!((target(&board), keeper.generation_in_force()), (half, 3));
+        // An older value, and the same target again, change nothing.
+        assert!(!keeper.take(&desired(2, 0.07), &board, outbox));
+        assert!(!keeper.take(&held(3, half), &board, outbox));
+        assert_eq!(target(&board), half);
+        assert!(keeper.take(&desired(4, 0.07), &board, outbox));
+        assert_eq!((target(&board), thresholds(&board)), (None, vec![0.07; 2]));
+        let off = board.target().report().off;
+        assert_eq!(off.as_deref(), Some("the knob was set by the hub"));
+        assert!(!keeper.take(&held(3, half), &board, outbox));
+        assert_eq!(target(&board), None);
+        // Nothing to hold leaves the knob where it is.
+        assert!(keeper.take(&held(5, half), &board, outbox));
+        assert!(keeper.take(&held(6, None), &board, outbox));
+        assert_eq!((target(&board), keeper.generation_in_force()), (None, 6));
+        assert_eq!(keeper.refused(), None);
+        assert!(
+            thresholds(&board)
+                .iter()
+                .all(|u| (1.5e-4..=0.07).contains(u))
+        );
+    }
+
+    #[test]
+    fn a_target_that_cannot_be_held_is_refused_in_words_and_changes_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let board = board(folder.path());
+        let outbox = board.outbox();
+        let keeper = DesiredKeeper::open(outbox, false);
+        assert!(keeper.take(&desired(1, 0.07), &board, outbox));
+        assert!(keeper.take(&held(2, Some(Target::SkipRate(1.5))), &board, outbox));
+        let refused = keeper.refused().unwrap();
+        assert_eq!((refused.generation, keeper.generation_in_force()), (2, 1));
+        assert!(
+            refused.reason.contains("`skip_rate` must be"),
+            "{refused:?}"
+        );
+        assert_eq!((target(&board), thresholds(&board)), (None, vec![0.07; 2]));
+    }
+
+    #[test]
+    fn a_knob_turned_at_the_node_ends_the_hubs_target_unless_the_hub_wins() {
+        for hub_wins in [false, true] {
+            let folder = tempfile::tempdir().unwrap();
+            let board = board(folder.path());
+            let outbox = board.outbox();
+            let keeper = DesiredKeeper::open(outbox, hub_wins);
+            let half = Some(Target::SkipRate(0.5));
+            assert!(keeper.take(&held(3, half), &board, outbox));
+            board.cameras()[1].set_threshold(0.01).unwrap();
+            assert_eq!(target(&board), None);
+            assert_eq!(keeper.take(&held(3, half), &board, outbox), hub_wins);
+            assert_eq!(target(&board).is_some(), hub_wins);
+        }
+    }
+
+    #[test]
+    fn a_target_of_the_hub_is_there_after_a_restart_and_when_the_disk_comes_late() {
+        let folder = tempfile::tempdir().unwrap();
+        let disk = folder.path().join("disk");
+        let half = Some(Target::SkipRate(0.5));
+        let before = board(&disk.join("state"));
+        let keeper = DesiredKeeper::open(before.outbox(), false);
+        assert!(keeper.take(&held(7, half), &before, before.outbox()));
+        drop((before, keeper));
+        let restarted = board(&disk.join("state"));
+        assert_eq!(target(&restarted), half);
+        drop(restarted);
+
+        std::fs::rename(&disk, folder.path().join("away")).unwrap();
+        std::fs::write(&disk, b"").unwrap();
+        let late = board(&disk.join("state"));
+        let keeper = DesiredKeeper::open(late.outbox(), false);
+        assert_eq!((target(&late), keeper.generation()), (None, 0));
+        std::fs::remove_file(&disk).unwrap();
+        std::fs::rename(folder.path().join("away"), &disk).unwrap();
+        late.outbox().disk_is_due();
+        late.outbox().look_after_disk();
+        keeper.read_again(&late, late.outbox());
+        assert_eq!((target(&late), keeper.generation()), (half, 7));
+    }
+
+    fn thresholds(board: &Board) -> Vec<f64> {
+        (board.cameras().iter())
+            .filter_map(|camera| camera.threshold())
+            .collect()
+    }
+
+    /// A node of generation 7 whose camera `front` was turned by hand afterwards, and which starts again before its
+    /// disk is there.
+    struct Restarted {
+        folder: tempfile::TempDir,
+        board: Arc<Board>,
+        keeper: DesiredKeeper,
+    }
+
+    impl Restarted {
+        fn new() -> Self {
+            let folder = tempfile::tempdir().unwrap();
+            let disk = folder.path().join("disk");
+            let before = board(&disk.join("state"));
+            let keeper = DesiredKeeper::open(before.outbox(), false);
+            assert!(keeper.take(&desired(7, 0.07), &before, before.outbox()));
+            before.cameras()[0].set_threshold(0.5).unwrap();
+            drop((before, keeper));
+            std::fs::rename(&disk, folder.path().join("away")).unwrap();
+            std::fs::write(&disk, b"").unwrap();
+            let board = board(&disk.join("state"));
+            assert_eq!(thresholds(&board), [3e-4, 3e-4]);
+            let keeper = DesiredKeeper::open(board.outbox(), false);
+            assert_eq!(keeper.generation(), 0);
+            Self {
+                folder,
+                board,
+                keeper,
+            }
+        }
+
+        fn the_disk_returns(&self) {
+            let disk = self.folder.path().join("disk");
+            std::fs::remove_file(&disk).unwrap();
+            std::fs::rename(self.folder.path().join("away"), &disk).unwrap();
+            let outbox = self.board.outbox();
+            outbox.disk_is_due();
+            outbox.look_after_disk();
+            assert!(outbox.settings_returned());
+            self.keeper.read_again(&self.board, outbox);
+            assert!(!outbox.settings_returned());
+        }
+
+        fn take(&self, desired: &Desired) {
+            self.keeper.take(desired, &self.board, self.board.outbox());
+        }
+
+        /// What a start after this one finds.
+        fn then(self) -> (u64, Vec<f64>) {
+            let state = self.folder.path().join("disk/state");
+            drop((self.board, self.keeper));
+            let board = board(&state);
+            let keeper = DesiredKeeper::open(board.outbox(), false);
+            (keeper.generation(), thresholds(&board))
+        }
+    }
+
+    #[test]
+    fn a_disk_that_comes_after_the_start_brings_its_thresholds_into_force() {
+        let node = Restarted::new();
+        node.the_disk_returns();
+        assert_eq!(node.keeper.generation(), 7);
+        assert_eq!(thresholds(&node.board), [0.5, 0.07]);
+        assert_eq!(node.then(), (7, vec![0.5, 0.07]));
+    }
+
+    #[test]
+    fn an_order_seen_before_the_disk_came_does_not_undo_what_was_turned_by_hand_since() {
+        let node = Restarted::new();
+        node.take(&desired(7, 0.07));
+        assert_eq!(thresholds(&node.board), [0.07, 0.07]);
+        node.the_disk_returns();
+        assert_eq!(thresholds(&node.board), [0.5, 0.07]);
+        assert_eq!(node.then(), (7, vec![0.5, 0.07]));
+    }
+
+    #[test]
+    fn a_newer_order_and_a_newer_turn_by_hand_stand_when_the_disk_comes() {
+        let node = Restarted::new();
+        node.take(&desired(8, 0.08));
+        node.board.cameras()[1].set_threshold(0.9).unwrap();
+        node.the_disk_returns();
+        assert_eq!(node.keeper.generation(), 8);
+        assert_eq!(thresholds(&node.board), [0.08, 0.9]);
+        assert_eq!(node.then(), (8, vec![0.08, 0.9]));
+    }
+}

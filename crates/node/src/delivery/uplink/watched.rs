@@ -1,0 +1,172 @@
+//! What a node sends over the uplink while somebody watches it through the hub, and only then: counters once a second, and
+//! pictures that are asked for.
+
+use super::{UplinkSetup, Way};
+use crate::state::board::{Board, LatestFrame};
+use albireo_service::clock::unix_nanoseconds;
+use albireo_vision::picture::{FrameLimits, PictureFormat, to_jpeg};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::time::{Duration, Instant};
+use zenoh::bytes::Encoding;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
+use zenoh::query::{Query, Queryable};
+use zenoh::{Session, Wait};
+
+/// Longest time that one word of the hub's holds.
+const LONGEST: u32 = 3600;
+/// Questions for pictures that may wait; one more is not answered.
+const WAITING: usize = 4;
+/// Time between two counters of a camera, with room for a look that comes a little early.
+const PERIOD: Duration = Duration::from_millis(950);
+
+/// A question for the picture of a camera.
+type Asked = (Arc<str>, Query);
+
+/// Whether somebody watches, and what is sent then.
+pub(super) struct Watched {
+    until: Option<Instant>,
+    counted_at: Option<Instant>,
+    limits: FrameLimits,
+    asked: SyncSender<Asked>,
+    questions: Receiver<Asked>,
+}
+
+/// What is declared while somebody watches; undeclared when dropped.
+pub(super) struct Shown {
+    /// None where the local session carries counters anyway.
+    counters: Vec<(String, Publisher<'static>)>,
+    _pictures: Vec<Queryable<()>>,
+}
+
+impl Watched {
+    /// Nobody watches yet.
+    pub(super) fn new(limits: FrameLimits) -> Self {
+        let (asked, questions) = sync_channel(WAITING);
+        Self {
+            until: None,
+            counted_at: None,
+            limits,
+            asked,
+            questions,
+        }
+    }
+
+    /// Somebody watches for so long from now on.
+    pub(super) fn extend(&mut self, seconds: u32) {
+        let until = Instant::now() + Duration::from_secs(seconds.min(LONGEST).into());
+        self.until = Some(until);
+    }
+
+    /// Whether somebody watches.
+    pub(super) fn is_on(&self, now: Instant) -> bool {
+        self.until.is_some_and(|until| now < until)
+    }
+
+    /// Sends what is due, with what is declared for it in `shown`: nothing is while nobody watches.
+    ///
+    /// # Errors
+    /// When Zenoh refuses something.
+    pub(super) fn serve(
+        &mut self,
+        session: &Session,
+        setup: &UplinkSetup,
+        shown: &mut Option<Shown>,
+    ) -> zenoh::Result<()> {
+        if self.until.is_none_or(|until| until <= Instant::now()) {
+            *shown = None;
+            return Ok(());
+        }
+        if shown.is_none() {
+            *shown = Some(self.declare(session, setup)?);
+        }
+        if let Some(shown) = shown {
+            self.tell_counters(shown, &setup.board)?;
+        }
+        while let Ok((camera, query)) = self.questions.try_recv() {
+            self.answer(&camera, &query, &setup.board);
+        }
+        Ok(())
+    }
+
+    fn declare(&self, session: &Session, setup: &UplinkSetup) -> zenoh::Result<Shown> {
+        let own = matches!(setup.way, Way::Own(_));
+        let (mut counters, mut pictures) = (Vec::new(), Vec::new());
+        for camera in setup.board.cameras() {
+            let Ok(keys) = setup.keys.camera(camera.name()) else {
+                continue;
+            };
+            if own {
+                let publisher = session
+                    .declare_publisher(keys.counters())
+                    .congestion_control(CongestionControl::Drop)
+                    .priority(crate::camera::publishing::COUNTERS)
+                    .wait()?;
+                counters.push((camera.name().to_owned(), publisher));
+            }
+            let (asked, bell) = (self.asked.clone(), setup.outbox.clone());
+            let name: Arc<str> = camera.name().into();
+            let queryable = session
+                .declare_queryable(keys.picture())
+                .callback(move |query| {
+                    // Zenoh's thread must not encode a picture; a question too many ends unanswered.
+                    if asked.try_send((Arc::clone(&name), query)).is_ok() {
+                        bell.wake();
+                    }
+                })
+                .wait()?;
+            pictures.push(queryable);
+        }
+        Ok(Shown {
+            counters,
+            _pictures: pictures,
+        })
+    }
+
+    /// Once a second.
+    fn tell_counters(&mut self, shown: &Shown, board: &Board) -> zenoh::Result<()> {
+        let now = Instant::now();
+        let early = |at: Instant| now.duration_since(at) < PERIOD;
+        if self.counted_at.is_some_and(early) {
+            return Ok(());
+        }
+        self.counted_at = Some(now);
+        for (camera, publisher) in &shown.counters {
+            let Some(camera) = board.camera(camera) else {
+                continue;
+            };
+            let message = board.counters(camera, unix_nanoseconds());
+            if let Ok(json) = serde_json::to_vec(&message) {
+                publisher.put(json).wait()?;
+            }
+        }
+        Ok(())
+    }
+
+    fn answer(&self, camera: &str, query: &Query, board: &Board) {
+        let answered = match board
+            .camera(camera)
+            .and_then(|camera| camera.latest_frame())
+        {
+            None => query.reply_err("no frame has come yet").wait(),
+            Some(LatestFrame { seq, picture }) => {
+                let file = match picture.format {
+                    PictureFormat::Jpeg => Ok(picture.bytes),
+                    _ => to_jpeg(&picture, &self.limits),
+                };
+                match file {
+                    Ok(file) => query
+                        .reply(query.key_expr().clone(), file.to_vec())
+                        .encoding(Encoding::IMAGE_JPEG)
+                        .attachment(seq.to_string())
+                        .wait(),
+                    Err(fault) => query.reply_err(fault.to_string()).wait(),
+                }
+            }
+        };
+        if let Err(error) = answered {
+            tracing::debug!(camera, %error, "a picture was not sent");
+        }
+    }
+}

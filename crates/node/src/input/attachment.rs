@@ -1,0 +1,194 @@
+//! What a camera says beside the picture: this program's JSON, or the attachment of ROS 2's rmw_zenoh.
+
+use super::PayloadFormat;
+use albireo_core::geometry::PictureSize;
+use albireo_vision::picture::FrameFault;
+use albireo_wire::{self, FrameAttachment};
+use std::sync::Arc;
+
+/// Longest attachment that is read, bytes.
+const MAX_ATTACHMENT_BYTES: usize = 4096;
+/// Longest clip id, bytes: it goes into every message of the clip.
+const MAX_CLIP_BYTES: usize = 200;
+
+/// What is known about a frame without its payload.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(super) struct Said {
+    pub sequence: Option<u64>,
+    pub stream: Option<u64>,
+    pub time_ns: Option<u64>,
+    pub clip: Option<Arc<str>>,
+    pub size: Option<PictureSize>,
+}
+
+/// Reads the attachment. A ROS 2 camera's attachment is not this program's, so whatever it holds is
+/// either understood or passed over.
+pub(super) fn read_attachment(
+    attachment: Option<&[u8]>,
+    format: PayloadFormat,
+) -> Result<Said, FrameFault> {
+    let Some(bytes) = attachment.filter(|bytes| !bytes.is_empty()) else {
+        return Ok(Said::default());
+    };
+    match format {
+        PayloadFormat::Encoding => read_json(bytes),
+        PayloadFormat::Ros2CompressedImage | PayloadFormat::Ros2Image => Ok(read_rmw_zenoh(bytes)
+            .or_else(|| read_json(bytes).ok())
+            .unwrap_or_default()),
+    }
+}
+
+fn read_json(bytes: &[u8]) -> Result<Said, FrameFault> {
+    if bytes.len() > MAX_ATTACHMENT_BYTES {
+        return Err(FrameFault::unknown_format(format!(
+            "the attachment has {} bytes, {MAX_ATTACHMENT_BYTES} are read",
+            bytes.len()
+        )));
+    }
+    let said: FrameAttachment = albireo_wire::read(bytes).map_err(|error| {
+        FrameFault::unknown_format(format!(
+            "the attachment cannot be read: {error}; it should look like \
+             {{\"v\":1,\"seq\":7,\"t_ns\":1700000000000000000,\"clip\":\"drive-1\"}}"
+        ))
+    })?;
+    if let Some(clip) = &said.clip
+        && (clip.is_empty() || clip.len() > MAX_CLIP_BYTES || clip.chars().any(char::is_control))
+    {
+        return Err(FrameFault::unknown_format(format!(
+            "the attachment's clip id must be 1 to {MAX_CLIP_BYTES} bytes without control characters"
+        )));
+    }
+    let size = match (said.width, said.height) {
+        (Some(width), Some(height)) => Some(PictureSize::new(width, height)),
+        _ => None,
+    };
+    Ok(Said {
+        sequence: said.seq,
+        stream: said.stream,
+        time_ns: said.t_ns,
+        clip: said.clip.map(Arc::from),
+        size,
+    })
+}
+
+/// Reads the attachment of rmw_zenoh (ros2/rmw_zenoh, rmw_zenoh_cpp/src/detail/attachment_helpers.cpp):
+/// sequence number and source time in nanoseconds as little-endian `int64`, then the sender's id of
+/// 16 bytes, in some releases with its length before it. The first releases put a name, with its
+/// length before it, before each of the three.
+fn read_rmw_zenoh(bytes: &[u8]) -> Option<Said> {
+    let (sequence, rest) = match strip_name(bytes, b"sequence_number") {
+        Some(rest) => {
+            let (sequence, rest) = take_i64(rest)?;
+            (sequence, strip_name(rest, b"source_timestamp")?)
+        }
+        None => take_i64(bytes)?,
+    };
+    let (time_ns, rest) = take_i64(rest)?;
+    let sender = strip_name(rest, b"source_gid").unwrap_or(rest);
+    if !matches!(sender.len(), 16 | 17) {
+        return None;
+    }
+    // A publisher that starts anew has another id, and numbers from the start.
+    let stream = sender.last_chunk::<16>().map(|id| {
+        let id = u128::from_le_bytes(*id);
+        (id >> 64) as u64 ^ id as u64
+    });
+    Some(Said {
+        sequence: Some(u64::try_from(sequence).ok()?),
+        stream,
+        time_ns: u64::try_from(time_ns).ok().filter(|time| *time > 0),
+        ..Said::default()
+    })
+}
+
+fn strip_name<'a>(bytes: &'a [u8], name: &[u8]) -> Option<&'a [u8]> {
+    let (&length, rest) = bytes.split_first()?;
+    (usize::from(length) == name.len()).then(|| rest.strip_prefix(name))?
+}
+
+fn take_i64(bytes: &[u8]) -> Option<(i64, &[u8])> {
+    let (number, rest) = bytes.split_first_chunk::<8>()?;
+    Some((i64::from_le_bytes(*number), rest))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rmw(named: bool, length_byte: bool) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let name = |bytes: &mut Vec<u8>, text: &str| {
+            if named {
+                bytes.push(text.len() as u8);
+                bytes.extend_from_slice(text.as_bytes());
+            }
+        };
+        name(&mut bytes, "sequence_number");
+        bytes.extend_from_slice(&41_i64.to_le_bytes());
+        name(&mut bytes, "source_timestamp");
+        bytes.extend_from_slice(&1_700_000_000_123_456_789_i64.to_le_bytes());
+        name(&mut bytes, "source_gid");
+        if length_byte {
+            bytes.push(16);
+        }
+        bytes.extend_from_slice(&[7; 16]);
+        bytes
+    }
+
+    #[test]
+    fn every_release_of_rmw_zenoh_is_understood() {
+        for (named, length_byte) in [(false, false), (false, true), (true, false), (true, true)] {
+            let bytes = rmw(named, length_byte);
+            for format in [PayloadFormat::Ros2CompressedImage, PayloadFormat::Ros2Image] {
+                let said = read_attachment(Some(&bytes), format).unwrap();
+                assert_eq!(said.sequence, Some(41), "{named} {length_byte}");
+                assert_eq!(said.time_ns, Some(1_700_000_000_123_456_789));
+                assert!(said.stream.is_some(), "a publisher's id");
+            }
+        }
+    }
+
+    #[test]
+    fn a_ros_attachment_of_another_kind_is_passed_over() {
+        for bytes in [&b"\0"[..], b"{", &[0xFF; 32], &[0; 500], b"sequence_number"] {
+            assert_eq!(
+                read_attachment(Some(bytes), PayloadFormat::Ros2Image).unwrap(),
+                Said::default()
+            );
+        }
+        let json = br#"{"v":1,"seq":3}"#;
+        let said = read_attachment(Some(json), PayloadFormat::Ros2Image).unwrap();
+        assert_eq!(said.sequence, Some(3));
+    }
+
+    #[test]
+    fn a_json_attachment_is_read_and_a_bad_one_says_what_is_wrong() {
+        let said = read_attachment(
+            Some(br#"{"v":1,"seq":9,"t_ns":5,"clip":"a","width":4,"height":2}"#),
+            PayloadFormat::Encoding,
+        )
+        .unwrap();
+        assert_eq!(
+            said,
+            Said {
+                sequence: Some(9),
+                stream: None,
+                time_ns: Some(5),
+                clip: Some("a".into()),
+                size: Some(PictureSize::new(4, 2)),
+            }
+        );
+        for (bytes, part) in [
+            (&br#"{"v":2}"#[..], "version 2"),
+            (b"\x01\x02", "cannot be read"),
+            (br#"{"v":1,"seq":-1}"#, "cannot be read"),
+            (br#"{"v":1,"clip":""}"#, "clip id"),
+            (br#"{"v":1,"clip":"a\nb"}"#, "clip id"),
+            (&[b' '; 5000], "5000 bytes"),
+        ] {
+            let fault = read_attachment(Some(bytes), PayloadFormat::Encoding).unwrap_err();
+            assert_eq!(fault.kind(), "unknown_format");
+            assert!(fault.to_string().contains(part), "{fault}");
+        }
+    }
+}

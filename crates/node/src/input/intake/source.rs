@@ -1,0 +1,44 @@
+//! Pictures of a source that the node itself keeps open, on their way into a camera's ring.
+
+use super::Intake;
+use crate::input::source::{LiveSource, SourceSink};
+use albireo_service::readiness::Part;
+use albireo_vision::picture::{EncodedPicture, FrameFault};
+use std::sync::Arc;
+use tokio_util::sync::CancellationToken;
+
+/// A camera's source, and where its pictures go.
+#[derive(Clone, Debug)]
+pub(crate) struct SourceFeed {
+    pub source: Arc<LiveSource>,
+    pub intake: Arc<Intake>,
+    /// Where it is told whether pictures come.
+    pub part: Part,
+}
+
+impl SourceFeed {
+    /// Feeds the camera until `shutdown`.
+    ///
+    /// # Errors
+    /// When the thread that reads fails.
+    pub(crate) async fn run(self, shutdown: CancellationToken) -> Result<(), String> {
+        let source = Arc::clone(&self.source);
+        source.run(self, shutdown).await
+    }
+}
+
+impl SourceSink for SourceFeed {
+    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, anew: bool) {
+        self.intake.take_picture(picture, anew);
+    }
+
+    fn works(&mut self) {
+        self.part.works();
+    }
+
+    fn fails(&mut self, reason: &str) {
+        let name = self.source.name();
+        self.part
+            .degraded(format!("{name} is opened again: {reason}"));
+    }
+}

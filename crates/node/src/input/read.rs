@@ -1,0 +1,360 @@
+//! From a Zenoh sample to a frame, still encoded.
+
+use super::attachment::{Said, read_attachment};
+use super::{PayloadFormat, ros2};
+use albireo_core::geometry::PictureSize;
+use albireo_service::clock::unix_nanoseconds;
+use albireo_vision::picture::{
+    EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_payload, check_picture,
+    check_raw_length, format_of, picture_of_kind,
+};
+use bytes::Bytes;
+use std::borrow::Cow;
+use std::ops::Range;
+use std::sync::Arc;
+use tokio::time::Instant;
+use zenoh::bytes::{Encoding, ZBytes};
+use zenoh::query::Query;
+use zenoh::sample::Sample;
+
+/// A sample of a frame key, as Zenoh delivers it.
+#[derive(Clone, Debug)]
+pub struct RawSample<'a> {
+    /// The payload.
+    pub payload: Bytes,
+    /// The sample's Zenoh encoding as text, for example `image/jpeg`; empty when it has none.
+    pub encoding: &'a str,
+    /// The sample's attachment.
+    pub attachment: Option<&'a [u8]>,
+    /// The sample's timestamp, nanoseconds since the Unix epoch.
+    pub timestamp_ns: Option<u64>,
+    /// How many samples came on this key before: the sequence number of a camera that sends none.
+    pub arrival: u64,
+    /// When it was received.
+    pub received: Instant,
+}
+
+/// What tells the place of a frame in its camera's stream, beside its number.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameOrder {
+    /// Whether the camera sent a number.
+    pub numbered: bool,
+    /// Which numbering the number belongs to, where the camera says so.
+    pub stream: Option<u64>,
+    /// Capture time, where the camera says it.
+    pub time_ns: Option<u64>,
+    /// When the frame was received.
+    pub received: Option<Instant>,
+}
+
+/// A frame, still encoded.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// The camera's sequence number; by arrival when it sends none.
+    pub sequence: u64,
+    /// What else tells its place.
+    pub order: FrameOrder,
+    /// Capture time, nanoseconds since the Unix epoch: the camera's, else the sample's timestamp, else
+    /// this machine's clock.
+    pub time_ns: u64,
+    /// The clip the camera says the frame belongs to.
+    pub clip: Option<Arc<str>>,
+    /// The picture, not decoded.
+    pub picture: EncodedPicture,
+    /// When the sample was received.
+    pub received: Instant,
+    /// Size of the payload.
+    pub payload_bytes: usize,
+}
+
+/// A sample that is not a usable frame. Its number still counts as arrived, so that it is not counted
+/// as lost too.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{fault}")]
+pub struct RejectedFrame {
+    /// Its sequence number, where it has one that could be read.
+    pub sequence: Option<u64>,
+    /// What else tells its place.
+    pub order: FrameOrder,
+    /// Its clip, where it could be read.
+    pub clip: Option<Arc<str>>,
+    /// What was wrong.
+    pub fault: FrameFault,
+}
+
+/// Reads a Zenoh sample as a frame, received now. As [`read_frame`], with the payload's length checked
+/// before it is copied out of Zenoh's buffers.
+///
+/// # Errors
+/// As [`read_frame`].
+pub fn read_sample(
+    sample: &Sample,
+    arrival: u64,
+    format: PayloadFormat,
+    limits: &FrameLimits,
+) -> Result<Frame, RejectedFrame> {
+    let received = Received {
+        payload: Some(sample.payload()),
+        encoding: Some(sample.encoding()),
+        attachment: sample.attachment(),
+        timestamp_ns: sample
+            .timestamp()
+            .and_then(|stamp| u64::try_from(stamp.get_time().to_duration().as_nanos()).ok()),
+    };
+    received.read(arrival, format, limits)
+}
+
+/// As [`read_sample`], of a frame that came as a query.
+///
+/// # Errors
+/// As [`read_frame`].
+pub(crate) fn read_query(
+    query: &Query,
+    arrival: u64,
+    format: PayloadFormat,
+    limits: &FrameLimits,
+) -> Result<Frame, RejectedFrame> {
+    let received = Received {
+        payload: query.payload(),
+        encoding: query.encoding(),
+        attachment: query.attachment(),
+        timestamp_ns: None,
+    };
+    received.read(arrival, format, limits)
+}
+
+/// A frame as Zenoh holds it.
+struct Received<'a> {
+    payload: Option<&'a ZBytes>,
+    encoding: Option<&'a Encoding>,
+    attachment: Option<&'a ZBytes>,
+    timestamp_ns: Option<u64>,
+}
+
+impl Received<'_> {
+    fn read(
+        self,
+        arrival: u64,
+        format: PayloadFormat,
+        limits: &FrameLimits,
+    ) -> Result<Frame, RejectedFrame> {
+        let length = self.payload.map_or(0, ZBytes::len);
+        let payload = match self.payload {
+            Some(payload) if length <= limits.max_payload_bytes => shared_bytes(payload),
+            _ => Bytes::new(),
+        };
+        let encoding = self.encoding.map(Cow::from).unwrap_or_default();
+        let attachment = self.attachment.map(ZBytes::to_bytes);
+        let raw = RawSample {
+            payload,
+            encoding: &encoding,
+            attachment: attachment.as_deref(),
+            timestamp_ns: self.timestamp_ns,
+            arrival,
+            received: Instant::now(),
+        };
+        read_checked(raw, length, format, limits)
+    }
+}
+
+/// The payload as shared bytes: no copy where Zenoh holds it in one piece.
+fn shared_bytes(payload: &ZBytes) -> Bytes {
+    /// Owns the Zenoh buffer behind a `Bytes`; in one piece, as checked at construction.
+    struct OnePiece(ZBytes);
+    impl AsRef<[u8]> for OnePiece {
+        fn as_ref(&self) -> &[u8] {
+            self.0.slices().next().unwrap_or_default()
+        }
+    }
+    let mut slices = payload.slices();
+    match (slices.next(), slices.next()) {
+        (None, _) => Bytes::new(),
+        (Some(_), None) => Bytes::from_owner(OnePiece(payload.clone())),
+        (Some(_), Some(_)) => Bytes::from(payload.to_bytes().into_owned()),
+    }
+}
+
+/// Reads a sample as a frame. Nothing is decoded; all limits are checked here, before memory is taken.
+///
+/// # Errors
+/// [`RejectedFrame`] when the sample is too large, of an unknown format, or not a picture.
+pub fn read_frame(
+    raw: RawSample<'_>,
+    format: PayloadFormat,
+    limits: &FrameLimits,
+) -> Result<Frame, RejectedFrame> {
+    let payload_bytes = raw.payload.len();
+    read_checked(raw, payload_bytes, format, limits)
+}
+
+fn read_checked(
+    raw: RawSample<'_>,
+    payload_bytes: usize,
+    format: PayloadFormat,
+    limits: &FrameLimits,
+) -> Result<Frame, RejectedFrame> {
+    let said = read_attachment(raw.attachment, format).map_err(|fault| RejectedFrame {
+        sequence: None,
+        order: FrameOrder::default(),
+        clip: None,
+        fault,
+    })?;
+    let sequence = said.sequence.unwrap_or(raw.arrival);
+    let mut order = FrameOrder {
+        numbered: said.sequence.is_some(),
+        stream: said.stream,
+        time_ns: said.time_ns,
+        received: Some(raw.received),
+    };
+    let read = check_payload(payload_bytes, limits)
+        .and_then(|()| read_picture(&raw, &said, format, limits));
+    match read {
+        Ok((picture, stamp)) => Ok(Frame {
+            sequence,
+            order: {
+                order.time_ns = order.time_ns.or(stamp);
+                order
+            },
+            // A ROS header's stamp is when the picture was taken, the attachment's when it was sent.
+            time_ns: stamp
+                .or(said.time_ns)
+                .or(raw.timestamp_ns)
+                .unwrap_or_else(unix_nanoseconds),
+            clip: said.clip,
+            picture,
+            received: raw.received,
+            payload_bytes,
+        }),
+        Err(fault) => Err(RejectedFrame {
+            sequence: said.sequence,
+            order,
+            clip: said.clip,
+            fault,
+        }),
+    }
+}
+
+/// The picture, and the capture time where the payload itself tells it.
+fn read_picture(
+    raw: &RawSample<'_>,
+    said: &Said,
+    format: PayloadFormat,
+    limits: &FrameLimits,
+) -> Result<(EncodedPicture, Option<u64>), FrameFault> {
+    match format {
+        PayloadFormat::Encoding => {
+            read_by_encoding(raw, said.size, limits).map(|picture| (picture, None))
+        }
+        PayloadFormat::Ros2CompressedImage => {
+            let message = ros2::read_compressed_image(&raw.payload)?;
+            let bytes = raw.payload.slice(message.data.clone());
+            let Some(format) = format_of(&bytes) else {
+                let text: String = message.format.chars().take(48).collect();
+                return Err(FrameFault::unknown_format(format!(
+                    "the CompressedImage (format {text:?}) holds neither a JPEG nor a PNG file"
+                )));
+            };
+            Ok((picture_of_kind(format, bytes, limits)?, message.time_ns))
+        }
+        PayloadFormat::Ros2Image => {
+            let message = ros2::read_image(&raw.payload)?;
+            check_picture(message.size, limits)?;
+            let bytes = without_padding(&raw.payload, &message)?;
+            let picture = EncodedPicture {
+                format: message.format,
+                bytes,
+                size: message.size,
+            };
+            Ok((picture, message.time_ns))
+        }
+    }
+}
+
+fn read_by_encoding(
+    raw: &RawSample<'_>,
+    size: Option<PictureSize>,
+    limits: &FrameLimits,
+) -> Result<EncodedPicture, FrameFault> {
+    let (kind, schema) = raw.encoding.split_once(';').unwrap_or((raw.encoding, ""));
+    let kind = kind.trim().to_ascii_lowercase();
+    let bytes = raw.payload.clone();
+    match kind.as_str() {
+        "image/jpeg" | "image/jpg" => picture_of_kind(PictureFormat::Jpeg, bytes, limits),
+        "image/png" => picture_of_kind(PictureFormat::Png, bytes, limits),
+        "" | "zenoh/bytes" | "application/octet-stream" => match format_of(&bytes) {
+            Some(format) => picture_of_kind(format, bytes, limits),
+            None => Err(FrameFault::unknown_format(format!(
+                "the payload has no encoding and is neither a JPEG nor a PNG file; {ENCODINGS}"
+            ))),
+        },
+        "image/raw" => {
+            let Some(format) = PictureFormat::raw_from_name(schema.trim()) else {
+                return Err(unknown_encoding(raw.encoding));
+            };
+            let size = size.ok_or_else(|| {
+                FrameFault::unknown_format(
+                    "a raw picture needs `width` and `height` in the attachment",
+                )
+            })?;
+            check_picture(size, limits)?;
+            check_raw_length(format, size, bytes.len())?;
+            Ok(EncodedPicture {
+                format,
+                bytes,
+                size,
+            })
+        }
+        _ => Err(unknown_encoding(raw.encoding)),
+    }
+}
+
+const ENCODINGS: &str =
+    "send image/jpeg, image/png, or image/raw;FORMAT with rgb8, bgr8, rgba8, bgra8, gray8 or nv12";
+
+fn unknown_encoding(encoding: &str) -> FrameFault {
+    let start: String = encoding.chars().take(64).collect();
+    FrameFault::unknown_format(format!("encoding {start:?} is not known; {ENCODINGS}"))
+}
+
+/// The rows of a ROS image, one after the other: the payload itself when its rows have no padding, else
+/// a copy no larger than the payload.
+fn without_padding(payload: &Bytes, image: &ros2::Image) -> Result<Bytes, FrameFault> {
+    let data = &payload[image.data.clone()];
+    let (width, height) = (image.size.width as usize, image.size.height as usize);
+    // Rows of pixels, then, for NV12, rows of chroma: a Cb and a Cr byte for every two columns.
+    let (row, chroma_row, chroma_rows) = match image.format {
+        PictureFormat::Gray8 => (width, 0, 0),
+        PictureFormat::Rgba8 | PictureFormat::Bgra8 => (4 * width, 0, 0),
+        PictureFormat::Nv12 => (width, 2 * width.div_ceil(2), height.div_ceil(2)),
+        _ => (3 * width, 0, 0),
+    };
+    let longest = row.max(chroma_row);
+    if image.step < longest {
+        return Err(FrameFault::undecodable(format!(
+            "a row of the {} image has {longest} bytes, its step says {}",
+            image.size, image.step
+        )));
+    }
+    let rows = height + chroma_rows;
+    if image
+        .step
+        .checked_mul(rows)
+        .is_none_or(|needed| needed > data.len())
+    {
+        return Err(FrameFault::undecodable(format!(
+            "{rows} rows of {} bytes do not fit in the {} bytes of the ROS image",
+            image.step,
+            data.len()
+        )));
+    }
+    if image.step == row {
+        let Range { start, .. } = image.data;
+        return Ok(payload.slice(start..start + row * rows));
+    }
+    let mut packed = Vec::with_capacity(row * height + chroma_row * chroma_rows);
+    for (index, padded) in data.chunks(image.step).take(rows).enumerate() {
+        let used = if index < height { row } else { chroma_row };
+        packed.extend_from_slice(&padded[..used]);
+    }
+    Ok(Bytes::from(packed))
+}

@@ -1,0 +1,172 @@
+//! ROS 2 `sensor_msgs/msg/CompressedImage` and `Image` in CDR (OMG CDR, plain encoding of XTypes
+//! version 1), both byte orders. Nothing is copied: what is found is told as ranges of the payload.
+
+use albireo_core::geometry::PictureSize;
+use albireo_vision::picture::{FrameFault, PictureFormat};
+use std::ops::Range;
+
+/// A CompressedImage message.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct CompressedImage<'a> {
+    /// Header stamp, nanoseconds since the Unix epoch; `None` when it is not set.
+    pub time_ns: Option<u64>,
+    /// Free text, such as `jpeg` or `bgr8; jpeg compressed bgr8`.
+    pub format: &'a str,
+    /// Where the picture file lies in the payload.
+    pub data: Range<usize>,
+}
+
+/// An Image message.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Image {
+    /// Header stamp, nanoseconds since the Unix epoch; `None` when it is not set.
+    pub time_ns: Option<u64>,
+    /// Size of the picture.
+    pub size: PictureSize,
+    /// What its bytes mean.
+    pub format: PictureFormat,
+    /// Bytes from one row to the next.
+    pub step: usize,
+    /// Where the rows lie in the payload.
+    pub data: Range<usize>,
+}
+
+/// Reads a CompressedImage: header, format, data.
+pub(super) fn read_compressed_image(payload: &[u8]) -> Result<CompressedImage<'_>, FrameFault> {
+    let mut cdr = Cdr::new(payload)?;
+    let time_ns = cdr.header()?;
+    let format = cdr.text("format")?;
+    let data = cdr.bytes("data")?;
+    Ok(CompressedImage {
+        time_ns,
+        format,
+        data,
+    })
+}
+
+/// Reads an Image: header, height, width, encoding, is_bigendian, step, data. `is_bigendian` says
+/// nothing about the one-byte samples read here.
+pub(super) fn read_image(payload: &[u8]) -> Result<Image, FrameFault> {
+    let mut cdr = Cdr::new(payload)?;
+    let time_ns = cdr.header()?;
+    let height = cdr.u32("height")?;
+    let width = cdr.u32("width")?;
+    let encoding = cdr.text("encoding")?;
+    cdr.u8("is_bigendian")?;
+    let step = cdr.u32("step")? as usize;
+    let data = cdr.bytes("data")?;
+    // sensor_msgs/image_encodings.hpp; OpenCV's untyped names are taken as cv_bridge takes them.
+    let format = match encoding {
+        "rgb8" => PictureFormat::Rgb8,
+        "bgr8" | "8UC3" => PictureFormat::Bgr8,
+        "rgba8" => PictureFormat::Rgba8,
+        "bgra8" | "8UC4" => PictureFormat::Bgra8,
+        "mono8" | "8UC1" => PictureFormat::Gray8,
+        "nv12" => PictureFormat::Nv12,
+        other => {
+            let start: String = other.chars().take(32).collect();
+            return Err(FrameFault::unknown_format(format!(
+                "ROS image encoding {start:?} is not read; rgb8, bgr8, rgba8, bgra8, mono8 and nv12 are"
+            )));
+        }
+    };
+    Ok(Image {
+        time_ns,
+        size: PictureSize::new(width, height),
+        format,
+        step,
+        data,
+    })
+}
+
+/// A reader of plain CDR.
+struct Cdr<'a> {
+    payload: &'a [u8],
+    at: usize,
+    little_endian: bool,
+}
+
+/// Length of the encapsulation header; alignment counts from its end.
+const ENCAPSULATION: usize = 4;
+
+impl<'a> Cdr<'a> {
+    fn new(payload: &'a [u8]) -> Result<Self, FrameFault> {
+        let little_endian = match payload.get(..ENCAPSULATION) {
+            Some([0, 0, ..]) => false,
+            Some([0, 1, ..]) => true,
+            Some(other) => {
+                return Err(FrameFault::unknown_format(format!(
+                    "the payload is not a ROS 2 message in plain CDR: it begins with {other:02x?}, not \
+                     with 00 00 or 00 01"
+                )));
+            }
+            None => return Err(cut_short("its encapsulation header")),
+        };
+        Ok(Self {
+            payload,
+            at: ENCAPSULATION,
+            little_endian,
+        })
+    }
+
+    fn take(&mut self, length: usize, what: &str) -> Result<Range<usize>, FrameFault> {
+        let end = self
+            .at
+            .checked_add(length)
+            .filter(|end| *end <= self.payload.len())
+            .ok_or_else(|| cut_short(what))?;
+        let range = self.at..end;
+        self.at = end;
+        Ok(range)
+    }
+
+    fn u8(&mut self, what: &str) -> Result<u8, FrameFault> {
+        let range = self.take(1, what)?;
+        Ok(self.payload[range.start])
+    }
+
+    fn u32(&mut self, what: &str) -> Result<u32, FrameFault> {
+        let past = (self.at - ENCAPSULATION) % 4;
+        if past != 0 {
+            self.take(4 - past, what)?;
+        }
+        let range = self.take(4, what)?;
+        let mut field = [0; 4];
+        field.copy_from_slice(&self.payload[range]);
+        Ok(if self.little_endian {
+            u32::from_le_bytes(field)
+        } else {
+            u32::from_be_bytes(field)
+        })
+    }
+
+    fn bytes(&mut self, what: &str) -> Result<Range<usize>, FrameFault> {
+        let length = self.u32(what)? as usize;
+        self.take(length, what)
+    }
+
+    /// A string: its length counts the NUL at its end.
+    fn text(&mut self, what: &str) -> Result<&'a str, FrameFault> {
+        let range = self.bytes(what)?;
+        let bytes = &self.payload[range];
+        let bytes = bytes.strip_suffix(b"\0").unwrap_or(bytes);
+        std::str::from_utf8(bytes)
+            .map_err(|_| FrameFault::undecodable(format!("the ROS message's {what} is not text")))
+    }
+
+    /// `std_msgs/msg/Header`: the stamp; the frame id is passed over.
+    fn header(&mut self) -> Result<Option<u64>, FrameFault> {
+        let seconds = self.u32("header.stamp.sec")?.cast_signed();
+        let nanoseconds = self.u32("header.stamp.nanosec")?;
+        self.bytes("header.frame_id")?;
+        Ok(u64::try_from(seconds)
+            .ok()
+            .and_then(|seconds| seconds.checked_mul(1_000_000_000))
+            .and_then(|time| time.checked_add(u64::from(nanoseconds)))
+            .filter(|time| *time > 0))
+    }
+}
+
+fn cut_short(what: &str) -> FrameFault {
+    FrameFault::undecodable(format!("the ROS message ends inside {what}"))
+}

@@ -1,0 +1,226 @@
+//! The output of a program cut into pictures: parts of a multipart stream, PNG files, PPM files.
+
+use albireo_core::geometry::PictureSize;
+use albireo_vision::picture::{
+    EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_picture,
+};
+use bytes::Bytes;
+use std::io::{BufRead, Read};
+
+/// Why a stream cannot be cut any further.
+#[derive(Debug, thiserror::Error)]
+pub enum CutError {
+    /// It cannot be read, or is cut short.
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
+    /// It is not what was asked for.
+    #[error("{0}")]
+    Malformed(String),
+    /// A picture is larger than any that is taken.
+    #[error("a picture of {bytes} bytes is more than the {most} that are taken")]
+    TooLarge {
+        /// Its length.
+        bytes: u64,
+        /// What is taken.
+        most: u64,
+    },
+}
+
+/// The next part of a multipart stream that has a `Content-length` in every part's head, as ffmpeg's `mpjpeg` and
+/// GStreamer's `multipartmux` write it; `None` at its end.
+///
+/// # Errors
+/// When it is cut short, has no length, or more than `most` bytes.
+pub fn read_part(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>, CutError> {
+    let mut length = None;
+    let mut line = Vec::new();
+    loop {
+        line.clear();
+        if stream.by_ref().take(1024).read_until(b'\n', &mut line)? == 0 {
+            return if length.is_none() {
+                Ok(None)
+            } else {
+                Err(CutError::Malformed("it ends inside a head".to_owned()))
+            };
+        }
+        let text = String::from_utf8_lossy(&line);
+        let text = text.trim();
+        if let Some((name, value)) = text.split_once(':') {
+            let value = value.trim();
+            if name.eq_ignore_ascii_case("content-length") {
+                let bytes = value.parse::<u64>();
+                length =
+                    Some(bytes.map_err(|_| {
+                        CutError::Malformed(format!("`{value}` is no Content-length"))
+                    })?);
+            }
+            if name.eq_ignore_ascii_case("content-type") && value != "image/jpeg" {
+                return Err(CutError::Malformed(format!(
+                    "its pictures are {value} and not image/jpeg: end the pipeline with an encoder, `! jpegenc`"
+                )));
+            }
+        }
+        if text.is_empty()
+            && let Some(length) = length
+        {
+            return read_exactly(stream, length, most).map(Some);
+        }
+    }
+}
+
+/// The next PNG file of a row of them; `None` at the end.
+///
+/// # Errors
+/// When it is cut short, or has more than `most` bytes.
+pub fn read_png(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>, CutError> {
+    if stream.fill_buf()?.is_empty() {
+        return Ok(None);
+    }
+    let mut file = read_exactly(stream, 8, most)?;
+    loop {
+        let head = read_exactly(stream, 8, most)?;
+        let [a, b, c, d, kind @ ..] = head.as_slice() else {
+            return Err(CutError::Malformed("a PNG chunk has no head".to_owned()));
+        };
+        let length = u64::from(u32::from_be_bytes([*a, *b, *c, *d]));
+        let last = kind == b"IEND";
+        file.extend_from_slice(&head);
+        // The content and its checksum.
+        let rest = most.saturating_sub(file.len() as u64);
+        file.extend_from_slice(&read_exactly(stream, length + 4, rest)?);
+        if last {
+            return Ok(Some(file));
+        }
+    }
+}
+
+/// The next PPM file of a row of them (`P6`, one byte a colour), as rows of red, green, blue; `None` at the end.
+///
+/// # Errors
+/// When it is cut short. A picture above `limits` is read past, and told in the inner result.
+pub(super) fn read_ppm(
+    stream: &mut impl BufRead,
+    limits: &FrameLimits,
+) -> Result<Option<Result<EncodedPicture, FrameFault>>, CutError> {
+    if stream.fill_buf()?.is_empty() {
+        return Ok(None);
+    }
+    let mut numbers = [0_u32; 3];
+    let magic = read_exactly(stream, 3, 3)?;
+    if magic != b"P6\n" {
+        return Err(CutError::Malformed("a picture is no PPM file".to_owned()));
+    }
+    for number in &mut numbers {
+        *number = read_number(stream)?;
+    }
+    let [width, height, 255] = numbers else {
+        let most = numbers[2];
+        return Err(CutError::Malformed(format!(
+            "a PPM file has {most} levels a colour and not 255"
+        )));
+    };
+    let size = PictureSize::new(width, height);
+    let bytes = size.pixels().saturating_mul(3);
+    if let Err(fault) = check_picture(size, limits) {
+        let passed = std::io::copy(&mut stream.by_ref().take(bytes), &mut std::io::sink())?;
+        return if passed == bytes {
+            Ok(Some(Err(fault)))
+        } else {
+            Err(early(bytes - passed))
+        };
+    }
+    let pixels = read_exactly(stream, bytes, bytes)?;
+    Ok(Some(Ok(EncodedPicture {
+        format: PictureFormat::Rgb8,
+        bytes: Bytes::from(pixels),
+        size,
+    })))
+}
+
+/// A number and the one blank behind it.
+fn read_number(stream: &mut impl BufRead) -> Result<u32, CutError> {
+    let mut text = String::new();
+    for _ in 0..11 {
+        match read_exactly(stream, 1, 1)?.first() {
+            Some(digit) if digit.is_ascii_digit() => text.push(char::from(*digit)),
+            _ => break,
+        }
+    }
+    let number = text.parse();
+    number.map_err(|_| CutError::Malformed("a PPM file has no size".to_owned()))
+}
+
+fn early(missing: u64) -> CutError {
+    CutError::Malformed(format!("it ends {missing} bytes early"))
+}
+
+fn read_exactly(stream: &mut impl BufRead, length: u64, most: u64) -> Result<Vec<u8>, CutError> {
+    if length > most {
+        return Err(CutError::TooLarge {
+            bytes: length,
+            most,
+        });
+    }
+    // Room for all of it at once; what never comes is not paid for beyond the limit.
+    let mut bytes = Vec::with_capacity(usize::try_from(length).unwrap_or_default());
+    stream.by_ref().take(length).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 != length {
+        return Err(early(length - bytes.len() as u64));
+    }
+    Ok(bytes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn parts_are_cut_where_their_heads_say() {
+        let stream = b"--ffmpeg\r\nContent-type: image/jpeg\r\nContent-length: 5\r\n\r\nab\r\nc\r\n\
+                       --ffmpeg\r\nContent-Type: image/jpeg\r\nContent-Length: 1\r\n\r\nd\r\n--ffmpeg\r\n";
+        let mut reader = &stream[..];
+        assert_eq!(read_part(&mut reader, 9).unwrap().unwrap(), b"ab\r\nc");
+        assert_eq!(read_part(&mut reader, 9).unwrap().unwrap(), b"d");
+        assert!(read_part(&mut reader, 9).unwrap().is_none());
+        let mut cut = &stream[..60];
+        assert!(read_part(&mut cut, 9).is_err());
+        let mut large = &stream[..];
+        assert!(matches!(
+            read_part(&mut large, 4),
+            Err(CutError::TooLarge { bytes: 5, most: 4 })
+        ));
+        let mut raw = &b"--b\r\nContent-Type: video/x-raw\r\nContent-Length: 1\r\n\r\nd\r\n"[..];
+        let error = read_part(&mut raw, 9).unwrap_err().to_string();
+        assert!(error.contains("! jpegenc"), "{error}");
+    }
+
+    #[test]
+    fn pictures_of_changing_size_are_cut_and_too_large_ones_passed_by() {
+        let stream = b"P6\n2 1\n255\nabcdefP6\n3 1\n255\nabcdefghiP6\n1 1\n255\nxyz";
+        let mut reader = &stream[..];
+        let limits = FrameLimits {
+            max_width: 2,
+            ..FrameLimits::default()
+        };
+        let mut next = || read_ppm(&mut reader, &limits).unwrap();
+        let first = next().unwrap().unwrap();
+        assert_eq!(
+            (first.size, &first.bytes[..]),
+            (PictureSize::new(2, 1), &b"abcdef"[..])
+        );
+        assert_eq!(next().unwrap().unwrap_err().kind(), "oversized");
+        assert_eq!(&next().unwrap().unwrap().bytes[..], b"xyz");
+        assert!(next().is_none());
+        for broken in [
+            "P6\n2 1\n255\nabc",
+            "P6\n2 1\n65535\nab",
+            "P5\n1 1\n255\na",
+            "P6\nx",
+        ] {
+            assert!(
+                read_ppm(&mut broken.as_bytes(), &limits).is_err(),
+                "{broken}"
+            );
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! What is known of a running node.
+
+pub mod advice;
+pub mod board;
+pub(crate) mod counters;
+pub mod readiness;
+pub mod target;

@@ -1,0 +1,419 @@
+//! The live board: what the camera loops write while they run, and what HTTP, metrics and the counter
+//! messages read. Nothing here decides anything.
+
+mod balance;
+mod camera;
+mod event;
+mod history;
+mod power_past;
+mod setup;
+mod thresholds;
+
+pub(crate) use balance::Balance;
+pub use camera::CameraSnapshot;
+pub use camera::{CameraBoard, CameraSetup, LatestFrame};
+pub use event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
+pub(crate) use history::{Estimate, FRAMES, PastFrame, PastSlot, SLOT_S};
+pub(crate) use power_past::PowerSlot;
+pub use setup::SetupError;
+pub use setup::{BoardSetup, DetectorFacts};
+
+use crate::delivery::outbox::Outbox;
+use crate::state::readiness;
+use crate::state::target::NodeTarget;
+use albireo_core::policy::KnobError;
+use albireo_core::target::{Target, TargetError};
+use albireo_power::MeterCost;
+use albireo_service::clock::unix_milliseconds;
+use albireo_service::readiness::{Fault, Readiness};
+use albireo_service::supervise::TaskTally;
+use albireo_vision::detector::task::{TaskCounters, TaskMeter};
+use albireo_vision::detector::{DetectorCounters, DetectorMeter, DetectorStatus};
+use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality, KnobSource};
+use balance::Balances;
+use parking_lot::Mutex;
+use power_past::PowerPast;
+use std::collections::{BTreeMap, VecDeque};
+use std::ops::Range;
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+use tokio::sync::{broadcast, watch};
+use tokio::time::Instant;
+
+/// Clip reports kept for readers; older ones are forgotten.
+pub(crate) const RECENT_CLIPS: usize = 256;
+
+/// Events a slow reader may be behind before it loses some (and is told how many).
+const EVENT_BACKLOG: usize = 1024;
+
+/// Power now, and energy since the node started.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PowerSnapshot {
+    /// Where the figures come from: `rapl`, `estimate`, …; `none` without a source.
+    pub source: String,
+    /// How far to trust them.
+    pub quality: EnergyQuality,
+    /// Power by domain, watts; empty without a source.
+    pub watts: Vec<DomainWatts>,
+    /// Energy by domain since the node started, joules, over the time that samples cover; only ever grows.
+    pub joules: BTreeMap<String, f64>,
+    /// That time, seconds.
+    pub covered_s: BTreeMap<String, f64>,
+    /// What reading the source has cost.
+    pub cost: MeterCost,
+    /// How often it could not be read.
+    pub failed_reads: u64,
+    /// The machine's hottest sensor and its temperature, °C.
+    pub hottest: Option<(String, f64)>,
+}
+
+impl Default for PowerSnapshot {
+    fn default() -> Self {
+        Self {
+            source: "none".to_owned(),
+            quality: EnergyQuality::Unavailable,
+            watts: Vec::new(),
+            joules: BTreeMap::new(),
+            covered_s: BTreeMap::new(),
+            cost: MeterCost::default(),
+            failed_reads: 0,
+            hottest: None,
+        }
+    }
+}
+
+/// The live board of one node. Shared by `Arc`; every method takes `&self` and never blocks for long.
+#[derive(Debug)]
+pub struct Board {
+    node: String,
+    policy: &'static str,
+    started: Instant,
+    cameras: Vec<Arc<CameraBoard>>,
+    clips: Mutex<VecDeque<Arc<ClipReport>>>,
+    events: broadcast::Sender<SharedEvent>,
+    detector: DetectorFacts,
+    detector_status: watch::Receiver<DetectorStatus>,
+    detector_meter: OnceLock<DetectorMeter>,
+    screen_meter: OnceLock<TaskMeter>,
+    power: Mutex<PowerSnapshot>,
+    power_past: Mutex<PowerPast>,
+    balances: Mutex<Balances>,
+    readiness: Readiness,
+    tasks: TaskTally,
+    outbox: Outbox,
+    target: Arc<NodeTarget>,
+}
+
+impl Board {
+    /// A board with no frames yet. Thresholds kept in the state directory by an earlier run are taken over where
+    /// the policy's knob still has that name and range and the configured value is the same as then; a
+    /// file that cannot be read is logged and otherwise ignored. Call inside a tokio runtime or not, as
+    /// you like.
+    pub fn new(setup: BoardSetup) -> Arc<Self> {
+        let (events, _) = broadcast::channel(EVENT_BACKLOG);
+        let started = Instant::now();
+        let begin = setup.cameras.first().and_then(|camera| camera.threshold);
+        let target = NodeTarget::open(setup.target, setup.outbox.clone(), begin);
+        let target = Arc::new(target);
+        let cameras: Vec<_> = setup
+            .cameras
+            .into_iter()
+            .map(|camera| {
+                Arc::new(CameraBoard::new(
+                    camera,
+                    setup.policy,
+                    started,
+                    events.clone(),
+                    setup.outbox.clone(),
+                    Arc::clone(&target),
+                ))
+            })
+            .collect();
+        let readiness = Readiness::default();
+        let detector_status = setup.detector_status.clone();
+        readiness.probe(readiness::DETECTOR, "", move || {
+            readiness::of_detector(&detector_status.borrow())
+        });
+        let outbox = setup.outbox.clone();
+        readiness.probe(readiness::DISK, "", move || {
+            outbox.counts().failing.map(Fault::degraded)
+        });
+        let outbox = setup.outbox.clone();
+        readiness.probe(readiness::OUTBOX, "", move || {
+            readiness::of_outbox(&outbox.counts(), outbox.has_directory())
+        });
+        Arc::new(Self {
+            node: setup.node,
+            policy: setup.policy,
+            started,
+            cameras,
+            clips: Mutex::default(),
+            events,
+            detector: setup.detector,
+            detector_status: setup.detector_status,
+            detector_meter: OnceLock::new(),
+            screen_meter: OnceLock::new(),
+            power: Mutex::default(),
+            power_past: Mutex::default(),
+            balances: Mutex::new(Balances::new()),
+            readiness,
+            tasks: TaskTally::default(),
+            outbox: setup.outbox,
+            target,
+        })
+    }
+
+    /// The node's name.
+    pub fn node(&self) -> &str {
+        &self.node
+    }
+
+    /// The policy's name.
+    pub fn policy(&self) -> &'static str {
+        self.policy
+    }
+
+    /// Where to read what the screen counts, once it has started. The first one stays.
+    pub(crate) fn attach_screen(&self, meter: TaskMeter) {
+        let _ = self.screen_meter.set(meter);
+    }
+
+    /// What the screen has counted; all 0 before it has started, and where there is none.
+    pub(crate) fn screen_counters(&self) -> TaskCounters {
+        self.screen_meter
+            .get()
+            .map(TaskMeter::read)
+            .unwrap_or_default()
+    }
+
+    /// Where to read what the detector counts, once it has started. The first one stays.
+    pub(crate) fn attach_detector(&self, meter: DetectorMeter) {
+        let _ = self.detector_meter.set(meter);
+    }
+
+    /// What the detector has counted; all 0 before it has started.
+    pub(crate) fn detector_counters(&self) -> DetectorCounters {
+        self.detector_meter
+            .get()
+            .map(DetectorMeter::read)
+            .unwrap_or_default()
+    }
+
+    /// Time since the board was made.
+    pub(crate) fn uptime(&self) -> Duration {
+        self.started.elapsed()
+    }
+
+    /// All cameras, in the order of the configuration.
+    pub fn cameras(&self) -> &[Arc<CameraBoard>] {
+        &self.cameras
+    }
+
+    /// The camera of that name.
+    pub fn camera(&self, name: &str) -> Option<&Arc<CameraBoard>> {
+        self.cameras.iter().find(|camera| camera.name() == name)
+    }
+
+    /// What happens from now on. A reader that falls more than 1024 events behind gets
+    /// `RecvError::Lagged` with the number it lost.
+    pub fn subscribe(&self) -> broadcast::Receiver<SharedEvent> {
+        self.events.subscribe()
+    }
+
+    /// Keeps a clip's report, counts it for its camera and tells it to subscribers.
+    pub fn record_clip(&self, report: ClipReport) {
+        if let Some(camera) = self.camera(&report.camera) {
+            let audit_joules = report.audit.as_ref().and_then(|audit| audit.joules);
+            camera.count_clip(report.energy.joules, audit_joules);
+        }
+        (self.balances.lock()).add(&report, &self.cameras, unix_milliseconds());
+        let report = Arc::new(report);
+        let mut clips = self.clips.lock();
+        if clips.len() == RECENT_CLIPS {
+            clips.pop_front();
+        }
+        clips.push_back(Arc::clone(&report));
+        drop(clips);
+        // An error only says that nobody listens.
+        let _ = self.events.send(Event::Clip(report).into());
+    }
+
+    /// The newest clip reports, newest first: of one camera or of all, at most `limit`.
+    pub fn recent_clips(&self, camera: Option<&str>, limit: usize) -> Vec<Arc<ClipReport>> {
+        self.clips_between(camera, 0..u64::MAX, limit)
+    }
+
+    /// The newest clip reports whose numbers are in `numbers`, newest first: of one camera or of all, at most `limit`.
+    pub(crate) fn clips_between(
+        &self,
+        camera: Option<&str>,
+        numbers: Range<u64>,
+        limit: usize,
+    ) -> Vec<Arc<ClipReport>> {
+        self.clips
+            .lock()
+            .iter()
+            .rev()
+            .filter(|report| numbers.contains(&report.report))
+            .filter(|report| camera.is_none_or(|name| report.camera == name))
+            .take(limit)
+            .cloned()
+            .collect()
+    }
+
+    /// The counter messages of all cameras as they stand now, told to subscribers too. To be called
+    /// once a second; `t_ns` is the wall clock, nanoseconds since the Unix epoch.
+    pub fn publish_counters(&self, t_ns: u64) -> Vec<Arc<CountersMessage>> {
+        (self.balances.lock()).turn(&self.cameras, unix_milliseconds());
+        self.cameras
+            .iter()
+            .map(|camera| {
+                let message = Arc::new(self.counters(camera, t_ns));
+                let _ = (self.events).send(Event::Counters(Arc::clone(&message)).into());
+                message
+            })
+            .collect()
+    }
+
+    /// How things stand, as the events that would tell it: thresholds and counters of every camera.
+    pub fn current(&self, t_ns: u64) -> Vec<Event> {
+        let told = |camera: &Arc<CameraBoard>| {
+            let counters = Event::Counters(Arc::new(self.counters(camera, t_ns)));
+            camera.threshold_event().into_iter().chain([counters])
+        };
+        self.cameras.iter().flat_map(told).collect()
+    }
+
+    /// The counter message of one camera as it stands now.
+    pub fn counters(&self, camera: &CameraBoard, t_ns: u64) -> CountersMessage {
+        let snapshot = camera.snapshot();
+        let power = self.power();
+        CountersMessage {
+            v: albireo_wire::VERSION,
+            t_ns,
+            camera: camera.name().to_owned(),
+            frames: snapshot.states.frames(),
+            states: snapshot.states,
+            skip_rate: snapshot.skip_rate(),
+            degraded_frames: snapshot.degraded_frames,
+            calls: snapshot.calls,
+            dropped: snapshot.dropped,
+            knob: camera.knob_value(),
+            watts: power.watts,
+            power_quality: power.quality,
+            target: self.target.is_on().then(|| self.target.report()),
+            audit: camera.audit_is_on().then(|| snapshot.audit.figures()),
+        }
+    }
+
+    /// Turns the knob of every camera, or of none: all values are checked before the first is changed.
+    ///
+    /// # Errors
+    /// [`KnobError`] of the first camera that cannot take `value`.
+    pub(crate) fn set_all_thresholds(&self, value: f64) -> Result<f64, KnobError> {
+        for camera in &self.cameras {
+            camera.check_threshold(value)?;
+        }
+        for camera in &self.cameras {
+            camera.set_threshold(value)?;
+        }
+        Ok(value)
+    }
+
+    /// Holds `target` from now on, or nothing: the knob then stays where it is, and is kept there. Writes small files.
+    ///
+    /// # Errors
+    /// [`TargetError`] when it cannot be held; nothing changes then.
+    pub(crate) fn set_target(
+        &self,
+        target: Option<Target>,
+        source: KnobSource,
+    ) -> Result<(), TargetError> {
+        let held = self.target.is_on();
+        let knob = self.cameras.first().and_then(|camera| camera.threshold());
+        self.target.set(target, knob, source)?;
+        if held && target.is_none() {
+            for camera in &self.cameras {
+                if let Some(value) = camera.threshold()
+                    && let Err(error) = camera.set_threshold_by(value, source)
+                {
+                    tracing::error!(camera = camera.name(), %error, "threshold not kept");
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads the kept target where that could not be done before; as
+    /// [`read_kept_threshold`](CameraBoard::read_kept_threshold), and after it.
+    pub(crate) fn read_kept_target(&self, hub_was_known: bool) {
+        let knob = self.cameras.first().and_then(|camera| camera.threshold());
+        self.target.read_again(hub_was_known, knob);
+    }
+
+    /// What is held in the place of the knob's number.
+    pub(crate) fn target(&self) -> &NodeTarget {
+        &self.target
+    }
+
+    /// Whether the thresholds in force will still hold after a restart: a `state_dir` is set and the
+    /// last write to it went well.
+    pub(crate) fn thresholds_are_kept(&self) -> bool {
+        self.outbox.keeps_settings()
+    }
+
+    /// Where reports wait for a hub, and what must survive.
+    pub fn outbox(&self) -> &Outbox {
+        &self.outbox
+    }
+
+    /// What was known about the detector before it started.
+    pub(crate) fn detector_facts(&self) -> &DetectorFacts {
+        &self.detector
+    }
+
+    /// How the detector is doing now.
+    pub fn detector_status(&self) -> DetectorStatus {
+        self.detector_status.borrow().clone()
+    }
+
+    /// How the detector is doing, to wait for changes.
+    pub(crate) fn watch_detector(&self) -> watch::Receiver<DetectorStatus> {
+        self.detector_status.clone()
+    }
+
+    /// Writes the power figures; to be called by the sampling task.
+    pub fn set_power(&self, power: PowerSnapshot) {
+        self.power_past.lock().add(&power, self.uptime());
+        *self.power.lock() = power;
+    }
+
+    /// Power over the last hour, oldest first, and the node's age to tell times by.
+    pub(crate) fn power_past(&self) -> (Vec<PowerSlot>, Duration) {
+        let now = self.uptime();
+        (self.power_past.lock().slots(now), now)
+    }
+
+    /// What was saved since the start, and today.
+    pub(crate) fn balances(&self) -> (Balance, Balance) {
+        (self.balances.lock()).read(&self.cameras, unix_milliseconds())
+    }
+
+    /// The power figures as last written.
+    pub fn power(&self) -> PowerSnapshot {
+        self.power.lock().clone()
+    }
+
+    /// Whether the node works, part by part.
+    pub fn readiness(&self) -> &Readiness {
+        &self.readiness
+    }
+
+    /// How often the node's tasks failed.
+    pub fn tasks(&self) -> &TaskTally {
+        &self.tasks
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,593 @@
+//! One camera's part of the live board.
+
+use super::event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
+use super::history::{History, PastFrame, PastSlot, SkipEstimate};
+use super::thresholds;
+use crate::camera::audit::AuditCount;
+use crate::delivery::outbox::Outbox;
+use crate::state::advice::{Advice, SkipWatch};
+use crate::state::target::NodeTarget;
+use albireo_core::audit::AuditSums;
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::{BoxSource, FrameState, Knob, KnobError, published_threshold, short};
+use albireo_vision::picture::EncodedPicture;
+use albireo_vision::screen::ScreenCounts;
+use albireo_wire::{
+    BoxMessage, DetectionsMessage, DetectorCalls, DroppedFrames, FrameStates, KnobSource, KnobValue,
+};
+use parking_lot::Mutex;
+use prometheus_client::metrics::histogram::Histogram;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tokio::sync::{broadcast, watch};
+use tokio::time::Instant;
+
+/// Upper bounds of the latency histograms, seconds: fine around the 1 ms a predicted frame may take and
+/// around a detector's tens of milliseconds.
+pub(crate) const LATENCY_BUCKETS_S: [f64; 15] = [
+    0.0001, 0.00025, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.02, 0.033, 0.05, 0.1, 0.25, 0.5, 1.0,
+    2.5,
+];
+
+/// What a camera's part of the board is made from.
+#[derive(Clone, Debug)]
+pub struct CameraSetup {
+    /// The camera's name.
+    pub name: String,
+    /// Where its frames come from: a Zenoh key, or the source that the node opens, without credentials.
+    pub key: String,
+    /// What its policy lets a user turn, if anything.
+    pub knob: Option<Knob>,
+    /// The configured value; the knob's default without one. It must be inside the knob's range; a value
+    /// that is not is logged and the default used.
+    pub threshold: Option<f64>,
+    /// Whether `u` means the same at every picture size, so that the published code, where it does not, has another
+    /// value for it: the filter of the profile `paper`.
+    pub sizeless: bool,
+    /// Most frames that its policy lets pass without the detector while objects are followed.
+    pub longest_pause: Option<u32>,
+    /// Whether some of its skipped frames are looked at afterwards.
+    pub audited: bool,
+}
+
+/// The last picture received, still encoded.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LatestFrame {
+    /// Sequence number of the frame.
+    pub seq: u64,
+    /// The picture; a cheap clone of what was received.
+    pub picture: EncodedPicture,
+}
+
+/// Where one camera stands; all numbers are of the same moment.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct CameraSnapshot {
+    /// Frame states since the node started.
+    pub states: FrameStates,
+    /// Frames answered from prediction because the detector could not be had.
+    pub degraded_frames: u64,
+    /// Frames that the detector was called for, by cause.
+    pub calls: DetectorCalls,
+    /// Frames not processed, by kind.
+    pub dropped: DroppedFrames,
+    /// What the empty-scene screen has counted.
+    pub screen: ScreenCounts,
+    /// Frames of which a small grey picture was looked at, to follow boxes by optical flow.
+    pub looks: u64,
+    /// What the audit has found.
+    pub audit: AuditCount,
+    /// Joules of the audit in the clips that ended.
+    pub audit_joules: f64,
+    /// Clips ended.
+    pub clips: u64,
+    /// Energy of these clips, joules, over the time that samples cover.
+    pub clip_joules: f64,
+    /// Boxes reported, by class and how each is known.
+    pub boxes: BTreeMap<(Arc<str>, &'static str), u64>,
+    /// What was published for the newest frame.
+    pub latest: Option<Arc<DetectionsMessage>>,
+    /// Time since the newest frame was processed.
+    pub last_frame_age: Option<Duration>,
+    /// Frames that came in memory which their sender shares.
+    pub shared_frames: u64,
+    /// What to try, when nothing is skipped although objects are followed.
+    pub advice: Option<Advice>,
+}
+
+impl CameraSnapshot {
+    /// Share of frames that skipped the detector, degraded ones not among them.
+    pub fn skip_rate(&self) -> f64 {
+        self.states.skip_rate(self.degraded_frames)
+    }
+}
+
+/// What a camera did, as far as the target goes by it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct CameraWork {
+    /// Frames since the start.
+    pub frames: u64,
+    /// Those of them that skipped the detector.
+    pub skipped: u64,
+    /// Time the detector worked for them, microseconds.
+    pub detector_us: u64,
+    /// What was audited since this was asked last.
+    pub audit: AuditSums,
+}
+
+#[derive(Debug, Default)]
+struct Counts {
+    states: FrameStates,
+    degraded_frames: u64,
+    calls: DetectorCalls,
+    dropped: DroppedFrames,
+    screen: ScreenCounts,
+    looks: u64,
+    audit: AuditCount,
+    /// What of it the target has not heard of.
+    untold_audit: AuditSums,
+    /// Time the detector worked for frames, microseconds.
+    detector_us: u64,
+    audit_joules: f64,
+    clips: u64,
+    clip_joules: f64,
+    boxes: BTreeMap<(Arc<str>, &'static str), u64>,
+    latest: Option<Arc<DetectionsMessage>>,
+    last_frame: Option<Instant>,
+    watch: SkipWatch,
+}
+
+impl Counts {
+    fn count_boxes(&mut self, boxes: &[BoxMessage]) {
+        for one in boxes {
+            let source = source_name(one.source);
+            // A class is seen thousands of times: its name is copied the first time only.
+            let known = (self.boxes.iter_mut())
+                .find(|((class, known), _)| **class == *one.class && *known == source);
+            match known {
+                Some((_, count)) => *count += 1,
+                None => drop(self.boxes.insert((one.class.as_str().into(), source), 1)),
+            }
+        }
+    }
+}
+
+const fn source_name(source: BoxSource) -> &'static str {
+    match source {
+        BoxSource::Detected => "detected",
+        BoxSource::Predicted => "predicted",
+        BoxSource::Followed => "followed",
+        BoxSource::Rescued => "rescued",
+    }
+}
+
+/// One camera's part of the live board. The counters are behind one lock, so that any snapshot adds up.
+#[derive(Debug)]
+pub struct CameraBoard {
+    name: Arc<str>,
+    key: String,
+    policy: &'static str,
+    knob: Option<Knob>,
+    sizeless: bool,
+    configured: Option<f64>,
+    threshold: watch::Sender<Option<f64>>,
+    /// Makes changes of the threshold one at a time, so that file, loop and events see the same order.
+    changing: Mutex<()>,
+    counts: Mutex<Counts>,
+    /// The node's start: times of the past are counted from there.
+    started: Instant,
+    target: Arc<NodeTarget>,
+    longest_pause: Option<u32>,
+    audited: bool,
+    history: Mutex<History>,
+    latest_frame: Mutex<Option<LatestFrame>>,
+    shared_frames: AtomicU64,
+    total_latency: [Histogram; 5],
+    detector_latency: Histogram,
+    events: broadcast::Sender<SharedEvent>,
+    outbox: Outbox,
+    source: Mutex<KnobSource>,
+}
+
+impl CameraBoard {
+    pub(super) fn new(
+        setup: CameraSetup,
+        policy: &'static str,
+        started: Instant,
+        events: broadcast::Sender<SharedEvent>,
+        outbox: Outbox,
+        target: Arc<NodeTarget>,
+    ) -> Self {
+        let configured = setup.knob.map(|knob| {
+            let value = setup.threshold.unwrap_or(knob.default);
+            knob.check(value).unwrap_or_else(|error| {
+                tracing::error!(camera = setup.name, %error, "configured threshold not used");
+                knob.default
+            })
+        });
+        let kept = setup.knob.zip(configured).and_then(|(knob, configured)| {
+            let (value, source) = thresholds::kept(&outbox, &setup.name, &knob, configured)?;
+            tracing::info!(
+                camera = setup.name,
+                knob = knob.name,
+                value,
+                configured,
+                "threshold taken over from the last run"
+            );
+            Some((value, source))
+        });
+        Self {
+            name: setup.name.into(),
+            key: setup.key,
+            policy,
+            knob: setup.knob,
+            sizeless: setup.sizeless,
+            configured,
+            threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
+            source: Mutex::new(kept.map_or(KnobSource::Configuration, |(_, source)| source)),
+            changing: Mutex::default(),
+            counts: Mutex::default(),
+            started,
+            target,
+            longest_pause: setup.longest_pause,
+            audited: setup.audited,
+            history: Mutex::default(),
+            latest_frame: Mutex::default(),
+            shared_frames: AtomicU64::new(0),
+            total_latency: std::array::from_fn(|_| Histogram::new(LATENCY_BUCKETS_S)),
+            detector_latency: Histogram::new(LATENCY_BUCKETS_S),
+            events,
+            outbox,
+        }
+    }
+
+    /// The camera's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Where its frames come from: a Zenoh key, or the source that the node opens, without credentials.
+    pub fn key(&self) -> &str {
+        &self.key
+    }
+
+    /// Name of its policy.
+    pub(crate) fn policy(&self) -> &'static str {
+        self.policy
+    }
+
+    /// What the policy lets a user turn.
+    pub fn knob(&self) -> Option<Knob> {
+        self.knob
+    }
+
+    /// Whether some of its skipped frames are looked at afterwards.
+    pub(crate) fn audit_is_on(&self) -> bool {
+        self.audited
+    }
+
+    /// Takes over what the empty-scene screen has counted.
+    pub(crate) fn record_screen(&self, screen: ScreenCounts) {
+        self.counts.lock().screen = screen;
+    }
+
+    /// Counts a frame of which a grey picture was looked at.
+    pub(crate) fn record_look(&self) {
+        self.counts.lock().looks += 1;
+    }
+
+    /// What the audit has found since the node started.
+    pub(crate) fn audit(&self) -> AuditCount {
+        self.counts.lock().audit.clone()
+    }
+
+    /// Adds what the audit has found.
+    pub(crate) fn record_audit(&self, more: &AuditCount) {
+        let mut counts = self.counts.lock();
+        counts.audit.merge(more);
+        counts.untold_audit.merge(&more.sums);
+    }
+
+    /// Notes how long the detector worked for a frame.
+    pub(crate) fn record_detector(&self, used: Duration) {
+        let used = u64::try_from(used.as_micros()).unwrap_or(u64::MAX);
+        let mut counts = self.counts.lock();
+        counts.detector_us = counts.detector_us.saturating_add(used);
+    }
+
+    /// What the target goes by: sums since the start, and of the audit what it has not been told.
+    pub(crate) fn take_work(&self) -> CameraWork {
+        let mut counts = self.counts.lock();
+        CameraWork {
+            frames: counts.states.frames(),
+            skipped: counts.states.skipped(counts.degraded_frames),
+            detector_us: counts.detector_us,
+            audit: std::mem::take(&mut counts.untold_audit),
+        }
+    }
+
+    /// Counts a processed frame by what was published for it, and tells it to subscribers.
+    pub fn record_frame(&self, detections: Arc<DetectionsMessage>) {
+        let latency = &detections.latency_ms;
+        let index = FrameState::ALL
+            .iter()
+            .position(|state| *state == detections.state);
+        if let Some(histogram) = index.and_then(|index| self.total_latency.get(index)) {
+            histogram.observe(latency.total / 1e3);
+        }
+        if let Some(detector) = latency.detector {
+            self.detector_latency.observe(detector / 1e3);
+        }
+        let mut counts = self.counts.lock();
+        counts.states.count(detections.state);
+        counts.degraded_frames += u64::from(detections.degraded);
+        counts.count_boxes(&detections.boxes);
+        if let Some(cause) = detections.cause {
+            counts.calls.count(cause);
+        }
+        let now = Instant::now();
+        counts.last_frame = Some(now);
+        let first = counts.latest.replace(Arc::clone(&detections)).is_none();
+        let clear = counts.watch.count(&detections);
+        let advice = clear.then(|| self.advice(&counts)).flatten();
+        drop(counts);
+        let at = now.saturating_duration_since(self.started);
+        self.history.lock().add(&detections, at);
+        if first {
+            self.tell_first_frame(&detections);
+        }
+        if let Some(advice) = advice {
+            tracing::warn!(camera = %self.name, "{advice}");
+        }
+        if self.events.receiver_count() > 0 {
+            let event = Event::Frame(FrameEvent {
+                camera: Arc::clone(&self.name),
+                detections,
+            });
+            let _ = self.events.send(event.into());
+        }
+    }
+
+    fn advice(&self, counts: &Counts) -> Option<Advice> {
+        counts.watch.advice(self.knob.as_ref()?)
+    }
+
+    fn tell_first_frame(&self, first: &DetectionsMessage) {
+        let picture = PictureSize::new(first.width, first.height);
+        let published = self.published_threshold(picture);
+        tracing::info!(
+            camera = %self.name,
+            key = self.key,
+            picture = %picture,
+            knob = first.knob.map(|knob| knob.to_string()),
+            as_published = published.map(short),
+            "first frame"
+        );
+    }
+
+    /// What the published code would want in the place of `u`, in pictures of this size, where that is another
+    /// number, to three digits.
+    pub(crate) fn published_threshold(&self, picture: PictureSize) -> Option<f64> {
+        let knob = self.knob.filter(|knob| self.sizeless && knob.name == "u")?;
+        let in_force = self
+            .threshold()
+            .filter(|value| knob.check(*value).is_ok())?;
+        let published = published_threshold(in_force, picture);
+        let rounded = format!("{published:.2e}").parse().unwrap_or(published);
+        (rounded != in_force).then_some(rounded)
+    }
+
+    /// Counts a frame that came in memory which its sender shares.
+    pub(crate) fn count_shared_frame(&self) {
+        self.shared_frames.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Adds frames that were not processed, each kind under its own name.
+    pub fn record_dropped(&self, more: &DroppedFrames) {
+        self.counts.lock().dropped += more;
+    }
+
+    /// Counts a clip that ended, and its energy where it has a figure.
+    pub(super) fn count_clip(&self, joules: Option<f64>, audit_joules: Option<f64>) {
+        let mut counts = self.counts.lock();
+        counts.clips += 1;
+        counts.audit_joules += audit_joules
+            .filter(|joules| *joules > 0.0)
+            .unwrap_or_default();
+        counts.clip_joules += joules.filter(|joules| *joules > 0.0).unwrap_or_default();
+    }
+
+    /// Where the camera stands.
+    pub fn snapshot(&self) -> CameraSnapshot {
+        let counts = self.counts.lock();
+        CameraSnapshot {
+            states: counts.states,
+            degraded_frames: counts.degraded_frames,
+            calls: counts.calls,
+            dropped: counts.dropped,
+            screen: counts.screen,
+            looks: counts.looks,
+            audit: counts.audit.clone(),
+            audit_joules: counts.audit_joules,
+            clips: counts.clips,
+            clip_joules: counts.clip_joules,
+            boxes: counts.boxes.clone(),
+            latest: counts.latest.clone(),
+            last_frame_age: counts.last_frame.map(|instant| instant.elapsed()),
+            shared_frames: self.shared_frames.load(Ordering::Relaxed),
+            advice: self.advice(&counts),
+        }
+    }
+
+    /// The last frames, oldest first, at most so many; and the pieces of the last hour. Times are counted from the
+    /// node's start, whose age is given with them.
+    pub(crate) fn past(&self, frames: usize) -> (Vec<PastFrame>, Vec<PastSlot>, Duration) {
+        let history = self.history.lock();
+        let now = self.started.elapsed();
+        (history.frames(frames), history.slots(now), now)
+    }
+
+    /// What other thresholds would have skipped over the last frames.
+    pub(crate) fn skip_estimate(&self) -> SkipEstimate {
+        let frames = self.history.lock().frames(usize::MAX);
+        // After the lock: this takes longer than a frame may wait.
+        SkipEstimate::new(&frames, self.longest_pause)
+    }
+
+    /// Time from reception to publication of the frames with `state`.
+    pub(crate) fn total_latency(&self, state: FrameState) -> &Histogram {
+        let [e, p, ei, i, ai] = &self.total_latency;
+        match state {
+            FrameState::E => e,
+            FrameState::P => p,
+            FrameState::EI => ei,
+            FrameState::I => i,
+            FrameState::AI => ai,
+        }
+    }
+
+    /// Time the detector took, over the frames where it ran.
+    pub(crate) fn detector_latency(&self) -> &Histogram {
+        &self.detector_latency
+    }
+
+    /// Keeps the newest picture for who wants to look.
+    pub fn set_latest_frame(&self, frame: LatestFrame) {
+        *self.latest_frame.lock() = Some(frame);
+    }
+
+    /// The newest picture.
+    pub(crate) fn latest_frame(&self) -> Option<LatestFrame> {
+        self.latest_frame.lock().clone()
+    }
+
+    /// The threshold in force from the next frame on; `None` when the policy has none.
+    pub fn threshold(&self) -> Option<f64> {
+        *self.threshold.borrow()
+    }
+
+    /// The same with its name.
+    pub fn knob_value(&self) -> Option<KnobValue> {
+        Some(KnobValue::new(self.knob.as_ref()?, self.threshold()?))
+    }
+
+    /// Who set the threshold in force.
+    pub(crate) fn knob_source(&self) -> KnobSource {
+        *self.source.lock()
+    }
+
+    /// The threshold, for the camera's loop: read it before each frame.
+    pub fn watch_threshold(&self) -> watch::Receiver<Option<f64>> {
+        self.threshold.subscribe()
+    }
+
+    /// The threshold in force as an event.
+    pub(super) fn threshold_event(&self) -> Option<Event> {
+        Some(Event::Threshold(ThresholdEvent {
+            camera: Arc::clone(&self.name),
+            knob: self.knob_value()?,
+        }))
+    }
+
+    /// Checks a value without using it.
+    ///
+    /// # Errors
+    /// [`KnobError`] when the policy has no knob or the value is outside its range.
+    pub(crate) fn check_threshold(&self, value: f64) -> Result<Knob, KnobError> {
+        let knob = self.knob.ok_or(KnobError::Absent {
+            policy: self.policy,
+        })?;
+        knob.check(value)?;
+        Ok(knob)
+    }
+
+    /// Changes the threshold from the next frame on, keeps it in the state directory and tells
+    /// subscribers. When it cannot be kept the change still holds, and the log and
+    /// [`Board::thresholds_are_kept`](super::Board::thresholds_are_kept) say so. Writes a small file.
+    ///
+    /// # Errors
+    /// [`KnobError`] when the policy has no knob or the value is outside its range; nothing changes then.
+    pub(crate) fn set_threshold(&self, value: f64) -> Result<f64, KnobError> {
+        self.set_threshold_by(value, KnobSource::Local)
+    }
+
+    /// As [`set_threshold`](Self::set_threshold), saying who changes it.
+    ///
+    /// # Errors
+    /// As there.
+    pub(crate) fn set_threshold_by(
+        &self,
+        value: f64,
+        source: KnobSource,
+    ) -> Result<f64, KnobError> {
+        let knob = self.check_threshold(value)?;
+        // First, so that the controller moves nothing any more.
+        self.target.turned_by_hand(source);
+        let changing = self.changing.lock();
+        let before = self.threshold.send_replace(Some(value));
+        *self.source.lock() = source;
+        if let Some(configured) = self.configured {
+            thresholds::keep(&self.outbox, &self.name, &knob, configured, value, source);
+        }
+        if let Some(event) = self.threshold_event() {
+            let _ = self.events.send(event.into());
+        }
+        drop(changing);
+        tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold changed");
+        Ok(value)
+    }
+
+    /// Moves the threshold on behalf of the node's target: it holds from the next frame on, and nothing is kept. A value
+    /// that the knob cannot have changes nothing.
+    pub(crate) fn move_threshold(&self, value: f64) {
+        let Ok(knob) = self.check_threshold(value) else {
+            return;
+        };
+        let changing = self.changing.lock();
+        let before = self.threshold.send_replace(Some(value));
+        if let Some(event) = self.threshold_event() {
+            let _ = self.events.send(event.into());
+        }
+        drop(changing);
+        tracing::debug!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold moved");
+    }
+
+    /// Reads the kept threshold where that could not be done before, and keeps what was set meanwhile: a value set at
+    /// the node stands, and the hub's unless what was kept knew it (`hub_was_known`); the configuration's does not.
+    pub(crate) fn read_kept_threshold(&self, hub_was_known: bool) {
+        let (Some(knob), Some(configured)) = (self.knob, self.configured) else {
+            return;
+        };
+        let changing = self.changing.lock();
+        let source = *self.source.lock();
+        let stands = match source {
+            KnobSource::Local => true,
+            KnobSource::Hub => !hub_was_known,
+            KnobSource::Configuration => false,
+        };
+        let kept = if stands {
+            None
+        } else {
+            thresholds::kept(&self.outbox, &self.name, &knob, configured)
+        };
+        match kept {
+            Some((value, source)) => {
+                let before = self.threshold.send_replace(Some(value));
+                *self.source.lock() = source;
+                if let Some(event) = self.threshold_event() {
+                    let _ = self.events.send(event.into());
+                }
+                tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "kept threshold read");
+            }
+            None => {
+                if source != KnobSource::Configuration
+                    && let Some(value) = self.threshold()
+                {
+                    thresholds::keep(&self.outbox, &self.name, &knob, configured, value, source);
+                }
+            }
+        }
+        drop(changing);
+    }
+}

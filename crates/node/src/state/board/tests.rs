@@ -1,0 +1,246 @@
+use super::*;
+use crate::config::{CameraConfig, NodeConfig};
+use crate::delivery::outbox::{OutboxConfig, OutboxCounts};
+use crate::state::target::TargetSetup;
+use albireo_core::policy::{FrameState, Knob};
+use albireo_vision::detector::ExecutionProvider;
+use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, KnobValue, Latency};
+use std::path::PathBuf;
+
+const KNOB: Knob = Knob {
+    name: "u",
+    meaning: "The detector is skipped while every uncertainty is below it.",
+    minimum: 1e-12,
+    maximum: 1.0,
+    default: 3e-4,
+    useful_minimum: 1.5e-4,
+    useful_maximum: 1e-1,
+};
+
+fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<Board> {
+    let (_, detector_status) = watch::channel(DetectorStatus::Starting);
+    let camera = |name: &str| CameraSetup {
+        name: name.to_owned(),
+        key: format!("albireo/n/{name}/frame"),
+        knob: Some(knob),
+        threshold,
+        sizeless: true,
+        longest_pause: None,
+        audited: true,
+    };
+    Board::new(BoardSetup {
+        node: "n".to_owned(),
+        cameras: vec![camera("front"), camera("rear")],
+        outbox: Outbox::open(&OutboxConfig::default(), state_dir.as_deref()).unwrap(),
+        policy: "albireo",
+        target: TargetSetup::default(),
+        detector: DetectorFacts::default(),
+        detector_status,
+    })
+}
+
+fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
+    Arc::new(DetectionsMessage {
+        v: 1,
+        seq,
+        t_ns: 0,
+        clip: "c".to_owned(),
+        state,
+        degraded: state == FrameState::P,
+        cause: (!matches!(state, FrameState::E)).then_some(CallCause::Uncertain),
+        tau_max: Some(1e-4),
+        knob: Some(KnobValue {
+            name: "u",
+            value: 3e-4,
+        }),
+        width: 4,
+        height: 3,
+        boxes: Vec::new(),
+        latency_ms: Latency {
+            total: 2.0,
+            ..Latency::default()
+        },
+    })
+}
+
+#[test]
+fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
+    let board = board(None, KNOB, None);
+    let mut events = board.subscribe();
+    let camera = board.camera("front").unwrap();
+    for (seq, state) in FrameState::ALL.into_iter().enumerate() {
+        camera.record_frame(frame(seq as u64, state));
+        let event = events.try_recv().unwrap();
+        assert_eq!((event.name(), event.camera()), ("frame", "front"));
+        let json: serde_json::Value = serde_json::from_str(event.json().unwrap()).unwrap();
+        assert_eq!(json["seq"], seq as u64);
+        assert_eq!(json["camera"], "front");
+    }
+    camera.record_dropped(&DroppedFrames {
+        late: 2,
+        ..DroppedFrames::default()
+    });
+    let counters = board.counters(camera, 7);
+    assert_eq!(counters.frames, 5);
+    assert_eq!(counters.degraded_frames, 1);
+    assert_eq!(counters.calls.get(CallCause::Uncertain), 4);
+    assert_eq!(counters.calls.total(), 4);
+    assert_eq!(counters.dropped.late, 2);
+    assert_eq!(board.counters(board.camera("rear").unwrap(), 7).frames, 0);
+}
+
+#[test]
+fn a_threshold_outside_the_knob_changes_nothing() {
+    let board = board(None, KNOB, Some(1e-3));
+    let camera = board.camera("front").unwrap();
+    let seen = camera.watch_threshold();
+    for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 2.0] {
+        assert!(camera.set_threshold(bad).is_err(), "{bad}");
+        assert!(board.set_all_thresholds(bad).is_err(), "{bad}");
+    }
+    assert_eq!(*seen.borrow(), Some(1e-3));
+    camera.set_threshold(5e-4).unwrap();
+    assert_eq!(*seen.borrow(), Some(5e-4));
+    assert!(!board.thresholds_are_kept());
+}
+
+#[test]
+fn a_changed_threshold_survives_a_restart() {
+    let directory = tempfile::tempdir().unwrap();
+    let state = Some(directory.path().join("state"));
+    let first = board(state.clone(), KNOB, None);
+    first.camera("front").unwrap().set_threshold(5e-4).unwrap();
+    assert!(first.thresholds_are_kept());
+    drop(first);
+    let second = board(state.clone(), KNOB, None);
+    assert_eq!(second.camera("front").unwrap().threshold(), Some(5e-4));
+    assert_eq!(second.camera("rear").unwrap().threshold(), Some(3e-4));
+    drop(second);
+    // Once the configuration is edited it is the newer word.
+    let edited = board(state.clone(), KNOB, Some(1e-3));
+    assert_eq!(edited.camera("front").unwrap().threshold(), Some(1e-3));
+    drop(edited);
+    // A value kept for another knob is no value of this one.
+    let lambda = Knob {
+        name: "lambda",
+        ..KNOB
+    };
+    let other = board(state, lambda, None);
+    assert_eq!(other.camera("front").unwrap().threshold(), Some(3e-4));
+}
+
+#[test]
+fn broken_thresholds_of_an_earlier_version_are_set_aside() {
+    for broken in ["", "{\"v\":1,\"cam", "[]"] {
+        let directory = tempfile::tempdir().unwrap();
+        let file = directory.path().join("thresholds.json");
+        std::fs::write(&file, broken).unwrap();
+        let first = board(Some(directory.path().into()), KNOB, None);
+        assert!(!file.exists());
+        assert_eq!(first.camera("front").unwrap().threshold(), Some(3e-4));
+        first.set_all_thresholds(9e-4).unwrap();
+        drop(first);
+        let second = board(Some(directory.path().into()), KNOB, None);
+        assert_eq!(second.camera("rear").unwrap().threshold(), Some(9e-4));
+    }
+}
+
+#[test]
+fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
+    let directory = tempfile::tempdir().unwrap();
+    let blocked = directory.path().join("a-file");
+    std::fs::write(&blocked, "").unwrap();
+    let board = board(Some(blocked.join("state")), KNOB, None);
+    board.set_all_thresholds(1e-3).unwrap();
+    assert_eq!(board.camera("front").unwrap().threshold(), Some(1e-3));
+    assert!(!board.thresholds_are_kept());
+}
+
+#[test]
+fn the_node_is_ready_once_the_detector_and_every_other_part_is() {
+    let (status, detector_status) = watch::channel(DetectorStatus::Starting);
+    let board = Board::new(BoardSetup {
+        node: "n".to_owned(),
+        cameras: Vec::new(),
+        outbox: Outbox::in_memory(),
+        policy: "albireo",
+        target: TargetSetup::default(),
+        detector: DetectorFacts::default(),
+        detector_status,
+    });
+    let latch = board
+        .readiness()
+        .latch(readiness::ZENOH, "the session is not open yet");
+    let reasons = || board.readiness().health().status().reasons;
+    assert_eq!(reasons().len(), 2);
+    status.send_replace(DetectorStatus::Ready {
+        provider: ExecutionProvider::Cpu,
+    });
+    assert_eq!(reasons().keys().collect::<Vec<_>>(), [readiness::ZENOH]);
+    drop(latch);
+    assert!(board.readiness().health().is_ready());
+    let provider = ExecutionProvider::Cpu;
+    let reason = "a run took too long".to_owned();
+    status.send_replace(DetectorStatus::Degraded { reason, provider });
+    assert!(!board.readiness().health().is_ready());
+}
+
+#[test]
+fn a_configuration_describes_its_cameras_with_their_own_thresholds() {
+    let mut config = NodeConfig::default();
+    config.policy.u = 7e-4;
+    config.cameras.push(CameraConfig {
+        key: Some("vehicle/rear".to_owned()),
+        threshold: Some(1e-3),
+        ..CameraConfig::named("rear")
+    });
+    let (_, detector_status) = watch::channel(DetectorStatus::Starting);
+    let board = Board::new(BoardSetup::from_config(&config, detector_status).unwrap());
+    let front = board.camera("front").unwrap();
+    assert_eq!(front.key(), "albireo/node/front/frame");
+    assert_eq!(front.threshold(), Some(7e-4));
+    let rear = board.camera("rear").unwrap();
+    assert_eq!(rear.key(), "vehicle/rear");
+    assert_eq!(rear.threshold(), Some(1e-3));
+    assert_eq!(board.detector_facts().model, "detector.onnx");
+    assert_eq!(board.policy(), "albireo");
+}
+
+#[test]
+fn an_event_is_written_as_json_once_however_many_read_it() {
+    let board = board(None, KNOB, None);
+    let mut readers: Vec<_> = (0..64).map(|_| board.subscribe()).collect();
+    let camera = board.camera("front").unwrap();
+    camera.record_frame(frame(0, FrameState::I));
+    let events: Vec<_> = (readers.iter_mut())
+        .map(|reader| reader.try_recv().unwrap())
+        .collect();
+    // The very same text, not only an equal one.
+    let first = events[0].json().unwrap();
+    assert!(
+        events
+            .iter()
+            .all(|event| std::ptr::eq(event.json().unwrap(), first))
+    );
+}
+
+#[test]
+fn lost_reports_and_reports_that_would_not_survive_degrade_the_node_under_the_name_of_the_outbox() {
+    let reason = |board: &Board| board.readiness().health().status().reasons.remove("outbox");
+    let folder = tempfile::tempdir().unwrap();
+    // Without a directory nothing is promised, and nothing told.
+    assert_eq!(reason(&board(None, KNOB, None)), None);
+    let sound = board(Some(folder.path().join("state")), KNOB, None);
+    assert_eq!(reason(&sound), None);
+    let blocked = folder.path().join("a file");
+    std::fs::write(&blocked, b"").unwrap();
+    let failing = board(Some(blocked.join("state")), KNOB, None);
+    assert!(reason(&failing).unwrap().contains("do not survive"));
+    let lost = OutboxCounts {
+        durable: true,
+        last_loss: Some(std::time::Instant::now()),
+        ..OutboxCounts::default()
+    };
+    let fault = readiness::of_outbox(&lost, true).unwrap();
+    assert!(fault.reason.contains("were lost"), "{}", fault.reason);
+}

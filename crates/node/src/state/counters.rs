@@ -1,0 +1,116 @@
+//! Once a second: every camera's counters on Zenoh, and new power figures on the board.
+
+use crate::camera::publishing::{self, PublishLane, PublishingThread};
+use crate::error::NodeError;
+use crate::state::board::{Board, PowerSnapshot};
+use albireo_power::PowerHandle;
+use albireo_service::clock::unix_nanoseconds;
+use albireo_wire::{CountersMessage, NodeKeys};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::{Instant, MissedTickBehavior};
+use tokio_util::sync::CancellationToken;
+use zenoh::Session;
+use zenoh::qos::CongestionControl;
+
+/// Time between two counter messages of a camera.
+const PERIOD: Duration = Duration::from_secs(1);
+
+/// The machine's condition is that of so long a time.
+const CONDITION: Duration = Duration::from_secs(3);
+
+/// Publishes the counters of a node's cameras.
+pub(crate) struct Counters {
+    board: Arc<Board>,
+    power: PowerHandle,
+    lanes: BTreeMap<String, PublishLane>,
+}
+
+impl Counters {
+    /// Declares the counters key of every camera on the board.
+    ///
+    /// # Errors
+    /// When Zenoh refuses a declaration.
+    pub(crate) async fn declare(
+        session: &Session,
+        publishing: &PublishingThread,
+        keys: &NodeKeys,
+        board: Arc<Board>,
+        power: PowerHandle,
+    ) -> Result<Self, NodeError> {
+        let mut lanes = BTreeMap::new();
+        for camera in board.cameras() {
+            let publisher = session
+                .declare_publisher(keys.camera(camera.name())?.counters())
+                .congestion_control(CongestionControl::Drop)
+                .priority(publishing::COUNTERS)
+                .await
+                .map_err(|error| {
+                    let error = albireo_service::session::plain(&error);
+                    NodeError::Zenoh(format!("counters cannot be published: {error}"))
+                })?;
+            lanes.insert(camera.name().to_owned(), publishing.lane(publisher, 4));
+        }
+        Ok(Self {
+            board,
+            power,
+            lanes,
+        })
+    }
+
+    /// Publishes until `shutdown`.
+    pub(crate) async fn run(&self, shutdown: CancellationToken) {
+        let mut ticks = tokio::time::interval(PERIOD);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            tokio::select! {
+                // The figures at the end are the last ones anybody sees.
+                () = shutdown.cancelled() => return self.update_power(),
+                _ = ticks.tick() => {}
+            }
+            self.update_power();
+            for message in self.board.publish_counters(unix_nanoseconds()) {
+                self.publish(&message);
+            }
+        }
+    }
+
+    fn update_power(&self) {
+        let so_far = self.power.so_far();
+        let now = self.power.now();
+        let moment = Instant::now();
+        let condition = moment
+            .checked_sub(CONDITION)
+            .and_then(|since| self.power.board(since, moment));
+        self.board.set_power(PowerSnapshot {
+            source: now.source,
+            quality: now.quality,
+            watts: now.watts,
+            joules: so_far
+                .iter()
+                .map(|so_far| (so_far.domain.as_str().to_owned(), so_far.joules))
+                .collect(),
+            covered_s: so_far
+                .iter()
+                .map(|so_far| (so_far.domain.as_str().to_owned(), so_far.covered_s))
+                .collect(),
+            cost: self.power.cost(),
+            failed_reads: self.power.failed_reads(),
+            hottest: condition
+                .and_then(|condition| condition.hottest_sensor.zip(condition.hottest_celsius)),
+        });
+    }
+
+    fn publish(&self, message: &CountersMessage) {
+        let Some(lane) = self.lanes.get(&message.camera) else {
+            return;
+        };
+        match serde_json::to_vec(message) {
+            Ok(json) => lane.publish(json),
+            Err(error) => {
+                tracing::error!(camera = message.camera, %error, "counters not written");
+            }
+        }
+    }
+}

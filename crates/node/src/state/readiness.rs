@@ -1,0 +1,201 @@
+//! The parts of a node that its readiness knows, and what a fault of each means.
+//!
+//! | part | not ready | degraded |
+//! | --- | --- | --- |
+//! | `detector` | it starts, its session is being rebuilt, or its GPU is lost | |
+//! | `screen` | | its session is being rebuilt: the detector is asked instead |
+//! | `cameras` | they are not subscribed to yet | no frame has come from one for a while, or its source is opened again |
+//! | `power` | | the meter cannot be read, or gives no samples |
+//! | `outbox` | | reports are lost, or do not survive a power loss though a state directory is set |
+//! | `zenoh` | the local session is not open, or closed | another node has the same name |
+//! | `uplink` | | the session toward the hub is not open |
+//! | `disk` | | the state directory cannot be written |
+//! | `tasks` | a camera's loop has failed and does not run | a task failed and runs again, or one that frames do not need does not run |
+
+use crate::delivery::outbox::OutboxCounts;
+use crate::state::board::Board;
+use albireo_power::PowerHandle;
+use albireo_service::notify::Look;
+use albireo_service::readiness::{Effect, Fault, Readiness};
+use albireo_vision::detector::DetectorStatus;
+use albireo_wire::EnergyQuality;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The detector.
+pub const DETECTOR: &str = "detector";
+/// The empty-scene screen, where it is a model.
+pub const SCREEN: &str = "screen";
+/// The cameras; the subject is a camera's name.
+pub const CAMERAS: &str = "cameras";
+/// The power meter.
+pub const POWER: &str = "power";
+/// Clip reports on their way to the hub.
+pub const OUTBOX: &str = "outbox";
+/// The local Zenoh session.
+pub const ZENOH: &str = "zenoh";
+/// The Zenoh session toward the hub.
+pub const UPLINK: &str = "uplink";
+/// The state directory.
+pub const DISK: &str = "disk";
+/// The tasks; the subject is a task's name.
+pub const TASKS: &str = albireo_service::supervise::PART;
+
+/// A meter may take so long for its first sample.
+const FIRST_SAMPLE: Duration = Duration::from_secs(15);
+
+/// How long lost clip reports are told.
+const LOSS_IS_TOLD: Duration = Duration::from_secs(600);
+
+/// All parts, as metrics list them.
+pub const PARTS: [&str; 9] = [
+    DETECTOR, SCREEN, CAMERAS, POWER, OUTBOX, ZENOH, UPLINK, DISK, TASKS,
+];
+
+/// How the node is, for the service manager. What has been broken for `stuck_after` and is the node's own (not a
+/// router that is away) is left to a new start; a GPU that this process has lost, at once.
+pub(crate) fn look(
+    readiness: &Readiness,
+    detector: &DetectorStatus,
+    stuck_after: Duration,
+) -> Look {
+    let health = readiness.health();
+    let lost = match detector {
+        DetectorStatus::Lost { reason, .. } => Some(format!("{DETECTOR}: {reason}")),
+        _ => None,
+    };
+    let waits = (health.faults.iter())
+        .any(|fault| fault.part == ZENOH && fault.fault.effect == Effect::NotReady);
+    let stuck = health.faults.iter().find(|fault| {
+        !waits
+            && fault.fault.effect == Effect::NotReady
+            && [DETECTOR, TASKS].contains(&&*fault.part)
+            && fault.lasted >= stuck_after
+    });
+    let reasons: Vec<_> = (health.status().reasons.iter())
+        .map(|(part, reason)| format!("{part}: {reason}"))
+        .collect();
+    Look {
+        ready: health.is_ready(),
+        reasons: reasons.join("; "),
+        stuck: lost
+            .or_else(|| stuck.map(|fault| format!("{}: {}", fault.part, fault.fault.reason))),
+    }
+}
+
+/// What the status of the detector means for the node: without it there are only predictions.
+pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
+    match status {
+        DetectorStatus::Starting => Some(Fault::not_ready("the session is being built")),
+        DetectorStatus::Degraded { reason, .. } | DetectorStatus::Lost { reason, .. } => {
+            Some(Fault::not_ready(format!("degraded: {reason}")))
+        }
+        DetectorStatus::Ready { .. } => None,
+    }
+}
+
+/// What the status of the screen means for the node: without it the detector is asked.
+pub(crate) fn of_screen(status: &DetectorStatus) -> Option<Fault> {
+    of_detector(status).map(|fault| Fault::degraded(fault.reason))
+}
+
+/// What the outbox's counts mean for the node. `has_directory`: reports are to survive a power loss.
+pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fault> {
+    let lost = counts
+        .last_loss
+        .is_some_and(|at| at.elapsed() < LOSS_IS_TOLD);
+    if lost {
+        Some(Fault::degraded(format!(
+            "clip reports were lost in the last {} minutes",
+            LOSS_IS_TOLD.as_secs() / 60
+        )))
+    } else if has_directory && !counts.durable {
+        Some(Fault::degraded(
+            "clip reports wait in memory and do not survive a power loss",
+        ))
+    } else {
+        None
+    }
+}
+
+/// Looks from now on whether frames come from every camera.
+pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
+    let start = tokio::time::Instant::now();
+    for camera in board.cameras() {
+        let name = camera.name().to_owned();
+        let camera = Arc::clone(camera);
+        board.readiness().probe(CAMERAS, name, move || {
+            let seconds = silence.as_secs_f64();
+            match camera.snapshot().last_frame_age {
+                Some(age) => (age > silence)
+                    .then(|| Fault::degraded(format!("no frame for more than {seconds} s"))),
+                None => (start.elapsed() > silence)
+                    .then(|| Fault::degraded("no frame has come since the start")),
+            }
+        });
+    }
+}
+
+/// Looks from now on whether the power meter gives samples.
+pub(crate) fn look_at_power(board: &Board, power: &PowerHandle) {
+    let power = power.clone();
+    let begun = tokio::time::Instant::now();
+    board.readiness().probe(POWER, "", move || {
+        let silent = power.source() != "none"
+            && begun.elapsed() > FIRST_SAMPLE
+            && power.now().quality == EnergyQuality::Unavailable;
+        silent.then(|| Fault::degraded(format!("{} gives no samples", power.source())))
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn only_what_is_the_nodes_own_and_lasts_is_stuck() {
+        let readiness = Readiness::default();
+        let limit = Duration::from_secs(60);
+        let look = |readiness: &Readiness, limit| look(readiness, &DetectorStatus::Starting, limit);
+        let detector = readiness.part(DETECTOR);
+        detector.not_ready("the session is being built");
+        assert!(!look(&readiness, limit).ready);
+        tokio::time::advance(Duration::from_secs(59)).await;
+        assert_eq!(look(&readiness, limit).stuck, None);
+        tokio::time::advance(Duration::from_secs(1)).await;
+        let stuck = look(&readiness, limit).stuck.unwrap();
+        assert!(stuck.starts_with("detector: "), "{stuck}");
+        // A node that waits for its router has not got as far as its detector.
+        readiness.part(ZENOH).not_ready("the router is away");
+        assert_eq!(look(&readiness, limit).stuck, None);
+        readiness.part(ZENOH).works();
+        detector.degraded("of no matter");
+        readiness.part(UPLINK).degraded("the hub is away");
+        let seen = look(&readiness, limit);
+        assert_eq!((seen.ready, seen.stuck), (true, None));
+        assert!(
+            seen.reasons.contains("uplink: the hub is away"),
+            "{}",
+            seen.reasons
+        );
+    }
+
+    #[test]
+    fn a_lost_gpu_is_left_to_a_new_start_at_once_and_a_failed_run_is_not() {
+        let readiness = Readiness::default();
+        let limit = Duration::from_secs(900);
+        let reason = "the GPU is lost to this process".to_owned();
+        let provider = albireo_vision::detector::ExecutionProvider::Cuda;
+        let failed = DetectorStatus::Degraded {
+            reason: reason.clone(),
+            provider,
+        };
+        assert_eq!(look(&readiness, &failed, limit).stuck, None);
+        let lost = DetectorStatus::Lost { reason, provider };
+        let stuck = look(&readiness, &lost, limit).stuck.unwrap();
+        assert!(stuck.starts_with("detector: the GPU is lost"), "{stuck}");
+        let told = of_detector(&lost).unwrap();
+        assert_eq!(told.effect, Effect::NotReady);
+        assert!(told.reason.contains("the GPU is lost"), "{told:?}");
+    }
+}

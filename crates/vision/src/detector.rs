@@ -1,0 +1,46 @@
+//! The detector: ONNX Runtime session, output heads, execution providers, and the task all cameras share.
+
+mod class_names;
+mod classes;
+mod config;
+mod error;
+mod fault;
+mod gpu;
+mod handle;
+pub mod head;
+mod head_name;
+mod metadata;
+mod model;
+mod network;
+mod onnxruntime;
+mod preparation;
+mod provider;
+mod reader;
+mod session;
+mod sessions;
+mod signature;
+mod status;
+pub mod task;
+
+pub use config::LONGEST_TIMEOUT_MS;
+pub use config::{ClassNames, DetectorConfig, ExecutionProvider};
+pub use error::{InferenceError, RunError, StartError};
+pub use gpu::GpuConfig;
+pub use handle::{Detected, DetectorHandle, Found};
+pub use handle::{DetectorCounters, DetectorMeter};
+pub use head_name::HeadName;
+pub use metadata::Metadata;
+pub use model::Interrupter;
+pub use model::{CameraSlot, Model};
+pub use network::DetectorNetwork;
+pub use onnxruntime::find_library;
+pub use preparation::Preparation;
+pub use preparation::PreparedPicture;
+pub use preparation::prepare_off_thread;
+pub use reader::HeadCounts;
+pub use session::{OnnxSession, SessionSettings};
+pub use sessions::end_all_sessions;
+pub use signature::PictureInput;
+pub use signature::shape_text;
+pub use signature::{ElementType, Signature, TensorSpec};
+pub use status::DetectorStatus;

@@ -1,0 +1,294 @@
+//! The names of a model's classes: given, in its metadata, or the list that belongs to its head.
+
+use super::{ClassNames, HeadName, Metadata, StartError};
+use albireo_core::detection::BDD100K_CLASSES;
+
+/// The 80 classes of the COCO detection task (Lin et al., "Microsoft COCO", 2014), in the order of their
+/// category numbers, which is the order detectors trained on it use.
+pub const COCO_CLASSES: [&str; 80] = [
+    "person",
+    "bicycle",
+    "car",
+    "motorcycle",
+    "airplane",
+    "bus",
+    "train",
+    "truck",
+    "boat",
+    "traffic light",
+    "fire hydrant",
+    "stop sign",
+    "parking meter",
+    "bench",
+    "bird",
+    "cat",
+    "dog",
+    "horse",
+    "sheep",
+    "cow",
+    "elephant",
+    "bear",
+    "zebra",
+    "giraffe",
+    "backpack",
+    "umbrella",
+    "handbag",
+    "tie",
+    "suitcase",
+    "frisbee",
+    "skis",
+    "snowboard",
+    "sports ball",
+    "kite",
+    "baseball bat",
+    "baseball glove",
+    "skateboard",
+    "surfboard",
+    "tennis racket",
+    "bottle",
+    "wine glass",
+    "cup",
+    "fork",
+    "knife",
+    "spoon",
+    "bowl",
+    "banana",
+    "apple",
+    "sandwich",
+    "orange",
+    "broccoli",
+    "carrot",
+    "hot dog",
+    "pizza",
+    "donut",
+    "cake",
+    "chair",
+    "couch",
+    "potted plant",
+    "bed",
+    "dining table",
+    "toilet",
+    "tv",
+    "laptop",
+    "mouse",
+    "remote",
+    "keyboard",
+    "cell phone",
+    "microwave",
+    "oven",
+    "toaster",
+    "sink",
+    "refrigerator",
+    "book",
+    "clock",
+    "vase",
+    "scissors",
+    "teddy bear",
+    "hair drier",
+    "toothbrush",
+];
+
+/// COCO's category numbers that no category has. Models that answer with category numbers (RF-DETR) have 91
+/// classes, from 0 to 90.
+const UNUSED_CATEGORIES: [usize; 11] = [0, 12, 26, 29, 30, 45, 66, 68, 69, 71, 83];
+
+/// The names of COCO by category number; empty where there is no category.
+fn coco_categories() -> Vec<String> {
+    let mut names = COCO_CLASSES.iter();
+    (0..=90)
+        .map(|number| match UNUSED_CATEGORIES.contains(&number) {
+            true => String::new(),
+            false => names.next().copied().unwrap_or_default().to_owned(),
+        })
+        .collect()
+}
+
+/// The names of the model's classes: those that were given, else those of its metadata, else the list that
+/// belongs to its head. `classes` is how many the outputs speak of, where they tell. An empty name is a class that
+/// does not occur.
+///
+/// # Errors
+/// When there are none, too few or too many, or they cannot be read.
+pub(super) fn read(
+    given: Option<&ClassNames>,
+    metadata: &Metadata,
+    head: HeadName,
+    classes: Option<usize>,
+) -> Result<Vec<String>, StartError> {
+    let wrong = |reason: String| StartError::Configuration {
+        key: "detector.class_names".to_owned(),
+        reason,
+    };
+    let (names, source) = match given {
+        Some(ClassNames::List(names)) => (Some(names.clone()), "the list".to_owned()),
+        Some(ClassNames::File(path)) => {
+            let source = path.display().to_string();
+            let text = std::fs::read_to_string(path).map_err(|error| error.to_string());
+            let names = text
+                .and_then(|text| lines(&text))
+                .map_err(|error| wrong(format!("{source}: {error}")))?;
+            (Some(names), source)
+        }
+        None => {
+            let names = metadata.class_names().map_err(|error| {
+                wrong(format!(
+                    "the class names in the model's metadata cannot be read ({error}); give a file or a list"
+                ))
+            })?;
+            (names, "its metadata".to_owned())
+        }
+    };
+    let names = match (names, classes) {
+        (Some(names), Some(classes)) => {
+            let count = names.len();
+            // Models of the DETR family may end with a class for "no object".
+            if count != classes && !(head == HeadName::Detr && count + 1 == classes) {
+                return Err(wrong(format!(
+                    "the model has {classes} classes, and {source} has {count} names"
+                )));
+            }
+            names
+        }
+        (Some(names), None) => names,
+        (None, classes) => own_list(head, classes).ok_or_else(|| {
+            let classes = classes.map_or_else(String::new, |classes| format!("{classes} "));
+            wrong(format!(
+                "the model does not name its {classes}classes; give a file with one name a line, or a list"
+            ))
+        })?,
+    };
+    if names.len() > usize::from(u16::MAX) {
+        return Err(wrong(format!("{} names are too many", names.len())));
+    }
+    Ok(names)
+}
+
+/// The list that belongs to a head, if it is as long.
+fn own_list(head: HeadName, classes: Option<usize>) -> Option<Vec<String>> {
+    let owned = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
+    match (head, classes?) {
+        (HeadName::Demonstration, 7) => Some(owned(&BDD100K_CLASSES)),
+        (HeadName::Demonstration, _) => None,
+        (_, 80) => Some(owned(&COCO_CLASSES)),
+        (HeadName::Detr, 91) => Some(coco_categories()),
+        _ => None,
+    }
+}
+
+fn lines(text: &str) -> Result<Vec<String>, String> {
+    let names: Vec<String> = text
+        .trim_end()
+        .lines()
+        .map(|line| line.trim().to_owned())
+        .collect();
+    match names.iter().position(String::is_empty) {
+        _ if names.is_empty() => Err("it is empty; one name a line is needed".to_owned()),
+        Some(line) => Err(format!("line {} is empty", line + 1)),
+        None => Ok(names),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::io::Write;
+
+    fn metadata(names: &str) -> Metadata {
+        Metadata::new([("names".to_owned(), names.to_owned())])
+    }
+
+    fn file_with(text: &str) -> (tempfile::NamedTempFile, ClassNames) {
+        let mut file = tempfile::NamedTempFile::new().unwrap();
+        file.write_all(text.as_bytes()).unwrap();
+        let names = ClassNames::File(file.path().to_owned());
+        (file, names)
+    }
+
+    #[test]
+    fn without_names_the_list_that_belongs_to_the_head_is_taken_if_it_is_as_long() {
+        use HeadName::{Demonstration, Detr, EndToEnd, Yolo, Yolox};
+        let none = Metadata::default();
+        let names = |head, classes| read(None, &none, head, classes);
+        assert_eq!(names(Yolox, Some(80)).unwrap()[2], "car");
+        assert_eq!(names(Yolo, Some(80)).unwrap().len(), 80);
+        assert_eq!(names(Demonstration, Some(7)).unwrap(), BDD100K_CLASSES);
+        let categories = names(Detr, Some(91)).unwrap();
+        assert_eq!(categories.len(), 91);
+        // Category numbers from the annotation files of COCO 2017.
+        for (number, name) in [(1, "person"), (3, "car"), (13, "stop sign"), (18, "dog")] {
+            assert_eq!(categories[number], name);
+        }
+        assert_eq!(
+            (categories[0].as_str(), categories[90].as_str()),
+            ("", "toothbrush")
+        );
+        for (head, classes) in [(Yolo, Some(79)), (EndToEnd, None), (Demonstration, Some(8))] {
+            let error = names(head, classes).unwrap_err().to_string();
+            assert!(error.starts_with("detector.class_names"), "{error}");
+        }
+    }
+
+    #[test]
+    fn what_is_given_comes_before_the_metadata_and_these_before_the_own_list() {
+        let (head, classes) = (HeadName::Yolo, Some(2));
+        let metadata = metadata("{0: 'car', 1: 'bus'}");
+        assert_eq!(
+            read(None, &metadata, head, classes).unwrap(),
+            ["car", "bus"]
+        );
+        let list = ClassNames::List(vec!["Auto".to_owned(), "Bus".to_owned()]);
+        assert_eq!(
+            read(Some(&list), &metadata, head, classes).unwrap(),
+            ["Auto", "Bus"]
+        );
+    }
+
+    #[test]
+    fn the_number_of_names_must_be_that_of_the_classes() {
+        let metadata = metadata("{0: 'car', 1: 'bus'}");
+        let error = read(None, &metadata, HeadName::Yolo, Some(3))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("3 classes") && error.contains("2 names"),
+            "{error}"
+        );
+        // The third is "no object".
+        assert!(read(None, &metadata, HeadName::Detr, Some(3)).is_ok());
+        assert!(read(None, &metadata, HeadName::EndToEnd, None).is_ok());
+    }
+
+    #[test]
+    fn a_file_has_one_name_a_line_with_either_line_end() {
+        let (_file, names) = file_with("car\r\ntraffic light\n\n");
+        let (head, classes) = (HeadName::Yolo, Some(2));
+        let read = read(Some(&names), &Metadata::default(), head, classes).unwrap();
+        assert_eq!(read, ["car", "traffic light"]);
+    }
+
+    #[test]
+    fn a_gap_or_an_empty_file_is_an_error_that_names_the_file() {
+        for text in ["", "car\n\nbus\n"] {
+            let (file, names) = file_with(text);
+            let (head, classes) = (HeadName::Yolo, Some(3));
+            let error = read(Some(&names), &Metadata::default(), head, classes)
+                .unwrap_err()
+                .to_string();
+            assert!(error.contains("detector.class_names"), "{error}");
+            assert!(
+                error.contains(&file.path().display().to_string()),
+                "{error}"
+            );
+        }
+    }
+
+    #[test]
+    fn names_in_the_metadata_that_cannot_be_read_are_an_error_unless_others_are_given() {
+        let (head, classes) = (HeadName::Yolo, Some(1));
+        let broken = metadata("{0: car}");
+        let error = read(None, &broken, head, classes).unwrap_err().to_string();
+        assert!(error.contains("metadata"), "{error}");
+        let list = ClassNames::List(vec!["car".to_owned()]);
+        assert!(read(Some(&list), &broken, head, classes).is_ok());
+    }
+}

@@ -1,0 +1,113 @@
+//! Heads: pure functions from a model's output tensors to candidates, one file a head.
+
+mod demonstration;
+mod detr;
+mod end_to_end;
+mod fastestdet;
+mod reading;
+mod recognise;
+mod suppression;
+mod yolo;
+mod yolox;
+
+pub use recognise::Unrecognised;
+pub use recognise::recognise;
+pub use suppression::{Suppression, keep_best, suppress};
+
+use super::{HeadName, PictureInput, Signature};
+use crate::picture::InputFormat;
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::Corners;
+
+/// An output tensor as float32, borrowed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TensorView<'a> {
+    /// Its dimensions.
+    pub shape: &'a [i64],
+    /// Its elements, the last dimension fastest.
+    pub values: &'a [f32],
+}
+
+/// A box that a head has read, before suppression.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Candidate {
+    /// In pixels of the model's input.
+    pub corners: Corners,
+    /// The most probable class, by its number in the model. End-to-end models name it themselves, so it may
+    /// be one that the model has no name for.
+    pub class: ClassId,
+    /// Confidence, 0 to 1.
+    pub confidence: f32,
+}
+
+/// Why a model does not fit a head.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Misfit {
+    /// What the head expects, in words.
+    pub expected: String,
+    /// The first thing that differs.
+    pub reason: String,
+}
+
+/// A head bound to a model that fits it.
+#[derive(Debug)]
+pub struct Head {
+    /// Which head it is.
+    pub name: HeadName,
+    /// How many classes the outputs' shapes speak of; `None` when they do not tell.
+    pub classes: Option<usize>,
+    /// What the model wants to see.
+    pub input_format: InputFormat,
+    /// Whether one object may come as several overlapping boxes, which are ours to suppress.
+    pub overlaps: bool,
+    reader: Box<dyn ReadOutputs>,
+}
+
+impl Head {
+    /// Appends to `candidates` what has at least `confidence`, in input pixels, overlaps not suppressed.
+    /// Returns how many rows were rejected because a number in them is not finite or not possible.
+    ///
+    /// # Errors
+    /// When the outputs are not of the shape the model announced, in words.
+    pub fn read(
+        &self,
+        outputs: &[TensorView<'_>],
+        confidence: f64,
+        candidates: &mut Vec<Candidate>,
+    ) -> Result<u64, String> {
+        self.reader.read(outputs, confidence, candidates)
+    }
+}
+
+/// What differs from head to head: [`Head::read`] for one kind of outputs.
+trait ReadOutputs: std::fmt::Debug {
+    fn read(
+        &self,
+        outputs: &[TensorView<'_>],
+        confidence: f64,
+        candidates: &mut Vec<Candidate>,
+    ) -> Result<u64, String>;
+}
+
+/// Binds the head of that name to a model with `signature` whose picture input is `input`.
+/// [`HeadName::Auto`] fits nothing: [`recognise`] finds the name.
+///
+/// # Errors
+/// When the model is not one that this head reads.
+pub fn bind(name: HeadName, signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
+    match name {
+        HeadName::Auto => Err(Misfit {
+            expected: "a head".to_owned(),
+            reason: "the model was not recognised before".to_owned(),
+        }),
+        HeadName::Yolo => yolo::bind(signature, input),
+        HeadName::EndToEnd => end_to_end::bind(signature, input),
+        HeadName::Detr => detr::bind(signature, input),
+        HeadName::Yolox => yolox::bind(signature, input),
+        HeadName::FastestDet => fastestdet::bind(signature, input),
+        HeadName::Demonstration => demonstration::bind(signature, input),
+    }
+}
+
+#[cfg(test)]
+mod tests;

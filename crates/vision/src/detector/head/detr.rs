@@ -1,0 +1,129 @@
+//! The head of RF-DETR and other models of the DETR family with sigmoid scores: `[1, queries, 4]` boxes (centre
+//! x, centre y, width, height, from 0 to 1) and `[1, queries, classes]` logits. The best pairs of query and class
+//! are taken, as many as there are queries, so one query may give boxes of several classes; nothing is suppressed.
+//! The picture is stretched to the input and normalised as ImageNet's are.
+
+use super::reading::{around, candidate, count, elements, format, misfit};
+use super::suppression::keep_best;
+use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
+use crate::detector::{HeadName, PictureInput, Signature, TensorSpec};
+use crate::picture::{ColorOrder, Fit, ValueRange};
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::PictureSize;
+
+/// Names of the outputs with boxes and logits: of RF-DETR's exporter, and of the Transformers library.
+const NAMES: [[&str; 2]; 2] = [["dets", "labels"], ["pred_boxes", "logits"]];
+
+/// What reading it takes.
+#[derive(Debug)]
+struct Detr {
+    size: PictureSize,
+    /// Places of boxes and logits among the outputs.
+    boxes: usize,
+    logits: usize,
+    /// -1 where the model leaves it open.
+    queries: i64,
+    classes: usize,
+}
+
+pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
+    let misfit = misfit(HeadName::Detr);
+    let ((boxes, dets), (logits, labels)) = NAMES
+        .iter()
+        .find_map(|[boxes, logits]| {
+            Some((
+                signature.output(boxes).ok()?,
+                signature.output(logits).ok()?,
+            ))
+        })
+        .ok_or_else(|| misfit("it has no such outputs".to_owned()))?;
+    let sides = |output: &TensorSpec| match *output.shape.as_slice() {
+        [1 | -1, queries, last] if queries == -1 || queries > 0 => Some((queries, count(last))),
+        _ => None,
+    };
+    match (sides(dets), sides(labels)) {
+        (Some((queries, 4)), Some((same, classes)))
+            if queries == same && (1..=usize::from(u16::MAX)).contains(&classes) =>
+        {
+            let (fit, range) = (Fit::Stretch, ValueRange::ImageNet);
+            Ok(Head {
+                name: HeadName::Detr,
+                classes: Some(classes),
+                input_format: format(input, fit, ColorOrder::Rgb, range),
+                overlaps: false,
+                reader: Box::new(Detr {
+                    size: input.size,
+                    boxes,
+                    logits,
+                    queries,
+                    classes,
+                }),
+            })
+        }
+        _ => Err(misfit("its outputs have other shapes".to_owned())),
+    }
+}
+
+/// Whether the outputs are named as RF-DETR names them, so that scores and colours are known to be its.
+pub(super) fn is_named(signature: &Signature) -> bool {
+    let [boxes, logits] = NAMES[0];
+    signature.output(boxes).is_ok() && signature.output(logits).is_ok()
+}
+
+impl ReadOutputs for Detr {
+    fn read(
+        &self,
+        outputs: &[TensorView<'_>],
+        confidence: f64,
+        candidates: &mut Vec<Candidate>,
+    ) -> Result<u64, String> {
+        let (Some(boxes), Some(logits)) = (outputs.get(self.boxes), outputs.get(self.logits))
+        else {
+            return Err(format!(
+                "the model gave {} outputs instead of boxes and logits",
+                outputs.len()
+            ));
+        };
+        let boxes = elements(boxes, &[1, self.queries, 4])?;
+        let queries = boxes.len() / 4;
+        let logits = elements(logits, &[1, queries as i64, self.classes as i64])?;
+        let (width, height) = (f64::from(self.size.width), f64::from(self.size.height));
+        let least = logit(confidence);
+        let mut rejected = 0;
+        let mut found = Vec::new();
+        for (sides, logits) in boxes.chunks_exact(4).zip(logits.chunks_exact(self.classes)) {
+            let before = found.len();
+            let corners = around(
+                f64::from(sides[0]) * width,
+                f64::from(sides[1]) * height,
+                f64::from(sides[2]) * width,
+                f64::from(sides[3]) * height,
+            );
+            let sound = logits.iter().enumerate().all(|(class, &logit)| {
+                if f64::from(logit) >= least {
+                    match candidate(corners, ClassId(class as u16), sigmoid(logit)) {
+                        Some(candidate) => found.push(candidate),
+                        None => return false,
+                    }
+                }
+                !logit.is_nan()
+            });
+            if !sound {
+                found.truncate(before);
+                rejected += 1;
+            }
+        }
+        keep_best(&mut found, queries);
+        candidates.append(&mut found);
+        Ok(rejected)
+    }
+}
+
+fn sigmoid(logit: f32) -> f32 {
+    1.0 / (1.0 + (-logit).exp())
+}
+
+/// The logit with that score: infinite for 0 and 1.
+fn logit(score: f64) -> f64 {
+    (score / (1.0 - score)).ln()
+}

@@ -1,0 +1,111 @@
+//! The head of FastestDet (dog-qiuqiu, 2022): one output `[1, 5 + classes, rows, columns]` with one cell for 16x16
+//! pixels; the channels are objectness, four numbers of the box, and the class scores. Overlaps are ours to suppress.
+
+use super::reading::{around, candidate, count, format, is_score, misfit, only};
+use super::{Candidate, Head, Misfit, ReadOutputs, TensorView};
+use crate::detector::{HeadName, PictureInput, Signature};
+use crate::picture::{ColorOrder, Fit, ValueRange};
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::PictureSize;
+
+/// Objectness and box, before the class scores.
+const BEFORE_CLASSES: usize = 5;
+const STRIDE: u32 = 16;
+
+/// What reading it takes.
+#[derive(Debug)]
+struct FastestDet {
+    size: PictureSize,
+    classes: usize,
+}
+
+pub(super) fn bind(signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
+    let misfit = misfit(HeadName::FastestDet);
+    let (width, height) = (input.size.width / STRIDE, input.size.height / STRIDE);
+    let output = signature.only_output().map_err(&misfit)?;
+    match *output.shape.as_slice() {
+        [1 | -1, channels, rows, columns]
+            if count(channels) > BEFORE_CLASSES
+                && count(channels) - BEFORE_CLASSES <= usize::from(u16::MAX)
+                && [rows, columns] == [i64::from(height), i64::from(width)]
+                && rows * columns > 0 =>
+        {
+            let classes = count(channels) - BEFORE_CLASSES;
+            let (fit, range) = (Fit::Stretch, ValueRange::ToOne);
+            Ok(Head {
+                name: HeadName::FastestDet,
+                classes: Some(classes),
+                input_format: format(input, fit, ColorOrder::Bgr, range),
+                overlaps: true,
+                reader: Box::new(FastestDet {
+                    size: input.size,
+                    classes,
+                }),
+            })
+        }
+        _ => Err(misfit(format!(
+            "its output has another shape than [1, 5 + classes, {height}, {width}]"
+        ))),
+    }
+}
+
+impl ReadOutputs for FastestDet {
+    fn read(
+        &self,
+        outputs: &[TensorView<'_>],
+        confidence: f64,
+        candidates: &mut Vec<Candidate>,
+    ) -> Result<u64, String> {
+        let size = self.size;
+        let (columns, rows) = (
+            (size.width / STRIDE) as usize,
+            (size.height / STRIDE) as usize,
+        );
+        let channels = BEFORE_CLASSES + self.classes;
+        let values = only(outputs, &[1, channels as i64, rows as i64, columns as i64])?;
+        let cells = rows * columns;
+        let channel = |number: usize, cell: usize| values[number * cells + cell];
+        let mut rejected = 0;
+        for cell in 0..cells {
+            let objectness = channel(0, cell);
+            // The score is at most objectness^0.6. NaN goes on, to be counted.
+            if is_score(objectness) && f64::from(objectness.max(0.0)).powf(0.6) < confidence {
+                continue;
+            }
+            let mut best = Some((0, f32::NEG_INFINITY));
+            for class in 0..self.classes {
+                let score = channel(BEFORE_CLASSES + class, cell);
+                best = best
+                    .filter(|_| is_score(score))
+                    .map(|best| if score > best.1 { (class, score) } else { best });
+            }
+            let found = best
+                .filter(|_| is_score(objectness))
+                .and_then(|(class, score)| {
+                    let score = objectness.max(0.0).powf(0.6) * score.max(0.0).powf(0.4);
+                    let offset = |number: usize| f64::from(channel(number, cell));
+                    let corners = around(
+                        (offset(1).tanh() + (cell % columns) as f64) / columns as f64
+                            * f64::from(size.width),
+                        (offset(2).tanh() + (cell / columns) as f64) / rows as f64
+                            * f64::from(size.height),
+                        sigmoid(offset(3)) * f64::from(size.width),
+                        sigmoid(offset(4)) * f64::from(size.height),
+                    );
+                    candidate(corners, ClassId(class as u16), score)
+                });
+            match found {
+                Some(candidate) if f64::from(candidate.confidence) >= confidence => {
+                    candidates.push(candidate);
+                }
+                Some(_) => {}
+                None => rejected += 1,
+            }
+        }
+        Ok(rejected)
+    }
+}
+
+fn sigmoid(value: f64) -> f64 {
+    1.0 / (1.0 + (-value).exp())
+}

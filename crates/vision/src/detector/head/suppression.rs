@@ -1,0 +1,211 @@
+//! Non-maximum suppression: of boxes of one class that overlap, the most confident stays.
+
+use super::Candidate;
+use std::cmp::Ordering;
+
+/// The most candidates that are looked at, the most confident ones: what a broken model or a hostile picture
+/// can cost at most. More than all anchors of a model with an input of 640x640.
+pub const MOST_CANDIDATES: usize = 10_000;
+
+/// How suppression works.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Suppression {
+    /// A box that overlaps a better one by more than this (intersection over union) is dropped.
+    pub overlap: f64,
+    /// Whether only boxes of one class suppress each other.
+    pub per_class: bool,
+    /// The most boxes that are kept, the most confident ones.
+    pub most: usize,
+}
+
+/// Sorts `candidates` by confidence and drops each that overlaps a better one too much. Of more than
+/// [`MOST_CANDIDATES`] only the best are looked at, and only `settings.most` are kept; returns how many were
+/// lost to these two limits. Equal confidences keep their order.
+///
+/// Takes O(n + m log m + k·m) for n candidates, m of them looked at, k of them kept.
+pub fn suppress(candidates: &mut Vec<Candidate>, settings: Suppression) -> u64 {
+    let mut over_limit = keep_best(candidates, MOST_CANDIDATES);
+    let mut kept = 0;
+    for index in 0..candidates.len() {
+        let candidate = candidates[index];
+        let better = &candidates[..kept];
+        let is_covered = better.iter().any(|better| {
+            (better.class == candidate.class || !settings.per_class)
+                && better.corners.intersection_over_union(candidate.corners) > settings.overlap
+        });
+        if is_covered {
+            continue;
+        }
+        if kept == settings.most {
+            over_limit += 1;
+            // The rest would only be counted, at a high price.
+            break;
+        }
+        candidates[kept] = candidate;
+        kept += 1;
+    }
+    candidates.truncate(kept);
+    over_limit
+}
+
+/// Sorts `candidates` by confidence and keeps the `most` best; returns how many were dropped. Equal confidences
+/// keep their order.
+pub fn keep_best(candidates: &mut Vec<Candidate>, most: usize) -> u64 {
+    let dropped = candidates.len().saturating_sub(most);
+    candidates.sort_by(best_first);
+    candidates.truncate(most);
+    dropped as u64
+}
+
+fn best_first(left: &Candidate, right: &Candidate) -> Ordering {
+    right.confidence.total_cmp(&left.confidence)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_core::detection::ClassId;
+    use albireo_core::geometry::Corners;
+    use proptest::prelude::*;
+
+    fn candidate(
+        x1: f64,
+        y1: f64,
+        width: f64,
+        height: f64,
+        class: u16,
+        confidence: f32,
+    ) -> Candidate {
+        Candidate {
+            corners: Corners {
+                x1,
+                y1,
+                x2: x1 + width,
+                y2: y1 + height,
+            },
+            class: ClassId(class),
+            confidence,
+        }
+    }
+
+    fn settings(overlap: f64) -> Suppression {
+        Suppression {
+            overlap,
+            per_class: true,
+            most: usize::MAX,
+        }
+    }
+
+    fn candidates() -> impl Strategy<Value = Vec<Candidate>> {
+        let one = (
+            0.0..60.0,
+            0.0..60.0,
+            1.0..40.0,
+            1.0..40.0,
+            0_u16..3,
+            0_u8..=20,
+        )
+            .prop_map(|(x, y, width, height, class, confidence)| {
+                candidate(x, y, width, height, class, f32::from(confidence) / 20.0)
+            });
+        prop::collection::vec(one, 0..60)
+    }
+
+    /// The textbook: take the best, cross out what it covers, start again.
+    fn textbook(mut open: Vec<Candidate>, overlap: f64) -> Vec<Candidate> {
+        let mut kept = Vec::new();
+        while !open.is_empty() {
+            let mut best = 0;
+            for index in 1..open.len() {
+                if open[index].confidence > open[best].confidence {
+                    best = index;
+                }
+            }
+            let best = open.remove(best);
+            open.retain(|other| {
+                other.class != best.class
+                    || best.corners.intersection_over_union(other.corners) <= overlap
+            });
+            kept.push(best);
+        }
+        kept
+    }
+
+    proptest! {
+        #[test]
+        fn suppression_equals_the_textbook(all in candidates(), overlap in 0.0..1.0) {
+            let mut fast = all.clone();
+            prop_assert_eq!(suppress(&mut fast, settings(overlap)), 0);
+            prop_assert_eq!(fast, textbook(all, overlap));
+        }
+
+        #[test]
+        fn what_is_kept_does_not_overlap_and_what_is_dropped_does(
+            all in candidates(), overlap in 0.0..1.0
+        ) {
+            let mut kept = all.clone();
+            suppress(&mut kept, settings(overlap));
+            let covers = |better: &Candidate, other: &Candidate| {
+                better.class == other.class
+                    && better.corners.intersection_over_union(other.corners) > overlap
+            };
+            for (index, one) in kept.iter().enumerate() {
+                for better in &kept[..index] {
+                    prop_assert!(better.confidence >= one.confidence);
+                    prop_assert!(!covers(better, one));
+                }
+            }
+            for one in &all {
+                let is_kept = kept.contains(one);
+                let is_covered = kept.iter().any(|better| {
+                    better.confidence >= one.confidence && covers(better, one)
+                });
+                prop_assert!(is_kept || is_covered);
+            }
+            let again = { let mut again = kept.clone(); suppress(&mut again, settings(overlap)); again };
+            prop_assert_eq!(again, kept);
+        }
+    }
+
+    #[test]
+    fn of_too_many_candidates_the_best_are_looked_at_and_the_rest_counted() {
+        // Apart from each other, so that only the limit drops any; the best come last.
+        let mut many: Vec<_> = (0..30_000_u32)
+            .map(|index| {
+                let (x, y) = (f64::from(index % 200) * 2.0, f64::from(index / 200) * 2.0);
+                candidate(x, y, 1.0, 1.0, 0, index as f32 / 30_000.0)
+            })
+            .collect();
+        let best = *many.last().unwrap();
+        let all = many.clone();
+        assert_eq!(suppress(&mut many, settings(0.5)), 20_000);
+        assert_eq!(many.len(), MOST_CANDIDATES);
+        assert_eq!(many[0], best);
+        assert!(many.iter().all(|one| one.confidence >= 20_000.0 / 30_000.0));
+        let mut few = all;
+        let most = Suppression {
+            most: 300,
+            ..settings(0.5)
+        };
+        assert_eq!(suppress(&mut few, most), 20_001);
+        assert_eq!(few, many[..300]);
+    }
+
+    #[test]
+    fn classes_suppress_each_other_only_when_told_to() {
+        let both = [
+            candidate(0.0, 0.0, 9.0, 9.0, 0, 0.5),
+            candidate(0.0, 0.0, 9.0, 9.0, 1, 0.9),
+        ];
+        let mut per_class = both.to_vec();
+        suppress(&mut per_class, settings(0.45));
+        assert_eq!(per_class.len(), 2);
+        let mut across = both.to_vec();
+        let agnostic = Suppression {
+            per_class: false,
+            ..settings(0.45)
+        };
+        suppress(&mut across, agnostic);
+        assert_eq!(across, [both[1]]);
+    }
+}

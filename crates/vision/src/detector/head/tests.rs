@@ -1,0 +1,432 @@
+//! The heads on tensors made by hand. What the models' own code makes of whole outputs is compared in
+//! `tests/head_fixtures.rs`.
+
+use super::*;
+use crate::detector::{ElementType, Metadata, TensorSpec};
+use crate::picture::{Fit, ValueRange};
+use proptest::prelude::*;
+
+mod fitting;
+
+fn spec(name: &str, shape: &[i64]) -> TensorSpec {
+    TensorSpec {
+        name: name.to_owned(),
+        element: ElementType::Float32,
+        shape: shape.to_vec(),
+    }
+}
+
+fn signature(input: &[i64], outputs: &[(&str, &[i64])]) -> Signature {
+    Signature {
+        inputs: vec![spec("images", input)],
+        outputs: outputs
+            .iter()
+            .map(|(name, shape)| spec(name, shape))
+            .collect(),
+        metadata: Metadata::default(),
+    }
+}
+
+fn with_metadata(signature: Signature, entries: &[(&str, &str)]) -> Signature {
+    Signature {
+        metadata: Metadata::new(
+            entries
+                .iter()
+                .map(|&(key, value)| (key.to_owned(), value.to_owned())),
+        ),
+        ..signature
+    }
+}
+
+fn bound(name: HeadName, input: &[i64], outputs: &[(&str, &[i64])]) -> Head {
+    let signature = signature(input, outputs);
+    bind(name, &signature, signature.picture_input(None).unwrap()).unwrap()
+}
+
+/// Shapes of a model's outputs.
+type Shapes = Vec<Vec<i64>>;
+
+/// The smallest head of each kind, with the outputs' shapes. All have two classes but the end-to-end head,
+/// which does not know, and an input of 64x32.
+fn heads() -> Vec<(Head, Shapes)> {
+    let input = [1, 3, 32, 64];
+    let one = |name, shape: &[i64]| {
+        let head = bound(name, &input, &[("output", shape)]);
+        (head, vec![shape.to_vec()])
+    };
+    vec![
+        one(HeadName::Yolo, &[1, 6, 42]),
+        one(HeadName::EndToEnd, &[1, 5, 6]),
+        one(HeadName::Yolox, &[1, 42, 7]),
+        one(HeadName::FastestDet, &[1, 7, 2, 4]),
+        one(HeadName::Demonstration, &[1, 3, 6]),
+        (
+            bound(
+                HeadName::Detr,
+                &input,
+                &[("labels", &[1, 4, 2]), ("dets", &[1, 4, 4])],
+            ),
+            vec![vec![1, 4, 2], vec![1, 4, 4]],
+        ),
+    ]
+}
+
+fn read(head: &Head, outputs: &[(&[i64], &[f32])]) -> (u64, Vec<Candidate>) {
+    let views: Vec<_> = outputs
+        .iter()
+        .map(|&(shape, values)| TensorView { shape, values })
+        .collect();
+    let mut candidates = Vec::new();
+    let rejected = head.read(&views, 0.5, &mut candidates).unwrap();
+    (rejected, candidates)
+}
+
+#[track_caller]
+fn assert_candidates(found: &[Candidate], expected: &[([f64; 4], u16, f32)]) {
+    assert_eq!(found.len(), expected.len(), "{found:?}");
+    for (found, (corners, class, confidence)) in found.iter().zip(expected) {
+        let Corners { x1, y1, x2, y2 } = found.corners;
+        for (found, expected) in [x1, y1, x2, y2].into_iter().zip(corners) {
+            assert!(
+                (found - expected).abs() < 1e-4,
+                "{found} instead of {expected}"
+            );
+        }
+        assert_eq!(found.class, ClassId(*class));
+        assert!((found.confidence - confidence).abs() < 1e-6, "{found:?}");
+    }
+}
+
+/// A tensor that is 0 but for these rows.
+fn rows<const ROW: usize>(count: usize, rows: &[(usize, [f32; ROW])]) -> Vec<f32> {
+    let mut values = vec![0.0; count * ROW];
+    for (place, row) in rows {
+        values[place * ROW..][..ROW].copy_from_slice(row);
+    }
+    values
+}
+
+/// The same with rows and columns exchanged.
+fn columns<const ROW: usize>(count: usize, given: &[(usize, [f32; ROW])]) -> Vec<f32> {
+    let values = rows(count, given);
+    (0..ROW)
+        .flat_map(|row| (0..count).map(move |column| (row, column)))
+        .map(|(row, column)| values[column * ROW + row])
+        .collect()
+}
+
+#[test]
+fn yolo_reads_columns_of_centre_size_and_scores() {
+    let head = bound(
+        HeadName::Yolo,
+        &[1, 3, 640, 640],
+        &[("output0", &[1, 6, 8400])],
+    );
+    let output = columns(
+        8400,
+        &[
+            (0, [10.0, 20.0, 4.0, 8.0, 0.1, 0.9]),
+            // Above and below the confidence, in the last block, which is not full.
+            (8398, [320.0, 320.0, 640.0, 640.0, 0.5, 0.2]),
+            (8399, [320.0, 320.0, 640.0, 640.0, 0.49, 0.2]),
+            // Inside out, not a number, not a score.
+            (70, [10.0, 20.0, -4.0, 8.0, 0.9, 0.1]),
+            (71, [f32::NAN, 20.0, 4.0, 8.0, 0.9, 0.1]),
+            (72, [10.0, 20.0, 4.0, 8.0, 0.9, f32::NAN]),
+            (73, [10.0, 20.0, 4.0, 8.0, 3.0, 0.1]),
+            (74, [10.0, 20.0, f32::INFINITY, 8.0, 0.6, 0.1]),
+        ],
+    );
+    let (rejected, found) = read(&head, &[(&[1, 6, 8400], &output)]);
+    assert_eq!(rejected, 5);
+    assert_candidates(
+        &found,
+        &[
+            ([8.0, 16.0, 12.0, 24.0], 1, 0.9),
+            ([0.0, 0.0, 640.0, 640.0], 0, 0.5),
+        ],
+    );
+}
+
+#[test]
+fn end_to_end_reads_corners_score_and_class() {
+    let head = bound(
+        HeadName::EndToEnd,
+        &[1, 3, 32, 64],
+        &[("output0", &[1, 300, 6])],
+    );
+    let output = rows(
+        300,
+        &[
+            (0, [1.0, 2.0, 30.0, 20.0, 0.9, 79.0]),
+            (1, [1.0, 2.0, 30.0, 20.0, 0.8, 0.0]),
+            (2, [1.0, 2.0, 30.0, 20.0, 0.4, 0.0]),
+            (3, [30.0, 2.0, 1.0, 20.0, 0.9, 0.0]),
+            (4, [1.0, 2.0, 30.0, 20.0, 0.9, -1.0]),
+            (5, [1.0, 2.0, 30.0, 20.0, 0.9, 0.5]),
+            (6, [1.0, 2.0, 30.0, 20.0, 0.9, 1e9]),
+            (7, [1.0, 2.0, 30.0, 20.0, 0.9, f32::NAN]),
+            (8, [1.0, 2.0, 30.0, 20.0, f32::NAN, 0.0]),
+        ],
+    );
+    let (rejected, found) = read(&head, &[(&[1, 300, 6], &output)]);
+    assert_eq!(rejected, 6);
+    let corners = [1.0, 2.0, 30.0, 20.0];
+    assert_candidates(&found, &[(corners, 79, 0.9), (corners, 0, 0.8)]);
+    assert!(!head.overlaps);
+}
+
+#[test]
+fn an_open_number_of_boxes_may_change_from_frame_to_frame() {
+    let head = bound(
+        HeadName::EndToEnd,
+        &[1, 3, 32, 64],
+        &[("output0", &[-1, -1, 6])],
+    );
+    for boxes in [0, 1, 7] {
+        let output = vec![0.0; boxes * 6];
+        let shape = [1, boxes as i64, 6];
+        assert_eq!(read(&head, &[(&shape, &output)]), (0, vec![]));
+    }
+}
+
+#[test]
+fn detr_takes_pairs_of_query_and_class_by_sigmoid() {
+    let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 3, 4]), ("labels", &[1, 3, 2])];
+    let head = bound(HeadName::Detr, &[1, 3, 100, 200], &outputs);
+    let boxes = [0.5, 0.5, 0.5, 0.5, 0.25, 0.5, 0.5, 1.0, 0.1, 0.1, 0.1, 0.1];
+    // The first query has both classes, the last is too unsure.
+    let logits = [2.0, 0.5, -3.0, 1.0, -0.1, -5.0];
+    let (rejected, found) = read(&head, &[(&[1, 3, 4], &boxes), (&[1, 3, 2], &logits)]);
+    assert_eq!(rejected, 0);
+    let score = |logit: f32| 1.0 / (1.0 + (-logit).exp());
+    assert_candidates(
+        &found,
+        &[
+            ([50.0, 25.0, 150.0, 75.0], 0, score(2.0)),
+            ([0.0, 0.0, 100.0, 100.0], 1, score(1.0)),
+            ([50.0, 25.0, 150.0, 75.0], 1, score(0.5)),
+        ],
+    );
+    assert_eq!(head.input_format.fit, Fit::Stretch);
+    assert_eq!(head.input_format.value_range, ValueRange::ImageNet);
+}
+
+#[test]
+fn detr_keeps_as_many_pairs_as_there_are_queries_and_counts_queries_that_are_not_numbers() {
+    let outputs: [(&str, &[i64]); 2] = [("dets", &[1, 2, 4]), ("labels", &[1, 2, 3])];
+    let head = bound(HeadName::Detr, &[1, 3, 64, 64], &outputs);
+    let whole = [0.5, 0.5, 1.0, 1.0];
+    let logits = [1.0, 2.0, 3.0, 4.0, 5.0, 6.0];
+    let boxes = [whole, whole].concat();
+    let shapes: [&[i64]; 2] = [&[1, 2, 4], &[1, 2, 3]];
+    let (_, found) = read(&head, &[(shapes[0], &boxes), (shapes[1], &logits)]);
+    let classes: Vec<_> = found.iter().map(|found| found.class.0).collect();
+    assert_eq!(classes, [2, 1]);
+    let broken = [1.0, f32::NAN, 3.0, 4.0, 5.0, 6.0];
+    let (rejected, found) = read(&head, &[(shapes[0], &boxes), (shapes[1], &broken)]);
+    assert_eq!((rejected, found.len()), (1, 2));
+    let boxes = [[0.5, 0.5, f32::NAN, 1.0], whole].concat();
+    let (rejected, found) = read(&head, &[(shapes[0], &boxes), (shapes[1], &logits)]);
+    assert_eq!((rejected, found.len()), (1, 2));
+}
+
+#[test]
+fn fastestdet_decodes_its_cells_by_channel() {
+    let head = bound(
+        HeadName::FastestDet,
+        &[1, 3, 32, 64],
+        &[("758", &[1, 7, 2, 4])],
+    );
+    let output = columns(
+        8,
+        &[
+            // Column 2, row 1: the centre in its corner, a quarter and half of the picture large.
+            (6, [0.9, 0.0, 0.0, -3.0_f32.ln(), 0.0, 0.2, 0.8]),
+            (1, [0.2, 0.0, 0.0, 0.0, 0.0, 0.9, 0.1]),
+            (2, [0.9, 0.0, 0.0, 0.0, 0.0, 0.05, 0.1]),
+            (3, [f32::NAN, 0.0, 0.0, 0.0, 0.0, 0.9, 0.1]),
+            (4, [0.9, 0.0, 0.0, 0.0, 0.0, 0.9, f32::NAN]),
+        ],
+    );
+    let (rejected, found) = read(&head, &[(&[1, 7, 2, 4], &output)]);
+    assert_eq!(rejected, 2);
+    let score = 0.9_f32.powf(0.6) * 0.8_f32.powf(0.4);
+    assert_candidates(&found, &[([24.0, 8.0, 40.0, 24.0], 1, score)]);
+}
+
+#[test]
+fn yolox_decodes_the_cells_of_all_three_strides() {
+    let half = 0.5_f32;
+    let output = rows(
+        42,
+        &[
+            // Stride 8, 8 columns: cell 11 is column 3, row 1.
+            (11, [half, 0.25, 2.0_f32.ln(), 0.0, 0.9, 0.1, 0.8]),
+            // Stride 16, 4 columns: cell 32 + 6 is column 2, row 1.
+            (38, [0.0, 0.0, 0.0, 0.0, 1.0, 0.7, 0.2]),
+            // Stride 32, 2 columns: cell 40 + 1 is column 1, row 0.
+            (41, [half, half, 0.0, half.ln(), 0.75, 1.0, 0.0]),
+            // Objectness times score is too low; then objectness alone.
+            (0, [0.0, 0.0, 0.0, 0.0, 0.6, 0.6, 0.0]),
+            (1, [0.0, 0.0, 0.0, 0.0, 0.49, 1.0, 0.0]),
+        ],
+    );
+    let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
+    let (rejected, found) = read(&head, &[(&[1, 42, 7], &output)]);
+    assert_eq!(rejected, 0);
+    assert_candidates(
+        &found,
+        &[
+            ([20.0, 6.0, 36.0, 14.0], 1, 0.72),
+            ([24.0, 8.0, 40.0, 24.0], 0, 0.7),
+            ([32.0, 8.0, 64.0, 24.0], 0, 0.75),
+        ],
+    );
+}
+
+#[test]
+fn yolox_rejects_and_counts_what_is_not_a_number_or_not_possible() {
+    let good = [0.0, 0.0, 0.0, 0.0, 0.9, 0.9, 0.0];
+    let with = |index: usize, value: f32| {
+        let mut row = good;
+        row[index] = value;
+        row
+    };
+    let output = rows(
+        42,
+        &[
+            (0, with(0, f32::NAN)),
+            (1, with(1, f32::INFINITY)),
+            (2, with(2, 1e4)),
+            (3, with(3, f32::NEG_INFINITY)),
+            (4, with(4, f32::NAN)),
+            (5, with(4, 7.0)),
+            (6, with(5, f32::NAN)),
+            (7, with(6, -0.5)),
+            (8, good),
+        ],
+    );
+    let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
+    let (rejected, found) = read(&head, &[(&[1, 42, 7], &output)]);
+    assert_eq!((rejected, found.len()), (8, 1));
+}
+
+#[test]
+fn the_demonstration_head_reads_corners_and_the_best_class() {
+    let head = bound(
+        HeadName::Demonstration,
+        &[1, 3, 192, 320],
+        &[("detections", &[1, 4, 7])],
+    );
+    let output = rows(
+        4,
+        &[
+            (0, [10.0, 20.0, 110.0, 80.0, 0.1, 0.0, 0.8]),
+            (1, [0.0, 0.0, 5.0, 5.0, 0.49, 0.0, 0.0]),
+            (2, [9.0, 9.0, 8.0, 20.0, 0.9, 0.0, 0.0]),
+            (3, [f32::NAN; 7]),
+        ],
+    );
+    let (rejected, found) = read(&head, &[(&[1, 4, 7], &output)]);
+    assert_eq!(rejected, 2);
+    assert_candidates(&found, &[([10.0, 20.0, 110.0, 80.0], 2, 0.8)]);
+}
+
+#[test]
+fn an_output_of_another_shape_than_announced_is_an_error_for_every_head() {
+    for (head, shapes) in heads() {
+        let lengths: Vec<_> = shapes
+            .iter()
+            .map(|shape| shape.iter().product::<i64>() as usize)
+            .collect();
+        let attempt = |shapes: &[Vec<i64>], lengths: &[usize]| {
+            let tensors: Vec<_> = lengths.iter().map(|&length| vec![0.0; length]).collect();
+            let views: Vec<_> = shapes
+                .iter()
+                .zip(&tensors)
+                .map(|(shape, values)| TensorView { shape, values })
+                .collect();
+            head.read(&views, 0.5, &mut Vec::new())
+        };
+        assert!(attempt(&shapes, &lengths).is_ok(), "{head:?}");
+        assert!(attempt(&[], &[]).is_err(), "{head:?}");
+        for place in 0..shapes[0].len() {
+            let mut other = shapes.clone();
+            other[0][place] += 1;
+            let length = other[0].iter().product::<i64>() as usize;
+            let mut longer = lengths.clone();
+            longer[0] = length;
+            let error = attempt(&other, &longer).unwrap_err();
+            assert!(error.contains("instead of ["), "{head:?}: {error}");
+            // Elements and shape that contradict each other, and shapes that cannot be.
+            assert!(attempt(&other, &lengths).is_err(), "{head:?}");
+            other[0][place] = -1;
+            assert!(attempt(&other, &lengths).is_err(), "{head:?}");
+            other[0][place] = i64::MAX;
+            assert!(attempt(&other, &lengths).is_err(), "{head:?}");
+        }
+    }
+}
+
+fn any_number() -> impl Strategy<Value = f32> {
+    prop_oneof![
+        6 => 0.0_f32..1.0,
+        2 => -10.0_f32..70.0,
+        1 => any::<f32>(),
+        1 => Just(f32::NAN),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn whatever_a_model_gives_candidates_are_possible_and_nothing_ends_the_program(
+        numbers in prop::collection::vec(any_number(), 42 * 7),
+        confidence in 0.0_f64..=1.0,
+    ) {
+        for (head, shapes) in heads() {
+            let mut candidates = Vec::new();
+            let views: Vec<_> = shapes
+                .iter()
+                .map(|shape| TensorView {
+                    shape,
+                    values: &numbers[..shape.iter().product::<i64>() as usize],
+                })
+                .collect();
+            let rejected = head.read(&views, confidence, &mut candidates).unwrap();
+            let rows = if head.name == HeadName::Detr { 8 } else { 42 };
+            prop_assert!(rejected as usize + candidates.len() <= rows);
+            for Candidate { corners, confidence: score, class } in candidates {
+                let Corners { x1, y1, x2, y2 } = corners;
+                prop_assert!(x1 < x2 && y1 < y2);
+                prop_assert!([x1, y1, x2, y2].iter().all(|side| side.is_finite()));
+                prop_assert!((0.0..=1.0).contains(&score));
+                prop_assert!(f64::from(score) >= confidence - 1e-6, "{score} {confidence}");
+                let known = head.classes.is_none_or(|classes| usize::from(class.0) < classes);
+                prop_assert!(known);
+            }
+        }
+    }
+
+    #[test]
+    fn a_higher_confidence_gives_a_part_of_what_a_lower_one_gives(
+        numbers in prop::collection::vec(0.0_f32..1.0, 42 * 7),
+        low in 0.0_f64..=1.0,
+        high in 0.0_f64..=1.0,
+    ) {
+        let (low, high) = (low.min(high), low.max(high));
+        for (head, shapes) in heads() {
+            let views: Vec<_> = shapes
+                .iter()
+                .map(|shape| TensorView {
+                    shape,
+                    values: &numbers[..shape.iter().product::<i64>() as usize],
+                })
+                .collect();
+            let (mut many, mut few) = (Vec::new(), Vec::new());
+            head.read(&views, low, &mut many).unwrap();
+            head.read(&views, high, &mut few).unwrap();
+            prop_assert!(few.iter().all(|one| many.contains(one)));
+        }
+    }
+}

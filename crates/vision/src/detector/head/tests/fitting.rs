@@ -1,0 +1,216 @@
+//! Which models fit which heads, and which are recognised.
+
+use super::*;
+use crate::picture::{ColorOrder, TensorLayout};
+use albireo_core::geometry::PictureSize;
+
+#[test]
+fn bytes_and_colours_last_are_asked_for_as_the_model_takes_them() {
+    let mut model = signature(&[1, 320, 640, 3], &[("output0", &[1, 84, 4200])]);
+    model.inputs[0].element = ElementType::Uint8;
+    let input = model.picture_input(None).unwrap();
+    let format = bind(HeadName::Yolo, &model, input).unwrap().input_format;
+    assert_eq!(format.size, PictureSize::new(640, 320));
+    assert_eq!(format.layout, TensorLayout::Nhwc);
+    assert_eq!(format.value_range, ValueRange::To255);
+    assert_eq!(format.shape(), [1, 320, 640, 3]);
+    assert_eq!(format.color_order, ColorOrder::Rgb);
+}
+
+#[test]
+fn an_open_input_takes_its_size_from_the_configuration_or_the_metadata() {
+    let open = signature(&[-1, 3, -1, -1], &[("output0", &[-1, 84, -1])]);
+    let size = PictureSize::new(320, 256);
+    let wanted = Some(size);
+    assert_eq!(open.picture_input(wanted).unwrap().size, size);
+    let error = open.picture_input(None).unwrap_err();
+    assert!(error.contains("detector.input_size"), "{error}");
+    let told = with_metadata(open, &[("imgsz", "[384, 640]")]);
+    let own = told.picture_input(None).unwrap().size;
+    assert_eq!(own, PictureSize::new(640, 384));
+    assert_eq!(told.picture_input(wanted).unwrap().size, size);
+    let fixed = signature(&[1, 3, 640, 640], &[("output0", &[1, 84, 8400])]);
+    let error = fixed.picture_input(wanted).unwrap_err();
+    assert!(
+        error.contains("640x640") && error.contains("320x256"),
+        "{error}"
+    );
+}
+
+#[test]
+fn an_input_that_is_no_picture_is_refused_with_what_is_wrong() {
+    for (shape, reason) in [
+        (&[4, 3, 64, 64][..], "4 pictures"),
+        (&[1, 416], "neither"),
+        (&[1, 4, 64, 64], "neither"),
+        (&[1, 3, 9000, 64], "8192"),
+        (&[1, 3, 0, 64], "8192"),
+        (&[1, 3, 8000, 8000], "4096x4096"),
+    ] {
+        let error = signature(shape, &[]).picture_input(None).unwrap_err();
+        assert!(error.contains(reason), "{error}");
+    }
+    let mut other = signature(&[1, 3, 64, 64], &[]);
+    other.inputs[0].element = ElementType::Other("int64".to_owned());
+    assert!(other.picture_input(None).unwrap_err().contains("int64"));
+    other.inputs.clear();
+    assert!(other.picture_input(None).unwrap_err().contains("0 inputs"));
+}
+
+#[test]
+fn a_model_that_does_not_fit_is_refused_with_the_first_difference() {
+    use HeadName::{Demonstration, Detr, EndToEnd, FastestDet, Yolo, Yolox};
+    let input = [1, 3, 416, 416];
+    for (name, output, reason) in [
+        (Yolox, &[1, 84, 8400][..], "[1, 3549, 5 + classes]"),
+        (Yolox, &[1, 3549, 5], "another shape"),
+        (Demonstration, &[1, 2], "another shape"),
+        (Demonstration, &[1, 0, 11], "another shape"),
+        (Demonstration, &[1, -1, 11], "another shape"),
+        (Yolo, &[1, 4, 3549], "another shape"),
+        (Yolo, &[2, 84, 3549], "another shape"),
+        (EndToEnd, &[1, 300, 7], "another shape"),
+        (FastestDet, &[1, 85, 22, 22], "26, 26"),
+        (Detr, &[1, 300, 4], "no such outputs"),
+    ] {
+        let signature = signature(&input, &[("output", output)]);
+        let picture = signature.picture_input(None).unwrap();
+        let misfit = bind(name, &signature, picture).unwrap_err();
+        assert!(misfit.reason.contains(reason), "{misfit:?}");
+        assert!(misfit.expected.contains("[1, "), "{misfit:?}");
+    }
+}
+
+#[test]
+fn more_outputs_or_another_element_type_are_refused() {
+    let mut two = signature(&[1, 3, 64, 64], &[("a", &[1, 6, 84]), ("b", &[1])]);
+    let input = two.picture_input(None).unwrap();
+    let reason = bind(HeadName::Yolo, &two, input).unwrap_err().reason;
+    assert!(reason.contains("2 outputs"), "{reason}");
+    two.outputs.pop();
+    two.outputs[0].element = ElementType::Other("int8".to_owned());
+    let reason = bind(HeadName::Yolo, &two, input).unwrap_err().reason;
+    assert!(reason.contains("int8"), "{reason}");
+    two.outputs[0].element = ElementType::Float16;
+    assert!(bind(HeadName::Yolo, &two, input).is_ok());
+}
+
+fn recognised(signature: &Signature) -> Result<HeadName, Unrecognised> {
+    recognise(signature, signature.picture_input(None).unwrap())
+}
+
+#[test]
+fn models_are_recognised_by_what_their_exporters_write() {
+    let names = ("names", "{0: 'car'}");
+    let ultralytics = [
+        ("author", "Ultralytics"),
+        ("task", "detect"),
+        ("head", "Detect"),
+        ("stride", "32"),
+        names,
+    ];
+    let square = [1, 3, 640, 640];
+    let model = |outputs: &[(&str, &[i64])], entries: &[(&str, &str)]| {
+        with_metadata(signature(&square, outputs), entries)
+    };
+    let end = [&ultralytics[..], &[("end2end", "True")]].concat();
+    let nms = [&ultralytics[..], &[("args", "{'nms': True}")]].concat();
+    let one: &[(&str, &[i64])] = &[("output0", &[1, 5, 8400])];
+    let boxes: &[(&str, &[i64])] = &[("output0", &[1, 300, 6])];
+    for (signature, expected) in [
+        (model(one, &ultralytics), HeadName::Yolo),
+        (model(boxes, &end), HeadName::EndToEnd),
+        (model(boxes, &nms), HeadName::EndToEnd),
+        (
+            model(&[("o", &[1, 9, 5])], &[("head", "demonstration")]),
+            HeadName::Demonstration,
+        ),
+        (model(boxes, &[]), HeadName::EndToEnd),
+        (model(&[("output0", &[1, 84, 8400])], &[]), HeadName::Yolo),
+        // With a coarser fourth stride, and one that leaves its anchors open.
+        (model(&[("output0", &[1, 84, 8500])], &[]), HeadName::Yolo),
+        (model(&[("output0", &[-1, 84, -1])], &[]), HeadName::Yolo),
+        (model(&[("output", &[1, 8400, 85])], &[]), HeadName::Yolox),
+        (
+            model(&[("758", &[1, 85, 40, 40])], &[]),
+            HeadName::FastestDet,
+        ),
+        (
+            model(&[("dets", &[1, 300, 4]), ("labels", &[1, 300, 91])], &[]),
+            HeadName::Detr,
+        ),
+        (
+            model(
+                &[
+                    ("dets", &[1, 300, 4]),
+                    ("labels", &[1, 300, 91]),
+                    ("masks", &[1, 300, 9, 9]),
+                ],
+                &[],
+            ),
+            HeadName::Detr,
+        ),
+    ] {
+        assert_eq!(recognised(&signature), Ok(expected), "{signature}");
+    }
+}
+
+#[test]
+fn an_unknown_or_ambiguous_model_is_refused_with_all_that_was_looked_for() {
+    let square = [1, 3, 64, 64];
+    let task = |task| {
+        with_metadata(
+            signature(&square, &[("output0", &[1, 6, 84])]),
+            &[("author", "Ultralytics"), ("task", task)],
+        )
+    };
+    for (signature, reason) in [
+        (
+            signature(&square, &[("logits", &[1, 1000])]),
+            "none of them",
+        ),
+        // YOLOv5: three boxes a cell.
+        (
+            signature(&[1, 3, 640, 640], &[("output0", &[1, 25200, 85])]),
+            "none of them",
+        ),
+        // A transformer of unknown scores and colours.
+        (
+            signature(
+                &square,
+                &[("logits", &[1, 300, 80]), ("pred_boxes", &[1, 300, 4])],
+            ),
+            "none of them",
+        ),
+        // One class of YOLOX, or 84 finished boxes.
+        (
+            signature(&square, &[("output", &[1, 84, 6])]),
+            "each of end-to-end, yolox",
+        ),
+        (task("segment"), "`segment`"),
+        // Metadata and shape contradict each other.
+        (
+            with_metadata(
+                task("detect"),
+                &[("author", "Ultralytics"), ("end2end", "True")],
+            ),
+            "`end-to-end`",
+        ),
+    ] {
+        let refusal = recognised(&signature).unwrap_err();
+        assert!(refusal.reason.contains(reason), "{refusal:?}");
+        assert_eq!(refusal.looked_for.len(), HeadName::RECOGNISED.len());
+        for (head, line) in HeadName::RECOGNISED.iter().zip(&refusal.looked_for) {
+            assert!(line.starts_with(head.as_str()), "{line}");
+        }
+    }
+}
+
+#[test]
+fn a_signature_reads_like_a_sentence() {
+    let text = signature(&[1, 3, 416, -1], &[("output", &[1, 3549, 85])]).to_string();
+    assert_eq!(
+        text,
+        "input `images` float32 [1, 3, 416, ?] and output `output` float32 [1, 3549, 85]"
+    );
+}

@@ -1,0 +1,84 @@
+//! The names of the heads.
+
+use serde::{Deserialize, Serialize};
+
+/// How a model's output tensors are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+pub enum HeadName {
+    /// As the model's metadata, or its outputs' names and shapes, tell.
+    #[serde(rename = "auto")]
+    #[cfg_attr(feature = "cli", value(name = "auto"))]
+    Auto,
+    /// YOLOv8, YOLO11, YOLO26 one-to-many: `[1, 4 + classes, anchors]`, suppression by us.
+    #[serde(rename = "yolo")]
+    #[cfg_attr(feature = "cli", value(name = "yolo"))]
+    Yolo,
+    /// YOLO26, YOLOv10 and exports with suppression inside: `[1, boxes, 6]`.
+    #[serde(rename = "end-to-end")]
+    #[cfg_attr(feature = "cli", value(name = "end-to-end"))]
+    EndToEnd,
+    /// RF-DETR: `[1, queries, 4]` and `[1, queries, classes]`.
+    #[serde(rename = "detr")]
+    #[cfg_attr(feature = "cli", value(name = "detr"))]
+    Detr,
+    /// YOLOX: `[1, cells, 5 + classes]`, not decoded.
+    #[serde(rename = "yolox")]
+    #[cfg_attr(feature = "cli", value(name = "yolox"))]
+    Yolox,
+    /// FastestDet: `[1, 5 + classes, rows, columns]`, not decoded.
+    #[serde(rename = "fastestdet")]
+    #[cfg_attr(feature = "cli", value(name = "fastestdet"))]
+    FastestDet,
+    /// The demonstration detector of `models/`: `[1, cells, 4 + classes]`, decoded.
+    #[serde(rename = "demonstration")]
+    #[cfg_attr(feature = "cli", value(name = "demonstration"))]
+    Demonstration,
+}
+
+impl HeadName {
+    /// What `auto` can find.
+    pub const RECOGNISED: [Self; 6] = [
+        Self::Yolo,
+        Self::EndToEnd,
+        Self::Detr,
+        Self::Yolox,
+        Self::FastestDet,
+        Self::Demonstration,
+    ];
+
+    /// The name in configuration and messages.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Yolo => "yolo",
+            Self::EndToEnd => "end-to-end",
+            Self::Detr => "detr",
+            Self::Yolox => "yolox",
+            Self::FastestDet => "fastestdet",
+            Self::Demonstration => "demonstration",
+        }
+    }
+
+    /// The outputs of its models, in words.
+    pub const fn looks_for(self) -> &'static str {
+        match self {
+            Self::Auto => "any of the others",
+            Self::Yolo => "one output [1, 4 + classes, anchors]",
+            Self::EndToEnd => "one output [1, boxes, 6]",
+            Self::Detr => {
+                "outputs `dets` [1, queries, 4] and `labels` [1, queries, classes], or `pred_boxes` and `logits`"
+            }
+            Self::Yolox => "one output [1, cells of strides 8, 16 and 32, 5 + classes]",
+            Self::FastestDet => "one output [1, 5 + classes, rows / 16, columns / 16]",
+            Self::Demonstration => "one output [1, cells, 4 + classes]",
+        }
+    }
+
+    /// The head that a model's metadata name, when it is one of ours: others write their own words there.
+    pub fn from_metadata(name: &str) -> Option<Self> {
+        Self::RECOGNISED
+            .into_iter()
+            .find(|head| head.as_str() == name)
+    }
+}

@@ -1,0 +1,235 @@
+//! The real detector: session and head, one after the other on the task's thread, for one picture or several
+//! of the same run.
+
+use super::classes::Classes;
+use super::head::{self, Head, TensorView, Unrecognised};
+use super::model::Interrupter;
+use super::reader::{HeadCounters, HeadCounts, Parts, Reader};
+use super::{
+    DetectorConfig, ExecutionProvider, Found, HeadName, Model, OnnxSession, PictureInput,
+    Preparation, PreparedPicture, RunError, SessionSettings, Signature, StartError, TensorSpec,
+    class_names,
+};
+use crate::picture::{InputFormat, Picture};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// A model with all that belongs to it, on the caller's thread: from pictures to detections.
+/// [`DetectorHandle`](super::DetectorHandle) is the same for a service, with a queue and supervision.
+pub struct DetectorNetwork {
+    session: OnnxSession,
+    preparation: Preparation,
+    reader: Reader,
+}
+
+impl DetectorNetwork {
+    /// Loads the model, finds and binds its head, and runs it once, so that the first picture is not the slow
+    /// one.
+    ///
+    /// # Errors
+    /// When the library, the model, its head or the execution provider is not as configured.
+    pub fn open(config: &DetectorConfig) -> Result<Self, StartError> {
+        config.check()?;
+        Self::open_counting(config, Arc::default())
+    }
+
+    pub(super) fn open_counting(
+        config: &DetectorConfig,
+        counters: Arc<HeadCounters>,
+    ) -> Result<Self, StartError> {
+        let session = OnnxSession::open(&SessionSettings {
+            model: config.model.clone(),
+            providers: config.providers.clone(),
+            may_fall_back: config.may_fall_back,
+            gpu: config.gpu.clone(),
+            threads: config.threads,
+            onnxruntime: config.onnxruntime.clone(),
+        })?;
+        check_batch(config, session.signature())?;
+        let head = head_for(config, session.signature())?;
+        let names = class_names::read(
+            config.class_names.as_ref(),
+            &session.signature().metadata,
+            head.name,
+            head.classes,
+        )?;
+        let classes = Classes::new(&names, config)?;
+        let mut network = Self {
+            session,
+            preparation: Preparation::new(head.input_format),
+            reader: Reader::new(head, classes, config),
+        };
+        network
+            .warm_up(config.batch_size)
+            .map_err(|reason| StartError::WarmUp {
+                path: config.model.clone(),
+                reason,
+            })?;
+        // Counting begins with the first picture.
+        network.reader.count_into(counters);
+        Ok(network)
+    }
+
+    /// Runs the model on a black picture, and on a full batch of them: the slow first runs, in which memory is
+    /// laid out and an engine built, are over then.
+    fn warm_up(&mut self, batch_size: usize) -> Result<(), String> {
+        // Its buffers are not kept: a batch of them may be large, and whoever prepares the pictures has their own.
+        let preparation = Preparation::new(self.input_format());
+        let black = Picture::black(self.input_format().size);
+        let mut pictures = Vec::new();
+        for _ in 0..batch_size.max(1) {
+            let prepared = preparation.prepare(&black);
+            pictures.push(prepared.map_err(|error| error.to_string())?);
+        }
+        self.run(&pictures[..1])
+            .map_err(|RunError(reason)| reason)?;
+        if batch_size > 1 {
+            self.run(&pictures).map_err(|RunError(reason)| {
+                format!("{reason} (with detector.batch_size = {batch_size})")
+            })?;
+        }
+        Ok(())
+    }
+
+    /// Finds the objects in one picture.
+    ///
+    /// # Errors
+    /// When the run failed.
+    pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, RunError> {
+        let found = self.run(std::slice::from_ref(picture))?.pop();
+        found.ok_or_else(|| RunError("the model gave no answer".to_owned()))
+    }
+
+    /// Where pictures become the model's input.
+    pub fn preparation(&self) -> &Preparation {
+        &self.preparation
+    }
+
+    /// The names of the reported classes, by the number they are reported under.
+    pub fn class_names(&self) -> &[String] {
+        self.reader.class_names()
+    }
+
+    /// The head that reads the model's output.
+    pub fn head(&self) -> HeadName {
+        self.reader.head_name()
+    }
+
+    /// The execution provider that runs it: not the first configured where that one does not work and falling back is
+    /// allowed.
+    pub fn provider(&self) -> ExecutionProvider {
+        self.session.provider()
+    }
+
+    /// What the model wants to see.
+    pub fn input_format(&self) -> InputFormat {
+        self.preparation.format()
+    }
+
+    /// Names, types and shapes of the model's inputs and outputs, and its metadata.
+    pub fn signature(&self) -> &Signature {
+        self.session.signature()
+    }
+
+    /// What was found in the model's output and not reported.
+    pub fn counts(&self) -> HeadCounts {
+        self.reader.counts()
+    }
+}
+
+/// Whether the model takes as many pictures at once as are configured.
+fn check_batch(config: &DetectorConfig, signature: &Signature) -> Result<(), StartError> {
+    let is_open = |input: &TensorSpec| input.shape.first() == Some(&-1);
+    if config.batch_size == 1 || signature.inputs.iter().all(is_open) {
+        return Ok(());
+    }
+    Err(StartError::Configuration {
+        key: "detector.batch_size".to_owned(),
+        reason: format!(
+            "is {}, and {} takes one picture at a time ({signature}); export it with an open batch (Ultralytics: \
+             dynamic=True), or leave batch_size at 1",
+            config.batch_size,
+            config.model.display()
+        ),
+    })
+}
+
+/// The head for a model: the configured one, or the one it is recognised to need.
+fn head_for(config: &DetectorConfig, signature: &Signature) -> Result<Head, StartError> {
+    let does_not_fit =
+        |name: HeadName, expected: String, reason: String| StartError::ModelDoesNotFit {
+            path: config.model.clone(),
+            head: name.as_str(),
+            model: signature.to_string(),
+            expected,
+            reason,
+        };
+    let input: PictureInput = signature
+        .picture_input(config.input_size())
+        .map_err(|reason| {
+            let expected = "one picture input [1, 3, rows, columns] or [1, rows, columns, 3]";
+            does_not_fit(config.head, expected.to_owned(), reason)
+        })?;
+    let name =
+        match config.head {
+            HeadName::Auto => head::recognise(signature, input).map_err(
+                |Unrecognised { reason, looked_for }| StartError::ModelNotRecognised {
+                    path: config.model.clone(),
+                    reason,
+                    model: signature.to_string(),
+                    looked_for,
+                },
+            )?,
+            name => name,
+        };
+    head::bind(name, signature, input)
+        .map_err(|misfit| does_not_fit(name, misfit.expected, misfit.reason))
+}
+
+impl Model for DetectorNetwork {
+    type Input = PreparedPicture;
+    type Output = Found;
+    /// The class names, whose numbers are in use, and the input that pictures are prepared for.
+    type Facts = (Vec<String>, InputFormat);
+
+    fn facts(&self) -> Self::Facts {
+        (self.class_names().to_vec(), self.input_format())
+    }
+
+    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Found>, RunError> {
+        let Self {
+            session,
+            preparation,
+            reader,
+        } = self;
+        let started = Instant::now();
+        let inputs: Vec<_> = pictures.iter().map(PreparedPicture::values).collect();
+        session.run(preparation.format().shape(), &inputs, |outputs| {
+            let model = started.elapsed();
+            let mut read = |picture: &PreparedPicture, outputs: &[TensorView<'_>]| {
+                let start = Instant::now();
+                Ok(Found {
+                    detections: reader.read(outputs, picture.mapping())?,
+                    letterbox: picture.took(),
+                    model,
+                    head: start.elapsed(),
+                })
+            };
+            if let [picture] = pictures {
+                return Ok(vec![read(picture, outputs)?]);
+            }
+            let parts = Parts::of(outputs, pictures.len())?;
+            let each = pictures.iter().enumerate();
+            each.map(|(number, picture)| read(picture, &parts.get(outputs, number)))
+                .collect()
+        })?
+    }
+
+    fn provider(&self) -> ExecutionProvider {
+        self.session.provider()
+    }
+
+    fn interrupter(&self) -> Option<Interrupter> {
+        Some(self.session.interrupter())
+    }
+}

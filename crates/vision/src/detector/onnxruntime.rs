@@ -1,0 +1,227 @@
+//! Finds the ONNX Runtime library and keeps the one environment a process may have.
+
+use super::StartError;
+use ort::environment::Environment;
+use ort::logging::LogLevel;
+use parking_lot::Mutex;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tracing::{debug, error, info, warn};
+
+/// The variable that names the library, as the `ort` crate has it.
+const VARIABLE: &str = "ORT_DYLIB_PATH";
+
+static ENVIRONMENT: Mutex<Option<(PathBuf, Environment)>> = Mutex::new(None);
+
+/// The environment of this process, made from the library that `configured` names or, without it, from the
+/// first that is found. The first call decides which library the process uses.
+///
+/// # Errors
+/// When there is no library, or it cannot be used.
+pub(super) fn environment(configured: Option<&Path>) -> Result<Environment, StartError> {
+    let mut kept = ENVIRONMENT.lock();
+    if let Some((path, environment)) = kept.as_ref() {
+        if configured.is_some_and(|configured| configured != path) {
+            debug!(used = %path.display(), "this process has loaded an ONNX Runtime already");
+        }
+        return Ok(environment.clone());
+    }
+    let path = Search::here(configured).find()?;
+    let unusable = |reason: String| StartError::LibraryUnusable {
+        path: path.clone(),
+        reason,
+    };
+    let environment = ort::init_from(&path)
+        .map_err(|error| unusable(error.to_string()))?
+        .with_name("albireo")
+        .with_telemetry(false)
+        .with_logger(Arc::new(log))
+        .build()
+        .map_err(|error| unusable(error.to_string()))?;
+    environment.set_log_level(LogLevel::Warning);
+    info!(library = %path.display(), "ONNX Runtime loaded");
+    *kept = Some((path, environment.clone()));
+    Ok(environment)
+}
+
+/// Where the library is that [`environment`] would load.
+///
+/// # Errors
+/// When there is none, with where it was looked for.
+pub fn find_library(configured: Option<&Path>) -> Result<PathBuf, StartError> {
+    Search::here(configured).find()
+}
+
+/// ONNX Runtime's own messages, warnings and worse; the rest would flood the log.
+fn log(level: LogLevel, category: &str, _id: &str, location: &str, message: &str) {
+    match level {
+        LogLevel::Verbose | LogLevel::Info => {}
+        LogLevel::Warning => warn!(target: "onnxruntime", category, location, "{message}"),
+        // It was asked to end (`Interrupter`), and ended.
+        LogLevel::Error if message.contains("due to terminate flag") => {
+            debug!(target: "onnxruntime", category, location, "{message}");
+        }
+        LogLevel::Error | LogLevel::Fatal => {
+            error!(target: "onnxruntime", category, location, "{message}");
+        }
+    }
+}
+
+/// Where to look.
+struct Search {
+    /// A file or folder that somebody named, and what names it. Then nothing else is looked at.
+    named: Option<(&'static str, PathBuf)>,
+    folders: Vec<PathBuf>,
+}
+
+impl Search {
+    fn here(configured: Option<&Path>) -> Self {
+        let variable = || {
+            std::env::var_os(VARIABLE)
+                .filter(|value| !value.is_empty())
+                .map(|value| (VARIABLE, PathBuf::from(value)))
+        };
+        let named = configured
+            .map(|path| ("detector.onnxruntime", path.to_owned()))
+            .or_else(variable);
+        let mut folders = Vec::new();
+        if let Some(folder) = std::env::current_exe()
+            .ok()
+            .as_deref()
+            .and_then(Path::parent)
+        {
+            folders.push(folder.to_owned());
+        }
+        folders.push(PathBuf::from(".cache/onnxruntime"));
+        if let Some(path) = std::env::var_os("LD_LIBRARY_PATH") {
+            folders
+                .extend(std::env::split_paths(&path).filter(|path| !path.as_os_str().is_empty()));
+        }
+        let multiarch = format!("/usr/lib/{}-linux-gnu", std::env::consts::ARCH);
+        folders.extend(
+            [
+                "/usr/local/lib",
+                &multiarch,
+                "/usr/lib64",
+                "/usr/lib",
+                "/opt/onnxruntime/lib",
+            ]
+            .map(PathBuf::from),
+        );
+        Self { named, folders }
+    }
+
+    fn find(&self) -> Result<PathBuf, StartError> {
+        if let Some((what, path)) = &self.named {
+            let found = if path.is_dir() {
+                library_in(path)
+            } else {
+                path.is_file().then(|| path.clone())
+            };
+            return found.ok_or_else(|| StartError::LibraryNotFound {
+                looked_at: vec![format!("{} (named by {what})", path.display())],
+            });
+        }
+        self.folders
+            .iter()
+            .find_map(|folder| library_in(folder))
+            .ok_or_else(|| StartError::LibraryNotFound {
+                looked_at: self
+                    .folders
+                    .iter()
+                    .map(|folder| folder.display().to_string())
+                    .collect(),
+            })
+    }
+}
+
+/// The library in `folder`: the plain name, else the highest version. Absolute, because the loader looks at
+/// relative paths in its own way.
+fn library_in(folder: &Path) -> Option<PathBuf> {
+    let plain = format!(
+        "{}onnxruntime{}",
+        std::env::consts::DLL_PREFIX,
+        std::env::consts::DLL_SUFFIX
+    );
+    let versioned = format!("{plain}.");
+    let mut found: Vec<(Vec<u32>, PathBuf)> = std::fs::read_dir(folder)
+        .ok()?
+        .filter_map(Result::ok)
+        .filter_map(|entry| {
+            let name = entry.file_name();
+            let name = name.to_str()?;
+            let version = if name == plain {
+                vec![u32::MAX]
+            } else {
+                name.strip_prefix(&versioned)?
+                    .split('.')
+                    .map(|part| part.parse().ok())
+                    .collect::<Option<_>>()?
+            };
+            Some((version, entry.path()))
+        })
+        .filter(|(_, path)| path.is_file())
+        .collect();
+    found.sort();
+    let (_, path) = found.pop()?;
+    std::path::absolute(path).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn search(named: Option<&Path>, folders: &[&Path]) -> Search {
+        Search {
+            named: named.map(|path| (VARIABLE, path.to_owned())),
+            folders: folders.iter().map(|&folder| folder.to_owned()).collect(),
+        }
+    }
+
+    fn put(folder: &Path, name: &str) -> PathBuf {
+        let path = folder.join(name);
+        std::fs::write(&path, b"").unwrap();
+        path
+    }
+
+    #[test]
+    fn the_first_folder_that_has_the_library_wins_and_in_it_the_highest_version() {
+        let folders: Vec<_> = (0..3).map(|_| tempfile::tempdir().unwrap()).collect();
+        put(folders[0].path(), "libonnxruntime_providers_shared.so");
+        put(folders[1].path(), "libonnxruntime.so.1.9.0");
+        let newest = put(folders[1].path(), "libonnxruntime.so.1.31.1");
+        put(folders[2].path(), "libonnxruntime.so");
+        let paths: Vec<&Path> = folders.iter().map(|folder| folder.path()).collect();
+        assert_eq!(search(None, &paths).find().unwrap(), newest);
+        let plain = put(folders[1].path(), "libonnxruntime.so");
+        assert_eq!(search(None, &paths).find().unwrap(), plain);
+    }
+
+    #[test]
+    fn a_named_file_or_folder_is_used_and_nothing_else() {
+        let named = tempfile::tempdir().unwrap();
+        let other = tempfile::tempdir().unwrap();
+        put(other.path(), "libonnxruntime.so");
+        let missing = search(Some(&named.path().join("gone.so")), &[other.path()]).find();
+        let error = missing.unwrap_err().to_string();
+        assert!(
+            error.contains("gone.so") && error.contains(VARIABLE),
+            "{error}"
+        );
+        assert!(search(Some(named.path()), &[other.path()]).find().is_err());
+        let library = put(named.path(), "libonnxruntime.so.1.31.1");
+        assert_eq!(search(Some(named.path()), &[]).find().unwrap(), library);
+        assert_eq!(search(Some(&library), &[]).find().unwrap(), library);
+    }
+
+    #[test]
+    fn when_there_is_none_the_error_lists_every_place_and_says_what_to_do() {
+        let error = search(None, &[Path::new("/nowhere/a"), Path::new("/nowhere/b")])
+            .find()
+            .unwrap_err()
+            .to_string();
+        for part in ["/nowhere/a", "/nowhere/b", "make onnxruntime", VARIABLE] {
+            assert!(error.contains(part), "{error}");
+        }
+    }
+}

@@ -1,0 +1,161 @@
+//! Turns pictures into the input of one model: letterbox on any thread, so that the model's own thread does
+//! nothing but run it. The buffers go round.
+
+use super::InferenceError;
+use crate::picture::{InputFormat, InputMapping, Letterbox, LetterboxError, Picture};
+use parking_lot::Mutex;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Where pictures become inputs of one model. Clones share their buffers; several threads may prepare at once.
+#[derive(Clone)]
+pub struct Preparation(Arc<PreparationState>);
+
+struct PreparationState {
+    format: InputFormat,
+    /// Those not in use, at most as many as were ever in use at once.
+    idle: Mutex<Vec<Letterbox>>,
+}
+
+/// A picture as the model's input. Its buffer is used again when it is dropped.
+pub struct PreparedPicture {
+    /// Always some, until it is dropped.
+    letterbox: Option<Letterbox>,
+    mapping: InputMapping,
+    took: Duration,
+    origin: Preparation,
+}
+
+impl Preparation {
+    /// For a model with that input.
+    pub fn new(format: InputFormat) -> Self {
+        Self(Arc::new(PreparationState {
+            format,
+            idle: Mutex::default(),
+        }))
+    }
+
+    /// What the model wants to see.
+    pub fn format(&self) -> InputFormat {
+        self.0.format
+    }
+
+    /// Resizes `picture` and converts it to the model's input. Takes a fraction of a millisecond to some.
+    ///
+    /// # Errors
+    /// When the picture is empty or its buffer does not fit its size.
+    pub fn prepare(&self, picture: &Picture) -> Result<PreparedPicture, LetterboxError> {
+        let start = Instant::now();
+        let mut letterbox = self.letterbox();
+        let mapping = letterbox.fill(picture)?;
+        Ok(PreparedPicture {
+            letterbox: Some(letterbox),
+            mapping,
+            took: start.elapsed(),
+            origin: self.clone(),
+        })
+    }
+
+    fn letterbox(&self) -> Letterbox {
+        let idle = self.0.idle.lock().pop();
+        idle.unwrap_or_else(|| Letterbox::new(self.0.format))
+    }
+}
+
+/// Prepares `picture` on a blocking thread, and lets go of it.
+///
+/// # Errors
+/// When it cannot be prepared.
+pub async fn prepare_off_thread(
+    preparation: Preparation,
+    picture: Arc<Picture>,
+) -> Result<PreparedPicture, InferenceError> {
+    let work = move || {
+        let prepared = preparation.prepare(&picture);
+        // Before the answer, so that whoever gets it finds itself the only owner.
+        drop(picture);
+        prepared.map_err(|error| InferenceError::BadPicture(error.to_string()))
+    };
+    tokio::task::spawn_blocking(work)
+        .await
+        .unwrap_or_else(|error| Err(InferenceError::BadPicture(error.to_string())))
+}
+
+impl PreparedPicture {
+    /// The input, in the shape of the format, before any conversion to the model's element type.
+    pub fn values(&self) -> &[f32] {
+        self.letterbox.as_ref().map_or(&[], Letterbox::tensor)
+    }
+
+    /// The way back from the input's pixels to the picture.
+    pub fn mapping(&self) -> InputMapping {
+        self.mapping
+    }
+
+    /// How long the preparation took.
+    pub fn took(&self) -> Duration {
+        self.took
+    }
+}
+
+impl Drop for PreparedPicture {
+    fn drop(&mut self) {
+        if let Some(letterbox) = self.letterbox.take() {
+            self.origin.0.idle.lock().push(letterbox);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::{ColorOrder, Fit, PixelLayout, TensorLayout, ValueRange};
+    use albireo_core::geometry::PictureSize;
+
+    fn preparation() -> Preparation {
+        Preparation::new(InputFormat {
+            size: PictureSize::new(4, 2),
+            fit: Fit::Stretch,
+            color_order: ColorOrder::Rgb,
+            value_range: ValueRange::To255,
+            layout: TensorLayout::Nchw,
+        })
+    }
+
+    fn picture(value: u8) -> Picture {
+        let size = PictureSize::new(4, 2);
+        Picture {
+            size,
+            source_size: size,
+            layout: PixelLayout::Rgb8,
+            pixels: vec![value; 24],
+        }
+    }
+
+    #[test]
+    fn pictures_prepared_at_once_have_buffers_of_their_own_and_buffers_are_used_again() {
+        let preparation = preparation();
+        let [first, second] = [1, 2].map(|value| preparation.prepare(&picture(value)).ok());
+        let values = |prepared: &Option<PreparedPicture>| {
+            prepared.as_ref().map(|prepared| prepared.values().to_vec())
+        };
+        assert_eq!(values(&first), Some(vec![1.0; 24]));
+        assert_eq!(values(&second), Some(vec![2.0; 24]));
+        let buffer = first.as_ref().map(|first| first.values().as_ptr());
+        drop(first);
+        let third = preparation.prepare(&picture(3)).ok();
+        assert_eq!(values(&third), Some(vec![3.0; 24]));
+        assert_eq!(third.as_ref().map(|third| third.values().as_ptr()), buffer);
+        drop((second, third));
+        assert_eq!(preparation.0.idle.lock().len(), 2);
+    }
+
+    #[test]
+    fn a_picture_that_does_not_fit_its_size_is_refused() {
+        let preparation = preparation();
+        let mut short = picture(1);
+        short.pixels.pop();
+        assert!(preparation.prepare(&short).is_err());
+        assert!(preparation.prepare(&picture(1)).is_ok());
+    }
+}

@@ -1,0 +1,241 @@
+//! From the model's output to detections: the head, classes, suppression, and what is counted on the way.
+
+use super::classes::Classes;
+use super::head::{Candidate, Head, Suppression, TensorView, keep_best, suppress};
+use super::{DetectorConfig, HeadName, RunError, shape_text};
+use crate::picture::InputMapping;
+use albireo_core::detection::Detection;
+use albireo_core::geometry::Corners;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// What was found in the model's output and not reported.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct HeadCounts {
+    /// Rows with numbers that are not finite or not possible.
+    pub rejected: u64,
+    /// Boxes outside the picture.
+    pub outside: u64,
+    /// Boxes of a class whose number the model has no name for.
+    pub unknown_class: u64,
+    /// Boxes beyond [`MOST_CANDIDATES`](super::head::MOST_CANDIDATES) or the configured most detections; at
+    /// least one a frame where there were any.
+    pub over_limit: u64,
+}
+
+/// The same while it is being counted; outlives the session.
+#[derive(Debug, Default)]
+pub(super) struct HeadCounters {
+    rejected: AtomicU64,
+    outside: AtomicU64,
+    unknown_class: AtomicU64,
+    over_limit: AtomicU64,
+}
+
+impl HeadCounters {
+    pub(super) fn counts(&self) -> HeadCounts {
+        HeadCounts {
+            rejected: self.rejected.load(Ordering::Relaxed),
+            outside: self.outside.load(Ordering::Relaxed),
+            unknown_class: self.unknown_class.load(Ordering::Relaxed),
+            over_limit: self.over_limit.load(Ordering::Relaxed),
+        }
+    }
+
+    fn add(&self, counts: HeadCounts) {
+        self.rejected.fetch_add(counts.rejected, Ordering::Relaxed);
+        self.outside.fetch_add(counts.outside, Ordering::Relaxed);
+        self.unknown_class
+            .fetch_add(counts.unknown_class, Ordering::Relaxed);
+        self.over_limit
+            .fetch_add(counts.over_limit, Ordering::Relaxed);
+    }
+}
+
+/// Makes detections of the model's output.
+pub(super) struct Reader {
+    head: Head,
+    confidence: f64,
+    suppression: Suppression,
+    classes: Classes,
+    candidates: Vec<Candidate>,
+    counters: Arc<HeadCounters>,
+}
+
+impl Reader {
+    /// For a model with that head and those classes. Counts for itself until it is given
+    /// [`counters`](Self::count_into).
+    pub(super) fn new(head: Head, classes: Classes, config: &DetectorConfig) -> Self {
+        Self {
+            head,
+            confidence: config.confidence,
+            suppression: Suppression {
+                overlap: config.suppression_overlap,
+                per_class: config.suppression_per_class,
+                most: config.most_detections,
+            },
+            classes,
+            candidates: Vec::new(),
+            counters: Arc::default(),
+        }
+    }
+
+    /// Counts into `counters` from now on.
+    pub(super) fn count_into(&mut self, counters: Arc<HeadCounters>) {
+        self.counters = counters;
+    }
+
+    pub(super) fn head_name(&self) -> HeadName {
+        self.head.name
+    }
+
+    /// The names of the reported classes, by the number they are reported under.
+    pub(super) fn class_names(&self) -> &[String] {
+        &self.classes.reported
+    }
+
+    /// What was found in the model's output and not reported.
+    pub(super) fn counts(&self) -> HeadCounts {
+        self.counters.counts()
+    }
+
+    /// What is found in the output for one picture.
+    ///
+    /// # Errors
+    /// When the output is not of the shape the model announced.
+    pub(super) fn read(
+        &mut self,
+        outputs: &[TensorView<'_>],
+        mapping: InputMapping,
+    ) -> Result<Vec<Detection>, RunError> {
+        self.candidates.clear();
+        let rejected = self
+            .head
+            .read(outputs, self.confidence, &mut self.candidates)
+            .map_err(RunError)?;
+        Ok(self.detections(mapping, rejected))
+    }
+
+    /// The candidates that stay, as detections in the source picture; counts what does not, with the `rejected`.
+    fn detections(&mut self, mapping: InputMapping, rejected: u64) -> Vec<Detection> {
+        let mut counts = HeadCounts {
+            rejected,
+            ..HeadCounts::default()
+        };
+        let classes = &self.classes;
+        self.candidates.retain_mut(|candidate| {
+            let Some(reported) = classes.reported_as(candidate.class) else {
+                counts.unknown_class += 1;
+                return false;
+            };
+            if let Some(class) = reported {
+                candidate.class = class;
+            }
+            reported.is_some()
+        });
+        counts.over_limit = if self.head.overlaps {
+            suppress(&mut self.candidates, self.suppression)
+        } else {
+            keep_best(&mut self.candidates, self.suppression.most)
+        };
+        let detections: Vec<_> = self
+            .candidates
+            .iter()
+            .filter_map(|candidate| detection(candidate, mapping))
+            .collect();
+        counts.outside = (self.candidates.len() - detections.len()) as u64;
+        self.counters.add(counts);
+        detections
+    }
+}
+
+/// The candidate clipped to the source picture; `None` when nothing of it is inside.
+fn detection(candidate: &Candidate, mapping: InputMapping) -> Option<Detection> {
+    let corners = mapping.to_source(candidate.corners).corners();
+    let clipped = Corners {
+        x1: corners.x1.clamp(0.0, 1.0),
+        y1: corners.y1.clamp(0.0, 1.0),
+        x2: corners.x2.clamp(0.0, 1.0),
+        y2: corners.y2.clamp(0.0, 1.0),
+    };
+    (clipped.area() > 0.0).then(|| Detection {
+        bounding_box: clipped.normalise(albireo_core::geometry::PictureSize::new(1, 1)),
+        class: candidate.class,
+        confidence: f64::from(candidate.confidence),
+    })
+}
+
+/// The outputs of one run for several pictures, taken apart: each picture has all outputs with a batch of 1.
+pub(super) struct Parts {
+    shapes: Vec<Vec<i64>>,
+    pictures: usize,
+}
+
+impl Parts {
+    /// For a run of `pictures`.
+    ///
+    /// # Errors
+    /// When an output is of another number of pictures.
+    pub(super) fn of(outputs: &[TensorView<'_>], pictures: usize) -> Result<Self, RunError> {
+        let shape_of_one = |output: &TensorView<'_>| match output.shape {
+            [batch, rest @ ..] if usize::try_from(*batch) == Ok(pictures) => {
+                Ok([&[1], rest].concat())
+            }
+            shape => Err(RunError(format!(
+                "the model gave an output of {} for {pictures} pictures",
+                shape_text(shape)
+            ))),
+        };
+        Ok(Self {
+            shapes: outputs.iter().map(shape_of_one).collect::<Result<_, _>>()?,
+            pictures,
+        })
+    }
+
+    /// The outputs of picture number `picture`.
+    pub(super) fn get<'a>(
+        &'a self,
+        outputs: &[TensorView<'a>],
+        picture: usize,
+    ) -> Vec<TensorView<'a>> {
+        let part = |(output, shape): (&TensorView<'a>, &'a Vec<i64>)| {
+            let length = output.values.len() / self.pictures;
+            TensorView {
+                shape,
+                values: &output.values[picture * length..][..length],
+            }
+        };
+        outputs.iter().zip(&self.shapes).map(part).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn outputs_of_a_batch_are_taken_apart_picture_by_picture() {
+        let boxes: Vec<f32> = (0..12).map(|value| value as f32).collect();
+        let scores = [0.5, 0.6];
+        let outputs = [
+            TensorView {
+                shape: &[2, 3, 2],
+                values: &boxes,
+            },
+            TensorView {
+                shape: &[2, 1],
+                values: &scores,
+            },
+        ];
+        let parts = Parts::of(&outputs, 2).unwrap();
+        let second = parts.get(&outputs, 1);
+        assert_eq!(second[0].shape, [1, 3, 2]);
+        assert_eq!(second[0].values, [6.0, 7.0, 8.0, 9.0, 10.0, 11.0]);
+        assert_eq!(
+            (second[1].shape, second[1].values),
+            (&[1, 1][..], &[0.6][..])
+        );
+        let error = Parts::of(&outputs, 3).err().unwrap().to_string();
+        assert!(error.contains("[2, 3, 2] for 3 pictures"), "{error}");
+    }
+}

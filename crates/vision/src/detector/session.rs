@@ -1,0 +1,294 @@
+//! One ONNX Runtime session: from a file to something that takes a tensor and gives tensors.
+
+use super::head::TensorView;
+use super::model::Interrupter;
+use super::sessions::{Entry, SESSIONS};
+use super::{
+    ElementType, ExecutionProvider, GpuConfig, Metadata, RunError, Signature, StartError,
+    TensorSpec,
+};
+use super::{fault, onnxruntime, provider};
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+use ort::environment::Environment;
+use ort::logging::LogLevel;
+use ort::session::{RunOptions, Session};
+use ort::value::{DynValue, Outlet, TensorElementType, TensorRef, ValueType};
+use std::borrow::Cow;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use tracing::warn;
+
+/// What a session is made from.
+#[derive(Clone, Debug)]
+pub struct SessionSettings {
+    /// ONNX file.
+    pub model: PathBuf,
+    /// In order of preference.
+    pub providers: Vec<ExecutionProvider>,
+    /// Whether a later one may stand in for the first.
+    pub may_fall_back: bool,
+    /// What a provider on a GPU is told.
+    pub gpu: GpuConfig,
+    /// Threads inside one run; 0 for one less than the machine has cores.
+    pub threads: usize,
+    /// The library, if it is named.
+    pub onnxruntime: Option<PathBuf>,
+}
+
+/// A loaded model with what runs it.
+pub struct OnnxSession {
+    session: Session,
+    options: Arc<RunOptions>,
+    signature: Signature,
+    provider: ExecutionProvider,
+    /// The pictures of a batch one after the other, in the model's own element type.
+    floats: Vec<f32>,
+    halves: Vec<f16>,
+    bytes: Vec<u8>,
+    /// The last field: the session is gone when this goes.
+    _entry: Entry<'static>,
+}
+
+impl OnnxSession {
+    /// Loads the model with the first execution provider that works.
+    ///
+    /// # Errors
+    /// When there is no library, no readable model, or no provider as configured.
+    pub fn open(settings: &SessionSettings) -> Result<Self, StartError> {
+        // Told apart from what ONNX Runtime says of a damaged model.
+        if let Err(error) = std::fs::File::open(&settings.model) {
+            return Err(StartError::ModelUnreadable {
+                path: settings.model.clone(),
+                reason: error.to_string(),
+            });
+        }
+        if let Some(folder) = &settings.gpu.engine_cache
+            && settings.providers.contains(&ExecutionProvider::TensorRt)
+        {
+            std::fs::create_dir_all(folder).map_err(|error| StartError::Configuration {
+                key: "detector.gpu.engine_cache".to_owned(),
+                reason: format!("{} cannot be made: {error}", folder.display()),
+            })?;
+        }
+        let environment = onnxruntime::environment(settings.onnxruntime.as_deref())?;
+        provider::first_that_works(&settings.providers, settings.may_fall_back, |provider| {
+            Self::open_with(&environment, settings, provider)
+        })
+    }
+
+    fn open_with(
+        environment: &Environment,
+        settings: &SessionSettings,
+        provider: ExecutionProvider,
+    ) -> Result<Self, StartError> {
+        let (session, options, entry) = build(environment, settings, provider)
+            .map_err(|error| refusal(&settings.model, provider, in_words(&error)))?;
+        let signature = Signature {
+            inputs: session.inputs().iter().map(spec).collect(),
+            outputs: session.outputs().iter().map(spec).collect(),
+            metadata: metadata(&session),
+        };
+        Ok(Self {
+            session,
+            options,
+            signature,
+            provider,
+            floats: Vec::new(),
+            halves: Vec::new(),
+            bytes: Vec::new(),
+            _entry: entry,
+        })
+    }
+
+    /// Names, types and shapes of the model's inputs and outputs.
+    pub fn signature(&self) -> &Signature {
+        &self.signature
+    }
+
+    /// What runs it.
+    pub fn provider(&self) -> ExecutionProvider {
+        self.provider
+    }
+
+    /// Asks a run in progress to end at the next node of the graph.
+    pub fn interrupter(&self) -> Interrupter {
+        let options = self.options.clone();
+        Arc::new(move || terminate(&options))
+    }
+
+    /// Runs the model on `pictures`, each given as float32 in `shape`, which is that of one; converted where
+    /// the model takes float16 or bytes. `read` gets the outputs in the order of the signature.
+    ///
+    /// # Errors
+    /// When ONNX Runtime fails, or an output is neither float32 nor float16.
+    pub fn run<R>(
+        &mut self,
+        mut shape: [i64; 4],
+        pictures: &[&[f32]],
+        read: impl FnOnce(&[TensorView<'_>]) -> R,
+    ) -> Result<R, RunError> {
+        let failed = |error: ort::Error| RunError(in_words(&error));
+        let Self {
+            session,
+            options,
+            signature,
+            floats,
+            halves,
+            bytes,
+            ..
+        } = self;
+        shape[0] = i64::try_from(pictures.len()).unwrap_or(i64::MAX);
+        let input = match signature.inputs.first().map(|input| &input.element) {
+            Some(ElementType::Float16) => {
+                halves.resize(pictures.iter().map(|values| values.len()).sum(), f16::ZERO);
+                let mut place = 0;
+                for values in pictures {
+                    // Eight at a time where the processor can, which one after the other are not.
+                    halves[place..][..values.len()].convert_from_f32_slice(values);
+                    place += values.len();
+                }
+                TensorRef::from_array_view((shape, halves.as_slice())).map(TensorRef::into_dyn)
+            }
+            Some(ElementType::Uint8) => {
+                bytes.clear();
+                let values = pictures.iter().copied().flatten();
+                bytes.extend(values.map(|&value| value.round() as u8));
+                TensorRef::from_array_view((shape, bytes.as_slice())).map(TensorRef::into_dyn)
+            }
+            _ => {
+                // A single picture is taken where it is.
+                let values = match pictures {
+                    [one] => one,
+                    several => {
+                        floats.clear();
+                        several
+                            .iter()
+                            .for_each(|values| floats.extend_from_slice(values));
+                        floats.as_slice()
+                    }
+                };
+                TensorRef::from_array_view((shape, values)).map(TensorRef::into_dyn)
+            }
+        }
+        .map_err(failed)?;
+        let outputs = session
+            .run_with_options(ort::inputs![input], &**options)
+            .map_err(failed)?;
+        let read_out = (0..outputs.len())
+            .map(|index| elements(&outputs[index]))
+            .collect::<Result<Vec<_>, _>>()
+            .map_err(failed)?;
+        let views: Vec<_> = read_out
+            .iter()
+            .map(|(shape, values)| TensorView { shape, values })
+            .collect();
+        Ok(read(&views))
+    }
+}
+
+/// What ONNX Runtime said, for people.
+fn in_words(error: &ort::Error) -> String {
+    fault::in_words(error.message())
+}
+
+/// Shape and elements of an output, float16 widened.
+fn elements(output: &DynValue) -> ort::Result<(&[i64], Cow<'_, [f32]>)> {
+    if let Ok((shape, halves)) = output.try_extract_tensor::<f16>() {
+        let mut values = vec![0.0; halves.len()];
+        halves.convert_to_f32_slice(&mut values);
+        return Ok((shape, Cow::Owned(values)));
+    }
+    let (shape, values) = output.try_extract_tensor::<f32>()?;
+    Ok((shape, Cow::Borrowed(values)))
+}
+
+/// What the file carries beside the graph; nothing where that cannot be read.
+fn metadata(session: &Session) -> Metadata {
+    let Ok(metadata) = session.metadata() else {
+        return Metadata::default();
+    };
+    let keys = metadata.custom_keys().unwrap_or_default();
+    Metadata::new(
+        keys.into_iter()
+            .filter_map(|key| metadata.custom(&key).map(|value| (key, value))),
+    )
+}
+
+fn terminate(options: &RunOptions) {
+    if let Err(error) = options.terminate() {
+        warn!(%error, "a run could not be asked to end");
+    }
+}
+
+fn build(
+    environment: &Environment,
+    settings: &SessionSettings,
+    provider: ExecutionProvider,
+) -> ort::Result<(Session, Arc<RunOptions>, Entry<'static>)> {
+    let threads = match settings.threads {
+        0 => std::thread::available_parallelism().map_or(1, |cores| (cores.get() - 1).max(1)),
+        threads => threads,
+    };
+    let mut builder = Session::builder(environment)?
+        .with_log_level(LogLevel::Warning)?
+        .with_intra_threads(threads)?
+        .with_inter_threads(1)?
+        // Threads that spin between runs take the core from the rest of the program.
+        .with_intra_op_spinning(false)?;
+    let registrations = provider::registrations(provider, &settings.providers, &settings.gpu);
+    if !registrations.is_empty() {
+        builder = builder.with_execution_providers(registrations)?;
+    }
+    let (options, canceler) = (Arc::new(RunOptions::new()?), builder.canceler());
+    let entry = SESSIONS.enter({
+        let options = options.clone();
+        Arc::new(move || {
+            if let Err(error) = canceler.cancel() {
+                warn!(%error, "a model could not be asked to load no further");
+            }
+            terminate(&options);
+        })
+    });
+    let session = builder.commit_from_file(&settings.model)?;
+    Ok((session, options, entry))
+}
+
+/// A device that is missing shows only when the session is made, so with any other provider than the CPU the
+/// provider is named; on the CPU it can only be the model.
+fn refusal(model: &Path, provider: ExecutionProvider, reason: String) -> StartError {
+    match provider {
+        ExecutionProvider::Cpu => StartError::ModelUnreadable {
+            path: model.to_owned(),
+            reason,
+        },
+        ExecutionProvider::Cuda | ExecutionProvider::TensorRt => StartError::ProviderUnavailable {
+            provider: provider.as_str(),
+            reason,
+        },
+    }
+}
+
+fn spec(outlet: &Outlet) -> TensorSpec {
+    let (element, shape) = match outlet.dtype() {
+        ValueType::Tensor { ty, shape, .. } => {
+            let element = match ty {
+                TensorElementType::Float32 => ElementType::Float32,
+                TensorElementType::Float16 => ElementType::Float16,
+                TensorElementType::Uint8 => ElementType::Uint8,
+                // As ONNX names them: int8, int64, bool.
+                other => ElementType::Other(format!("{other:?}").to_lowercase()),
+            };
+            (element, shape.to_vec())
+        }
+        other => (
+            ElementType::Other(format!("not a tensor ({other})")),
+            Vec::new(),
+        ),
+    };
+    TensorSpec {
+        name: outlet.name().to_owned(),
+        element,
+        shape,
+    }
+}

@@ -1,0 +1,226 @@
+//! What a model says about itself: names, element types and shapes of its inputs and outputs, and metadata.
+
+use super::Metadata;
+use crate::picture::TensorLayout;
+use albireo_core::geometry::PictureSize;
+use std::fmt;
+
+/// The most pixels an input may have: 200 MB as float32. A hostile file can ask for no more.
+const MOST_PIXELS: u64 = 4096 * 4096;
+
+/// The type of a tensor's elements, as far as it matters here.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum ElementType {
+    /// IEEE 754 binary32.
+    Float32,
+    /// IEEE 754 binary16.
+    Float16,
+    /// Bytes: pixel values as they are.
+    Uint8,
+    /// Anything else, in words.
+    Other(String),
+}
+
+impl ElementType {
+    /// Whether the elements are floating-point numbers that can be read.
+    pub fn is_float(&self) -> bool {
+        matches!(self, Self::Float32 | Self::Float16)
+    }
+}
+
+/// One input or output of a model.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct TensorSpec {
+    /// Its name in the graph.
+    pub name: String,
+    /// Type of its elements.
+    pub element: ElementType,
+    /// Its dimensions; -1 where the model leaves one open.
+    pub shape: Vec<i64>,
+}
+
+/// The inputs and outputs of a model, and the text it carries.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Signature {
+    /// What it takes.
+    pub inputs: Vec<TensorSpec>,
+    /// What it gives.
+    pub outputs: Vec<TensorSpec>,
+    /// What else its file says.
+    pub metadata: Metadata,
+}
+
+/// A picture input: batch 1, three colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PictureInput {
+    /// Columns and rows.
+    pub size: PictureSize,
+    /// Whether the colours come before or after rows and columns.
+    pub layout: TensorLayout,
+    /// Whether it takes bytes, which are then pixel values from 0 to 255.
+    pub takes_bytes: bool,
+}
+
+impl Signature {
+    /// The model's one picture input: float32, float16 or uint8, `[1, 3, rows, columns]` or
+    /// `[1, rows, columns, 3]`. An open batch dimension counts as 1. Sides that the model leaves open are
+    /// those of `wanted`, else of the metadata.
+    ///
+    /// # Errors
+    /// What is wrong with the inputs or with `wanted`, in words.
+    pub fn picture_input(&self, wanted: Option<PictureSize>) -> Result<PictureInput, String> {
+        let [input] = self.inputs.as_slice() else {
+            return Err(format!(
+                "it has {} inputs instead of one",
+                self.inputs.len()
+            ));
+        };
+        if let ElementType::Other(name) = &input.element {
+            return Err(format!(
+                "the elements of its input are {name} instead of float32, float16 or uint8"
+            ));
+        }
+        let (layout, rows, columns) = match *input.shape.as_slice() {
+            [batch, 3, rows, columns] => Ok((batch, TensorLayout::Nchw, rows, columns)),
+            [batch, rows, columns, 3] => Ok((batch, TensorLayout::Nhwc, rows, columns)),
+            _ => {
+                Err("its input is neither [1, 3, rows, columns] nor [1, rows, columns, 3]".into())
+            }
+        }
+        .and_then(|(batch, layout, rows, columns)| match batch {
+            1 | -1 => Ok((layout, rows, columns)),
+            _ => Err(format!(
+                "its input takes {batch} pictures at once; export it with a batch of 1 or an open one"
+            )),
+        })?;
+        let offered = wanted.or_else(|| self.metadata.image_size());
+        let size = PictureSize::new(
+            side(columns, offered.map(|size| size.width))?,
+            side(rows, offered.map(|size| size.height))?,
+        );
+        match wanted {
+            Some(wanted) if wanted != size => {
+                Err(format!("its input is {size} and cannot be {wanted}"))
+            }
+            _ if size.pixels() > MOST_PIXELS => Err(format!(
+                "its input of {size} has more than 4096x4096 pixels"
+            )),
+            _ => Ok(PictureInput {
+                size,
+                layout,
+                takes_bytes: input.element == ElementType::Uint8,
+            }),
+        }
+    }
+
+    /// The model's one output, which must be float32 or float16.
+    ///
+    /// # Errors
+    /// What is wrong with the outputs, in words.
+    pub fn only_output(&self) -> Result<&TensorSpec, String> {
+        let [output] = self.outputs.as_slice() else {
+            return Err(format!(
+                "it has {} outputs instead of one",
+                self.outputs.len()
+            ));
+        };
+        output.float()
+    }
+
+    /// The output of that name, which must be float32 or float16, and its place.
+    ///
+    /// # Errors
+    /// When there is none, or it has other elements, in words.
+    pub fn output(&self, name: &str) -> Result<(usize, &TensorSpec), String> {
+        let found = self
+            .outputs
+            .iter()
+            .enumerate()
+            .find(|(_, output)| output.name == name);
+        match found {
+            Some((place, output)) => Ok((place, output.float()?)),
+            None => Err(format!("it has no output `{name}`")),
+        }
+    }
+}
+
+impl TensorSpec {
+    fn float(&self) -> Result<&Self, String> {
+        if self.element.is_float() {
+            Ok(self)
+        } else {
+            Err(format!(
+                "the elements of its output `{}` are {} instead of float32 or float16",
+                self.name, self.element
+            ))
+        }
+    }
+}
+
+/// A side of the input: as the model has it, else as it was offered.
+fn side(model: i64, offered: Option<u32>) -> Result<u32, String> {
+    let value = match (model, offered) {
+        (-1, Some(side)) => i64::from(side),
+        (-1, None) => {
+            return Err("its input size is open; name one in detector.input_size".to_owned());
+        }
+        (side, _) => side,
+    };
+    u32::try_from(value)
+        .ok()
+        .filter(|side| (1..=8192).contains(side))
+        .ok_or_else(|| "the sides of its input are not between 1 and 8192".to_owned())
+}
+
+impl fmt::Display for ElementType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Float32 => "float32",
+            Self::Float16 => "float16",
+            Self::Uint8 => "uint8",
+            Self::Other(name) => name,
+        })
+    }
+}
+
+impl fmt::Display for TensorSpec {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "`{}` {} {}",
+            self.name,
+            self.element,
+            shape_text(&self.shape)
+        )
+    }
+}
+
+/// A shape as messages have it: `[1, 3, ?, ?]`.
+pub fn shape_text(shape: &[i64]) -> String {
+    let sides: Vec<_> = shape
+        .iter()
+        .map(|side| match side {
+            -1 => "?".to_owned(),
+            side => side.to_string(),
+        })
+        .collect();
+    format!("[{}]", sides.join(", "))
+}
+
+impl fmt::Display for Signature {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let list = |specs: &[TensorSpec]| {
+            specs
+                .iter()
+                .map(ToString::to_string)
+                .collect::<Vec<_>>()
+                .join(" and ")
+        };
+        write!(
+            f,
+            "input {} and output {}",
+            list(&self.inputs),
+            list(&self.outputs)
+        )
+    }
+}

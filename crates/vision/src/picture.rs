@@ -1,0 +1,27 @@
+//! Picture formats: reading headers, decoding within limits, letterbox.
+
+mod decode;
+mod decode_jpeg;
+#[cfg(feature = "turbojpeg")]
+mod decode_jpeg_scaled;
+mod decode_png;
+mod decode_raw;
+mod fault;
+mod files;
+mod format;
+mod header;
+mod letterbox;
+mod limits;
+
+pub use decode::{decode, decode_grey_half, decode_small_grey, to_jpeg};
+pub use fault::FrameFault;
+pub use files::{PictureFileError, is_picture_file, picture_files, read_picture_file};
+pub use format::{EncodedPicture, Picture, PictureFormat, PixelLayout};
+pub use header::{format_of, picture_of_file, picture_of_kind};
+pub use letterbox::{ColorOrder, Fit, InputFormat, Letterbox, TensorLayout, ValueRange};
+pub use letterbox::{InputMapping, LetterboxError};
+pub use limits::{FrameLimits, check_payload, check_picture, check_raw_length};
+
+/// Most scans of a progressive JPEG file; encoders use about ten. Each costs a pass over the picture, and a small
+/// file can hold many.
+const MAX_SCANS: u32 = 32;

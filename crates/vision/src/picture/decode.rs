@@ -1,0 +1,216 @@
+//! From an encoded picture to pixels.
+
+#[cfg(feature = "turbojpeg")]
+use super::decode_jpeg_scaled;
+use super::limits::{check_payload, check_picture, check_raw_length, decoded_bytes};
+use super::{
+    EncodedPicture, FrameFault, FrameLimits, Picture, PictureFormat, PixelLayout, decode_jpeg,
+    decode_png, decode_raw,
+};
+use albireo_core::geometry::PictureSize;
+use bytes::Bytes;
+
+/// Quality of a JPEG file made for people to look at.
+const JPEG_QUALITY: u8 = 85;
+
+/// Decodes `picture` into `into`, whose buffer is reused.
+///
+/// `target`: the size the picture will be scaled to next. A JPEG file that is at least twice as large in both
+/// directions is then scaled by a half, a quarter or an eighth while it is decoded, never below `target`, if
+/// the program was built with the feature `turbojpeg`.
+///
+/// Grey is luma as BT.601 weighs it, full range. Alpha is not looked at. Samples of 16 bits keep their
+/// upper eight.
+///
+/// # Errors
+/// [`FrameFault`] when a limit is exceeded or the picture is broken, also when only its end is missing.
+/// The pixels of `into` mean nothing then.
+pub fn decode(
+    picture: &EncodedPicture,
+    limits: &FrameLimits,
+    layout: PixelLayout,
+    target: Option<PictureSize>,
+    into: &mut Picture,
+) -> Result<(), FrameFault> {
+    check_payload(picture.bytes.len(), limits)?;
+    check_picture(picture.size, limits)?;
+    #[cfg(feature = "turbojpeg")]
+    if let (PictureFormat::Jpeg, Some(target)) = (picture.format, target)
+        && let Some(scale) = decode_jpeg_scaled::Scale::towards(target, picture.size)
+    {
+        let decode = || decode_jpeg_scaled::decode(picture, scale, layout, into);
+        if contain("JPEG", decode)? {
+            return Ok(());
+        }
+    }
+    #[cfg(not(feature = "turbojpeg"))]
+    let _ = target;
+    let length = decoded_bytes(picture.size, layout.channels(), limits)?;
+    into.size = picture.size;
+    into.source_size = picture.size;
+    into.layout = layout;
+    make_room(&mut into.pixels, length)?;
+    let pixels = into.pixels.as_mut_slice();
+    match picture.format {
+        PictureFormat::Jpeg => contain("JPEG", || decode_jpeg::decode(picture, layout, pixels)),
+        PictureFormat::Png => contain("PNG", || {
+            decode_png::decode(picture, limits, layout, pixels)
+        }),
+        _ => {
+            check_raw_length(picture.format, picture.size, picture.bytes.len())?;
+            decode_raw::decode(picture, layout, pixels);
+            Ok(())
+        }
+    }
+}
+
+/// A buffer may be so many times too large and is kept; beyond that its memory is given back.
+const KEPT_TIMES: usize = 4;
+
+/// A buffer of this size is kept whatever it is needed for.
+const KEPT_BYTES: usize = 16 << 20;
+
+/// Makes `buffer` as long as a picture needs it. After one huge picture the memory is given back; where there is none
+/// for this one, only this one is lost.
+pub(super) fn make_room(buffer: &mut Vec<u8>, length: usize) -> Result<(), FrameFault> {
+    if buffer.capacity() > KEPT_BYTES && buffer.capacity() / KEPT_TIMES > length {
+        *buffer = Vec::new();
+    }
+    let more = length.saturating_sub(buffer.len());
+    buffer.try_reserve_exact(more).map_err(|_| {
+        FrameFault::oversized(format!(
+            "there is no memory for a picture of {length} bytes"
+        ))
+    })?;
+    buffer.resize(length, 0);
+    Ok(())
+}
+
+/// Turns a panic of a third-party decoder into a fault: they are fed bytes from the network, and a bug
+/// that one odd picture finds must not end the service. What the closure leaves behind is pixels only.
+fn contain<T>(
+    decoder: &str,
+    decode: impl FnOnce() -> Result<T, FrameFault>,
+) -> Result<T, FrameFault> {
+    std::panic::catch_unwind(std::panic::AssertUnwindSafe(decode)).unwrap_or_else(|_| {
+        Err(FrameFault::undecodable(format!(
+            "the {decoder} decoder gave up on the picture in an unforeseen way"
+        )))
+    })
+}
+
+/// Decodes `picture` in grey and halves it in each direction: every grey value is the mean of a square
+/// of four, rounded. An odd last row or column is left out.
+///
+/// # Errors
+/// As [`decode`], and for a picture with a side of one pixel, which has no half.
+pub fn decode_grey_half(
+    picture: &EncodedPicture,
+    limits: &FrameLimits,
+    into: &mut Picture,
+) -> Result<(), FrameFault> {
+    decode(picture, limits, PixelLayout::Gray8, None, into)?;
+    halve(into)
+}
+
+/// Decodes `picture` in grey at a whole fraction of its size (a half, a quarter, …), the smallest that leaves `width`
+/// columns; at its full size when it has less than twice as many. JPEG files are scaled while they are decoded, if the
+/// program was built with the feature `turbojpeg`.
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_small_grey(
+    picture: &EncodedPicture,
+    limits: &FrameLimits,
+    width: u32,
+    into: &mut Picture,
+) -> Result<(), FrameFault> {
+    let least = PictureSize::new(width.max(1), 1);
+    decode(picture, limits, PixelLayout::Gray8, Some(least), into)?;
+    while into.size.width / 2 >= least.width && into.size.height >= 2 {
+        halve(into)?;
+    }
+    Ok(())
+}
+
+/// Halves a grey picture in each direction, in place.
+fn halve(into: &mut Picture) -> Result<(), FrameFault> {
+    let PictureSize { width, height } = into.size;
+    let half = PictureSize::new(width / 2, height / 2);
+    if half.pixels() == 0 {
+        return Err(FrameFault::undecodable(format!(
+            "a picture of {width}x{height} has no half"
+        )));
+    }
+    let (row, half_row) = (width as usize, half.width as usize);
+    // In place: a value is always written before, in memory, what is still to be read.
+    for y in 0..half.height as usize {
+        for x in 0..half_row {
+            let at = 2 * y * row + 2 * x;
+            let sum = u16::from(into.pixels[at])
+                + u16::from(into.pixels[at + 1])
+                + u16::from(into.pixels[at + row])
+                + u16::from(into.pixels[at + row + 1]);
+            into.pixels[y * half_row + x] = ((sum + 2) / 4) as u8;
+        }
+    }
+    into.pixels.truncate(half_row * half.height as usize);
+    into.size = half;
+    Ok(())
+}
+
+/// The picture as a JPEG file: as it came when it is one, else encoded with quality 85.
+///
+/// # Errors
+/// As [`decode`].
+pub fn to_jpeg(picture: &EncodedPicture, limits: &FrameLimits) -> Result<Bytes, FrameFault> {
+    if picture.format == PictureFormat::Jpeg {
+        return Ok(picture.bytes.clone());
+    }
+    let (Ok(width), Ok(height)) = (
+        u16::try_from(picture.size.width),
+        u16::try_from(picture.size.height),
+    ) else {
+        return Err(FrameFault::oversized(format!(
+            "the picture is {}, a JPEG file holds at most 65535x65535",
+            picture.size
+        )));
+    };
+    let (layout, color) = if picture.format == PictureFormat::Gray8 {
+        (PixelLayout::Gray8, jpeg_encoder::ColorType::Luma)
+    } else {
+        (PixelLayout::Rgb8, jpeg_encoder::ColorType::Rgb)
+    };
+    let mut decoded = Picture::default();
+    decode(picture, limits, layout, None, &mut decoded)?;
+    let mut file = Vec::new();
+    jpeg_encoder::Encoder::new(&mut file, JPEG_QUALITY)
+        .encode(&decoded.pixels, width, height, color)
+        .map_err(|error| FrameFault::undecodable(format!("it cannot become a JPEG: {error}")))?;
+    Ok(Bytes::from(file))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_picture_for_which_there_is_no_memory_is_a_fault() {
+        let mut buffer = vec![1; 8];
+        let fault = make_room(&mut buffer, isize::MAX as usize).unwrap_err();
+        assert_eq!(fault.kind(), "oversized");
+        make_room(&mut buffer, 16).unwrap();
+        assert_eq!(buffer.len(), 16);
+    }
+
+    #[test]
+    fn the_memory_of_a_huge_picture_is_given_back() {
+        let mut buffer = Vec::new();
+        make_room(&mut buffer, 100 << 20).unwrap();
+        make_room(&mut buffer, 1 << 20).unwrap();
+        assert!(buffer.capacity() < 2 << 20, "{}", buffer.capacity());
+        make_room(&mut buffer, 8 << 20).unwrap();
+        make_room(&mut buffer, 1 << 20).unwrap();
+        assert!(buffer.capacity() >= 8 << 20, "{}", buffer.capacity());
+    }
+}

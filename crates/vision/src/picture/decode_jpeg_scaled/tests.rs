@@ -1,0 +1,107 @@
+//! Decoding to fewer pixels: how many, which, and that broken files are refused as at full size.
+
+use super::*;
+use crate::picture::{FrameLimits, PictureFormat, decode};
+use albireo_synth::{Dashcam, DashcamSettings};
+use bytes::Bytes;
+
+fn dashcam(size: PictureSize) -> EncodedPicture {
+    let mut dashcam = Dashcam::new(DashcamSettings {
+        seed: 5,
+        size,
+        ..DashcamSettings::default()
+    })
+    .unwrap();
+    EncodedPicture {
+        format: PictureFormat::Jpeg,
+        bytes: dashcam.frame(10).encode_jpeg(90).unwrap().into(),
+        size,
+    }
+}
+
+fn decoded(
+    picture: &EncodedPicture,
+    layout: PixelLayout,
+    target: Option<PictureSize>,
+) -> Result<Picture, FrameFault> {
+    let mut into = Picture::default();
+    decode(picture, &FrameLimits::default(), layout, target, &mut into)?;
+    Ok(into)
+}
+
+#[test]
+fn scaled_pictures_are_never_smaller_than_what_they_are_for() {
+    let source = PictureSize::new(1280, 720);
+    for (target, expected) in [
+        ([640, 360], Some([640, 360])),
+        ([641, 360], None),
+        ([640, 361], None),
+        ([416, 234], Some([640, 360])),
+        ([320, 180], Some([320, 180])),
+        ([64, 36], Some([160, 90])),
+        ([1280, 720], None),
+        ([4000, 10], None),
+    ] {
+        let scale = Scale::towards(PictureSize::new(target[0], target[1]), source);
+        let size = scale.map(|scale| [scale.size.width, scale.size.height]);
+        assert_eq!(size, expected, "{target:?}");
+    }
+    // Sides that do not divide are rounded up.
+    let odd = Scale::towards(PictureSize::new(300, 100), PictureSize::new(641, 359)).unwrap();
+    assert_eq!(odd.size, PictureSize::new(321, 180));
+}
+
+#[test]
+fn scaled_decoding_gives_the_mean_of_the_pixels_it_stands_for() {
+    let picture = dashcam(PictureSize::new(642, 358));
+    for layout in [PixelLayout::Rgb8, PixelLayout::Gray8] {
+        let full = decoded(&picture, layout, None).unwrap();
+        let half = decoded(&picture, layout, Some(PictureSize::new(300, 100))).unwrap();
+        assert_eq!(full.size, picture.size);
+        assert_eq!(half.size, PictureSize::new(321, 179));
+        assert_eq!(half.source_size, picture.size);
+        let channels = layout.channels();
+        let at = |x: usize, y: usize, channel| {
+            i32::from(full.pixels[(y * full.size.width as usize + x) * channels + channel])
+        };
+        let (mut sum, mut count) = (0.0, 0.0);
+        for (index, &value) in half.pixels.iter().enumerate() {
+            let (pixel, channel) = (index / channels, index % channels);
+            let (x, y) = (2 * (pixel % 321), 2 * (pixel / 321));
+            let mean = [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)]
+                .map(|(x, y)| at(x, y, channel))
+                .iter()
+                .sum::<i32>() as f64
+                / 4.0;
+            sum += (f64::from(value) - mean).abs();
+            count += 1.0;
+        }
+        // Less where no chroma has to be scaled.
+        assert!(sum / count < 2.0, "{layout:?}: {} grey levels", sum / count);
+    }
+}
+
+#[test]
+fn scaled_decoding_refuses_a_file_that_is_cut_short_or_damaged() {
+    let picture = dashcam(PictureSize::new(640, 360));
+    let target = Some(PictureSize::new(320, 180));
+    assert!(decoded(&picture, PixelLayout::Rgb8, target).is_ok());
+    let half = EncodedPicture {
+        bytes: Bytes::copy_from_slice(&picture.bytes[..picture.bytes.len() / 2]),
+        ..picture.clone()
+    };
+    assert!(decoded(&half, PixelLayout::Rgb8, target).is_err());
+    // The end is there, and pixels before it are not.
+    let mut without_middle = picture.bytes[..picture.bytes.len() / 2].to_vec();
+    without_middle.extend([0xFF, 0xD9]);
+    let damaged = EncodedPicture {
+        bytes: without_middle.into(),
+        ..picture.clone()
+    };
+    assert!(decoded(&damaged, PixelLayout::Rgb8, target).is_err());
+    let other_size = EncodedPicture {
+        size: PictureSize::new(1280, 720),
+        ..picture
+    };
+    assert!(decoded(&other_size, PixelLayout::Rgb8, target).is_err());
+}

@@ -1,0 +1,159 @@
+//! Pictures from files: which files of a folder are pictures, in which order, and one of them as a camera would
+//! send it.
+
+use super::{EncodedPicture, FrameFault, FrameLimits, picture_of_file};
+use bytes::Bytes;
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// Why there is no picture to be had from a file or folder.
+#[derive(Debug, Error)]
+pub enum PictureFileError {
+    /// It cannot be read.
+    #[error("{}: cannot be read", path.display())]
+    Unreadable {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The folder has no pictures.
+    #[error("{}: no .jpg, .jpeg or .png files in it", .0.display())]
+    NoPictures(PathBuf),
+    /// The file holds nothing that a node takes.
+    #[error("{}: not a picture that can be sent", path.display())]
+    NotAPicture {
+        /// The file.
+        path: PathBuf,
+        /// What a node would answer.
+        source: FrameFault,
+    },
+}
+
+/// Whether the file's name is that of a JPEG or PNG file.
+pub fn is_picture_file(path: &Path) -> bool {
+    path.extension()
+        .and_then(|extension| extension.to_str())
+        .is_some_and(|extension| {
+            ["jpg", "jpeg", "png"]
+                .iter()
+                .any(|known| extension.eq_ignore_ascii_case(known))
+        })
+}
+
+/// The JPEG and PNG files of a folder, ordered by name with numbers by value (`9.jpg` before `10.jpg`); or the
+/// one file that `path` is.
+///
+/// # Errors
+/// When the folder cannot be read or has no pictures.
+pub fn picture_files(path: &Path) -> Result<Vec<PathBuf>, PictureFileError> {
+    if !path.is_dir() {
+        return Ok(vec![path.to_path_buf()]);
+    }
+    let unreadable = |source| PictureFileError::Unreadable {
+        path: path.to_path_buf(),
+        source,
+    };
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(path).map_err(unreadable)? {
+        let file = entry.map_err(unreadable)?.path();
+        if is_picture_file(&file) && file.is_file() {
+            files.push(file);
+        }
+    }
+    if files.is_empty() {
+        return Err(PictureFileError::NoPictures(path.to_path_buf()));
+    }
+    files.sort_by_cached_key(|file| natural_key(file));
+    Ok(files)
+}
+
+/// The file's name in parts that compare as people count: text as text, digits by value.
+fn natural_key(file: &Path) -> Vec<(String, u64, String)> {
+    let name = file.file_name().unwrap_or_default().to_string_lossy();
+    let mut parts = Vec::new();
+    let mut rest = name.as_ref();
+    while !rest.is_empty() {
+        let text_end = rest
+            .find(|c: char| c.is_ascii_digit())
+            .unwrap_or(rest.len());
+        let (text, after) = rest.split_at(text_end);
+        let digits_end = after
+            .find(|c: char| !c.is_ascii_digit())
+            .unwrap_or(after.len());
+        let (digits, after) = after.split_at(digits_end);
+        parts.push((
+            text.to_owned(),
+            digits.parse().unwrap_or(u64::MAX),
+            digits.to_owned(),
+        ));
+        rest = after;
+    }
+    parts
+}
+
+/// Reads a file, and its header as a node would.
+///
+/// # Errors
+/// When it cannot be read, or is not a picture that a node takes.
+pub fn read_picture_file(path: &Path) -> Result<EncodedPicture, PictureFileError> {
+    let bytes = std::fs::read(path).map_err(|source| PictureFileError::Unreadable {
+        path: path.to_path_buf(),
+        source,
+    })?;
+    picture_of_file(Bytes::from(bytes), &FrameLimits::default()).map_err(|source| {
+        PictureFileError::NotAPicture {
+            path: path.to_path_buf(),
+            source,
+        }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_come_in_the_order_people_count_and_other_files_are_passed_over() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in [
+            "f10.jpg",
+            "f9.jpg",
+            "f9b.PNG",
+            "notes.txt",
+            "a2.jpeg",
+            "f010.jpg",
+        ] {
+            std::fs::write(folder.path().join(name), b"").unwrap();
+        }
+        std::fs::create_dir(folder.path().join("sub.jpg")).unwrap();
+        let files = picture_files(folder.path()).unwrap();
+        let names: Vec<_> = files
+            .iter()
+            .map(|file| file.file_name().unwrap().to_str().unwrap())
+            .collect();
+        assert_eq!(
+            names,
+            ["a2.jpeg", "f9.jpg", "f9b.PNG", "f010.jpg", "f10.jpg"]
+        );
+    }
+
+    #[test]
+    fn a_folder_without_pictures_a_broken_picture_and_a_missing_one_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let error = picture_files(folder.path()).unwrap_err();
+        assert!(error.to_string().contains("no .jpg"), "{error}");
+        let broken = folder.path().join("x.jpg");
+        std::fs::write(&broken, b"GIF89a").unwrap();
+        let error = read_picture_file(&broken).unwrap_err();
+        assert!(
+            error.to_string().contains("x.jpg: not a picture"),
+            "{error}"
+        );
+        let error = read_picture_file(&folder.path().join("gone.jpg")).unwrap_err();
+        assert!(
+            error.to_string().contains("gone.jpg: cannot be read"),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,269 @@
+//! What the first bytes of a JPEG or PNG file tell without decoding it.
+
+use super::limits::{check_payload, check_picture};
+use super::{EncodedPicture, FrameFault, FrameLimits, PictureFormat};
+use albireo_core::geometry::PictureSize;
+use bytes::Bytes;
+
+const PNG_SIGNATURE: &[u8] = b"\x89PNG\r\n\x1a\n";
+/// Start of image, then the first byte of the next marker.
+const JPEG_SIGNATURE: &[u8] = &[0xFF, 0xD8, 0xFF];
+
+const START_OF_SCAN: u8 = 0xDA;
+const END_OF_IMAGE: u8 = 0xD9;
+
+/// JPEG or PNG, by the file's first bytes.
+pub fn format_of(bytes: &[u8]) -> Option<PictureFormat> {
+    if bytes.starts_with(JPEG_SIGNATURE) {
+        Some(PictureFormat::Jpeg)
+    } else if bytes.starts_with(PNG_SIGNATURE) {
+        Some(PictureFormat::Png)
+    } else {
+        None
+    }
+}
+
+/// The size a PNG file's `IHDR` chunk states (W3C PNG, section 11.2.1: always the first chunk).
+pub(super) fn png_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
+    let broken = |what: &str| FrameFault::undecodable(format!("the PNG file {what}"));
+    let rest = bytes
+        .strip_prefix(PNG_SIGNATURE)
+        .ok_or_else(|| broken("does not begin with the PNG signature"))?;
+    if rest.get(4..8) != Some(b"IHDR") {
+        return Err(broken("does not begin with an IHDR chunk"));
+    }
+    match (big_endian_u32(rest, 8), big_endian_u32(rest, 12)) {
+        (Some(width), Some(height)) => Ok(PictureSize::new(width, height)),
+        _ => Err(broken("ends inside its header")),
+    }
+}
+
+fn big_endian_u32(bytes: &[u8], at: usize) -> Option<u32> {
+    let field = bytes.get(at..at.checked_add(4)?)?;
+    Some(u32::from_be_bytes(field.try_into().ok()?))
+}
+
+fn big_endian_u16(bytes: &[u8], at: usize) -> Option<u16> {
+    let field = bytes.get(at..at.checked_add(2)?)?;
+    Some(u16::from_be_bytes(field.try_into().ok()?))
+}
+
+/// The size a JPEG file's frame header states (ITU-T T.81, B.2.2).
+pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
+    let mut segments = JpegSegments::new(bytes)?;
+    while let Some((marker, content)) = segments.next()? {
+        match marker {
+            // Baseline, extended sequential and progressive Huffman coding.
+            0xC0..=0xC2 => {
+                let (precision, height, width) = (
+                    content.first().copied(),
+                    big_endian_u16(content, 1),
+                    big_endian_u16(content, 3),
+                );
+                return match (precision, width, height) {
+                    (Some(8), Some(width), Some(height)) => {
+                        Ok(PictureSize::new(u32::from(width), u32::from(height)))
+                    }
+                    (Some(precision), Some(_), Some(_)) => Err(FrameFault::undecodable(format!(
+                        "the JPEG file has {precision} bits per sample, 8 are read"
+                    ))),
+                    _ => Err(FrameFault::undecodable(
+                        "the JPEG file's frame header is cut short",
+                    )),
+                };
+            }
+            0xC3 | 0xC5..=0xC7 | 0xC9..=0xCB | 0xCD..=0xCF => {
+                return Err(FrameFault::undecodable(format!(
+                    "the JPEG file uses coding process SOF{}; baseline and progressive Huffman \
+                     coding are read",
+                    marker - 0xC0
+                )));
+            }
+            START_OF_SCAN => break,
+            _ => {}
+        }
+    }
+    Err(FrameFault::undecodable(
+        "the JPEG file has no frame header before its pixels",
+    ))
+}
+
+/// Checks that an end-of-image marker follows the pixels. Decoders fill what is missing with grey and
+/// call it a success; a detector would then look at a picture that never was. (Pixels that went missing
+/// before an end-of-image marker cannot be told from pixels that are grey.)
+pub(super) fn check_jpeg_is_whole(bytes: &[u8]) -> Result<(), FrameFault> {
+    let mut segments = JpegSegments::new(bytes)?;
+    while let Some((marker, _)) = segments.next()? {
+        if marker == START_OF_SCAN {
+            // An embedded thumbnail has markers of its own, but inside an earlier segment.
+            let pixels = segments.rest();
+            return if pixels
+                .windows(2)
+                .rev()
+                .any(|pair| pair == [0xFF, END_OF_IMAGE])
+            {
+                Ok(())
+            } else {
+                Err(FrameFault::undecodable(
+                    "the JPEG file is cut short: no end-of-image marker after its pixels",
+                ))
+            };
+        }
+    }
+    Err(FrameFault::undecodable("the JPEG file has no pixels"))
+}
+
+/// The marker segments of a JPEG file up to its first scan.
+struct JpegSegments<'a> {
+    bytes: &'a [u8],
+    at: usize,
+}
+
+impl<'a> JpegSegments<'a> {
+    fn new(bytes: &'a [u8]) -> Result<Self, FrameFault> {
+        if bytes.starts_with(JPEG_SIGNATURE) {
+            Ok(Self { bytes, at: 2 })
+        } else {
+            Err(FrameFault::undecodable(
+                "the JPEG file does not begin with a start-of-image marker",
+            ))
+        }
+    }
+
+    /// What follows the last segment.
+    fn rest(&self) -> &'a [u8] {
+        self.bytes.get(self.at..).unwrap_or_default()
+    }
+
+    /// The next marker and the content of its segment; `None` at the end of the bytes.
+    fn next(&mut self) -> Result<Option<(u8, &'a [u8])>, FrameFault> {
+        loop {
+            // Any number of 0xFF bytes may fill the space before a marker.
+            match self.bytes.get(self.at) {
+                None => return Ok(None),
+                Some(0xFF) => {}
+                Some(byte) => {
+                    return Err(FrameFault::undecodable(format!(
+                        "the JPEG file has byte {byte:#04x} where a marker should begin, at {}",
+                        self.at
+                    )));
+                }
+            }
+            while self.bytes.get(self.at) == Some(&0xFF) {
+                self.at += 1;
+            }
+            let Some(&marker) = self.bytes.get(self.at) else {
+                return Ok(None);
+            };
+            self.at += 1;
+            match marker {
+                // Markers that stand alone.
+                0x01 | 0xD0..=0xD7 => continue,
+                END_OF_IMAGE => return Ok(None),
+                _ => {}
+            }
+            let length = big_endian_u16(self.bytes, self.at).map_or(0, usize::from);
+            let content = self
+                .at
+                .checked_add(length)
+                .filter(|_| length >= 2)
+                .and_then(|end| self.bytes.get(self.at + 2..end));
+            let Some(content) = content else {
+                return Err(FrameFault::undecodable(format!(
+                    "the JPEG file is cut short inside segment {marker:#04x}"
+                )));
+            };
+            self.at += length;
+            return Ok(Some((marker, content)));
+        }
+    }
+}
+
+/// A JPEG or PNG file as a picture: its header is read and its size checked.
+///
+/// # Errors
+/// When it is neither, or above a limit.
+pub fn picture_of_file(bytes: Bytes, limits: &FrameLimits) -> Result<EncodedPicture, FrameFault> {
+    check_payload(bytes.len(), limits)?;
+    let Some(format) = format_of(&bytes) else {
+        let reason = "a picture is neither a JPEG nor a PNG file";
+        return Err(FrameFault::unknown_format(reason));
+    };
+    picture_of_kind(format, bytes, limits)
+}
+
+/// As [`picture_of_file`], of a file that is said to be of `format`: JPEG or PNG.
+///
+/// # Errors
+/// When it is not, or above a limit.
+pub fn picture_of_kind(
+    format: PictureFormat,
+    bytes: Bytes,
+    limits: &FrameLimits,
+) -> Result<EncodedPicture, FrameFault> {
+    let size = match format {
+        PictureFormat::Png => png_size(&bytes)?,
+        _ => jpeg_size(&bytes)?,
+    };
+    check_picture(size, limits)?;
+    Ok(EncodedPicture {
+        format,
+        bytes,
+        size,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SOF: [u8; 10] = [0xFF, 0xC0, 0, 8, 8, 0x01, 0x20, 0x02, 0xD0, 0];
+
+    fn jpeg(parts: &[&[u8]]) -> Vec<u8> {
+        let mut file = vec![0xFF, 0xD8];
+        for part in parts {
+            file.extend_from_slice(part);
+        }
+        file
+    }
+
+    #[test]
+    fn a_jpeg_size_is_read_past_other_segments_and_fill_bytes() {
+        let application = [0xFF, 0xE1, 0, 4, 0xFF, 0xC0];
+        let file = jpeg(&[&application, &[0xFF, 0xFF], &SOF]);
+        assert_eq!(jpeg_size(&file).unwrap(), PictureSize::new(720, 288));
+    }
+
+    #[test]
+    fn a_header_that_is_not_there_is_undecodable_and_says_why() {
+        for (file, part) in [
+            (jpeg(&[&SOF[..6]]), "cut short inside segment 0xc0"),
+            (jpeg(&[&[0xFF, 0xDA, 0, 2]]), "no frame header"),
+            (jpeg(&[&[0xFF, 0xC9, 0, 2]]), "SOF9"),
+            (jpeg(&[&[0xFF, 0xE0, 0, 1]]), "cut short"),
+            (jpeg(&[&[0xFF, 0xE0, 0, 2, 7]]), "where a marker should"),
+            (jpeg(&[&[0xFF]]), "no frame header"),
+            (vec![], "does not begin"),
+        ] {
+            let text = jpeg_size(&file).unwrap_err().to_string();
+            assert!(text.contains(part), "{text} / {part}");
+        }
+        for file in [
+            &b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR\0\0\x01"[..],
+            b"\x89PNG\r\n\x1a\n\0\0\0\x0dIDAT\0\0\0\x01\0\0\0\x01",
+            b"\x89PN",
+        ] {
+            assert_eq!(png_size(file).unwrap_err().kind(), "undecodable");
+        }
+    }
+
+    #[test]
+    fn an_end_of_image_inside_a_thumbnail_does_not_make_a_file_whole() {
+        let thumbnail = [0xFF, 0xE1, 0, 4, 0xFF, 0xD9];
+        let scan = [0xFF, 0xDA, 0, 2, 1, 2, 3];
+        let cut = jpeg(&[&thumbnail, &SOF, &scan]);
+        assert!(check_jpeg_is_whole(&cut).is_err());
+        let whole = jpeg(&[&thumbnail, &SOF, &scan, &[0xFF, 0xD9, 0, 0]]);
+        assert!(check_jpeg_is_whole(&whole).is_ok());
+    }
+}

@@ -1,0 +1,401 @@
+//! From a decoded picture to the input tensor of a network, and the way back for what the network finds.
+
+use super::{Picture, PixelLayout};
+use albireo_core::geometry::{BoundingBox, Corners, PictureSize};
+use fast_image_resize::images::{Image, ImageRef};
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use serde::{Deserialize, Serialize};
+
+/// Order of the colour planes a network expects.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum ColorOrder {
+    /// Red, green, blue.
+    Rgb,
+    /// Blue, green, red.
+    Bgr,
+}
+
+/// How a picture is made to fit the network's input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fit {
+    /// Aspect kept, in the top-left corner, the rest filled with grey of this value (YOLOX: 114).
+    TopLeft(u8),
+    /// Aspect kept, in the middle, the rest filled with grey of this value (Ultralytics: 114).
+    Centre(u8),
+    /// Both sides stretched to the input's.
+    Stretch,
+}
+
+/// What becomes of pixel values from 0 to 255.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ValueRange {
+    /// They stay as they are.
+    To255,
+    /// They are divided by 255.
+    ToOne,
+    /// They are divided by 255, less the mean of their colour in ImageNet, over its standard deviation.
+    ImageNet,
+}
+
+impl ValueRange {
+    /// For red, green and blue: what a value is multiplied by, and what is added then.
+    fn factors(self) -> [(f32, f32); 3] {
+        match self {
+            Self::To255 => [(1.0, 0.0); 3],
+            Self::ToOne => [(1.0 / 255.0, 0.0); 3],
+            // The values of torchvision's models.
+            Self::ImageNet => [(0.485, 0.229), (0.456, 0.224), (0.406, 0.225)]
+                .map(|(mean, deviation)| (1.0 / (255.0 * deviation), -mean / deviation)),
+        }
+    }
+}
+
+/// Where the colours are in a network's input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TensorLayout {
+    /// Three planes, one after the other: `[1, 3, rows, columns]`.
+    Nchw,
+    /// The three values of a pixel side by side: `[1, rows, columns, 3]`.
+    Nhwc,
+}
+
+/// The input a network expects: one picture of `size`, float32.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct InputFormat {
+    /// Columns and rows of a plane.
+    pub size: PictureSize,
+    /// How the picture is made to fit.
+    pub fit: Fit,
+    /// Order of the planes.
+    pub color_order: ColorOrder,
+    /// Range of the values.
+    pub value_range: ValueRange,
+    /// Where the colours are.
+    pub layout: TensorLayout,
+}
+
+impl InputFormat {
+    /// The shape of the input.
+    pub fn shape(&self) -> [i64; 4] {
+        let (rows, columns) = (i64::from(self.size.height), i64::from(self.size.width));
+        match self.layout {
+            TensorLayout::Nchw => [1, 3, rows, columns],
+            TensorLayout::Nhwc => [1, rows, columns, 3],
+        }
+    }
+
+    /// How large a picture of `source` is in the input, margins not counted: a decoder that scales need not
+    /// deliver more.
+    pub fn fitted(&self, source: PictureSize) -> PictureSize {
+        let (placement, _) = place(source, *self);
+        PictureSize::new(placement.width, placement.height)
+    }
+
+    /// What a value of each place is multiplied by and then added, in the order of the network's colours, and
+    /// which of red, green and blue stands there.
+    fn factors(&self) -> [(usize, f32, f32); 3] {
+        let factors = self.value_range.factors();
+        let order = match self.color_order {
+            ColorOrder::Rgb => [0, 1, 2],
+            ColorOrder::Bgr => [2, 1, 0],
+        };
+        order.map(|color| (color, factors[color].0, factors[color].1))
+    }
+}
+
+/// The way back from the input's pixels to normalised coordinates of the source picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct InputMapping {
+    /// Input column of the picture's left edge.
+    offset_x: f64,
+    /// Input row of the picture's top edge.
+    offset_y: f64,
+    /// Input columns of the whole picture.
+    width: f64,
+    /// Input rows of the whole picture.
+    height: f64,
+}
+
+impl InputMapping {
+    /// The box with these corners in input pixels, in normalised coordinates of the source picture; not
+    /// clipped.
+    pub fn to_source(self, corners: Corners) -> BoundingBox {
+        let x1 = (corners.x1 - self.offset_x) / self.width;
+        let y1 = (corners.y1 - self.offset_y) / self.height;
+        let x2 = (corners.x2 - self.offset_x) / self.width;
+        let y2 = (corners.y2 - self.offset_y) / self.height;
+        BoundingBox::new((x1 + x2) / 2.0, (y1 + y2) / 2.0, x2 - x1, y2 - y1)
+    }
+}
+
+/// Why a picture cannot become an input tensor.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LetterboxError {
+    /// The picture has no pixels.
+    #[error("the picture is empty ({0})")]
+    Empty(PictureSize),
+    /// The buffer does not have the bytes its size and layout say.
+    #[error("a {size} picture needs {expected} bytes and has {actual}")]
+    WrongLength {
+        /// Size of the picture.
+        size: PictureSize,
+        /// Bytes it should have.
+        expected: u64,
+        /// Bytes it has.
+        actual: usize,
+    },
+    /// The resizer refused.
+    #[error("the picture could not be resized: {0}")]
+    Resize(String),
+}
+
+/// Where the resized picture lies in the input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Placement {
+    left: u32,
+    top: u32,
+    width: u32,
+    height: u32,
+}
+
+/// Fills one network's input, keeping its buffers from picture to picture.
+pub struct Letterbox {
+    format: InputFormat,
+    resizer: Resizer,
+    resized: Vec<u8>,
+    tensor: Vec<f32>,
+    /// What the tensor's margin is filled for.
+    filled: Option<Placement>,
+}
+
+impl Letterbox {
+    /// For a network with that input.
+    pub fn new(format: InputFormat) -> Self {
+        let plane = format.size.width as usize * format.size.height as usize;
+        Self {
+            format,
+            resizer: Resizer::new(),
+            resized: Vec::new(),
+            tensor: vec![0.0; 3 * plane],
+            filled: None,
+        }
+    }
+
+    /// The input, in the shape of the format. Its content is that of the last [`fill`](Self::fill).
+    pub fn tensor(&self) -> &[f32] {
+        &self.tensor
+    }
+
+    /// Turns `picture` into the input and says how to come back. Bilinear without antialiasing, as the
+    /// networks were trained with (OpenCV's `INTER_LINEAR`).
+    ///
+    /// # Errors
+    /// When the picture is empty or its buffer does not fit its size.
+    pub fn fill(&mut self, picture: &Picture) -> Result<InputMapping, LetterboxError> {
+        check(picture)?;
+        // By the size it had before a decoder scaled it, so that scaling moves nothing.
+        let (placement, mapping) = place(picture.source_size, self.format);
+        if self.filled != Some(placement) {
+            self.fill_margin();
+            self.filled = Some(placement);
+        }
+        let fits = picture.size == PictureSize::new(placement.width, placement.height);
+        let pixels = if fits {
+            &picture.pixels
+        } else {
+            self.resize(picture, placement)?;
+            &self.resized
+        };
+        let convert = match (picture.layout, self.format.layout) {
+            (PixelLayout::Rgb8, TensorLayout::Nchw) => to_planes::<3>,
+            (PixelLayout::Gray8, TensorLayout::Nchw) => to_planes::<1>,
+            (PixelLayout::Rgb8, TensorLayout::Nhwc) => to_pixels::<3>,
+            (PixelLayout::Gray8, TensorLayout::Nhwc) => to_pixels::<1>,
+        };
+        convert(&self.format, placement, pixels, &mut self.tensor);
+        Ok(mapping)
+    }
+
+    /// Gives every pixel the margin's value.
+    fn fill_margin(&mut self) {
+        let fill = match self.format.fit {
+            Fit::TopLeft(fill) | Fit::Centre(fill) => f32::from(fill),
+            Fit::Stretch => 0.0,
+        };
+        let values = self
+            .format
+            .factors()
+            .map(|(_, factor, offset)| fill * factor + offset);
+        match self.format.layout {
+            TensorLayout::Nchw => {
+                let plane = self.tensor.len() / 3;
+                for (plane, value) in self.tensor.chunks_exact_mut(plane.max(1)).zip(values) {
+                    plane.fill(value);
+                }
+            }
+            TensorLayout::Nhwc => {
+                for pixel in self.tensor.chunks_exact_mut(3) {
+                    pixel.copy_from_slice(&values);
+                }
+            }
+        }
+    }
+
+    fn resize(&mut self, picture: &Picture, placement: Placement) -> Result<(), LetterboxError> {
+        let refused = |reason: String| LetterboxError::Resize(reason);
+        let pixel_type = match picture.layout {
+            PixelLayout::Rgb8 => PixelType::U8x3,
+            PixelLayout::Gray8 => PixelType::U8,
+        };
+        let PictureSize { width, height } = picture.size;
+        let source = ImageRef::new(width, height, &picture.pixels, pixel_type)
+            .map_err(|error| refused(error.to_string()))?;
+        let bytes = placement.width as usize * placement.height as usize;
+        self.resized.resize(bytes * picture.layout.channels(), 0);
+        let mut target = Image::from_slice_u8(
+            placement.width,
+            placement.height,
+            &mut self.resized,
+            pixel_type,
+        )
+        .map_err(|error| refused(error.to_string()))?;
+        // A kernel of fixed size: a convolution would widen it when shrinking, which is antialiasing.
+        let options =
+            ResizeOptions::new().resize_alg(ResizeAlg::Interpolation(FilterType::Bilinear));
+        self.resizer
+            .resize(&source, &mut target, &options)
+            .map_err(|error| refused(error.to_string()))
+    }
+}
+
+/// From interleaved bytes to planes of float32, in one pass.
+fn to_planes<const CHANNELS: usize>(
+    format: &InputFormat,
+    placement: Placement,
+    pixels: &[u8],
+    tensor: &mut [f32],
+) {
+    let columns = format.size.width as usize;
+    let plane = columns * format.size.height as usize;
+    let (width, left) = (placement.width as usize, placement.left as usize);
+    let (first, rest) = tensor.split_at_mut(plane);
+    let (second, third) = rest.split_at_mut(plane);
+    let factors = format.factors();
+    let source = factors.map(|(color, ..)| color * (CHANNELS - 1) / 2);
+    for (row, pixels) in pixels.chunks_exact(width * CHANNELS).enumerate() {
+        let start = (placement.top as usize + row) * columns + left;
+        let first = &mut first[start..start + width];
+        let second = &mut second[start..start + width];
+        let third = &mut third[start..start + width];
+        let targets = first.iter_mut().zip(second).zip(third);
+        for (((first, second), third), pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
+            *first = f32::from(pixel[source[0]]) * factors[0].1 + factors[0].2;
+            *second = f32::from(pixel[source[1]]) * factors[1].1 + factors[1].2;
+            *third = f32::from(pixel[source[2]]) * factors[2].1 + factors[2].2;
+        }
+    }
+}
+
+/// From interleaved bytes to interleaved float32.
+fn to_pixels<const CHANNELS: usize>(
+    format: &InputFormat,
+    placement: Placement,
+    pixels: &[u8],
+    tensor: &mut [f32],
+) {
+    let columns = format.size.width as usize;
+    let (width, left) = (placement.width as usize, placement.left as usize);
+    let factors = format.factors();
+    for (row, pixels) in pixels.chunks_exact(width * CHANNELS).enumerate() {
+        let start = ((placement.top as usize + row) * columns + left) * 3;
+        let targets = tensor[start..start + 3 * width].chunks_exact_mut(3);
+        for (target, pixel) in targets.zip(pixels.chunks_exact(CHANNELS)) {
+            for (target, (color, factor, offset)) in target.iter_mut().zip(factors) {
+                *target = f32::from(pixel[color * (CHANNELS - 1) / 2]) * factor + offset;
+            }
+        }
+    }
+}
+
+fn check(picture: &Picture) -> Result<(), LetterboxError> {
+    for size in [picture.size, picture.source_size] {
+        if size.pixels() == 0 {
+            return Err(LetterboxError::Empty(size));
+        }
+    }
+    let expected = picture
+        .size
+        .pixels()
+        .saturating_mul(picture.layout.channels() as u64);
+    if expected != picture.pixels.len() as u64 {
+        return Err(LetterboxError::WrongLength {
+            size: picture.size,
+            expected,
+            actual: picture.pixels.len(),
+        });
+    }
+    Ok(())
+}
+
+/// Where a picture of `size` goes in the input.
+fn place(size: PictureSize, format: InputFormat) -> (Placement, InputMapping) {
+    let input = format.size;
+    let (width, height) = (f64::from(size.width), f64::from(size.height));
+    let (columns, rows) = (f64::from(input.width), f64::from(input.height));
+    if format.fit == Fit::Stretch {
+        let placement = Placement {
+            left: 0,
+            top: 0,
+            width: input.width,
+            height: input.height,
+        };
+        let mapping = InputMapping {
+            offset_x: 0.0,
+            offset_y: 0.0,
+            width: columns,
+            height: rows,
+        };
+        return (placement, mapping);
+    }
+    let scale = (columns / width).min(rows / height);
+    let (scaled_width, scaled_height) = (scale * width, scale * height);
+    // Ultralytics rounds. YOLOX cuts the fraction off, of 415.999… too, which is what 720 columns at a scale
+    // of 416/720 come to: one column less moves boxes by up to 3 pixels and scores by 0.02, so it is kept.
+    let whole = |value: f64, most: u32| {
+        let value = match format.fit {
+            Fit::Centre(_) => value.round(),
+            Fit::TopLeft(_) | Fit::Stretch => value.floor(),
+        };
+        (value as u32).clamp(1, most)
+    };
+    let (used_width, used_height) = (
+        whole(scaled_width, input.width),
+        whole(scaled_height, input.height),
+    );
+    // An odd margin has its larger part at the right and bottom, as Ultralytics has it.
+    let (left, top) = match format.fit {
+        Fit::Centre(_) => (
+            (input.width - used_width) / 2,
+            (input.height - used_height) / 2,
+        ),
+        Fit::TopLeft(_) | Fit::Stretch => (0, 0),
+    };
+    let placement = Placement {
+        left,
+        top,
+        width: used_width,
+        height: used_height,
+    };
+    let mapping = InputMapping {
+        offset_x: f64::from(left),
+        offset_y: f64::from(top),
+        width: scaled_width,
+        height: scaled_height,
+    };
+    (placement, mapping)
+}
+
+#[cfg(test)]
+mod tests;

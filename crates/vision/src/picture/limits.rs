@@ -1,0 +1,106 @@
+//! The checks that come before memory is taken.
+
+use super::{FrameFault, PictureFormat, PixelLayout};
+use albireo_core::geometry::PictureSize;
+use serde::{Deserialize, Serialize};
+
+/// Limits that are checked before memory is taken for a frame: the `[frame]` section.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FrameLimits {
+    /// Largest payload, bytes.
+    pub max_payload_bytes: usize,
+    /// Most columns of a picture.
+    pub max_width: u32,
+    /// Most rows of a picture.
+    pub max_height: u32,
+    /// Largest decoded picture, bytes.
+    pub max_decoded_bytes: usize,
+}
+
+impl Default for FrameLimits {
+    fn default() -> Self {
+        Self {
+            max_payload_bytes: 16 << 20,
+            max_width: 7680,
+            max_height: 4320,
+            max_decoded_bytes: 128 << 20,
+        }
+    }
+}
+
+/// Checks the length of a payload.
+///
+/// # Errors
+/// When it is empty or too long.
+pub fn check_payload(bytes: usize, limits: &FrameLimits) -> Result<(), FrameFault> {
+    if bytes == 0 {
+        return Err(FrameFault::undecodable("the payload is empty"));
+    }
+    if bytes > limits.max_payload_bytes {
+        return Err(FrameFault::oversized(format!(
+            "the payload has {bytes} bytes, frame.max_payload_bytes allows {}",
+            limits.max_payload_bytes
+        )));
+    }
+    Ok(())
+}
+
+/// Checks a picture's size, and that it fits `max_decoded_bytes` when decoded to RGB.
+///
+/// # Errors
+/// When it is above a limit.
+pub fn check_picture(size: PictureSize, limits: &FrameLimits) -> Result<(), FrameFault> {
+    if size.width == 0 || size.height == 0 {
+        return Err(FrameFault::undecodable(format!(
+            "a picture of {size} has no pixels"
+        )));
+    }
+    if size.width > limits.max_width || size.height > limits.max_height {
+        return Err(FrameFault::oversized(format!(
+            "the picture is {size}, frame.max_width and frame.max_height allow {}x{}",
+            limits.max_width, limits.max_height
+        )));
+    }
+    decoded_bytes(size, PixelLayout::Rgb8.channels(), limits).map(|_| ())
+}
+
+/// Bytes of a picture of `size` with `bytes_per_pixel`, if within `max_decoded_bytes`.
+pub(super) fn decoded_bytes(
+    size: PictureSize,
+    bytes_per_pixel: usize,
+    limits: &FrameLimits,
+) -> Result<usize, FrameFault> {
+    size.pixels()
+        .checked_mul(bytes_per_pixel as u64)
+        .and_then(|bytes| usize::try_from(bytes).ok())
+        .filter(|bytes| *bytes <= limits.max_decoded_bytes)
+        .ok_or_else(|| {
+            FrameFault::oversized(format!(
+                "the picture is {size}, decoded it would exceed the {} bytes of \
+                 frame.max_decoded_bytes",
+                limits.max_decoded_bytes
+            ))
+        })
+}
+
+/// Checks that a raw picture has exactly the bytes its size asks for.
+///
+/// # Errors
+/// When it has others.
+pub fn check_raw_length(
+    format: PictureFormat,
+    size: PictureSize,
+    bytes: usize,
+) -> Result<(), FrameFault> {
+    match format.raw_bytes(size) {
+        Some(expected) if expected == bytes as u64 => Ok(()),
+        Some(expected) => Err(FrameFault::undecodable(format!(
+            "a raw {} picture of {size} has {expected} bytes, {bytes} came",
+            format.as_str()
+        ))),
+        None => Err(FrameFault::oversized(format!(
+            "a picture of {size} cannot be held"
+        ))),
+    }
+}

@@ -1,0 +1,346 @@
+//! Pixel work of all cameras, on blocking threads: decoding, grey, the detector's input. Buffers go round, and no more
+//! pictures are decoded for the detector at once than keep it busy.
+
+mod picture_buffers;
+
+use crate::detector::{Preparation, PreparedPicture};
+use crate::picture::{
+    EncodedPicture, FrameFault, FrameLimits, PixelLayout, decode, decode_grey_half,
+    decode_small_grey,
+};
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::Need;
+use picture_buffers::{PictureBuffers, PooledPicture};
+use std::sync::Arc;
+use std::thread::available_parallelism;
+use std::time::{Duration, Instant};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use tokio::task::JoinHandle;
+
+/// What is to be made of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Grey at half its size.
+    Grey,
+    /// Grey, not much wider than this.
+    SmallGrey(u32),
+    /// The decoded picture.
+    Picture,
+    /// The detector's input, and the decoded picture with it.
+    Prepared,
+}
+
+impl Stage {
+    /// What `need` begins with.
+    pub fn at(need: Need) -> Option<Self> {
+        match need {
+            Need::Nothing => None,
+            Need::GreyPicture => Some(Self::Grey),
+            Need::SmallGreyPicture { width } => Some(Self::SmallGrey(width)),
+            Need::Screen => Some(Self::Picture),
+            Need::Detections => Some(Self::Prepared),
+        }
+    }
+
+    /// Whether the picture is decoded as it is, and a place needed.
+    pub const fn needs_place(self) -> bool {
+        matches!(self, Self::Picture | Self::Prepared)
+    }
+}
+
+/// One picture and how it is to be decoded.
+#[derive(Clone)]
+pub struct Source {
+    pub encoded: EncodedPicture,
+    /// It may be decoded to fewer pixels, down to this.
+    pub target: PictureSize,
+    /// Whether the decoded picture is needed after the detector's input has been made of it.
+    pub keep: bool,
+}
+
+/// What has been made of one picture so far.
+#[derive(Default)]
+pub struct PreparedFrame {
+    /// The decoded picture, if there is one.
+    pub picture: Option<PooledPicture>,
+    /// The detector's input, until it is taken.
+    pub prepared: Option<PreparedPicture>,
+    /// The picture in grey, if there is one, and which of the grey pictures it is.
+    grey: Option<(Stage, PooledPicture)>,
+    /// How long decoding took, grey included.
+    pub decode: Option<Duration>,
+    /// Its place among the pictures that are decoded at once, if it has one.
+    pub place: Option<Place>,
+}
+
+/// The right to have a picture decoded for the detector.
+pub struct Place {
+    _permit: OwnedSemaphorePermit,
+}
+
+impl PreparedFrame {
+    /// Whether nothing more has to be done for `stage`.
+    pub fn has(&self, stage: Stage) -> bool {
+        match stage {
+            Stage::Grey | Stage::SmallGrey(_) => {
+                self.grey.as_ref().is_some_and(|(made, _)| *made == stage)
+            }
+            Stage::Picture => self.picture.is_some(),
+            Stage::Prepared => self.prepared.is_some(),
+        }
+    }
+
+    /// The picture in grey, if there is one.
+    pub fn grey(&self) -> Option<&PooledPicture> {
+        self.grey.as_ref().map(|(_, picture)| picture)
+    }
+
+    fn add(&mut self, stage: Stage, source: &Source, pixels: &PixelWork) -> Result<(), FrameFault> {
+        let start = Instant::now();
+        let Source {
+            encoded, target, ..
+        } = source;
+        let State {
+            limits,
+            preparation,
+            pictures,
+            greys,
+            ..
+        } = &*pixels.0;
+        match stage {
+            Stage::Grey | Stage::SmallGrey(_) => {
+                self.grey = None;
+                let mut grey = greys.take(0);
+                let made = match stage {
+                    Stage::SmallGrey(width) => decode_small_grey(encoded, limits, width, &mut grey),
+                    _ => decode_grey_half(encoded, limits, &mut grey),
+                };
+                // Also after a fault its buffer goes back.
+                let grey = greys.pooled(grey);
+                made?;
+                self.grey = Some((stage, grey));
+                self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
+            }
+            Stage::Picture => {
+                let layout = PixelLayout::Rgb8;
+                let most = encoded
+                    .size
+                    .pixels()
+                    .saturating_mul(layout.channels() as u64);
+                let mut picture = pictures.take(usize::try_from(most).unwrap_or(usize::MAX));
+                let made = decode(encoded, limits, layout, Some(*target), &mut picture);
+                let picture = pictures.pooled(picture);
+                made?;
+                self.picture = Some(picture);
+                self.decode = Some(self.decode.unwrap_or_default() + start.elapsed());
+            }
+            Stage::Prepared => {
+                if self.picture.is_none() {
+                    self.add(Stage::Picture, source, pixels)?;
+                }
+                let Some(picture) = &self.picture else {
+                    return Ok(());
+                };
+                let prepared = preparation.prepare(picture);
+                self.prepared = Some(prepared.map_err(|error| FrameFault::Undecodable {
+                    reason: error.to_string(),
+                })?);
+                if !source.keep {
+                    self.picture = None;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Where pictures are looked at. Clones share buffers and places.
+#[derive(Clone)]
+pub struct PixelWork(Arc<State>);
+
+struct State {
+    limits: FrameLimits,
+    preparation: Preparation,
+    /// Decoded pictures.
+    pictures: PictureBuffers,
+    /// Grey pictures, much smaller.
+    greys: PictureBuffers,
+    /// One for each picture that is decoded for the detector, from before it is decoded until the detector has answered.
+    places: Arc<Semaphore>,
+}
+
+impl PixelWork {
+    /// For all cameras of one detector that looks at `batch_size` pictures at once, with inputs made by `preparation`.
+    ///
+    /// So many pictures have a place as one run looks at, as many again that are ready for the next, and one for each
+    /// two processors, which make them. The others wait encoded.
+    pub fn new(preparation: Preparation, limits: FrameLimits, batch_size: usize) -> Self {
+        let processors = available_parallelism().map_or(1, usize::from);
+        let places = (2 * batch_size.max(1)).saturating_add(processors.div_ceil(2));
+        Self::with_places(preparation, limits, places)
+    }
+
+    fn with_places(preparation: Preparation, limits: FrameLimits, places: usize) -> Self {
+        Self(Arc::new(State {
+            limits,
+            preparation,
+            pictures: PictureBuffers::new(places),
+            greys: PictureBuffers::new(places),
+            places: Arc::new(Semaphore::new(places.min(Semaphore::MAX_PERMITS))),
+        }))
+    }
+
+    /// How many pictures' buffers nobody uses.
+    pub fn idle(&self) -> usize {
+        self.0.pictures.idle()
+    }
+
+    /// Waits for a place: those who ask first get one first.
+    pub async fn place(&self) -> Option<Place> {
+        let permit = Arc::clone(&self.0.places).acquire_owned().await;
+        permit.ok().map(|_permit| Place { _permit })
+    }
+
+    /// Makes of the picture what is missing in `frame`.
+    pub async fn look(
+        &self,
+        frame: PreparedFrame,
+        source: Source,
+        stage: Stage,
+    ) -> Result<PreparedFrame, FrameFault> {
+        joined(self.spawn(frame, source, stage)).await
+    }
+
+    /// The detector's input of a picture, decoded to no fewer pixels than `target`; `None` when it is broken. Takes no
+    /// place: for whoever asks only while nobody waits.
+    pub async fn prepared(
+        &self,
+        encoded: EncodedPicture,
+        target: PictureSize,
+    ) -> Option<PreparedPicture> {
+        let source = Source {
+            encoded,
+            target,
+            keep: false,
+        };
+        let made = self.look(PreparedFrame::default(), source, Stage::Prepared);
+        made.await.ok()?.prepared
+    }
+
+    /// Begins with a picture that is needed later, if there is a place that nobody waits for.
+    pub fn begin(&self, source: Source, stage: Stage) -> Option<Prefetch> {
+        let place = if stage.needs_place() {
+            let permit = Arc::clone(&self.0.places).try_acquire_owned().ok()?;
+            Some(Place { _permit: permit })
+        } else {
+            None
+        };
+        let frame = PreparedFrame {
+            place,
+            ..PreparedFrame::default()
+        };
+        Some(Prefetch {
+            encoded: source.encoded.clone(),
+            work: self.spawn(frame, source, stage),
+        })
+    }
+
+    fn spawn(
+        &self,
+        mut frame: PreparedFrame,
+        source: Source,
+        stage: Stage,
+    ) -> JoinHandle<Result<PreparedFrame, FrameFault>> {
+        let pixels = self.clone();
+        tokio::task::spawn_blocking(move || {
+            frame.add(stage, &source, &pixels)?;
+            Ok(frame)
+        })
+    }
+}
+
+/// A picture that is being looked at before its frame's turn has come.
+pub struct Prefetch {
+    encoded: EncodedPicture,
+    work: JoinHandle<Result<PreparedFrame, FrameFault>>,
+}
+
+impl Prefetch {
+    /// Whether it is this very picture, not only an equal one.
+    pub fn is_of(&self, encoded: &EncodedPicture) -> bool {
+        // As long as this holds on to the bytes, nothing else can lie where they are.
+        std::ptr::eq(self.encoded.bytes.as_ptr(), encoded.bytes.as_ptr())
+            && self.encoded.bytes.len() == encoded.bytes.len()
+    }
+
+    /// What was made of it.
+    ///
+    /// # Errors
+    /// [`FrameFault`] when it cannot be decoded.
+    pub async fn frame(self) -> Result<PreparedFrame, FrameFault> {
+        joined(self.work).await
+    }
+}
+
+/// A panic in the work is a fault of the picture.
+async fn joined(
+    work: JoinHandle<Result<PreparedFrame, FrameFault>>,
+) -> Result<PreparedFrame, FrameFault> {
+    work.await.unwrap_or_else(|error| {
+        Err(FrameFault::Undecodable {
+            reason: format!("the decoder failed: {error}"),
+        })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::{ColorOrder, Fit, InputFormat, PictureFormat, TensorLayout, ValueRange};
+
+    fn pixels(places: usize) -> PixelWork {
+        let format = InputFormat {
+            size: PictureSize::new(4, 2),
+            fit: Fit::Stretch,
+            color_order: ColorOrder::Rgb,
+            value_range: ValueRange::To255,
+            layout: TensorLayout::Nchw,
+        };
+        PixelWork::with_places(Preparation::new(format), FrameLimits::default(), places)
+    }
+
+    fn source() -> Source {
+        let size = PictureSize::new(4, 2);
+        Source {
+            encoded: EncodedPicture {
+                format: PictureFormat::Rgb8,
+                bytes: vec![7; 24].into(),
+                size,
+            },
+            target: size,
+            keep: false,
+        }
+    }
+
+    #[tokio::test]
+    async fn a_picture_is_made_ready_ahead_only_in_a_place_that_nobody_waits_for() {
+        let pixels = pixels(1);
+        let held = pixels.place().await;
+        assert!(pixels.begin(source(), Stage::Prepared).is_none());
+        assert!(pixels.begin(source(), Stage::Grey).is_some(), "needs none");
+        drop(held);
+        let ahead = pixels.begin(source(), Stage::Prepared).unwrap();
+        let frame = ahead.frame().await.unwrap();
+        assert!(frame.has(Stage::Prepared) && !frame.has(Stage::Picture));
+        assert!(pixels.begin(source(), Stage::Prepared).is_none());
+        drop(frame);
+        assert!(pixels.begin(source(), Stage::Prepared).is_some());
+    }
+
+    #[tokio::test]
+    async fn what_is_made_ready_and_not_wanted_gives_its_place_back() {
+        let pixels = pixels(1);
+        drop(pixels.begin(source(), Stage::Prepared));
+        assert!(pixels.place().await.is_some());
+    }
+}

@@ -1,0 +1,167 @@
+//! Buffers for decoded pictures, shared by all cameras: there are as many as pictures under way, not as cameras.
+
+use crate::picture::Picture;
+use parking_lot::Mutex;
+use std::ops::Deref;
+use std::sync::Arc;
+
+/// Buffers of this size are kept for the next picture, whatever that is.
+const ALWAYS_KEPT: usize = 2 << 20;
+
+/// A larger one is kept when one of the pictures just before needed at least this part of it.
+const KEPT_TIMES: usize = 4;
+
+/// How many pictures before are looked back at.
+const LOOKED_BACK: usize = 8;
+
+/// Buffers that are used again. Clones share them.
+#[derive(Clone)]
+pub struct PictureBuffers(Arc<Mutex<Buffers>>);
+
+struct Buffers {
+    idle: Vec<Picture>,
+    /// How many may lie idle.
+    most: usize,
+    /// What the last pictures' buffers came to, bytes, and which of them is the oldest.
+    recent: [usize; LOOKED_BACK],
+    oldest: usize,
+}
+
+/// A picture whose buffer goes back where it came from when nobody holds the picture any more.
+pub struct PooledPicture {
+    picture: Arc<Picture>,
+    buffers: PictureBuffers,
+}
+
+impl PictureBuffers {
+    /// Keeps at most `most` buffers that nobody uses.
+    pub fn new(most: usize) -> Self {
+        Self(Arc::new(Mutex::new(Buffers {
+            idle: Vec::new(),
+            most,
+            recent: [0; LOOKED_BACK],
+            oldest: 0,
+        })))
+    }
+
+    /// A picture that means nothing yet, to be decoded into: of the idle buffers the smallest that holds `bytes`, else
+    /// the largest.
+    pub fn take(&self, bytes: usize) -> Picture {
+        let idle = &mut self.0.lock().idle;
+        let capacity = |index: &usize| idle[*index].pixels.capacity();
+        let fitting = (0..idle.len())
+            .filter(|index| capacity(index) >= bytes)
+            .min_by_key(capacity);
+        let chosen = fitting.or_else(|| (0..idle.len()).max_by_key(capacity));
+        chosen.map_or_else(Picture::default, |index| idle.swap_remove(index))
+    }
+
+    /// `picture`, to be given back by and by.
+    pub fn pooled(&self, picture: Picture) -> PooledPicture {
+        PooledPicture {
+            picture: Arc::new(picture),
+            buffers: self.clone(),
+        }
+    }
+
+    /// How many lie idle.
+    pub fn idle(&self) -> usize {
+        self.0.lock().idle.len()
+    }
+
+    /// Takes a buffer back. That of one giant picture among small ones is let go of at once: there may not be another
+    /// for minutes.
+    pub fn give_back(&self, picture: Picture) {
+        let mut buffers = self.0.lock();
+        let bytes = picture.pixels.capacity();
+        let usual = buffers.recent.into_iter().max().unwrap_or(0);
+        let oldest = buffers.oldest;
+        buffers.recent[oldest] = bytes;
+        buffers.oldest = (oldest + 1) % LOOKED_BACK;
+        let kept = bytes <= ALWAYS_KEPT || bytes / KEPT_TIMES <= usual;
+        if kept && buffers.idle.len() < buffers.most {
+            buffers.idle.push(picture);
+        }
+    }
+}
+
+impl PooledPicture {
+    /// To be shared: the buffer goes back only when this one is the last.
+    pub const fn shared(&self) -> &Arc<Picture> {
+        &self.picture
+    }
+}
+
+impl Deref for PooledPicture {
+    type Target = Picture;
+
+    fn deref(&self) -> &Picture {
+        &self.picture
+    }
+}
+
+impl Drop for PooledPicture {
+    fn drop(&mut self) {
+        if let Some(picture) = Arc::get_mut(&mut self.picture) {
+            self.buffers.give_back(std::mem::take(picture));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(bytes: usize) -> Picture {
+        Picture {
+            pixels: Vec::with_capacity(bytes),
+            ..Picture::default()
+        }
+    }
+
+    #[test]
+    fn the_buffer_of_one_giant_picture_is_given_back_and_that_of_a_stream_of_them_is_kept() {
+        const HD: usize = 1920 * 1080 * 3;
+        const GIANT: usize = 16 * HD;
+        let buffers = PictureBuffers::new(4);
+        let kept = |bytes| {
+            drop(buffers.pooled(picture(bytes)));
+            buffers.take(0).pixels.capacity()
+        };
+        assert_eq!(kept(HD), 0, "nothing is known yet of what is usual");
+        assert_eq!(kept(HD), HD);
+        assert_eq!(kept(GIANT), 0);
+        assert_eq!(kept(GIANT), GIANT);
+        assert_eq!(kept(640 * 360 * 3), 640 * 360 * 3);
+        for _ in 0..LOOKED_BACK {
+            assert_eq!(kept(HD), HD);
+        }
+        assert_eq!(kept(GIANT), 0, "the last giant is forgotten");
+        assert_eq!(kept(ALWAYS_KEPT), ALWAYS_KEPT);
+    }
+
+    #[test]
+    fn a_picture_gets_the_smallest_buffer_that_holds_it_and_no_more_than_some_lie_idle() {
+        let buffers = PictureBuffers::new(2);
+        let held = [100, 300, 200].map(|bytes| buffers.pooled(picture(bytes)));
+        drop(held);
+        assert_eq!(buffers.idle(), 2);
+        assert_eq!(buffers.take(50).pixels.capacity(), 100);
+        assert_eq!(
+            buffers.take(400).pixels.capacity(),
+            300,
+            "it has to grow least"
+        );
+        assert_eq!(buffers.take(1).pixels.capacity(), 0, "none is left");
+    }
+
+    #[test]
+    fn a_buffer_goes_back_only_when_nobody_holds_its_picture() {
+        let buffers = PictureBuffers::new(2);
+        let pooled = buffers.pooled(picture(100));
+        let held = Arc::clone(pooled.shared());
+        drop(pooled);
+        assert_eq!(held.pixels.capacity(), 100);
+        assert_eq!(buffers.idle(), 0);
+    }
+}

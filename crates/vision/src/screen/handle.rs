@@ -1,0 +1,122 @@
+//! What a camera's loop holds of the screen.
+
+use super::network::ScreenNetwork;
+use super::{Logits, ScreenConfig, ScreenKind};
+use crate::detector::task::{InferenceTask, TaskCounters, TaskMeter, TaskSettings};
+use crate::detector::{
+    CameraSlot, DetectorStatus, InferenceError, Preparation, PreparedPicture, StartError,
+    prepare_off_thread,
+};
+use crate::picture::{InputFormat, Picture};
+use albireo_service::clock::milliseconds;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// Pictures that may wait for the screen, all cameras together.
+const QUEUE: usize = 8;
+
+/// What the screen says of one picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ScreenVerdict {
+    /// Nothing is in view.
+    pub empty: bool,
+    /// The two outputs it was decided by.
+    pub logits: Logits,
+    /// From being asked to the start of the run, milliseconds.
+    pub queue_ms: f64,
+    /// Resizing and the network, milliseconds.
+    pub run_ms: f64,
+}
+
+/// The screen as a camera's loop sees it: cheap to clone, shared by all cameras.
+#[derive(Clone)]
+pub struct ScreenHandle {
+    task: InferenceTask<PreparedPicture, Logits>,
+    preparation: Preparation,
+    empty_class: usize,
+}
+
+impl ScreenHandle {
+    /// Loads the screen's model on a thread of its own, checks it and warms it up; `None` when the
+    /// configuration names no model. `onnxruntime` is the library, if it is named.
+    ///
+    /// # Errors
+    /// When the library or the model is not as configured.
+    pub async fn start(
+        config: &ScreenConfig,
+        onnxruntime: Option<&Path>,
+    ) -> Result<Option<Self>, StartError> {
+        let Some(model) = config
+            .model
+            .clone()
+            .filter(|_| config.kind() == ScreenKind::Model)
+        else {
+            return Ok(None);
+        };
+        config.check()?;
+        let library = onnxruntime.map(Path::to_owned);
+        let its_config = config.clone();
+        let factory = move || ScreenNetwork::open(&model, &its_config, library.clone());
+        let timeout = Duration::from_millis(config.timeout_ms);
+        let settings = TaskSettings::new("screen", timeout, QUEUE);
+        let (task, input) = InferenceTask::start(settings, factory).await?;
+        Ok(Some(Self {
+            task,
+            preparation: Preparation::new(input),
+            empty_class: config.empty_class,
+        }))
+    }
+
+    /// What the model wants to see.
+    pub fn input_format(&self) -> InputFormat {
+        self.preparation.format()
+    }
+
+    /// Whether nothing is in view in `picture`. Equal outputs count as not empty.
+    ///
+    /// # Errors
+    /// See [`InferenceError`]. Whatever the error, the frame counts as not empty.
+    pub async fn ask(
+        &self,
+        camera: CameraSlot,
+        picture: Arc<Picture>,
+    ) -> Result<ScreenVerdict, InferenceError> {
+        let prepared = prepare_off_thread(self.preparation.clone(), picture).await?;
+        let letterbox = prepared.took();
+        let inference = self.task.run(camera, prepared).await?;
+        let logits = inference.output;
+        Ok(ScreenVerdict {
+            empty: logits[self.empty_class] > logits[1 - self.empty_class],
+            logits,
+            queue_ms: milliseconds(inference.queued),
+            run_ms: milliseconds(letterbox + inference.took),
+        })
+    }
+
+    /// How the screen is doing, now and from now on.
+    pub fn status(&self) -> watch::Receiver<DetectorStatus> {
+        self.task.status()
+    }
+
+    /// Its counters for whoever shows them: does not keep the screen running.
+    pub fn meter(&self) -> TaskMeter {
+        self.task.meter()
+    }
+
+    /// What it has counted since it started.
+    pub fn counters(&self) -> TaskCounters {
+        self.task.counters()
+    }
+
+    /// Returns when it has been stopped, or what watches over it is gone.
+    pub async fn ended(&self) {
+        self.task.ended().await;
+    }
+
+    /// Takes no more pictures and returns when the run in hand has ended or has taken too long.
+    pub async fn stop(&self) {
+        self.task.stop().await;
+    }
+}

@@ -1,0 +1,116 @@
+//! The screen's network: any two-class model with a picture input, on the CPU.
+
+use super::ScreenConfig;
+use crate::detector::{
+    ExecutionProvider, GpuConfig, Interrupter, Model, OnnxSession, PictureInput, Preparation,
+    PreparedPicture, RunError, SessionSettings, Signature, StartError,
+};
+use crate::picture::{Fit, InputFormat, Picture, ValueRange};
+use std::path::{Path, PathBuf};
+
+/// The two outputs of the network, before any normalisation.
+pub type Logits = [f32; 2];
+
+/// What the network expects of a model, in words.
+const EXPECTED: &str =
+    "one picture input [1, 3, rows, columns] or [1, rows, columns, 3] and one output [1, 2]";
+
+pub(super) struct ScreenNetwork {
+    session: OnnxSession,
+    format: InputFormat,
+}
+
+impl ScreenNetwork {
+    /// Loads the model and runs it once, so that the first picture is not the slow one.
+    pub(super) fn open(
+        model: &Path,
+        config: &ScreenConfig,
+        onnxruntime: Option<PathBuf>,
+    ) -> Result<Self, StartError> {
+        let session = OnnxSession::open(&SessionSettings {
+            model: model.to_owned(),
+            providers: vec![ExecutionProvider::Cpu],
+            may_fall_back: false,
+            gpu: GpuConfig::default(),
+            threads: 1,
+            onnxruntime,
+        })?;
+        let signature = session.signature();
+        let input = picture_input(signature).map_err(|reason| StartError::ModelDoesNotFit {
+            path: model.to_owned(),
+            head: "screen",
+            model: signature.to_string(),
+            expected: EXPECTED.to_owned(),
+            reason,
+        })?;
+        let format = InputFormat {
+            size: input.size,
+            fit: Fit::Stretch,
+            color_order: config.color_order,
+            value_range: if input.takes_bytes {
+                ValueRange::To255
+            } else {
+                ValueRange::ToOne
+            },
+            layout: input.layout,
+        };
+        let mut network = Self { session, format };
+        let warm_up = |reason: String| StartError::WarmUp {
+            path: model.to_owned(),
+            reason,
+        };
+        let black = Preparation::new(format).prepare(&Picture::black(format.size));
+        let black = black.map_err(|error| warm_up(error.to_string()))?;
+        network
+            .infer(&black)
+            .map_err(|RunError(reason)| warm_up(reason))?;
+        Ok(network)
+    }
+
+    fn infer(&mut self, picture: &PreparedPicture) -> Result<Logits, RunError> {
+        let shape = self.format.shape();
+        self.session.run(shape, &[picture.values()], |outputs| {
+            let values = outputs.first().map(|output| output.values);
+            match values {
+                Some(&[first, second]) if first.is_finite() && second.is_finite() => {
+                    Ok([first, second])
+                }
+                _ => Err(RunError(format!(
+                    "the screen gave {} instead of two finite numbers",
+                    values.map_or_else(|| "nothing".to_owned(), |values| format!("{values:?}"))
+                ))),
+            }
+        })?
+    }
+}
+
+fn picture_input(signature: &Signature) -> Result<PictureInput, String> {
+    let input = signature.picture_input(None)?;
+    match *signature.only_output()?.shape.as_slice() {
+        [1 | -1, 2] => Ok(input),
+        _ => Err("its output has another shape".to_owned()),
+    }
+}
+
+impl Model for ScreenNetwork {
+    type Input = PreparedPicture;
+    type Output = Logits;
+    /// The input that pictures are prepared for.
+    type Facts = InputFormat;
+
+    fn facts(&self) -> InputFormat {
+        self.format
+    }
+
+    fn run(&mut self, pictures: &[PreparedPicture]) -> Result<Vec<Logits>, RunError> {
+        pictures.iter().map(|picture| self.infer(picture)).collect()
+    }
+
+    fn provider(&self) -> ExecutionProvider {
+        self.session.provider()
+    }
+
+    fn interrupter(&self) -> Option<Interrupter> {
+        Some(self.session.interrupter())
+    }
+}
