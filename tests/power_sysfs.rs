@@ -3,7 +3,7 @@
 
 #![allow(clippy::unwrap_used)]
 
-use albireo_power::{self, Domain, PowerConfig, PowerHandle, PowerSource, SpanEnergy};
+use albireo_power::{self as power, Domain, PowerConfig, PowerHandle, PowerSource, SpanEnergy};
 use albireo_wire::EnergyQuality;
 use std::path::{Path, PathBuf};
 use std::time::Duration;

@@ -3,7 +3,9 @@
 
 #![allow(clippy::unwrap_used)]
 
-use albireo_power::{self, Meter, MeterError, PowerConfig, PowerHandle, PowerSource, Tegrastats};
+use albireo_power::{
+    self as power, Meter, MeterError, PowerConfig, PowerHandle, PowerSource, Tegrastats,
+};
 use albireo_wire::EnergyQuality;
 use serde_json::{Value, json};
 use std::path::Path;

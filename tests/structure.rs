@@ -20,12 +20,12 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("hub", &["service", "wire"]),
     ("router", &["service", "wire"]),
     ("simulate", &["wire"]),
-    ("eval", &["core", "node", "synth", "vision", "wire"]),
+    ("eval", &["core", "synth", "vision", "wire"]),
     (
         "the program",
         &[
-            "core", "eval", "hub", "node", "power", "router", "service", "simulate", "synth", "vision",
-            "wire",
+            "core", "eval", "hub", "node", "power", "router", "service", "simulate", "synth",
+            "vision", "wire",
         ],
     ),
     ("bench-scene", &["core"]),

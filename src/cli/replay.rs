@@ -36,7 +36,7 @@ const CLIPS: &str = "Clips";
 A live camera is not replayed: the node opens it ([[camera]] source), or `albireo publish` does."
 )]
 pub struct ReplayArguments {
-    /// A video file or address, a folder of JPEG and PNG files, or synth:SEED
+    /// A video file, a folder of JPEG and PNG files, or synth:SEED
     pub source: SourceName,
 
     /// Where the frames go.
@@ -50,7 +50,7 @@ pub struct ReplayArguments {
     #[arg(long)]
     pub every: bool,
 
-    /// Frames per second, or `max` for as fast as possible [default: the source's own]; of a live source at most so many
+    /// Frames per second, or `max` for as fast as possible [default: the source's own]
     #[arg(long, value_name = "FPS", value_parser = parse_rate)]
     pub rate: Option<Rate>,
     /// Begin again at the end, until stopped

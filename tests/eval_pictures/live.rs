@@ -11,9 +11,10 @@ use albireo_eval::footage::{FrameSource, PictureFolder};
 use albireo_eval::pictures::{PicturedClip, run_pictured};
 use albireo_eval::run::Settings;
 use albireo_eval::source::ScreenRule;
-use albireo_node::{LiveEvidence, PixelWork};
+use albireo_node::LiveEvidence;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
+use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle, ScreenKind};
 use std::future::pending;
 

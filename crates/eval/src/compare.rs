@@ -17,7 +17,7 @@ mod verdict;
 pub use agreement::{Agreement, Boxes, ClassNumbers, agreement};
 pub use files::WriteError;
 pub use files::write;
-pub use run::{Comparison, Playing, Run};
+pub use run::{Advice, Comparison, Playing, Run};
 pub use schedule::{Turn, schedule};
 pub use summary::Change;
 pub use summary::{Basis, Figure, PolicySummary};

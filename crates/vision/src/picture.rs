@@ -12,6 +12,7 @@ mod format;
 mod header;
 mod letterbox;
 mod limits;
+mod stream;
 
 pub use decode::{decode, decode_grey_half, decode_small_grey, to_jpeg};
 pub use fault::FrameFault;
@@ -21,6 +22,7 @@ pub use header::{format_of, picture_of_file, picture_of_kind};
 pub use letterbox::{ColorOrder, Fit, InputFormat, Letterbox, TensorLayout, ValueRange};
 pub use letterbox::{InputMapping, LetterboxError};
 pub use limits::{FrameLimits, check_payload, check_picture, check_raw_length};
+pub use stream::{CutError, read_part, read_png, read_ppm};
 
 /// Most scans of a progressive JPEG file; encoders use about ten. Each costs a pass over the picture, and a small
 /// file can hold many.

@@ -4,11 +4,11 @@ use super::PATIENCE;
 use super::clip::LoadedClip;
 use crate::cli::replay::{FrameSender, Haste, PublishOptions, Rate, flush, open_session, publish};
 use albireo_core::policy::{Knob, PolicyConfig};
-use albireo_eval::compare::{Boxes, ClassNumbers};
+use albireo_eval::compare::{Advice, Boxes, ClassNumbers};
 use albireo_node::PreparedNode;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::input::Delivery;
-use albireo_node::state::advice::{Advice, SkipWatch};
+use albireo_node::state::advice::SkipWatch;
 use albireo_node::state::board::{Board, CameraBoard};
 use albireo_service::config::{Configuration, ZenohConfig};
 use albireo_wire::{ClipReport, DetectionsMessage, read};
@@ -70,7 +70,11 @@ impl Played {
         for message in self.messages() {
             watch.count(&message);
         }
-        watch.advice_so_far(&knob?)
+        let advice = watch.advice_so_far(&knob?)?;
+        Some(Advice {
+            knob: advice.knob,
+            attempt: advice.attempt,
+        })
     }
 
     /// The boxes of the clip's frames.

@@ -178,7 +178,7 @@ pub(super) struct PassArguments {
 pub(super) fn videos(arguments: &VideoArguments) -> anyhow::Result<()> {
     for file in &arguments.files {
         ensure!(
-            file.contains("://") || Path::new(file).is_file(),
+            Path::new(file).is_file(),
             "{file}: no such video file; `albireo eval pictures` takes folders"
         );
     }

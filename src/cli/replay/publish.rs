@@ -198,7 +198,6 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
         .filter(|period| *period <= LONGEST_PERIOD)
         .with_context(|| format!("{rate} frames per second is not a rate: give one with --rate"))?;
     let _stop = StopOnDrop(source.stopper());
-    let is_live = source.is_live();
     let mut prepared = prepare(source, options.repeat);
     let mut clips = Clips::new(options);
     let mut sent = Sent::default();
@@ -216,8 +215,7 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
             due = Instant::now();
             (due, SystemTime::now())
         });
-        // A live source comes at its own pace.
-        if options.rate != Rate::Unpaced && !is_live {
+        if options.rate != Rate::Unpaced {
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => break,
@@ -230,11 +228,7 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
             }
             due += period;
         }
-        let seconds = if is_live {
-            began.elapsed().as_secs_f64()
-        } else {
-            sent.frames as f64 / rate
-        };
+        let seconds = sent.frames as f64 / rate;
         let bytes = picture.bytes.len() as u64;
         let frame = OutgoingFrame {
             attachment: FrameAttachment {

@@ -1,7 +1,6 @@
 //! What is known of a comparison and of each of its runs.
 
 use super::agreement::Agreement;
-use albireo_node::state::advice::Advice;
 use albireo_wire::ClipReport;
 use serde::Serialize;
 
@@ -47,6 +46,16 @@ pub struct Run {
     /// What to try, where no frame was skipped though objects were followed.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub advice: Option<Advice>,
+}
+
+/// A value of the threshold under which frames would have been skipped.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Advice {
+    /// Name of the threshold.
+    pub knob: &'static str,
+    /// The value to try.
+    #[serde(rename = "try")]
+    pub attempt: f64,
 }
 
 /// A comparison that was played.

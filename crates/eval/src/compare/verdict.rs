@@ -213,9 +213,8 @@ fn choice(verdicts: &[Verdict]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::super::summary::tests::{comparison, run};
-    use super::super::{Agreement, summarise};
+    use super::super::{Advice, Agreement, summarise};
     use super::*;
-    use albireo_node::state::advice::Advice;
 
     fn told(joules: [f64; 2], ap50: f64, calls: u64) -> Vec<String> {
         let runs = (0..3)
@@ -271,10 +270,7 @@ mod tests {
     fn where_nothing_was_skipped_it_is_told_what_to_try() {
         let mut runs = vec![run(0, 0, 100, None), run(0, 1, 100, None)];
         runs[1].advice = Some(Advice {
-            frames: 100,
-            followed: 90,
             knob: "u",
-            value: 1e-4,
             attempt: 4e-4,
         });
         let comparison = comparison(&["vanilla", "albireo u=1e-4"], runs);

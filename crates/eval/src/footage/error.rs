@@ -1,8 +1,7 @@
 //! Why footage cannot be had.
 
-use albireo_node::input::source::{CutError, SourceError};
 use albireo_synth::SynthError;
-use albireo_vision::picture::{FrameFault, PictureFileError};
+use albireo_vision::picture::{CutError, FrameFault, PictureFileError};
 
 /// Why footage cannot be opened or read on.
 #[derive(Debug, thiserror::Error)]
@@ -11,12 +10,27 @@ pub enum FootageError {
     /// There is nothing of that name.
     #[error("{0}: no such file or folder")]
     Missing(String),
-    /// A pipeline is no footage.
-    #[error("a GStreamer pipeline is not replayed: `albireo publish` sends it to a node")]
-    Pipeline,
-    /// The program that reads it cannot be started, or says why it cannot read it.
-    #[error(transparent)]
-    Source(#[from] SourceError),
+    /// A camera's address is no file. It may hold a password and is not repeated.
+    #[error(
+        "a live camera is not footage: a node opens it as the `source` of a [[camera]], or `albireo publish` sends it to one"
+    )]
+    Address,
+    /// A program is missing.
+    #[error(
+        "no `{program}` was found; install it with `apt-get install ffmpeg`, `dnf install ffmpeg` or `brew install ffmpeg`"
+    )]
+    NotInstalled {
+        /// Its name.
+        program: String,
+    },
+    /// A program cannot be started.
+    #[error("`{program}` cannot be started: {error}")]
+    NotStarted {
+        /// Its name.
+        program: String,
+        /// What the system says.
+        error: std::io::Error,
+    },
     /// `ffprobe` says something else than expected.
     #[error("{input}: ffprobe's answer is not understood: {source}")]
     Probe {
@@ -31,12 +45,12 @@ pub enum FootageError {
     /// Nobody says how fast it is.
     #[error("{0}: ffprobe tells no frame rate; give one with --rate")]
     NoRate(String),
-    /// `ffmpeg` ended with an error.
-    #[error("{input}: ffmpeg failed: {reason}")]
+    /// `ffmpeg` or `ffprobe` ended with an error.
+    #[error("{input}: ffmpeg cannot read it: {reason}")]
     Failed {
-        /// The source.
+        /// The file.
         input: String,
-        /// What ffmpeg said.
+        /// What it said.
         reason: String,
     },
     /// What came out ends within a picture.

@@ -19,7 +19,7 @@ pub enum SourceName {
     },
     /// A folder of JPEG and PNG files, or one such file.
     Pictures(PathBuf),
-    /// A video file, or an address that `ffmpeg` can open (`rtsp://…`).
+    /// A video file.
     Video(String),
 }
 
@@ -68,7 +68,7 @@ impl SourceName {
                     return Err(FootageError::Missing(input.clone()));
                 }
                 let input = input.clone();
-                // ffprobe reads the file first; an address may take its time.
+                // ffprobe reads the file first.
                 let video = tokio::task::spawn_blocking(move || {
                     Video::open(&input, rate, encoding, Ffmpeg::default())
                 })
@@ -90,8 +90,8 @@ mod tests {
         assert_eq!("synth:42".parse(), synthetic(42));
         assert!("synth:x".parse::<SourceName>().is_err());
         assert_eq!(
-            "rtsp://camera/1".parse(),
-            Ok(SourceName::Video("rtsp://camera/1".to_owned()))
+            "drive.mp4".parse(),
+            Ok(SourceName::Video("drive.mp4".to_owned()))
         );
         assert_eq!(
             "one.PNG".parse(),

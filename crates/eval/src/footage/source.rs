@@ -35,11 +35,6 @@ pub trait FrameSource: Send {
     /// When the source cannot be opened again.
     fn rewind(&mut self) -> Result<(), FootageError>;
 
-    /// Whether its pictures come when they are made, and not when they are asked for.
-    fn is_live(&self) -> bool {
-        false
-    }
-
     /// How to end a [`next`](Self::next) that waits for something outside, such as another program.
     fn stopper(&self) -> Option<Stopper> {
         None

@@ -95,10 +95,6 @@ impl FrameSource for Thinned<'_> {
         self.source.rewind()
     }
 
-    fn is_live(&self) -> bool {
-        self.source.is_live()
-    }
-
     fn stopper(&self) -> Option<Stopper> {
         self.source.stopper()
     }

@@ -1,18 +1,35 @@
-//! A video file as a source of frames, decoded by the `ffmpeg` program; or an address, which is opened once.
+//! A video file as a source of frames, decoded by the `ffmpeg` program.
 
 use super::error::FootageError;
 use super::source::{FrameSource, Stopper, clip_name};
-use albireo_node::input::source::{
-    FfmpegInput, Handover, Running, SourceAddress, SourceKind, Stop, read_part, read_png,
-};
-use albireo_vision::picture::{EncodedPicture, FrameLimits, picture_of_file};
+use albireo_vision::picture::{EncodedPicture, FrameLimits, picture_of_file, read_part, read_png};
 use bytes::Bytes;
 use parking_lot::Mutex;
 use serde::Deserialize;
-use std::path::Path;
+use std::io::{BufReader, ErrorKind, Read};
+use std::os::unix::process::CommandExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStderr, ChildStdout, Command, Stdio};
 use std::sync::Arc;
+use std::thread::JoinHandle;
 
-pub use albireo_node::input::source::Ffmpeg;
+/// The two programs.
+#[derive(Clone, Debug)]
+pub struct Ffmpeg {
+    /// The decoder.
+    pub ffmpeg: PathBuf,
+    /// The prober, of the same package.
+    pub ffprobe: PathBuf,
+}
+
+impl Default for Ffmpeg {
+    fn default() -> Self {
+        Self {
+            ffmpeg: PathBuf::from("ffmpeg"),
+            ffprobe: PathBuf::from("ffprobe"),
+        }
+    }
+}
 
 /// How the frames of a video are encoded before they are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
@@ -27,30 +44,47 @@ pub enum VideoEncoding {
 /// Most bytes of one picture.
 const MOST_BYTES: u64 = 256 << 20;
 
-/// Frames a second that are assumed of a live source, which tells its rate only by its frames.
-const LIVE_RATE: f64 = 25.0;
+/// Bytes that are read from ffmpeg at once: a picture is far more than a pipe holds.
+const BUFFER: usize = 1 << 18;
+
+/// Most bytes that are kept of what ffmpeg says.
+const LONGEST_COMPLAINT: u64 = 16 << 10;
 
 /// A video. Its `ffmpeg` ends with it.
 #[derive(Debug)]
 pub struct Video {
-    address: SourceAddress,
+    file: String,
     name: String,
     encoding: VideoEncoding,
     programs: Ffmpeg,
     rate: f64,
-    /// Frames per second at most, of a live source.
-    most: Option<f64>,
-    is_live: bool,
     frames: Option<u64>,
-    running: Option<Running>,
-    stopping: Arc<Mutex<Stopping>>,
+    pass: Option<Pass>,
+    process: Arc<Mutex<Process>>,
 }
 
-/// How to end it from another thread.
+/// One run of ffmpeg through the file.
+#[derive(Debug)]
+struct Pass {
+    output: BufReader<ChildStdout>,
+    complaints: JoinHandle<String>,
+}
+
+/// The running ffmpeg, shared with whoever may stop it.
 #[derive(Debug, Default)]
-struct Stopping {
-    stop: Option<Stop>,
+struct Process {
+    child: Option<Child>,
     stopped: bool,
+}
+
+impl Process {
+    fn end(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            // It fails only when the program has ended already.
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
 }
 
 #[derive(Deserialize)]
@@ -85,84 +119,121 @@ const PROBE: [&str; 8] = [
     "json",
 ];
 
+/// Every frame of the file exactly once, whatever its time stamp: frames get numbers for time stamps, which a constant
+/// output rate then neither repeats nor drops. (`-fps_mode passthrough` is unknown before ffmpeg 5.1, `-vsync` after 7.)
+const EACH_FRAME: [&str; 6] = ["-map", "0:v:0", "-vf", "settb=1/25,setpts=N", "-r", "25"];
+
 impl Video {
-    /// Probes and opens a video file; or opens an address or a device, which may have but one client, without probing it.
-    /// `wanted_rate` is for files that have no rate of their own, and the most frames per second of a live source.
+    /// Probes and opens a video file. `wanted_rate` is for files that have no rate of their own.
     ///
     /// # Errors
     /// When a program is not installed or finds no video stream.
     pub fn open(
-        input: &str,
+        file: &str,
         wanted_rate: Option<f64>,
         encoding: VideoEncoding,
         programs: Ffmpeg,
     ) -> Result<Self, FootageError> {
-        let address = SourceAddress::new(input);
-        let is_live = match address.kind() {
-            SourceKind::File => false,
-            SourceKind::Network(_) | SourceKind::Device => true,
-            SourceKind::Pipeline => return Err(FootageError::Pipeline),
+        if file.contains("://") {
+            return Err(FootageError::Address);
+        }
+        // A name that begins with a dash is no option.
+        let file = match file.strip_prefix('-') {
+            Some(rest) => format!("./-{rest}"),
+            None => file.to_owned(),
         };
-        let (rate, frames) = if is_live {
-            (wanted_rate.unwrap_or(LIVE_RATE), None)
-        } else {
-            probed(input, wanted_rate, &programs)?
-        };
-        let name = if is_live {
-            "live".to_owned()
-        } else {
-            clip_name(Path::new(input))
-        };
+        let (rate, frames) = probe(&file, wanted_rate, &programs)?;
         let mut video = Self {
-            address,
-            name,
+            name: clip_name(Path::new(&file)),
+            file,
             encoding,
             programs,
             rate,
-            most: wanted_rate.filter(|_| is_live),
-            is_live,
             frames,
-            running: None,
-            stopping: Arc::default(),
+            pass: None,
+            process: Arc::default(),
         };
         video.rewind()?;
         Ok(video)
     }
 
-    /// The pass is over: an error if `ffmpeg` failed.
+    /// The output is over: an error if `ffmpeg` failed.
     fn ended(&mut self) -> Result<(), FootageError> {
-        match self.running.take().map(Running::ended) {
-            Some(Err(reason)) => Err(FootageError::Failed {
-                input: self.address.to_string(),
-                reason: reason.to_string(),
-            }),
-            _ => Ok(()),
-        }
+        let Some(pass) = self.pass.take() else {
+            return Ok(());
+        };
+        let complaints = pass.complaints.join().unwrap_or_default();
+        let mut process = self.process.lock();
+        let status = process.child.take().map(|mut child| child.wait());
+        let reason = match status {
+            Some(Ok(status)) if !status.success() && !process.stopped => {
+                if complaints.is_empty() {
+                    format!("it ended with {status}")
+                } else {
+                    complaints
+                }
+            }
+            Some(Err(error)) => error.to_string(),
+            _ => return Ok(()),
+        };
+        Err(FootageError::Failed {
+            input: self.file.clone(),
+            reason,
+        })
     }
 }
 
 /// Rate and number of the frames of a file.
-fn probed(
-    input: &str,
+fn probe(
+    file: &str,
     fallback: Option<f64>,
     programs: &Ffmpeg,
 ) -> Result<(f64, Option<u64>), FootageError> {
-    let said = programs.probe(&PROBE, input)?;
-    let probed: Probed = serde_json::from_slice(&said).map_err(|source| FootageError::Probe {
-        input: input.to_owned(),
-        source,
-    })?;
+    let mut command = Command::new(&programs.ffprobe);
+    let probed = (command.args(PROBE).arg(file).stdin(Stdio::null()).output())
+        .map_err(|error| not_started(&programs.ffprobe, error))?;
+    if !probed.status.success() {
+        return Err(FootageError::Failed {
+            input: file.to_owned(),
+            reason: String::from_utf8_lossy(&probed.stderr).trim().to_owned(),
+        });
+    }
+    let probed: Probed =
+        serde_json::from_slice(&probed.stdout).map_err(|source| FootageError::Probe {
+            input: file.to_owned(),
+            source,
+        })?;
     let Some(stream) = probed.streams.first() else {
-        return Err(FootageError::NoVideo(input.to_owned()));
+        return Err(FootageError::NoVideo(file.to_owned()));
     };
     let rate = [&stream.avg_frame_rate, &stream.r_frame_rate]
         .into_iter()
         .flatten()
         .find_map(|text| rate(text))
         .or(fallback)
-        .ok_or_else(|| FootageError::NoRate(input.to_owned()))?;
+        .ok_or_else(|| FootageError::NoRate(file.to_owned()))?;
     let frames = stream.nb_frames.as_ref().and_then(|text| text.parse().ok());
     Ok((rate, frames))
+}
+
+fn not_started(program: &Path, error: std::io::Error) -> FootageError {
+    let program = program.display().to_string();
+    match error.kind() {
+        ErrorKind::NotFound => FootageError::NotInstalled { program },
+        _ => FootageError::NotStarted { program, error },
+    }
+}
+
+/// Reads what a program says to its end, so that it never waits for a reader, and keeps the beginning.
+fn listen(mut errors: ChildStderr) -> String {
+    let mut said = Vec::new();
+    // What cannot be read is not there.
+    let _ = errors
+        .by_ref()
+        .take(LONGEST_COMPLAINT)
+        .read_to_end(&mut said);
+    let _ = std::io::copy(&mut errors, &mut std::io::sink());
+    String::from_utf8_lossy(&said).trim().replace('\n', "; ")
 }
 
 impl FrameSource for Video {
@@ -178,34 +249,30 @@ impl FrameSource for Video {
         self.frames
     }
 
-    fn is_live(&self) -> bool {
-        self.is_live
-    }
-
     fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
-        let Some(running) = &mut self.running else {
+        let Some(pass) = &mut self.pass else {
             return Ok(None);
         };
-        let file = match self.encoding {
-            VideoEncoding::Jpeg => read_part(running.output(), MOST_BYTES),
-            VideoEncoding::Png => read_png(running.output(), MOST_BYTES),
+        let picture = match self.encoding {
+            VideoEncoding::Jpeg => read_part(&mut pass.output, MOST_BYTES),
+            VideoEncoding::Png => read_png(&mut pass.output, MOST_BYTES),
         };
-        match file {
-            Ok(Some(file)) => picture_of_file(Bytes::from(file), &FrameLimits::default())
+        match picture {
+            Ok(Some(picture)) => picture_of_file(Bytes::from(picture), &FrameLimits::default())
                 .map(Some)
                 .map_err(|source| FootageError::Frame {
-                    input: self.address.to_string(),
+                    input: self.file.clone(),
                     source,
                 }),
             Ok(None) => self.ended().map(|()| None),
             Err(source) => {
-                // A failed ffmpeg explains a cut stream better than the cut does.
-                self.ended()?;
-                if self.stopping.lock().stopped {
+                if self.process.lock().stopped {
                     return Ok(None);
                 }
+                // A failed ffmpeg explains a cut stream better than the cut does.
+                self.ended()?;
                 Err(FootageError::Cut {
-                    input: self.address.to_string(),
+                    input: self.file.clone(),
                     source,
                 })
             }
@@ -213,34 +280,51 @@ impl FrameSource for Video {
     }
 
     fn rewind(&mut self) -> Result<(), FootageError> {
-        self.running = None;
-        let mut stopping = self.stopping.lock();
-        if stopping.stopped {
+        self.pass = None;
+        let mut process = self.process.lock();
+        process.end();
+        if process.stopped {
             return Ok(());
         }
-        let handover = match self.encoding {
-            VideoEncoding::Jpeg => Handover::Jpeg(2),
-            VideoEncoding::Png => Handover::Png,
+        let encoder: &[&str] = match self.encoding {
+            VideoEncoding::Jpeg => &["-c:v", "mjpeg", "-q:v", "2", "-f", "mpjpeg"],
+            VideoEncoding::Png => &["-c:v", "png", "-f", "image2pipe"],
         };
-        let input = FfmpegInput {
-            max_rate: self.most,
-            ..FfmpegInput::new(&self.address)
-        };
-        let running = self.programs.open(&input, handover)?;
-        stopping.stop = Some(running.stop());
-        self.running = Some(running);
+        let mut child = Command::new(&self.programs.ffmpeg)
+            .args(["-v", "error", "-nostdin", "-i", &self.file])
+            .args(EACH_FRAME)
+            .args(encoder)
+            .arg("pipe:1")
+            .stdin(Stdio::null())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            // Ctrl-C in a terminal is for the owner, who ends it.
+            .process_group(0)
+            .spawn()
+            .map_err(|error| not_started(&self.programs.ffmpeg, error))?;
+        if let (Some(output), Some(errors)) = (child.stdout.take(), child.stderr.take()) {
+            self.pass = Some(Pass {
+                output: BufReader::with_capacity(BUFFER, output),
+                complaints: std::thread::spawn(move || listen(errors)),
+            });
+        }
+        process.child = Some(child);
         Ok(())
     }
 
     fn stopper(&self) -> Option<Stopper> {
-        let stopping = Arc::clone(&self.stopping);
+        let process = Arc::clone(&self.process);
         Some(Box::new(move || {
-            let mut stopping = stopping.lock();
-            stopping.stopped = true;
-            if let Some(stop) = &stopping.stop {
-                stop.stop();
-            }
+            let mut process = process.lock();
+            process.stopped = true;
+            process.end();
         }))
+    }
+}
+
+impl Drop for Video {
+    fn drop(&mut self) {
+        self.process.lock().end();
     }
 }
 
@@ -255,5 +339,14 @@ mod tests {
         for text in ["0/0", "90000/1", "x", "-5/1", ""] {
             assert_eq!(rate(text), None, "{text}");
         }
+    }
+
+    #[test]
+    fn a_camera_s_address_is_refused_with_what_to_do() {
+        let address = "rtsp://user:hidden@camera/1";
+        let error = Video::open(address, None, VideoEncoding::Jpeg, Ffmpeg::default());
+        let text = error.unwrap_err().to_string();
+        assert!(text.contains("albireo publish"), "{text}");
+        assert!(!text.contains("hidden"), "{text}");
     }
 }

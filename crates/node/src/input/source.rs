@@ -1,12 +1,11 @@
 //! Sources of pictures: a network camera, a device, a video file or a GStreamer pipeline, opened by a child process whose
-//! output is read. The node's own cameras, `albireo publish`, `albireo replay` and the evaluation's videos come from here.
+//! output is read. The node's own cameras and `albireo publish` come from here.
 //!
 //! | file | what is in it |
 //! | --- | --- |
 //! | `address` | what a source is called, what of it is secret, how it is shown |
 //! | `ffmpeg`, `gstreamer` | how the two programs are told what to do |
 //! | `program` | a program that runs: started, listened to, killed with its owner |
-//! | `pictures` | its output cut into pictures |
 //! | `live` | a source that is opened again and again |
 
 mod address;
@@ -14,11 +13,9 @@ mod ffmpeg;
 mod gstreamer;
 mod limit;
 mod live;
-mod pictures;
 mod program;
 
 pub use address::{AddressError, SourceAddress, SourceKind};
 pub use ffmpeg::{Ffmpeg, FfmpegInput, Handover, RtspTransport};
 pub use live::{LiveSource, SourceSettings, SourceSink};
-pub use pictures::{CutError, read_part, read_png};
 pub use program::{Running, SourceError, Stop};

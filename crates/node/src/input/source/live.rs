@@ -4,9 +4,10 @@ use super::address::{SourceAddress, SourceKind};
 use super::ffmpeg::{Ffmpeg, FfmpegInput, Handover, RtspTransport};
 use super::gstreamer;
 use super::limit::RateSlots;
-use super::pictures::{CutError, read_part, read_ppm};
 use super::program::{INSTALL_FFMPEG, Running, SourceError, Stop};
-use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits, picture_of_file};
+use albireo_vision::picture::{
+    CutError, EncodedPicture, FrameFault, FrameLimits, picture_of_file, read_part, read_ppm,
+};
 use bytes::Bytes;
 use parking_lot::Mutex;
 use std::path::Path;

@@ -1,9 +1,7 @@
-//! The output of a program cut into pictures: parts of a multipart stream, PNG files, PPM files.
+//! Cuts a stream of bytes, such as the output of ffmpeg, into pictures: parts of a multipart stream, PNG files, PPM files.
 
+use super::{EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_picture};
 use albireo_core::geometry::PictureSize;
-use albireo_vision::picture::{
-    EncodedPicture, FrameFault, FrameLimits, PictureFormat, check_picture,
-};
 use bytes::Bytes;
 use std::io::{BufRead, Read};
 
@@ -98,7 +96,7 @@ pub fn read_png(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>,
 ///
 /// # Errors
 /// When it is cut short. A picture above `limits` is read past, and told in the inner result.
-pub(super) fn read_ppm(
+pub fn read_ppm(
     stream: &mut impl BufRead,
     limits: &FrameLimits,
 ) -> Result<Option<Result<EncodedPicture, FrameFault>>, CutError> {
