@@ -38,7 +38,7 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
     let colors = [[204, 0, 0], [0, 153, 0], [102, 0, 0]];
     let expected = [vec![(0, 80)], vec![(1, 60)], vec![(0, 40)]];
     let [one, two, three] = colors;
-    let mut before = detector.counters().task;
+    let mut before = detector.counters().worker;
     // The first round makes the cameras known: a batch waits for known cameras only.
     for round in 0..2 {
         let together = tokio::join!(
@@ -48,7 +48,7 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
         );
         let found = [&together.0, &together.1, &together.2].map(confidences);
         assert_eq!(found, expected);
-        let after = detector.counters().task;
+        let after = detector.counters().worker;
         assert_eq!(after.completed - before.completed, 3);
         if round == 1 {
             assert_eq!(after.batches - before.batches, 1);
@@ -69,16 +69,4 @@ async fn a_batch_for_a_model_that_takes_one_picture_is_refused_with_what_to_do()
     for part in ["detector.batch_size", "[1, 3, 32, 64]", "dynamic=True"] {
         assert!(error.contains(part), "{error}");
     }
-}
-
-#[tokio::test]
-async fn a_batch_that_the_queue_cannot_hold_is_refused() {
-    let mut config = config("yolo_open.onnx");
-    config.queue = 2;
-    let error = DetectorHandle::start(&config).await.err().unwrap();
-    let error = error.to_string();
-    assert!(
-        error.contains("detector.batch_size") && error.contains("to 2"),
-        "{error}"
-    );
 }

@@ -47,7 +47,7 @@ async fn a_run_without_enough_memory_is_counted_and_the_next_picture_is_answered
         .unwrap();
     let answer = detector.detect(CAMERA, dark).await.unwrap();
     assert_eq!(answer.detections.len(), 1);
-    let counters = detector.counters().task;
+    let counters = detector.counters().worker;
     assert_eq!(
         (counters.completed, counters.failed, counters.rebuilds),
         (2, 1, 1)

@@ -64,7 +64,7 @@ async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
         .await
         .unwrap();
     assert!(answer.detections.is_empty());
-    assert_eq!(detector.counters().task.completed, 2);
+    assert_eq!(detector.counters().worker.completed, 2);
     detector.stop().await;
 }
 
@@ -186,7 +186,7 @@ async fn numbers_that_are_none_are_counted_and_reported_as_nothing() {
         .unwrap();
     assert!(answer.detections.is_empty());
     assert_eq!(detector.counters().head.rejected, 1);
-    assert_eq!(detector.counters().task.failed, 0);
+    assert_eq!(detector.counters().worker.failed, 0);
 }
 
 #[tokio::test]
@@ -269,7 +269,13 @@ async fn a_number_that_cannot_be_is_refused_with_its_key() {
                 ..good()
             },
         ),
-        ("detector.queue", DetectorConfig { queue: 0, ..good() }),
+        (
+            "detector.batch_size",
+            DetectorConfig {
+                batch_size: 65,
+                ..good()
+            },
+        ),
         (
             "detector.providers",
             DetectorConfig {

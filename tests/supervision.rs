@@ -126,29 +126,16 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
     let mut bench = Bench::start(&config).await;
     let mut reports = bench.reports().await;
     // Dark pictures are answered at once, a bright one never.
-    let picture = |value: u8| -> Vec<u8> {
-        let mut file = Vec::new();
-        let encoder = jpeg_encoder::Encoder::new(&mut file, 90);
-        encoder
-            .encode(
-                &vec![value; 64 * 32 * 3],
-                64,
-                32,
-                jpeg_encoder::ColorType::Rgb,
-            )
-            .unwrap();
-        file
-    };
     bench
-        .send_of_clip(picture(0), "image/jpeg", 0, Some("last"))
+        .send_of_clip(solid(0), "image/jpeg", 0, Some("last"))
         .await;
     assert_eq!(bench.answer().await.seq, 0);
     bench
-        .send_of_clip(picture(255), "image/jpeg", 1, Some("last"))
+        .send_of_clip(solid(255), "image/jpeg", 1, Some("last"))
         .await;
     for seq in 2..4 {
         bench
-            .send_of_clip(picture(0), "image/jpeg", seq, Some("last"))
+            .send_of_clip(solid(0), "image/jpeg", seq, Some("last"))
             .await;
     }
     // The link keeps its order: once the query is answered the frames are in the ring.
@@ -215,12 +202,7 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     let overrun = r#"albireo_frames_dropped_total{camera="front",kind="overrun"} "#;
     let stuck = async {
         for seq in 0.. {
-            session
-                .put("albireo/node/front/frame", vec![255_u8; 64 * 32])
-                .encoding("image/raw;gray8")
-                .attachment(format!(r#"{{"v":1,"seq":{seq},"width":64,"height":32}}"#))
-                .await
-                .unwrap();
+            put_grey(&session, seq, 255).await;
             let text = reqwest::get(format!("{}/metrics", node.http))
                 .await
                 .unwrap();
@@ -249,4 +231,72 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     again.abort();
     assert_eq!(status.code(), Some(130));
     assert!(took < Duration::from_secs(5), "{took:?}");
+}
+
+/// A JPEG file of 64x32 pixels of one grey.
+fn solid(value: u8) -> Vec<u8> {
+    let mut file = Vec::new();
+    let encoder = jpeg_encoder::Encoder::new(&mut file, 90);
+    let pixels = vec![value; 64 * 32 * 3];
+    (encoder.encode(&pixels, 64, 32, jpeg_encoder::ColorType::Rgb)).unwrap();
+    file
+}
+
+/// Puts a grey frame of 64x32 pixels to the camera `front` of a node.
+async fn put_grey(session: &zenoh::Session, seq: u32, value: u8) {
+    session
+        .put("albireo/node/front/frame", vec![value; 64 * 32])
+        .encoding("image/raw;gray8")
+        .attachment(format!(r#"{{"v":1,"seq":{seq},"width":64,"height":32}}"#))
+        .await
+        .unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_run_that_never_comes_back_ends_the_node_with_an_error() {
+    let settings = format!(
+        "detector.model = \"{}\"\ndetector.timeout_ms = 500\npolicy.name = \"vanilla\"\n\
+         power.source = \"none\"\n",
+        model("hanging.onnx").display()
+    );
+    let node = Node::start(&settings).await;
+    let endpoint = [node.zenoh.clone()];
+    let session = albireo::cli::replay::open_session(&endpoint, &[], LONG).await;
+    put_grey(&session.unwrap(), 0, 255).await;
+    let (status, log) = timeout(LONG, node.ended()).await.unwrap();
+    assert_eq!(status.code(), Some(1), "{log}");
+    assert!(
+        log.contains("the thread of the detector has not come back for 30 s"),
+        "{log}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_detector_that_finds_only_the_impossible_is_told_by_readiness_until_it_works() {
+    let mut config = configuration();
+    config.detector.model = model("dark_overflows.onnx");
+    let mut bench = Bench::start(&config).await;
+    let mut changes = bench.board.readiness().subscribe();
+    for seq in 0..6 {
+        bench.send(solid(20), "image/jpeg", seq).await;
+        let answer = bench.answer().await;
+        assert_eq!(answer.degraded, seq >= 4, "frame {seq}");
+    }
+    let fault = timeout(
+        LONG,
+        changes.wait_for(|status| status.reasons.contains_key("detector")),
+    );
+    let status = fault.await.unwrap().unwrap().clone();
+    assert_eq!(status.state, HealthState::NotReady);
+    assert!(
+        status.reasons["detector"].contains("impossible"),
+        "{status:?}"
+    );
+    bench.send(solid(230), "image/jpeg", 6).await;
+    assert!(!bench.answer().await.degraded);
+    let works = changes.wait_for(|status| !status.reasons.contains_key("detector"));
+    timeout(LONG, works).await.expect("it works again").unwrap();
+    bench.stop().await;
 }

@@ -71,7 +71,6 @@ impl Arguments {
             },
             // The first runs of a large model may take seconds.
             timeout_ms: 60_000,
-            queue: 64,
             ..DetectorConfig::default()
         }
     }

@@ -189,7 +189,6 @@ async fn most(
     loop {
         let detector = DetectorConfig {
             batch_size: detector.batch_size.min(cameras),
-            queue: detector.queue.max(cameras),
             ..detector.clone()
         };
         let trial = trial(

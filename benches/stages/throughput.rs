@@ -61,7 +61,8 @@ impl Throughput {
                 tokio::spawn(async move {
                     let mut model = 0.0;
                     for picture in own {
-                        model += detector.detect(CameraSlot(camera), picture).await?.model_ms;
+                        let detected = detector.detect(CameraSlot(camera), picture).await?;
+                        model += detected.model.as_secs_f64() * 1e3;
                     }
                     anyhow::Ok(model)
                 })

@@ -195,6 +195,12 @@ impl Node {
         assert!(status.success());
     }
 
+    /// Waits until the node ends by itself; how it ended, and its log.
+    pub(crate) async fn ended(mut self) -> (ExitStatus, String) {
+        let status = self.child.wait().await.expect("its status can be had");
+        (status, self.log.await.expect("its log"))
+    }
+
     /// Terminates the node; how it ended, how long that took, its log, and its folder.
     pub(crate) async fn stop(mut self) -> (ExitStatus, Duration, String, tempfile::TempDir) {
         let start = std::time::Instant::now();

@@ -111,7 +111,7 @@ fn try_detector(config: &DetectorConfig) -> Result<String, String> {
     for _ in 0..PICTURES {
         let begun = Instant::now();
         let found = network.detect(&prepared);
-        found.map_err(|error| error.0)?;
+        found.map_err(|error| error.to_string())?;
         took.push(begun.elapsed());
     }
     took.sort();

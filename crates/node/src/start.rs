@@ -207,15 +207,15 @@ impl PreparedNode {
         let (gone, stop) = (detector.clone(), shutdown.clone());
         tasks.essential("detector", tracing::info_span!("detector"), async move {
             tokio::select! {
-                () = gone.ended() => Err("its supervisor is gone"),
+                ended = gone.ended() => ended,
                 () = stop.cancelled() => Ok(()),
             }
         });
         if let Some(gone) = screen.clone() {
             let (span, stop) = (tracing::info_span!("screen"), shutdown.clone());
-            tasks.dispensable("screen", span, Effect::Degraded, async move {
+            tasks.essential("screen", span, async move {
                 tokio::select! {
-                    () = gone.ended() => Err("its supervisor is gone"),
+                    ended = gone.ended() => ended,
                     () = stop.cancelled() => Ok(()),
                 }
             });

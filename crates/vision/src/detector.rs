@@ -4,13 +4,12 @@ mod class_names;
 mod classes;
 mod config;
 mod error;
-mod fault;
+pub(crate) mod fault;
 mod gpu;
 mod handle;
 pub mod head;
 mod head_name;
 mod metadata;
-mod model;
 mod network;
 mod onnxruntime;
 mod preparation;
@@ -20,19 +19,15 @@ mod session;
 mod sessions;
 mod signature;
 mod status;
-pub mod task;
 
 pub use config::LONGEST_TIMEOUT_MS;
 pub use config::{ClassNames, DetectorConfig, ExecutionProvider};
 pub use error::{InferenceError, RunError, StartError};
 pub use gpu::GpuConfig;
-pub use handle::{Detected, DetectorHandle, Found};
-pub use handle::{DetectorCounters, DetectorMeter};
+pub use handle::{Detected, DetectorCounts, DetectorHandle, DetectorMeter, SpareTurn};
 pub use head_name::HeadName;
 pub use metadata::Metadata;
-pub use model::Interrupter;
-pub use model::{CameraSlot, Model};
-pub use network::DetectorNetwork;
+pub use network::{DetectorNetwork, Found};
 pub use onnxruntime::find_library;
 pub use preparation::Preparation;
 pub use preparation::PreparedPicture;
@@ -44,3 +39,7 @@ pub use signature::PictureInput;
 pub use signature::shape_text;
 pub use signature::{ElementType, Signature, TensorSpec};
 pub use status::DetectorStatus;
+
+/// A camera among those that share a detector, by its place in the configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct CameraSlot(pub usize);

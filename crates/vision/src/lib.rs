@@ -4,3 +4,4 @@ pub mod detector;
 pub mod picture;
 pub mod pixel_work;
 pub mod screen;
+pub mod worker;

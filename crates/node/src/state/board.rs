@@ -27,8 +27,8 @@ use albireo_power::MeterCost;
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskTally;
-use albireo_vision::detector::task::{TaskCounters, TaskMeter};
-use albireo_vision::detector::{DetectorCounters, DetectorMeter, DetectorStatus};
+use albireo_vision::detector::{DetectorCounts, DetectorMeter, DetectorStatus};
+use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality, KnobSource};
 use balance::Balances;
 use parking_lot::Mutex;
@@ -94,7 +94,7 @@ pub struct Board {
     detector: DetectorFacts,
     detector_status: watch::Receiver<DetectorStatus>,
     detector_meter: OnceLock<DetectorMeter>,
-    screen_meter: OnceLock<TaskMeter>,
+    screen_meter: OnceLock<WorkerMeter>,
     power: Mutex<PowerSnapshot>,
     power_past: Mutex<PowerPast>,
     balances: Mutex<Balances>,
@@ -174,15 +174,15 @@ impl Board {
     }
 
     /// Where to read what the screen counts, once it has started. The first one stays.
-    pub(crate) fn attach_screen(&self, meter: TaskMeter) {
+    pub(crate) fn attach_screen(&self, meter: WorkerMeter) {
         let _ = self.screen_meter.set(meter);
     }
 
     /// What the screen has counted; all 0 before it has started, and where there is none.
-    pub(crate) fn screen_counters(&self) -> TaskCounters {
+    pub(crate) fn screen_counters(&self) -> WorkerCounts {
         self.screen_meter
             .get()
-            .map(TaskMeter::read)
+            .map(WorkerMeter::read)
             .unwrap_or_default()
     }
 
@@ -192,7 +192,7 @@ impl Board {
     }
 
     /// What the detector has counted; all 0 before it has started.
-    pub(crate) fn detector_counters(&self) -> DetectorCounters {
+    pub(crate) fn detector_counters(&self) -> DetectorCounts {
         self.detector_meter
             .get()
             .map(DetectorMeter::read)

@@ -87,10 +87,7 @@ pub(crate) fn look(
 pub(crate) fn of_detector(status: &DetectorStatus) -> Option<Fault> {
     match status {
         DetectorStatus::Starting => Some(Fault::not_ready("the session is being built")),
-        DetectorStatus::Degraded { reason, .. } | DetectorStatus::Lost { reason, .. } => {
-            Some(Fault::not_ready(format!("degraded: {reason}")))
-        }
-        DetectorStatus::Ready { .. } => None,
+        _ => (status.fault()).map(|reason| Fault::not_ready(format!("degraded: {reason}"))),
     }
 }
 

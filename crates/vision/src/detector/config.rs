@@ -80,10 +80,8 @@ pub struct DetectorConfig {
     pub gpu: GpuConfig,
     /// Threads ONNX Runtime uses inside one run; 0 for one less than the machine has cores.
     pub threads: usize,
-    /// A run that takes longer counts as failed and the session is rebuilt.
+    /// A run that takes longer is answered by prediction.
     pub timeout_ms: u64,
-    /// Frames that may wait for the detector, all cameras together.
-    pub queue: usize,
     /// The most frames that one run of the model takes, each of another camera; more than 1 for a model with an
     /// open batch.
     pub batch_size: usize,
@@ -112,7 +110,6 @@ impl Default for DetectorConfig {
             gpu: GpuConfig::default(),
             threads: 0,
             timeout_ms: 2000,
-            queue: 8,
             batch_size: 1,
             batch_wait_ms: 5,
             onnxruntime: None,
@@ -147,13 +144,7 @@ impl DetectorConfig {
             ("most_detections", self.most_detections as u64, 1, 10_000),
             ("threads", self.threads as u64, 0, 1024),
             ("timeout_ms", self.timeout_ms, 1, LONGEST_TIMEOUT_MS),
-            ("queue", self.queue as u64, 1, 4096),
-            (
-                "batch_size",
-                self.batch_size as u64,
-                1,
-                self.queue.clamp(1, 64) as u64,
-            ),
+            ("batch_size", self.batch_size as u64, 1, 64),
             ("batch_wait_ms", self.batch_wait_ms, 0, 1000),
         ] {
             let reason = format!("must be from {least} to {most}, not {value}");

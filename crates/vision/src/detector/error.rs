@@ -112,10 +112,16 @@ pub enum StartError {
     },
 }
 
-/// Why one run of a model failed: the model or what runs it is at fault.
+/// Why one run of a model failed.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0}")]
-pub struct RunError(pub String);
+pub enum RunError {
+    /// The model or what runs it is at fault; its session should not be used again.
+    #[error("{0}")]
+    Failed(String),
+    /// Everything found in this run and in the runs before it is impossible; the next run may be better.
+    #[error("{0}")]
+    Implausible(String),
+}
 
 /// Why a picture was not answered. The frame it belongs to can be answered from prediction.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -123,7 +129,7 @@ pub enum InferenceError {
     /// The picture cannot be answered; the session is as good as before.
     #[error("the picture cannot be used: {0}")]
     BadPicture(String),
-    /// The run took too long; it is abandoned and the session rebuilt.
+    /// The run took too long; no other begins until it has come back.
     #[error("the run took longer than {timeout_ms} ms")]
     TimedOut {
         /// The limit.
@@ -132,13 +138,16 @@ pub enum InferenceError {
     /// The run ended with an error; the session is rebuilt.
     #[error("the run failed: {0}")]
     Failed(String),
+    /// What was found in this run and in those before it is impossible.
+    #[error("{0}")]
+    Implausible(String),
     /// The run panicked; the session is rebuilt.
     #[error("the run panicked: {0}")]
     Panicked(String),
-    /// There is no session right now: it is being rebuilt after an earlier failure.
-    #[error("the session is being rebuilt: {0}")]
+    /// No session can take pictures now: it is being rebuilt after a failure, or a run takes too long.
+    #[error("no session can take pictures now: {0}")]
     Unavailable(String),
-    /// The task has been stopped.
-    #[error("the task has been stopped")]
+    /// The worker has been stopped.
+    #[error("the worker has been stopped")]
     Stopped,
 }

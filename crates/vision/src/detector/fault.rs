@@ -57,7 +57,7 @@ fn cuda_failures(said: &str) -> Vec<u32> {
 
 /// Whether `said`, of a session that worked before, is of a GPU that this process has lost. Also recognised in the midst of
 /// a longer sentence.
-pub(super) fn device_is_lost(said: &str) -> bool {
+pub(crate) fn device_is_lost(said: &str) -> bool {
     cuda_failures(said)
         .iter()
         .any(|number| NO_DEVICE.contains(number) || CONTEXT_IS_LOST.contains(number))
@@ -65,7 +65,7 @@ pub(super) fn device_is_lost(said: &str) -> bool {
 
 /// What ONNX Runtime said, with what it means and what to do before it where that is known: its own words are of arenas
 /// and of numbers.
-pub(super) fn in_words(said: &str) -> String {
+pub(crate) fn in_words(said: &str) -> String {
     // A sentence of ours goes on after it.
     let said = said.trim_end().trim_end_matches('.');
     let lower = said.to_lowercase();

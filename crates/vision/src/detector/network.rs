@@ -3,24 +3,42 @@
 
 use super::classes::Classes;
 use super::head::{self, Head, TensorView, Unrecognised};
-use super::model::Interrupter;
 use super::reader::{HeadCounters, HeadCounts, Parts, Reader};
 use super::{
-    DetectorConfig, ExecutionProvider, Found, HeadName, Model, OnnxSession, PictureInput,
-    Preparation, PreparedPicture, RunError, SessionSettings, Signature, StartError, TensorSpec,
-    class_names,
+    DetectorConfig, ExecutionProvider, HeadName, OnnxSession, PictureInput, Preparation,
+    PreparedPicture, RunError, SessionSettings, Signature, StartError, TensorSpec, class_names,
 };
 use crate::picture::{InputFormat, Picture};
+use crate::worker::Model;
+use albireo_core::detection::Detection;
 use std::sync::Arc;
-use std::time::Instant;
+use std::time::{Duration, Instant};
+
+/// What the model found in one picture, and how long its own steps took.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Found {
+    /// Best first, normalised to the source picture, above the configured confidence, overlaps suppressed.
+    pub detections: Vec<Detection>,
+    /// Resizing and conversion to the model's input tensor.
+    pub letterbox: Duration,
+    /// The model alone; of a batch, that of all its pictures.
+    pub model: Duration,
+    /// From output tensors to detections.
+    pub head: Duration,
+}
 
 /// A model with all that belongs to it, on the caller's thread: from pictures to detections.
-/// [`DetectorHandle`](super::DetectorHandle) is the same for a service, with a queue and supervision.
+/// [`DetectorHandle`](super::DetectorHandle) is the same for several cameras, with a queue and deadlines.
 pub struct DetectorNetwork {
     session: OnnxSession,
     preparation: Preparation,
     reader: Reader,
+    /// Runs in a row in which everything found was impossible.
+    impossible_runs: u32,
 }
+
+/// So many runs in a row in which everything found is impossible are a fault of the model.
+const IMPOSSIBLE_RUNS: u32 = 5;
 
 impl DetectorNetwork {
     /// Loads the model, finds and binds its head, and runs it once, so that the first picture is not the slow
@@ -58,6 +76,7 @@ impl DetectorNetwork {
             session,
             preparation: Preparation::new(head.input_format),
             reader: Reader::new(head, classes, config),
+            impossible_runs: 0,
         };
         network
             .warm_up(config.batch_size)
@@ -67,6 +86,7 @@ impl DetectorNetwork {
             })?;
         // Counting begins with the first picture.
         network.reader.count_into(counters);
+        network.impossible_runs = 0;
         Ok(network)
     }
 
@@ -82,11 +102,10 @@ impl DetectorNetwork {
             pictures.push(prepared.map_err(|error| error.to_string())?);
         }
         self.run(&pictures[..1])
-            .map_err(|RunError(reason)| reason)?;
+            .map_err(|error| error.to_string())?;
         if batch_size > 1 {
-            self.run(&pictures).map_err(|RunError(reason)| {
-                format!("{reason} (with detector.batch_size = {batch_size})")
-            })?;
+            self.run(&pictures)
+                .map_err(|error| format!("{error} (with detector.batch_size = {batch_size})"))?;
         }
         Ok(())
     }
@@ -97,7 +116,7 @@ impl DetectorNetwork {
     /// When the run failed.
     pub fn detect(&mut self, picture: &PreparedPicture) -> Result<Found, RunError> {
         let found = self.run(std::slice::from_ref(picture))?.pop();
-        found.ok_or_else(|| RunError("the model gave no answer".to_owned()))
+        found.ok_or_else(|| RunError::Failed("the model gave no answer".to_owned()))
     }
 
     /// Where pictures become the model's input.
@@ -201,15 +220,19 @@ impl Model for DetectorNetwork {
             session,
             preparation,
             reader,
+            ..
         } = self;
         let started = Instant::now();
         let inputs: Vec<_> = pictures.iter().map(PreparedPicture::values).collect();
-        session.run(preparation.format().shape(), &inputs, |outputs| {
+        let mut impossible = 0;
+        let found = session.run(preparation.format().shape(), &inputs, |outputs| {
             let model = started.elapsed();
             let mut read = |picture: &PreparedPicture, outputs: &[TensorView<'_>]| {
                 let start = Instant::now();
+                let read = reader.read(outputs, picture.mapping())?;
+                impossible += usize::from(read.is_impossible);
                 Ok(Found {
-                    detections: reader.read(outputs, picture.mapping())?,
+                    detections: read.detections,
                     letterbox: picture.took(),
                     model,
                     head: start.elapsed(),
@@ -222,14 +245,22 @@ impl Model for DetectorNetwork {
             let each = pictures.iter().enumerate();
             each.map(|(number, picture)| read(picture, &parts.get(outputs, number)))
                 .collect()
-        })?
+        })??;
+        self.impossible_runs = match impossible == pictures.len() {
+            true => self.impossible_runs.saturating_add(1),
+            false => 0,
+        };
+        if self.impossible_runs >= IMPOSSIBLE_RUNS {
+            return Err(RunError::Implausible(format!(
+                "everything that the model finds is impossible (numbers that are not finite, boxes without an area or \
+                 outside of the picture), {IMPOSSIBLE_RUNS} runs in a row or more: export it again, and where it \
+                 computes in half precision, without"
+            )));
+        }
+        Ok(found)
     }
 
     fn provider(&self) -> ExecutionProvider {
         self.session.provider()
-    }
-
-    fn interrupter(&self) -> Option<Interrupter> {
-        Some(self.session.interrupter())
     }
 }

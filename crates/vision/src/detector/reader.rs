@@ -52,6 +52,13 @@ impl HeadCounters {
     }
 }
 
+/// What is found in the output for one picture.
+pub(super) struct ReadOut {
+    pub(super) detections: Vec<Detection>,
+    /// Whether all of it is impossible, and there is something.
+    pub(super) is_impossible: bool,
+}
+
 /// Makes detections of the model's output.
 pub(super) struct Reader {
     head: Head,
@@ -107,22 +114,23 @@ impl Reader {
         &mut self,
         outputs: &[TensorView<'_>],
         mapping: InputMapping,
-    ) -> Result<Vec<Detection>, RunError> {
+    ) -> Result<ReadOut, RunError> {
         self.candidates.clear();
         let rejected = self
             .head
             .read(outputs, self.confidence, &mut self.candidates)
-            .map_err(RunError)?;
+            .map_err(RunError::Failed)?;
         Ok(self.detections(mapping, rejected))
     }
 
     /// The candidates that stay, as detections in the source picture; counts what does not, with the `rejected`.
-    fn detections(&mut self, mapping: InputMapping, rejected: u64) -> Vec<Detection> {
+    fn detections(&mut self, mapping: InputMapping, rejected: u64) -> ReadOut {
         let mut counts = HeadCounts {
             rejected,
             ..HeadCounts::default()
         };
         let classes = &self.classes;
+        let read = self.candidates.len();
         self.candidates.retain_mut(|candidate| {
             let Some(reported) = classes.reported_as(candidate.class) else {
                 counts.unknown_class += 1;
@@ -133,6 +141,7 @@ impl Reader {
             }
             reported.is_some()
         });
+        let are_all_reported = self.candidates.len() == read;
         counts.over_limit = if self.head.overlaps {
             suppress(&mut self.candidates, self.suppression)
         } else {
@@ -145,7 +154,11 @@ impl Reader {
             .collect();
         counts.outside = (self.candidates.len() - detections.len()) as u64;
         self.counters.add(counts);
-        detections
+        let some_are_impossible = counts.rejected + counts.outside > 0;
+        ReadOut {
+            is_impossible: some_are_impossible && are_all_reported && detections.is_empty(),
+            detections,
+        }
     }
 }
 
@@ -181,7 +194,7 @@ impl Parts {
             [batch, rest @ ..] if usize::try_from(*batch) == Ok(pictures) => {
                 Ok([&[1], rest].concat())
             }
-            shape => Err(RunError(format!(
+            shape => Err(RunError::Failed(format!(
                 "the model gave an output of {} for {pictures} pictures",
                 shape_text(shape)
             ))),
@@ -212,6 +225,56 @@ impl Parts {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::detector::head::bind;
+    use crate::detector::{ElementType, Metadata, Signature, TensorSpec};
+    use crate::picture::{Letterbox, Picture};
+
+    /// What a YOLO model with one class has found when all its boxes have this centre and these sides, and this score.
+    fn read(boxes: [f32; 4], score: f32) -> ReadOut {
+        const ANCHORS: usize = 42;
+        let spec = |name: &str, shape: &[i64]| TensorSpec {
+            name: name.to_owned(),
+            element: ElementType::Float32,
+            shape: shape.to_vec(),
+        };
+        let signature = Signature {
+            inputs: vec![spec("images", &[1, 3, 32, 64])],
+            outputs: vec![spec("output0", &[1, 5, ANCHORS as i64])],
+            metadata: Metadata::default(),
+        };
+        let input = signature.picture_input(None).unwrap();
+        let head = bind(HeadName::Yolo, &signature, input).unwrap();
+        let mut letterbox = Letterbox::new(head.input_format);
+        let mapping = letterbox.fill(&Picture::black(input.size)).unwrap();
+        let config = DetectorConfig::default();
+        let classes = Classes::new(&["car".to_owned()], &config).unwrap();
+        let [x, y, width, height] = boxes;
+        let values = [x, y, width, height, score].map(|value| [value; ANCHORS]);
+        let outputs = [TensorView {
+            shape: &[1, 5, ANCHORS as i64],
+            values: values.as_flattened(),
+        }];
+        let mut reader = Reader::new(head, classes, &config);
+        reader.read(&outputs, mapping).unwrap()
+    }
+
+    #[test]
+    fn output_is_impossible_when_nothing_found_can_be_and_something_was_found() {
+        const SOUND: [f32; 4] = [24.0, 12.0, 32.0, 16.0];
+        for (boxes, score, found, is_impossible) in [
+            (SOUND, 0.9, 1, false),
+            (SOUND, 0.1, 0, false),
+            (SOUND, f32::NAN, 0, true),
+            (SOUND, 7.0, 0, true),
+            ([f32::INFINITY, 12.0, 32.0, 16.0], 0.9, 0, true),
+            ([24.0, 12.0, -32.0, 16.0], 0.9, 0, true),
+            ([500.0, 500.0, 32.0, 16.0], 0.9, 0, true),
+        ] {
+            let read = read(boxes, score);
+            assert_eq!(read.detections.len(), found, "{boxes:?} {score}");
+            assert_eq!(read.is_impossible, is_impossible, "{boxes:?} {score}");
+        }
+    }
 
     #[test]
     fn outputs_of_a_batch_are_taken_apart_picture_by_picture() {

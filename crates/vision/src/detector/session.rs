@@ -1,7 +1,6 @@
 //! One ONNX Runtime session: from a file to something that takes a tensor and gives tensors.
 
 use super::head::TensorView;
-use super::model::Interrupter;
 use super::sessions::{Entry, SESSIONS};
 use super::{
     ElementType, ExecutionProvider, GpuConfig, Metadata, RunError, Signature, StartError,
@@ -111,12 +110,6 @@ impl OnnxSession {
         self.provider
     }
 
-    /// Asks a run in progress to end at the next node of the graph.
-    pub fn interrupter(&self) -> Interrupter {
-        let options = self.options.clone();
-        Arc::new(move || terminate(&options))
-    }
-
     /// Runs the model on `pictures`, each given as float32 in `shape`, which is that of one; converted where
     /// the model takes float16 or bytes. `read` gets the outputs in the order of the signature.
     ///
@@ -128,7 +121,7 @@ impl OnnxSession {
         pictures: &[&[f32]],
         read: impl FnOnce(&[TensorView<'_>]) -> R,
     ) -> Result<R, RunError> {
-        let failed = |error: ort::Error| RunError(in_words(&error));
+        let failed = |error: ort::Error| RunError::Failed(in_words(&error));
         let Self {
             session,
             options,

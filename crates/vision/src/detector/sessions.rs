@@ -3,10 +3,13 @@
 //! ONNX Runtime's library is taken down as the process exits. A thread that still loads or runs a model then finds
 //! the library's own types gone: errors that nobody foresaw in the log, and no promise that it does not crash.
 
-use super::model::Interrupter;
 use parking_lot::{Condvar, Mutex};
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
+
+/// Asks a model that is being loaded or run to end early.
+type Interrupter = Arc<dyn Fn() + Send + Sync>;
 
 /// Those of this process.
 pub(super) static SESSIONS: Sessions = Sessions::new();

@@ -2,7 +2,7 @@
 
 use super::ExecutionProvider;
 
-/// The state of the detector task, published on a watch channel.
+/// The state of a model's worker, published on a watch channel.
 #[derive(Clone, Debug, PartialEq)]
 pub enum DetectorStatus {
     /// The session is being built and warmed up.
@@ -12,7 +12,15 @@ pub enum DetectorStatus {
         /// What really runs it.
         provider: ExecutionProvider,
     },
-    /// The last run failed; frames are answered from prediction while the session is rebuilt.
+    /// It runs, and what it finds is impossible, run after run.
+    Implausible {
+        /// What is found, in words.
+        reason: String,
+        /// What really runs it.
+        provider: ExecutionProvider,
+    },
+    /// The last run failed and the session is being rebuilt, or a run takes too long; frames are answered from
+    /// prediction meanwhile.
     Degraded {
         /// What happened, in words.
         reason: String,
@@ -27,4 +35,27 @@ pub enum DetectorStatus {
         /// What ran it before.
         provider: ExecutionProvider,
     },
+}
+
+impl DetectorStatus {
+    /// What is wrong, in words, where anything is.
+    pub fn fault(&self) -> Option<&str> {
+        match self {
+            Self::Starting | Self::Ready { .. } => None,
+            Self::Implausible { reason, .. }
+            | Self::Degraded { reason, .. }
+            | Self::Lost { reason, .. } => Some(reason),
+        }
+    }
+
+    /// What runs it, or ran it last.
+    pub const fn provider(&self) -> Option<ExecutionProvider> {
+        match self {
+            Self::Starting => None,
+            Self::Ready { provider }
+            | Self::Implausible { provider, .. }
+            | Self::Degraded { provider, .. }
+            | Self::Lost { provider, .. } => Some(*provider),
+        }
+    }
 }

@@ -2,20 +2,16 @@
 
 use super::network::ScreenNetwork;
 use super::{Logits, ScreenConfig, ScreenKind};
-use crate::detector::task::{InferenceTask, TaskCounters, TaskMeter, TaskSettings};
 use crate::detector::{
     CameraSlot, DetectorStatus, InferenceError, Preparation, PreparedPicture, StartError,
     prepare_off_thread,
 };
 use crate::picture::{InputFormat, Picture};
-use albireo_service::clock::milliseconds;
+use crate::worker::{Worker, WorkerCounts, WorkerMeter, WorkerSettings};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
-
-/// Pictures that may wait for the screen, all cameras together.
-const QUEUE: usize = 8;
 
 /// What the screen says of one picture.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,16 +20,12 @@ pub struct ScreenVerdict {
     pub empty: bool,
     /// The two outputs it was decided by.
     pub logits: Logits,
-    /// From being asked to the start of the run, milliseconds.
-    pub queue_ms: f64,
-    /// Resizing and the network, milliseconds.
-    pub run_ms: f64,
 }
 
 /// The screen as a camera's loop sees it: cheap to clone, shared by all cameras.
 #[derive(Clone)]
 pub struct ScreenHandle {
-    task: InferenceTask<PreparedPicture, Logits>,
+    worker: Worker<PreparedPicture, Logits>,
     preparation: Preparation,
     empty_class: usize,
 }
@@ -58,12 +50,16 @@ impl ScreenHandle {
         config.check()?;
         let library = onnxruntime.map(Path::to_owned);
         let its_config = config.clone();
-        let factory = move || ScreenNetwork::open(&model, &its_config, library.clone());
-        let timeout = Duration::from_millis(config.timeout_ms);
-        let settings = TaskSettings::new("screen", timeout, QUEUE);
-        let (task, input) = InferenceTask::start(settings, factory).await?;
+        let build = move || ScreenNetwork::open(&model, &its_config, library.clone());
+        let settings = WorkerSettings {
+            name: "screen",
+            timeout: Duration::from_millis(config.timeout_ms),
+            batch_size: 1,
+            batch_wait: Duration::ZERO,
+        };
+        let (worker, input) = Worker::start(settings, build).await?;
         Ok(Some(Self {
-            task,
+            worker,
             preparation: Preparation::new(input),
             empty_class: config.empty_class,
         }))
@@ -84,39 +80,38 @@ impl ScreenHandle {
         picture: Arc<Picture>,
     ) -> Result<ScreenVerdict, InferenceError> {
         let prepared = prepare_off_thread(self.preparation.clone(), picture).await?;
-        let letterbox = prepared.took();
-        let inference = self.task.run(camera, prepared).await?;
-        let logits = inference.output;
+        let logits = self.worker.run(camera, prepared).await?.output;
         Ok(ScreenVerdict {
             empty: logits[self.empty_class] > logits[1 - self.empty_class],
             logits,
-            queue_ms: milliseconds(inference.queued),
-            run_ms: milliseconds(letterbox + inference.took),
         })
     }
 
     /// How the screen is doing, now and from now on.
     pub fn status(&self) -> watch::Receiver<DetectorStatus> {
-        self.task.status()
+        self.worker.status()
     }
 
     /// Its counters for whoever shows them: does not keep the screen running.
-    pub fn meter(&self) -> TaskMeter {
-        self.task.meter()
+    pub fn meter(&self) -> WorkerMeter {
+        self.worker.meter()
     }
 
     /// What it has counted since it started.
-    pub fn counters(&self) -> TaskCounters {
-        self.task.counters()
+    pub fn counters(&self) -> WorkerCounts {
+        self.meter().read()
     }
 
-    /// Returns when it has been stopped, or what watches over it is gone.
-    pub async fn ended(&self) {
-        self.task.ended().await;
+    /// Returns when it has been stopped.
+    ///
+    /// # Errors
+    /// When its thread is stuck: only a new process helps.
+    pub async fn ended(&self) -> Result<(), String> {
+        self.worker.ended().await
     }
 
-    /// Takes no more pictures and returns when the run in hand has ended or has taken too long.
+    /// Takes no more pictures and returns when the run in progress has ended or has taken too long.
     pub async fn stop(&self) {
-        self.task.stop().await;
+        self.worker.stop().await;
     }
 }

@@ -2,10 +2,11 @@
 
 use super::ScreenConfig;
 use crate::detector::{
-    ExecutionProvider, GpuConfig, Interrupter, Model, OnnxSession, PictureInput, Preparation,
-    PreparedPicture, RunError, SessionSettings, Signature, StartError,
+    ExecutionProvider, GpuConfig, OnnxSession, PictureInput, Preparation, PreparedPicture,
+    RunError, SessionSettings, Signature, StartError,
 };
 use crate::picture::{Fit, InputFormat, Picture, ValueRange};
+use crate::worker::Model;
 use std::path::{Path, PathBuf};
 
 /// The two outputs of the network, before any normalisation.
@@ -63,7 +64,7 @@ impl ScreenNetwork {
         let black = black.map_err(|error| warm_up(error.to_string()))?;
         network
             .infer(&black)
-            .map_err(|RunError(reason)| warm_up(reason))?;
+            .map_err(|error| warm_up(error.to_string()))?;
         Ok(network)
     }
 
@@ -75,7 +76,7 @@ impl ScreenNetwork {
                 Some(&[first, second]) if first.is_finite() && second.is_finite() => {
                     Ok([first, second])
                 }
-                _ => Err(RunError(format!(
+                _ => Err(RunError::Failed(format!(
                     "the screen gave {} instead of two finite numbers",
                     values.map_or_else(|| "nothing".to_owned(), |values| format!("{values:?}"))
                 ))),
@@ -108,9 +109,5 @@ impl Model for ScreenNetwork {
 
     fn provider(&self) -> ExecutionProvider {
         self.session.provider()
-    }
-
-    fn interrupter(&self) -> Option<Interrupter> {
-        Some(self.session.interrupter())
     }
 }

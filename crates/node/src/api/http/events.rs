@@ -57,17 +57,14 @@ pub(super) struct DetectorEvent {
 
 impl DetectorEvent {
     fn new(status: &DetectorStatus) -> Self {
-        let (name, reason) = match status {
-            DetectorStatus::Starting => ("starting", None),
-            DetectorStatus::Ready { .. } => ("ready", None),
-            DetectorStatus::Degraded { reason, .. } | DetectorStatus::Lost { reason, .. } => {
-                ("degraded", Some(reason.clone()))
-            }
-        };
         Self {
-            status: name,
+            status: match status {
+                DetectorStatus::Starting => "starting",
+                DetectorStatus::Ready { .. } => "ready",
+                _ => "degraded",
+            },
             provider: provider(status),
-            reason,
+            reason: status.fault().map(str::to_owned),
         }
     }
 }

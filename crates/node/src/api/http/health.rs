@@ -4,7 +4,7 @@ use super::RouteState;
 use crate::state::board::Board;
 use albireo_service::http::{self, Problem};
 use albireo_service::readiness::PartFault;
-use albireo_vision::detector::DetectorStatus;
+use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use albireo_wire::HealthState;
 use axum::Json;
 use axum::extract::State;
@@ -87,12 +87,7 @@ pub(super) struct NotReady {
 
 /// The provider in use by a status.
 pub(crate) fn provider(status: &DetectorStatus) -> Option<&'static str> {
-    match status {
-        DetectorStatus::Starting => None,
-        DetectorStatus::Ready { provider }
-        | DetectorStatus::Degraded { provider, .. }
-        | DetectorStatus::Lost { provider, .. } => Some(provider.as_str()),
-    }
+    status.provider().map(ExecutionProvider::as_str)
 }
 
 /// How the node is now.

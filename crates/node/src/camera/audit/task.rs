@@ -53,9 +53,9 @@ impl Auditor {
         let input = self.detector.preparation().format();
         let target = decoding_target(input, self.screen, frame.picture.size);
         let prepared = self.pixels.prepared(frame.picture.clone(), target).await;
-        let answer = self.detector.detect_spare(turn, prepared?, until).await;
+        let answer = timeout_at(until, self.detector.detect_spare(turn, prepared?)).await;
         // The detector counts and logs its failures itself.
-        let detected = answer.ok()??;
+        let detected = answer.ok()?.ok()?;
         let end = Instant::now();
         let start = end.checked_sub(detected.took).unwrap_or(now);
         self.energy.detector(start, end, detected.took);

@@ -1,7 +1,7 @@
 //! The detector's counters as metrics.
 
 use super::family::family;
-use albireo_vision::detector::DetectorCounters;
+use albireo_vision::detector::DetectorCounts;
 use prometheus_client::encoding::DescriptorEncoder;
 use prometheus_client::metrics::MetricType;
 use std::fmt;
@@ -9,16 +9,16 @@ use std::fmt;
 /// Writes what the detector has counted.
 pub(super) fn detector(
     encoder: &mut DescriptorEncoder<'_>,
-    counters: &DetectorCounters,
+    counters: &DetectorCounts,
 ) -> fmt::Result {
-    let task = &counters.task;
+    let worker = &counters.worker;
     let head = &counters.head;
     family(
         encoder,
         "detector_batches",
         "Runs of the model that ended well: fewer than completed pictures where cameras share a run",
         MetricType::Counter,
-        |family| family.counter(Vec::new(), task.batches as f64),
+        |family| family.counter(Vec::new(), worker.batches as f64),
     )?;
     family(
         encoder,
@@ -26,7 +26,7 @@ pub(super) fn detector(
         "Pictures that wait for the detector",
         MetricType::Gauge,
         |family| {
-            let waiting = i64::try_from(task.waiting).unwrap_or(i64::MAX);
+            let waiting = i64::try_from(worker.waiting).unwrap_or(i64::MAX);
             family.gauge(Vec::new(), waiting)
         },
     )?;
@@ -35,7 +35,7 @@ pub(super) fn detector(
         "detector_audit_runs",
         "Pictures that the detector looked at for the audit, after their frames were answered; not among detector_runs",
         MetricType::Counter,
-        |family| family.counter(Vec::new(), task.spare as f64),
+        |family| family.counter(Vec::new(), worker.spare as f64),
     )?;
     for (name, help, label, counts) in [
         (
@@ -43,12 +43,12 @@ pub(super) fn detector(
             "Pictures given to the detector, by what became of them",
             "outcome",
             &[
-                ("completed", task.completed),
-                ("timed_out", task.timed_out),
-                ("failed", task.failed),
-                ("panicked", task.panicked),
-                ("refused", task.refused),
-                ("cancelled", task.cancelled),
+                ("completed", worker.completed),
+                ("timed_out", worker.timed_out),
+                ("failed", worker.failed),
+                ("panicked", worker.panicked),
+                ("refused", worker.refused),
+                ("cancelled", worker.cancelled),
             ][..],
         ),
         (
@@ -56,8 +56,8 @@ pub(super) fn detector(
             "Sessions built again after a failure, by outcome",
             "outcome",
             &[
-                ("completed", task.rebuilds),
-                ("failed", task.rebuilds_failed),
+                ("completed", worker.rebuilds),
+                ("failed", worker.rebuilds_failed),
             ],
         ),
         (

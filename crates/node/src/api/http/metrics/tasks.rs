@@ -44,22 +44,9 @@ pub(super) fn parts(encoder: &mut DescriptorEncoder<'_>, board: &Board) -> fmt::
     )
 }
 
-/// Writes what the screen has counted, and what still hangs in the detector.
+/// Writes what the screen has counted.
 pub(super) fn screen(encoder: &mut DescriptorEncoder<'_>, board: &Board) -> fmt::Result {
-    let abandoned = board.detector_counters().task.abandoned;
     let screen = board.screen_counters();
-    let help = "Threads that still hang in a run that was given up";
-    family(
-        encoder,
-        "abandoned_threads",
-        help,
-        MetricType::Gauge,
-        |family| {
-            let threads = |count| i64::try_from(count).unwrap_or(i64::MAX);
-            family.gauge(vec![("task", "detector")], threads(abandoned))?;
-            family.gauge(vec![("task", "screen")], threads(screen.abandoned))
-        },
-    )?;
     let help = "Pictures given to the empty-scene screen, by what became of them";
     family(
         encoder,

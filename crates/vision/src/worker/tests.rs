@@ -1,4 +1,4 @@
-//! The task with models that wait, fail, panic and hang. Time stands still in these tests and is moved by
+//! The worker with models that wait, fail, panic and hang. Time stands still in these tests and is moved by
 //! hand, so none depends on how fast the machine is.
 
 mod building;
@@ -6,7 +6,7 @@ mod gpu;
 mod spare;
 
 use super::*;
-use crate::detector::{ExecutionProvider, Interrupter, RunError};
+use parking_lot::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc as blocking;
 use tokio::sync::mpsc;
@@ -20,6 +20,7 @@ enum Step {
     AnswerTooFew,
     Fail,
     FailWith(&'static str),
+    Implausible,
     Panic,
 }
 
@@ -31,7 +32,6 @@ struct Scripted {
     started: mpsc::UnboundedSender<Vec<CameraSlot>>,
     steps: Arc<Mutex<blocking::Receiver<Step>>>,
     ended: mpsc::UnboundedSender<()>,
-    interrupted: Arc<AtomicUsize>,
     facts: usize,
     end: Arc<Mutex<Option<blocking::Receiver<()>>>>,
 }
@@ -52,22 +52,16 @@ impl Model for Scripted {
         match step {
             Ok(Step::Answer) => Ok(cameras),
             Ok(Step::AnswerTooFew) => Ok(cameras[1..].to_vec()),
-            Ok(Step::Fail) => Err(RunError("scripted failure".to_owned())),
-            Ok(Step::FailWith(reason)) => Err(RunError(reason.to_owned())),
+            Ok(Step::Fail) => Err(RunError::Failed("scripted failure".to_owned())),
+            Ok(Step::FailWith(reason)) => Err(RunError::Failed(reason.to_owned())),
+            Ok(Step::Implausible) => Err(RunError::Implausible("scripted nonsense".to_owned())),
             Ok(Step::Panic) => panic!("scripted panic"),
-            Err(_) => Err(RunError("the test is over".to_owned())),
+            Err(_) => Err(RunError::Failed("the test is over".to_owned())),
         }
     }
 
     fn provider(&self) -> ExecutionProvider {
         ExecutionProvider::Cpu
-    }
-
-    fn interrupter(&self) -> Option<Interrupter> {
-        let interrupted = self.interrupted.clone();
-        Some(Arc::new(move || {
-            interrupted.fetch_add(1, Ordering::SeqCst);
-        }))
     }
 }
 
@@ -81,14 +75,13 @@ impl Drop for Scripted {
     }
 }
 
-/// A task with scripted models, and the test's ends of their lines.
+/// A worker with scripted models, and the test's ends of their lines.
 struct Stage {
-    task: InferenceTask<Scene, CameraSlot>,
+    worker: Worker<Scene, CameraSlot>,
     started: mpsc::UnboundedReceiver<Vec<CameraSlot>>,
     ended: mpsc::UnboundedReceiver<()>,
     /// How the next runs end, whichever model they are on; a model takes the next step as it waits.
     steps: blocking::Sender<Step>,
-    interrupted: Arc<AtomicUsize>,
     /// Attempts to build that are to fail.
     failing_builds: Arc<AtomicUsize>,
     /// What they fail with.
@@ -108,15 +101,14 @@ fn hold_time() -> blocking::Sender<()> {
     hold
 }
 
-async fn stage(settings: TaskSettings) -> Stage {
+async fn stage(settings: WorkerSettings) -> Stage {
     let held = hold_time();
     let (tell_started, started) = mpsc::unbounded_channel();
     let (tell_ended, ended) = mpsc::unbounded_channel();
     let (steps, script) = blocking::channel();
     let script = Arc::new(Mutex::new(script));
-    let interrupted = Arc::new(AtomicUsize::new(0));
     let failing_builds = Arc::new(AtomicUsize::new(0));
-    let (interrupts, failing) = (interrupted.clone(), failing_builds.clone());
+    let failing = failing_builds.clone();
     let facts = Arc::new(AtomicUsize::new(7));
     let their_facts = facts.clone();
     let end: Arc<Mutex<Option<blocking::Receiver<()>>>> = Arc::default();
@@ -139,17 +131,15 @@ async fn stage(settings: TaskSettings) -> Stage {
             started: tell_started.clone(),
             steps: script.clone(),
             ended: tell_ended.clone(),
-            interrupted: interrupts.clone(),
             facts: their_facts.load(Ordering::SeqCst),
             end: their_end.clone(),
         })
     };
     Stage {
-        task: InferenceTask::start(settings, factory).await.unwrap().0,
+        worker: Worker::start(settings, factory).await.unwrap().0,
         started,
         ended,
         steps,
-        interrupted,
         failing_builds,
         build_failure,
         facts,
@@ -158,16 +148,21 @@ async fn stage(settings: TaskSettings) -> Stage {
     }
 }
 
-fn settings() -> TaskSettings {
-    TaskSettings::new("scripted", TIMEOUT, 8)
+fn settings() -> WorkerSettings {
+    WorkerSettings {
+        name: "scripted",
+        timeout: TIMEOUT,
+        batch_size: 1,
+        batch_wait: Duration::ZERO,
+    }
 }
 
-type Asked = tokio::task::JoinHandle<Result<Inference<CameraSlot>, InferenceError>>;
+type Asked = tokio::task::JoinHandle<Result<Answer<CameraSlot>, InferenceError>>;
 
 impl Stage {
     fn ask(&self, camera: usize) -> Asked {
-        let (task, camera) = (self.task.clone(), CameraSlot(camera));
-        tokio::spawn(async move { task.run(camera, (camera, Arc::default())).await })
+        let (worker, camera) = (self.worker.clone(), CameraSlot(camera));
+        tokio::spawn(async move { worker.run(camera, (camera, Arc::default())).await })
     }
 
     /// The cameras of the next run.
@@ -190,28 +185,32 @@ impl Stage {
         self.steps.send(step).unwrap();
     }
 
-    async fn until_waiting(&self, pictures: usize) {
-        while self.task.inner.shared.waiting() != pictures {
+    fn counts(&self) -> WorkerCounts {
+        self.worker.meter().read()
+    }
+
+    async fn until_waiting(&self, pictures: u64) {
+        while self.counts().waiting != pictures {
             tokio::task::yield_now().await;
         }
     }
 
     async fn until_ready(&self) {
         let ready = |status: &DetectorStatus| matches!(status, DetectorStatus::Ready { .. });
-        self.task.status().wait_for(ready).await.unwrap();
+        self.worker.status().wait_for(ready).await.unwrap();
     }
 
     /// The reason, once the status is degraded.
     async fn until_degraded(&self) -> String {
         let degraded = |status: &DetectorStatus| matches!(status, DetectorStatus::Degraded { .. });
-        match &*self.task.status().wait_for(degraded).await.unwrap() {
+        match &*self.worker.status().wait_for(degraded).await.unwrap() {
             DetectorStatus::Degraded { reason, .. } => reason.clone(),
             other => panic!("{other:?}"),
         }
     }
 
-    async fn until_counted(&self, fits: impl Fn(TaskCounters) -> bool) {
-        while !fits(self.task.counters()) {
+    async fn until_counted(&self, fits: impl Fn(WorkerCounts) -> bool) {
+        while !fits(self.counts()) {
             tokio::task::yield_now().await;
         }
     }
@@ -236,10 +235,10 @@ async fn cameras_take_turns_however_much_one_of_them_asks() {
     let mut asked = vec![stage.begin(0).await];
     // Camera 0 asks for much before the others ask at all.
     asked.extend((0..6).map(|_| stage.ask(0)));
-    stage.until_waiting(1).await;
+    stage.until_waiting(6).await;
     asked.extend([1, 2, 1, 2].map(|camera| stage.ask(camera)));
     let mut order = Vec::new();
-    for waiting in [3, 3, 3, 3, 2, 1, 1, 1, 1, 1] {
+    for waiting in (1..=10).rev() {
         stage.until_waiting(waiting).await;
         stage.end(Step::Answer);
         order.extend(stage.next_run().await);
@@ -249,40 +248,21 @@ async fn cameras_take_turns_however_much_one_of_them_asks() {
     for answer in asked {
         answer.await.unwrap().unwrap();
     }
-    assert_eq!(stage.task.counters().completed, 11);
+    assert_eq!(stage.counts().completed, 11);
 }
 
 #[tokio::test(start_paused = true)]
-async fn no_more_pictures_wait_than_the_queue_holds() {
-    let mut stage = stage(TaskSettings {
-        queue: 2,
-        ..settings()
-    })
-    .await;
-    let mut asked = vec![stage.begin(0).await];
-    asked.extend((1..6).map(|camera| stage.ask(camera)));
-    settle().await;
-    assert_eq!(stage.task.inner.shared.waiting(), 2);
-    for _ in 0..6 {
-        stage.end(Step::Answer);
-    }
-    for answer in asked {
-        answer.await.unwrap().unwrap();
-    }
-}
-
-#[tokio::test(start_paused = true)]
-async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_the_session_rebuilt() {
+async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_keeps_its_session() {
     let mut stage = stage(settings()).await;
     let begun = Instant::now();
-    let hanging = stage.begin(0).await;
+    let late = stage.begin(0).await;
     let waiting = stage.ask(1);
     stage.until_waiting(1).await;
 
     pass(TIMEOUT - Duration::from_millis(1)).await;
-    assert!(!hanging.is_finished());
+    assert!(!late.is_finished());
     pass(Duration::from_millis(1)).await;
-    let error = hanging.await.unwrap().unwrap_err();
+    let error = late.await.unwrap().unwrap_err();
     assert_eq!(error, InferenceError::TimedOut { timeout_ms: 2000 });
     assert_eq!(begun.elapsed(), TIMEOUT);
     assert!(matches!(
@@ -291,27 +271,105 @@ async fn a_run_that_takes_too_long_is_answered_at_the_limit_and_the_session_rebu
     ));
     let reason = stage.until_degraded().await;
     assert!(reason.contains("2000 ms"), "{reason}");
-    assert_eq!(stage.interrupted.load(Ordering::SeqCst), 1);
-    let counters = stage.task.counters();
-    assert_eq!((counters.timed_out, counters.abandoned), (1, 1));
 
-    // Until the new session stands, the answer comes at once.
+    // Until the run has come back, the answer comes at once.
+    assert!(stage.worker.accepts().is_err());
     let refused = stage.ask(2).await.unwrap().unwrap_err();
     assert!(matches!(refused, InferenceError::Unavailable(_)));
-    assert_eq!(stage.task.counters().refused, 2);
+    assert_eq!(stage.counts().refused, 3);
 
-    pass(Duration::from_millis(100)).await;
+    pass(STUCK_AFTER - Duration::from_millis(1)).await;
+    stage.end(Step::Answer);
     stage.until_ready().await;
     let after = stage.begin(3).await;
-    // Two threads wait for a step now, the abandoned one and the new one: whichever gets which, both end.
-    stage.end(Step::Answer);
     stage.end(Step::Answer);
     assert_eq!(after.await.unwrap().unwrap().output, CameraSlot(3));
-    stage
-        .until_counted(|counters| counters.abandoned == 0)
-        .await;
-    let counters = stage.task.counters();
-    assert_eq!((counters.completed, counters.rebuilds), (1, 1));
+    let expected = WorkerCounts {
+        completed: 1,
+        batches: 1,
+        timed_out: 1,
+        refused: 3,
+        ..WorkerCounts::default()
+    };
+    assert_eq!(stage.counts(), expected);
+    assert!(
+        stage.ended.try_recv().is_err(),
+        "the model was never dropped"
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_run_that_comes_back_late_with_an_error_has_its_session_built_again() {
+    let mut stage = stage(settings()).await;
+    let late = stage.begin(0).await;
+    pass(TIMEOUT).await;
+    late.await.unwrap().unwrap_err();
+    stage.end(Step::Fail);
+    stage.ended.recv().await.unwrap();
+    settle().await;
+    pass(Duration::from_millis(100)).await;
+    stage.until_ready().await;
+    let counts = stage.counts();
+    assert_eq!(
+        (counts.timed_out, counts.failed, counts.rebuilds),
+        (1, 1, 1)
+    );
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_thread_that_never_comes_back_ends_the_worker_with_an_error() {
+    let mut stage = stage(settings()).await;
+    let hanging = stage.begin(0).await;
+    pass(TIMEOUT).await;
+    hanging.await.unwrap().unwrap_err();
+    let ended = tokio::spawn({
+        let worker = stage.worker.clone();
+        async move { worker.ended().await }
+    });
+    pass(STUCK_AFTER - Duration::from_millis(1)).await;
+    assert!(!ended.is_finished());
+    pass(Duration::from_millis(1)).await;
+    let reason = ended.await.unwrap().unwrap_err();
+    assert!(
+        reason.contains("thread of the scripted has not come back for 32 s"),
+        "{reason}"
+    );
+    assert_eq!(stage.until_degraded().await, reason);
+    let error = stage.ask(1).await.unwrap().unwrap_err();
+    assert_eq!(error, InferenceError::Stopped);
+    assert_eq!(stage.counts().rebuilds, 0);
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_model_whose_results_are_impossible_is_named_and_asked_again() {
+    let mut stage = stage(settings()).await;
+    let nonsense = stage.begin(0).await;
+    stage.end(Step::Implausible);
+    let error = nonsense.await.unwrap().unwrap_err();
+    assert_eq!(
+        error,
+        InferenceError::Implausible("scripted nonsense".to_owned())
+    );
+    assert_eq!(
+        *stage.worker.status().borrow(),
+        DetectorStatus::Implausible {
+            reason: "scripted nonsense".to_owned(),
+            provider: ExecutionProvider::Cpu
+        }
+    );
+    assert!(stage.worker.accepts().is_ok());
+    let good = stage.begin(0).await;
+    stage.end(Step::Answer);
+    good.await.unwrap().unwrap();
+    assert!(matches!(
+        *stage.worker.status().borrow(),
+        DetectorStatus::Ready { .. }
+    ));
+    let counts = stage.counts();
+    assert_eq!(
+        (counts.completed, counts.failed, counts.rebuilds),
+        (1, 1, 0)
+    );
 }
 
 #[tokio::test(start_paused = true)]
@@ -323,7 +381,7 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     assert_eq!(error, InferenceError::Failed("scripted failure".to_owned()));
     // The status is set before the answer goes out.
     assert!(matches!(
-        *stage.task.status().borrow(),
+        *stage.worker.status().borrow(),
         DetectorStatus::Degraded { .. }
     ));
     stage.ended.recv().await.unwrap();
@@ -341,16 +399,16 @@ async fn a_run_that_fails_or_panics_is_counted_and_the_session_rebuilt() {
     let good = stage.begin(0).await;
     stage.end(Step::Answer);
     good.await.unwrap().unwrap();
-    let counters = stage.task.counters();
+    let counters = stage.counts();
     assert_eq!(
         counters,
-        TaskCounters {
+        WorkerCounts {
             completed: 1,
             batches: 1,
             failed: 1,
             panicked: 1,
             rebuilds: 2,
-            ..TaskCounters::default()
+            ..WorkerCounts::default()
         }
     );
 }
@@ -362,13 +420,13 @@ async fn a_model_that_does_not_answer_every_picture_counts_as_failed() {
     stage.end(Step::AnswerTooFew);
     let error = failing.await.unwrap().unwrap_err().to_string();
     assert!(error.contains("answered 0 of 1"), "{error}");
-    assert_eq!(stage.task.counters().failed, 1);
+    assert_eq!(stage.counts().failed, 1);
 }
 
 const BATCH_WAIT: Duration = Duration::from_millis(10);
 
-fn in_threes() -> TaskSettings {
-    TaskSettings {
+fn in_threes() -> WorkerSettings {
+    WorkerSettings {
         batch_size: 3,
         batch_wait: BATCH_WAIT,
         ..settings()
@@ -393,7 +451,7 @@ async fn pictures_that_wait_share_a_run_and_each_gets_its_own_answer() {
     for (camera, answer) in (1..).zip(asked) {
         assert_eq!(answer.await.unwrap().unwrap().output, CameraSlot(camera));
     }
-    let counters = stage.task.counters();
+    let counters = stage.counts();
     assert_eq!((counters.completed, counters.batches), (5, 3));
 }
 
@@ -470,7 +528,7 @@ async fn a_batch_that_fails_or_hangs_is_answered_to_all_who_share_it() {
         let error = answer.await.unwrap().unwrap_err();
         assert_eq!(error, InferenceError::TimedOut { timeout_ms: 2000 });
     }
-    assert_eq!(stage.task.counters().timed_out, 1);
+    assert_eq!(stage.counts().timed_out, 1);
 }
 
 #[tokio::test(start_paused = true)]
@@ -481,26 +539,16 @@ async fn stopping_ends_the_wait_for_a_batch() {
     first.await.unwrap().unwrap();
     let waiting = stage.ask(1);
     stage.until_waiting(1).await;
-    stage.task.stop().await;
+    stage.worker.stop().await;
     assert_eq!(waiting.await.unwrap().unwrap_err(), InferenceError::Stopped);
 }
 
 #[tokio::test(start_paused = true)]
 async fn pauses_double_up_to_the_longest_and_start_again_after_a_good_run() {
-    let mut stage = stage(TaskSettings {
-        longest_pause: Duration::from_millis(500),
-        ..settings()
-    })
-    .await;
-    for (rebuilds, (pause, good_run_before)) in (1..).zip([
-        (100, false),
-        (200, false),
-        (400, false),
-        (500, false),
-        (500, false),
-        (100, true),
-        (200, false),
-    ]) {
+    let mut stage = stage(settings()).await;
+    let doubling = (0..9).map(|failure| (100 << failure, false));
+    let longest = [(30_000, false), (30_000, false), (100, true), (200, false)];
+    for (rebuilds, (pause, good_run_before)) in (1..).zip(doubling.chain(longest)) {
         if good_run_before {
             let good = stage.begin(0).await;
             stage.end(Step::Answer);
@@ -509,17 +557,11 @@ async fn pauses_double_up_to_the_longest_and_start_again_after_a_good_run() {
         let failing = stage.begin(0).await;
         stage.end(Step::Fail);
         failing.await.unwrap().unwrap_err();
-        // The supervisor hears of the failure from the model's thread.
         stage.ended.recv().await.unwrap();
         settle().await;
         pass(Duration::from_millis(pause - 1)).await;
-        assert_eq!(
-            stage.task.counters().rebuilds,
-            rebuilds - 1,
-            "pause {pause}"
-        );
+        assert_eq!(stage.counts().rebuilds, rebuilds - 1, "pause {pause}");
         pass(Duration::from_millis(1)).await;
-        // The time is over; the thread of the model that failed may still be on its way out.
         stage
             .until_counted(|counters| counters.rebuilds == rebuilds)
             .await;
@@ -546,7 +588,7 @@ async fn a_session_that_cannot_be_rebuilt_is_tried_again_and_the_status_says_why
     }
     pass(Duration::from_millis(400)).await;
     stage.until_ready().await;
-    assert_eq!(stage.task.counters().rebuilds, 3);
+    assert_eq!(stage.counts().rebuilds, 3);
 }
 
 #[tokio::test(start_paused = true)]
@@ -567,36 +609,7 @@ async fn a_model_built_anew_with_other_facts_is_refused_until_the_old_ones_are_b
     stage.facts.store(7, Ordering::SeqCst);
     pass(Duration::from_millis(200)).await;
     stage.until_ready().await;
-    assert_eq!(stage.task.counters().rebuilds, 2);
-}
-
-#[tokio::test(start_paused = true)]
-async fn with_too_many_hanging_threads_no_more_are_made_until_one_ends() {
-    let mut stage = stage(TaskSettings {
-        most_abandoned: 2,
-        ..settings()
-    })
-    .await;
-    for pause in [100, 200] {
-        let hanging = stage.begin(0).await;
-        pass(TIMEOUT).await;
-        hanging.await.unwrap().unwrap_err();
-        pass(Duration::from_millis(pause)).await;
-        if stage.task.counters().abandoned < 2 {
-            stage.until_ready().await;
-        }
-    }
-    pass(Duration::from_secs(3600)).await;
-    let counters = stage.task.counters();
-    assert_eq!((counters.abandoned, counters.rebuilds), (2, 1));
-    let reason = stage.until_degraded().await;
-    assert!(reason.contains("2 runs hang"), "{reason}");
-    // One of them comes back.
-    stage.end(Step::Answer);
-    stage.until_ready().await;
-    let counters = stage.task.counters();
-    assert_eq!((counters.abandoned, counters.rebuilds), (1, 2));
-    assert_eq!(counters.completed, 0);
+    assert_eq!(stage.counts().rebuilds, 2);
 }
 
 #[tokio::test(start_paused = true)]
@@ -606,8 +619,8 @@ async fn stopping_finishes_the_run_in_hand_and_turns_the_rest_away() {
     let waiting = stage.ask(1);
     stage.until_waiting(1).await;
     let stopping = {
-        let task = stage.task.clone();
-        tokio::spawn(async move { task.stop().await })
+        let worker = stage.worker.clone();
+        tokio::spawn(async move { worker.stop().await })
     };
     assert_eq!(waiting.await.unwrap().unwrap_err(), InferenceError::Stopped);
     assert_eq!(
@@ -619,7 +632,7 @@ async fn stopping_finishes_the_run_in_hand_and_turns_the_rest_away() {
     in_hand.await.unwrap().unwrap();
     stopping.await.unwrap();
     assert!(stage.ended.try_recv().is_ok(), "the model is gone");
-    stage.task.stop().await;
+    stage.worker.stop().await;
 }
 
 #[tokio::test(start_paused = true)]
@@ -627,8 +640,8 @@ async fn stopping_does_not_wait_for_a_hanging_run_beyond_its_limit() {
     let mut stage = stage(settings()).await;
     let hanging = stage.begin(0).await;
     let stopping = {
-        let task = stage.task.clone();
-        tokio::spawn(async move { task.stop().await })
+        let worker = stage.worker.clone();
+        tokio::spawn(async move { worker.stop().await })
     };
     pass(TIMEOUT).await;
     stopping.await.unwrap();
@@ -639,9 +652,18 @@ async fn stopping_does_not_wait_for_a_hanging_run_beyond_its_limit() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_task_ends_with_its_last_handle() {
+async fn stopping_does_not_wait_for_a_run_that_exceeds_its_limit_already() {
     let mut stage = stage(settings()).await;
-    drop(stage.task);
+    let hanging = stage.begin(0).await;
+    pass(TIMEOUT).await;
+    hanging.await.unwrap().unwrap_err();
+    stage.worker.stop().await;
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_worker_ends_with_its_last_handle() {
+    let mut stage = stage(settings()).await;
+    drop(stage.worker);
     assert_eq!(stage.ended.recv().await, Some(()));
 }
 
@@ -659,7 +681,7 @@ async fn a_picture_whose_asker_has_gone_is_not_run() {
     stage.end(Step::Answer);
     first.await.unwrap().unwrap();
     assert_eq!(last.await.unwrap().unwrap().output, CameraSlot(2));
-    let counters = stage.task.counters();
+    let counters = stage.counts();
     assert_eq!((counters.completed, counters.cancelled), (2, 1));
 }
 
@@ -669,7 +691,7 @@ async fn the_picture_belongs_to_the_asker_again_after_the_answer() {
     stage.end(Step::Answer);
     let (camera, shared) = (CameraSlot(0), Arc::default());
     let scene = (camera, Arc::clone(&shared));
-    stage.task.run(camera, scene).await.unwrap();
+    stage.worker.run(camera, scene).await.unwrap();
     assert!(Arc::try_unwrap(shared).is_ok());
     stage.started.recv().await.unwrap();
 }
@@ -677,7 +699,7 @@ async fn the_picture_belongs_to_the_asker_again_after_the_answer() {
 #[tokio::test(start_paused = true)]
 async fn a_first_model_that_cannot_be_built_or_panics_is_an_error() {
     let _held = hold_time();
-    let refusing = InferenceTask::start(settings(), || -> Result<Scripted, _> {
+    let refusing = Worker::start(settings(), || -> Result<Scripted, _> {
         Err(StartError::Configuration {
             key: "detector.model".to_owned(),
             reason: "scripted refusal".to_owned(),
@@ -685,7 +707,7 @@ async fn a_first_model_that_cannot_be_built_or_panics_is_an_error() {
     });
     let error = refusing.await.err().unwrap().to_string();
     assert!(error.contains("scripted refusal"), "{error}");
-    let panicking = InferenceTask::start(settings(), || -> Result<Scripted, _> {
+    let panicking = Worker::start(settings(), || -> Result<Scripted, _> {
         panic!("scripted panic")
     });
     let error = panicking.await.err().unwrap().to_string();

@@ -21,7 +21,7 @@ impl Stage {
 
     async fn until_lost(&self) -> String {
         let lost = |status: &DetectorStatus| matches!(status, DetectorStatus::Lost { .. });
-        match &*self.task.status().wait_for(lost).await.unwrap() {
+        match &*self.worker.status().wait_for(lost).await.unwrap() {
             DetectorStatus::Lost { reason, .. } => reason.clone(),
             other => panic!("{other:?}"),
         }
@@ -43,7 +43,7 @@ async fn gpu_memory_that_runs_out_is_answered_in_words_and_tried_again_with_grow
             .await;
         stage.until_ready().await;
     }
-    let counters = stage.task.counters();
+    let counters = stage.counts();
     assert_eq!((counters.failed, counters.rebuilds_failed), (3, 0));
 }
 
@@ -57,7 +57,7 @@ async fn a_gpu_that_no_new_session_brings_back_is_told_as_lost_and_still_tried()
     assert!(told.contains("the GPU is lost to this process"), "{told}");
     // One failed run is no proof: a new session may work.
     assert!(matches!(
-        *stage.task.status().borrow(),
+        *stage.worker.status().borrow(),
         DetectorStatus::Degraded { .. }
     ));
     for (pause, failed) in [(100, 1), (200, 2)] {
@@ -83,7 +83,7 @@ async fn a_gpu_that_no_new_session_brings_back_is_told_as_lost_and_still_tried()
     settle().await;
     pass(Duration::from_millis(400)).await;
     stage.until_ready().await;
-    assert_eq!(stage.task.counters().rebuilds, 3);
+    assert_eq!(stage.counts().rebuilds, 3);
 }
 
 #[tokio::test(start_paused = true)]
@@ -102,31 +102,34 @@ async fn another_failure_to_build_is_not_taken_for_a_lost_gpu() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn the_next_session_waits_until_the_failed_one_has_given_its_memory_back() {
+async fn a_failure_is_told_once_the_failed_session_has_given_its_memory_back() {
     let mut stage = stage(settings()).await;
     let (go_on, until) = blocking::channel();
     *stage.end.lock() = Some(until);
-    stage.fail_with(OUT_OF_MEMORY).await;
+    let failing = stage.begin(0).await;
+    stage.end(Step::FailWith(OUT_OF_MEMORY));
+    stage.ended.recv().await.unwrap();
     pass(TIMEOUT - Duration::from_millis(1)).await;
-    assert_eq!(stage.task.counters().rebuilds, 0);
+    assert!(!failing.is_finished());
     go_on.send(()).unwrap();
+    let error = failing.await.unwrap().unwrap_err();
+    assert!(matches!(error, InferenceError::Failed(_)), "{error}");
+    pass(Duration::from_millis(100)).await;
     stage.until_ready().await;
-    let counters = stage.task.counters();
-    assert_eq!((counters.rebuilds, counters.abandoned), (1, 0));
+    assert_eq!(stage.counts().rebuilds, 1);
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_failed_session_that_hangs_in_its_end_is_left_behind_and_counted() {
+async fn a_failed_session_that_hangs_in_its_end_is_stuck() {
     let mut stage = stage(settings()).await;
-    let (go_on, until) = blocking::channel();
+    let (_go_on, until) = blocking::channel();
     *stage.end.lock() = Some(until);
-    stage.fail_with(LOST).await;
+    let failing = stage.begin(0).await;
+    stage.end(Step::FailWith(LOST));
+    stage.ended.recv().await.unwrap();
     pass(TIMEOUT).await;
-    stage.until_ready().await;
-    let counters = stage.task.counters();
-    assert_eq!((counters.rebuilds, counters.abandoned), (1, 1));
-    go_on.send(()).unwrap();
-    stage
-        .until_counted(|counters| counters.abandoned == 0)
-        .await;
+    let error = failing.await.unwrap().unwrap_err();
+    assert!(matches!(error, InferenceError::TimedOut { .. }), "{error}");
+    pass(STUCK_AFTER).await;
+    stage.worker.ended().await.unwrap_err();
 }

@@ -39,7 +39,7 @@ impl Log {
             })
             .map(|entry| {
                 assert_eq!(
-                    (&entry["task"], &entry["level"]),
+                    (&entry["worker"], &entry["level"]),
                     (&"scripted".into(), &"WARN".into())
                 );
                 entry["seconds"].as_u64().unwrap()
@@ -61,17 +61,14 @@ async fn a_model_that_takes_long_to_build_is_spoken_of_now_and_then_and_waited_f
     let (building, mut is_building) = mpsc::unbounded_channel();
     let (go_on, may_go_on) = blocking::channel::<()>();
     let may_go_on = Mutex::new(may_go_on);
-    let starting = tokio::spawn(InferenceTask::start(
-        settings(),
-        move || -> Result<Scripted, _> {
-            building.send(()).unwrap();
-            may_go_on.lock().recv().unwrap();
-            Err(StartError::WarmUp {
-                path: "scripted.onnx".into(),
-                reason: "scripted end".to_owned(),
-            })
-        },
-    ));
+    let starting = tokio::spawn(Worker::start(settings(), move || -> Result<Scripted, _> {
+        building.send(()).unwrap();
+        may_go_on.lock().recv().unwrap();
+        Err(StartError::WarmUp {
+            path: "scripted.onnx".into(),
+            reason: "scripted end".to_owned(),
+        })
+    }));
     is_building.recv().await.unwrap();
     settle().await;
     for (seconds, expected) in [

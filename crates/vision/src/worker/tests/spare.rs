@@ -2,20 +2,18 @@
 
 use super::*;
 
-type SpareAsked = tokio::task::JoinHandle<Option<Result<Inference<CameraSlot>, InferenceError>>>;
+type SpareAsked = tokio::task::JoinHandle<Option<Result<Answer<CameraSlot>, InferenceError>>>;
 
 impl Stage {
     /// Asks for a spare run of `camera`'s picture that begins within `wait`.
     fn ask_spare(&self, camera: usize, wait: Duration) -> SpareAsked {
-        let (task, camera) = (self.task.clone(), CameraSlot(camera));
+        let (worker, camera) = (self.worker.clone(), CameraSlot(camera));
         tokio::spawn(async move {
-            let until = Instant::now() + wait;
-            let turn = tokio::time::timeout_at(until, task.spare_turn())
-                .await
-                .ok()??;
-            task.run_spare(turn, (camera, Arc::default()), until)
-                .await
-                .transpose()
+            let answer = async {
+                worker.idle().await?;
+                Some(worker.run_spare((camera, Arc::default())).await)
+            };
+            tokio::time::timeout(wait, answer).await.ok()?
         })
     }
 }
@@ -28,10 +26,10 @@ async fn a_spare_picture_is_looked_at_when_nobody_else_asks_and_counts_apart() {
     stage.end(Step::Answer);
     let answer = spare.await.unwrap().unwrap().unwrap();
     assert_eq!((answer.output, answer.pictures), (CameraSlot(7), 1));
-    let counters = stage.task.counters();
-    let expected = TaskCounters {
+    let counters = stage.counts();
+    let expected = WorkerCounts {
         spare: 1,
-        ..TaskCounters::default()
+        ..WorkerCounts::default()
     };
     assert_eq!(counters, expected);
 }
@@ -64,7 +62,7 @@ async fn frames_go_before_a_spare_picture_and_it_is_given_up_when_they_take_all_
     assert_eq!(stage.next_run().await, [2]);
     stage.end(Step::Answer);
     third.await.unwrap().unwrap();
-    let counters = stage.task.counters();
+    let counters = stage.counts();
     assert_eq!((counters.completed, counters.spare), (3, 1));
 }
 
@@ -87,7 +85,7 @@ async fn a_stopped_task_looks_at_no_spare_picture() {
     let mut stage = stage(settings()).await;
     let running = stage.begin(0).await;
     let spare = stage.ask_spare(7, TIMEOUT);
-    let stopping = stage.task.clone();
+    let stopping = stage.worker.clone();
     let stopped = tokio::spawn(async move { stopping.stop().await });
     settle().await;
     stage.end(Step::Answer);
@@ -95,5 +93,5 @@ async fn a_stopped_task_looks_at_no_spare_picture() {
     stopped.await.unwrap();
     pass(TIMEOUT).await;
     assert!(spare.await.unwrap().is_none_or(|answer| answer.is_err()));
-    assert_eq!(stage.task.counters().spare, 0);
+    assert_eq!(stage.counts().spare, 0);
 }

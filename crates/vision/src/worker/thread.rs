@@ -1,0 +1,120 @@
+//! The thread on which a model is built, run and dropped.
+
+use super::Model;
+use crate::detector::{ExecutionProvider, InferenceError, RunError, StartError};
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+
+/// What the thread is to do next.
+pub(super) enum Command<I> {
+    /// Build the model. There is none.
+    Build,
+    /// Run it on these pictures.
+    Run(Vec<I>),
+}
+
+/// What became of a command.
+pub(super) enum Outcome<M: Model> {
+    /// What runs the model, and what its users rely on.
+    Built(Result<(ExecutionProvider, M::Facts), StartError>),
+    /// One output for each picture. After any error but [`InferenceError::Implausible`] the model is gone.
+    Ran(Result<Vec<M::Output>, InferenceError>),
+}
+
+/// The ends of the thread's two lines; it leaves when `commands` is dropped.
+pub(super) struct ModelThread<M: Model> {
+    pub(super) commands: Sender<Command<M::Input>>,
+    pub(super) outcomes: UnboundedReceiver<Outcome<M>>,
+}
+
+impl<M: Model> ModelThread<M> {
+    pub(super) fn spawn(
+        name: &'static str,
+        build: impl Fn() -> Result<M, StartError> + Send + 'static,
+    ) -> std::io::Result<Self> {
+        let (commands, received) = channel();
+        let (sender, outcomes) = unbounded_channel();
+        std::thread::Builder::new()
+            .name(name.to_owned())
+            .spawn(move || work(name, &build, &received, &sender))?;
+        Ok(Self { commands, outcomes })
+    }
+}
+
+fn work<M: Model>(
+    name: &'static str,
+    build: &dyn Fn() -> Result<M, StartError>,
+    commands: &Receiver<Command<M::Input>>,
+    outcomes: &UnboundedSender<Outcome<M>>,
+) {
+    let mut model: Option<M> = None;
+    let mut first_facts: Option<M::Facts> = None;
+    while let Ok(command) = commands.recv() {
+        let outcome = match command {
+            Command::Build => {
+                let built = catch_unwind(AssertUnwindSafe(build)).unwrap_or_else(|panic| {
+                    Err(StartError::Thread {
+                        task: name,
+                        reason: message(&*panic),
+                    })
+                });
+                Outcome::Built(built.and_then(|built| {
+                    let facts = built.facts();
+                    if first_facts.get_or_insert_with(|| facts.clone()) != &facts {
+                        return Err(StartError::ModelChanged { task: name });
+                    }
+                    let provider = built.provider();
+                    model = Some(built);
+                    Ok((provider, facts))
+                }))
+            }
+            Command::Run(pictures) => {
+                let ran = catch_unwind(AssertUnwindSafe(|| run(&mut model, &pictures)))
+                    .unwrap_or_else(|panic| Err(InferenceError::Panicked(message(&*panic))));
+                // Before the answer goes out, so that the asker can use the buffers again.
+                drop(pictures);
+                if let Err(error) = &ran
+                    && !matches!(error, InferenceError::Implausible(_))
+                {
+                    // Its memory is free before a new one is built: a GPU may not have room for two.
+                    let failed = model.take();
+                    let _ = catch_unwind(AssertUnwindSafe(move || drop(failed)));
+                }
+                Outcome::Ran(ran)
+            }
+        };
+        if outcomes.send(outcome).is_err() {
+            return;
+        }
+    }
+}
+
+fn run<M: Model>(
+    model: &mut Option<M>,
+    pictures: &[M::Input],
+) -> Result<Vec<M::Output>, InferenceError> {
+    let Some(model) = model else {
+        return Err(InferenceError::Failed("there is no model".to_owned()));
+    };
+    match model.run(pictures) {
+        Ok(outputs) if outputs.len() == pictures.len() => Ok(outputs),
+        Ok(outputs) => Err(InferenceError::Failed(format!(
+            "the model answered {} of {} pictures",
+            outputs.len(),
+            pictures.len()
+        ))),
+        Err(RunError::Failed(reason)) => Err(InferenceError::Failed(reason)),
+        Err(RunError::Implausible(reason)) => Err(InferenceError::Implausible(reason)),
+    }
+}
+
+/// The text of a panic.
+fn message(panic: &(dyn Any + Send)) -> String {
+    panic
+        .downcast_ref::<&str>()
+        .map(|text| (*text).to_owned())
+        .or_else(|| panic.downcast_ref::<String>().cloned())
+        .unwrap_or_else(|| "no message".to_owned())
+}
