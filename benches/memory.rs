@@ -14,7 +14,7 @@
 
 #![allow(clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
-use albireo::cli::frames::{FrameSender, Haste, OutgoingFrame, open_session};
+use albireo::cli::frames::{FrameSender, Pacing, OutgoingFrame, open_session};
 use albireo_core::geometry::PictureSize;
 use albireo_synth::{Dashcam, DashcamSettings};
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
@@ -222,7 +222,7 @@ async fn send(
     let mut senders = Vec::new();
     for camera in 0..cameras {
         let key = format!("albireo/node/camera-{camera}/frame");
-        let sender = FrameSender::declare(&session, &key, Haste::Drop)
+        let sender = FrameSender::declare(&session, &key, Pacing::Drop)
             .await
             .expect("a sender");
         sender

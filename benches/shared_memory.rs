@@ -12,7 +12,6 @@
 
 #![allow(clippy::expect_used, clippy::print_stdout)]
 
-use albireo::cli::frames::{FrameSender, Haste, OutgoingFrame, open_session};
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{EncodedPicture, FrameLimits, PictureFormat, to_jpeg};
 use albireo_wire::{DetectionsMessage, FrameAttachment, VERSION, read};
@@ -22,6 +21,9 @@ use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::unbounded_channel;
+use zenoh::Wait;
+use zenoh::bytes::ZBytes;
+use zenoh::shm::{GarbageCollect, PosixShmProviderBackend, ShmProvider, ShmProviderBuilder};
 
 const SIZE: PictureSize = PictureSize::new(1920, 1080);
 const RATE: f64 = 30.0;
@@ -80,7 +82,7 @@ fn node(folder: &std::path::Path, port: u16) -> Node {
     let file = folder.join("node.toml");
     let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models/detector.onnx");
     let text = format!(
-        "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{port}\"]\nlog.level = \"warn\"\n\
+        "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{port}\"]\nzenoh.shared_memory = true\nlog.level = \"warn\"\n\
          detector.model = \"{models}\"\npower.source = \"none\"\npolicy.name = \"fixed-skip\"\n\
          policy.fixed_skip.n = 1000\naudit.share = 0\n"
     );
@@ -122,10 +124,18 @@ struct Turn {
 }
 
 async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, first: u64) -> Turn {
-    let endpoint = [format!("tcp/127.0.0.1:{port}")];
-    let session = open_session(&endpoint, &[], Duration::from_secs(20))
-        .await
-        .expect("the node is there");
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"tcp/127.0.0.1:{port}\"]")),
+        ("connect/timeout_ms", "20000".to_owned()),
+        ("scouting/multicast/enabled", "false".to_owned()),
+        // Frames are placed here, and nothing else is.
+        ("transport/shared_memory/transport_optimization/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).expect("Zenoh takes it");
+    }
+    let session = zenoh::open(config).await.expect("the node is there");
     let (tell, mut arrived) = unbounded_channel();
     let _detections = session
         .declare_subscriber("albireo/node/front/detections")
@@ -137,14 +147,15 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
         })
         .await
         .expect("a subscriber");
-    let sender = FrameSender::declare(&session, "albireo/node/front/frame", Haste::Drop)
+    let publisher = session
+        .declare_publisher("albireo/node/front/frame")
         .await
-        .expect("a sender")
-        .sharing_memory(sharing);
-    sender
-        .wait_for_receiver(Duration::from_secs(20))
-        .await
-        .expect("the node listens");
+        .expect("a publisher");
+    let matching = publisher.matching_listener().await.expect("a listener");
+    while !publisher.matching_status().await.expect("a status").matching() {
+        matching.recv_async().await.expect("the node listens");
+    }
+    let memory = sharing.then(|| shared_memory(picture.bytes.len()));
     let (mut placings, mut sent) = (Vec::new(), HashMap::new());
     let mut clock = tokio::time::interval(Duration::from_secs_f64(1.0 / RATE));
     let pid = pid.to_string();
@@ -155,25 +166,32 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
             began = (processor_time(&pid), processor_time("self"));
         }
         let seq = first + number;
-        let frame = OutgoingFrame {
-            picture: picture.clone(),
-            attachment: FrameAttachment {
-                v: VERSION,
-                seq: Some(seq),
-                width: Some(SIZE.width),
-                height: Some(SIZE.height),
-                ..FrameAttachment::default()
-            },
+        let attachment = FrameAttachment {
+            v: VERSION,
+            seq: Some(seq),
+            width: Some(SIZE.width),
+            height: Some(SIZE.height),
+            ..FrameAttachment::default()
+        };
+        let encoding = match picture.format {
+            PictureFormat::Jpeg => "image/jpeg".to_owned(),
+            raw => format!("image/raw;{}", raw.as_str()),
         };
         let placing = Instant::now();
-        let payload = sender.place(&frame.picture);
+        let payload = match &memory {
+            Some(memory) => place(memory, &picture.bytes),
+            None => ZBytes::from(picture.bytes.as_ref()),
+        };
         let placed = Instant::now();
         if number >= WARM_UP {
             placings.push((placed - placing).as_secs_f64() * 1e3);
             sent.insert(seq, (placing, placed));
         }
-        sender
-            .put_placed(&frame, payload)
+        publisher
+            .put(payload)
+            .encoding(encoding)
+            .attachment(serde_json::to_vec(&attachment).expect("JSON"))
+            .wait()
             .expect("Zenoh takes a frame");
     }
     let (mut latencies, mut from_placed) = (Vec::new(), Vec::new());
@@ -199,6 +217,22 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
         sender_ms: a_frame(ended.1 - began.1),
         missing: sent.len() as u64,
     }
+}
+
+/// Memory for a dozen pictures: those that wait, those that the node looks at, and some on their way.
+fn shared_memory(bytes: usize) -> ShmProvider<PosixShmProviderBackend> {
+    let pool = ShmProviderBuilder::default_backend(12 * bytes).wait();
+    pool.expect("shared memory")
+}
+
+fn place(memory: &ShmProvider<PosixShmProviderBackend>, picture: &[u8]) -> ZBytes {
+    let room = memory.alloc(picture.len());
+    let mut room = room
+        .with_policy::<GarbageCollect>()
+        .wait()
+        .expect("room for a picture");
+    room.copy_from_slice(picture);
+    room.into()
 }
 
 fn median(mut values: Vec<f64>) -> f64 {

@@ -61,6 +61,13 @@ impl Bench {
 
     /// As [`start`](Self::start), with a node that was prepared in a way of its own.
     pub(crate) async fn start_prepared(config: &NodeConfig, prepared: PreparedNode) -> Self {
+        let bench = Self::start_unmatched(config, prepared).await;
+        both_ways(&bench.session, "node", CAMERA).await;
+        bench
+    }
+
+    /// As [`start_prepared`](Self::start_prepared), of a node that need not have the usual camera.
+    async fn start_unmatched(config: &NodeConfig, prepared: PreparedNode) -> Self {
         let shutdown = CancellationToken::new();
         let board = Arc::clone(prepared.board());
         let node = prepared.start(config, shutdown.clone()).await.unwrap();
@@ -77,16 +84,14 @@ impl Bench {
             .background()
             .await
             .unwrap();
-        let bench = Self {
+        Self {
             board,
             shutdown,
             stopped: tokio::spawn(node.stopped()),
             session,
             detections,
             endpoints,
-        };
-        both_ways(&bench.session, "node", CAMERA).await;
-        bench
+        }
     }
 
     pub(crate) async fn send(
@@ -400,20 +405,142 @@ async fn a_restart_that_began_with_a_broken_frame_makes_the_policy_begin_anew() 
     for seq in [1000, 1001, 100, 1002] {
         bench.send(picture.clone(), "image/jpeg", seq).await;
     }
-    // The camera counts from 0 again; its second number shows it, and is no picture.
-    bench.send(picture.clone(), "image/jpeg", 0).await;
-    bench.send(b"broken".to_vec(), "image/jpeg", 1).await;
+    // The camera counts from 0 again, after a second of silence; its first frame is no picture.
+    tokio::time::sleep(Duration::from_millis(1100)).await;
+    bench.send(b"broken".to_vec(), "image/jpeg", 0).await;
+    bench.send(picture.clone(), "image/jpeg", 1).await;
     bench.send(picture, "image/jpeg", 2).await;
     let mut seen = Vec::new();
-    for _ in 0..4 {
+    for _ in 0..5 {
         let answer = bench.answer().await;
         seen.push((answer.seq, answer.state.as_str()));
     }
     // The stray frame 100 changes nothing: of a stream the first frame is the detector's.
-    assert_eq!(seen, [(1000, "I"), (1001, "P"), (1002, "P"), (2, "I")]);
+    let expected = [(1000, "I"), (1001, "P"), (1002, "P"), (1, "I"), (2, "P")];
+    assert_eq!(seen, expected);
     let dropped = bench.board.camera(CAMERA).unwrap().snapshot().dropped;
-    assert_eq!((dropped.late, dropped.undecodable), (2, 1));
-    assert_eq!((dropped.lost, dropped.total()), (0, 3));
+    assert_eq!((dropped.stray, dropped.undecodable), (1, 1));
+    assert_eq!((dropped.lost, dropped.total()), (0, 2));
+    bench.stop().await;
+}
+
+/// The attachment of rmw_zenoh: number, time, and the publisher's id.
+fn rmw_attachment(seq: u64, publisher: u8) -> Vec<u8> {
+    let mut attachment = seq.to_le_bytes().to_vec();
+    attachment.extend_from_slice(&1_700_000_000_000_000_000_i64.to_le_bytes());
+    attachment.push(16);
+    attachment.extend_from_slice(&[publisher; 16]);
+    attachment
+}
+
+fn json_attachment(seq: u64, stream: Option<u64>) -> Vec<u8> {
+    let attachment = FrameAttachment {
+        v: VERSION,
+        seq: Some(seq),
+        stream,
+        ..FrameAttachment::default()
+    };
+    serde_json::to_vec(&attachment).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_second_publisher_on_a_camera_s_key_costs_it_no_frame() {
+    let camera = |name: &str, format| CameraConfig {
+        ring: 512,
+        format,
+        ..CameraConfig::named(name)
+    };
+    let json = albireo_node::input::PayloadFormat::Encoding;
+    let mut config = configuration();
+    config.policy.name = "fixed-skip".to_owned();
+    config.policy.fixed_skip.n = 1000.0;
+    config.cameras = vec![
+        camera("plain", json),
+        camera("streamed", json),
+        camera("ros", albireo_node::input::PayloadFormat::Ros2CompressedImage),
+    ];
+    let bench = Bench::start_unmatched(&config, PreparedNode::new(&config).unwrap()).await;
+    let jpeg = pictures(1).remove(0);
+    let cdr = std::fs::read(project("tests/fixtures/ros2/compressed_image_1.cdr")).unwrap();
+    for name in ["plain", "streamed", "ros"] {
+        let put = async |own: bool, seq| {
+            let attachment = match (name, own) {
+                ("ros", _) => rmw_attachment(seq, u8::from(own)),
+                ("plain", true) => json_attachment(seq, None),
+                (_, true) => json_attachment(seq, Some(1)),
+                (_, false) => json_attachment(seq, Some(77)),
+            };
+            let payload = if name == "ros" { &cdr } else { &jpeg };
+            let put = bench.session.put(format!("albireo/node/{name}/frame"), payload.clone());
+            put.attachment(attachment)
+                .congestion_control(zenoh::qos::CongestionControl::Block)
+                .await
+                .unwrap();
+        };
+        both_ways(&bench.session, "node", name).await;
+        for seq in 100..120 {
+            put(true, seq).await;
+        }
+        // One frame, then a publisher that is there for a while, then the camera alone.
+        put(false, 5).await;
+        for seq in 120..140 {
+            put(true, seq).await;
+            put(false, seq - 120).await;
+        }
+        for seq in 140..160 {
+            put(true, seq).await;
+        }
+        let camera = bench.board.camera(name).unwrap();
+        until(&bench.board, "every frame is counted", |_| {
+            camera.snapshot().states.frames() + camera.snapshot().dropped.total() == 81
+        })
+        .await;
+        let dropped = camera.snapshot().dropped;
+        assert_eq!((dropped.stray, dropped.total()), (21, 21), "{name}");
+    }
+    bench.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_sender_that_follows_one_that_is_gone_is_heard_at_once() {
+    use albireo::cli::replay::{FrameSender, OutgoingFrame, Pacing};
+    let mut config = configuration();
+    config.cameras = vec![CameraConfig {
+        ring: 64,
+        ..CameraConfig::named(CAMERA)
+    }];
+    let bench = Bench::start(&config).await;
+    let bytes = bytes::Bytes::from(pictures(1).remove(0));
+    let camera = bench.board.camera(CAMERA).unwrap();
+    for round in 1..=3 {
+        let session = connect(&bench.endpoints).await;
+        let sender = FrameSender::declare(&session, &frame_key(), Pacing::WaitForNetwork);
+        let sender = sender.await.unwrap();
+        sender.wait_for_receiver(LONG).await.unwrap();
+        for seq in 0..10 {
+            let frame = OutgoingFrame {
+                picture: albireo_vision::picture::EncodedPicture {
+                    format: albireo_vision::picture::PictureFormat::Jpeg,
+                    bytes: bytes.clone(),
+                    size: PictureSize::new(640, 360),
+                },
+                attachment: FrameAttachment {
+                    v: VERSION,
+                    seq: Some(seq),
+                    ..FrameAttachment::default()
+                },
+            };
+            sender.put(&frame).unwrap();
+        }
+        until(&bench.board, "every frame is counted", |_| {
+            camera.snapshot().states.frames() + camera.snapshot().dropped.total() == 10 * round
+        })
+        .await;
+        session.close().await.unwrap();
+    }
+    assert_eq!(camera.snapshot().dropped.total(), 0);
     bench.stop().await;
 }
 

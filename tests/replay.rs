@@ -6,12 +6,13 @@ use albireo::cli::replay::{
     self, Ffmpeg, FrameSource, ReplayArguments, Sent, Video, VideoEncoding,
 };
 use albireo_core::geometry::PictureSize;
-use albireo_node::input::{Frame, PayloadFormat, RawSample, RingReceiver, frame_ring, read_frame};
+use albireo_node::input::{Frame, PayloadFormat, RawSample, read_frame};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{FrameAnswer, VERSION};
 use clap::Parser;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
+use tokio::sync::mpsc::{Receiver, channel};
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
@@ -39,9 +40,9 @@ async fn listening_peer() -> (zenoh::Session, String) {
     (session, locator.to_string())
 }
 
-/// Takes frames as a node does that is to miss none, with a small ring that holds the sender back.
-async fn take_each(session: &zenoh::Session) -> RingReceiver<Frame> {
-    let (sender, receiver) = frame_ring(2);
+/// Takes frames as a node does that is to miss none, with a small queue that holds the sender back.
+async fn take_each(session: &zenoh::Session) -> Receiver<Frame> {
+    let (sender, receiver) = channel(2);
     let queries = session
         .declare_queryable("albireo/node/front/frame")
         .complete(true)
@@ -60,7 +61,7 @@ async fn take_each(session: &zenoh::Session) -> RingReceiver<Frame> {
                 received: tokio::time::Instant::now(),
             };
             let frame = read_frame(raw, PayloadFormat::Encoding, &FrameLimits::default());
-            sender.push(frame.unwrap()).await;
+            sender.send(frame.unwrap()).await.unwrap();
             let answer = FrameAnswer {
                 v: VERSION,
                 refused: None,
@@ -88,7 +89,7 @@ async fn replayed(source: &Path, more: &[&str], mut work: impl AsyncFnMut()) -> 
             .is_none_or(|sent| (frames.len() as u64) < sent.frames)
         {
             tokio::select! {
-                frame = receiver.next() => {
+                frame = receiver.recv() => {
                     frames.push(frame.unwrap());
                     work().await;
                 }

@@ -111,7 +111,7 @@ impl<'a> OurPath<'a> {
     ) -> anyhow::Result<()> {
         let frame = Frame {
             sequence: self.frames,
-            order: albireo_node::input::FrameOrder::default(),
+            number: albireo_node::input::FrameNumber::default(),
             time_ns: self.frames * 100_000_000,
             clip: None,
             picture: encoded.clone(),

@@ -5,7 +5,7 @@ mod hub;
 mod show;
 
 use super::replay::{
-    FrameSender, Haste, PublishOptions, Rate, SourceName, VideoEncoding, open_session, publish,
+    FrameSender, Pacing, PublishOptions, Rate, SourceName, VideoEncoding, open_session, publish,
 };
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::{PreparedNode, run_prepared};
@@ -195,7 +195,7 @@ async fn camera(
     let key = config.keys()?.camera(CAMERA)?.frame();
     let playing = async {
         let session = open_session(&[endpoint], &[], PATIENCE).await?;
-        let sender = FrameSender::declare(&session, &key, Haste::Drop).await?;
+        let sender = FrameSender::declare(&session, &key, Pacing::Drop).await?;
         sender.wait_for_receiver(PATIENCE).await?;
         if let Some(seconds) = arguments.seconds {
             let shutdown = shutdown.clone();

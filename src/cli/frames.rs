@@ -2,11 +2,10 @@
 
 mod sender;
 mod session;
-mod shared;
 
 #[cfg(feature = "eval")]
 pub(crate) use sender::SentFrame;
-pub use sender::{FrameSender, Haste, OutgoingFrame};
+pub use sender::{FrameSender, OutgoingFrame, Pacing};
 #[cfg(feature = "eval")]
 pub use session::flush;
 pub use session::{DEFAULT_ENDPOINT, open_session};
@@ -41,14 +40,6 @@ pub struct FrameTarget {
 }
 
 impl FrameTarget {
-    /// Whether frames go to this machine alone, where sender and node can share memory.
-    pub(crate) fn is_here(&self) -> bool {
-        let endpoints = self.connect.iter().chain(&self.listen);
-        endpoints
-            .into_iter()
-            .all(|endpoint| shared::is_here(endpoint))
-    }
-
     /// The key to publish on.
     ///
     /// # Errors

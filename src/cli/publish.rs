@@ -1,7 +1,7 @@
 //! `albireo publish`: a live camera's frames for a node on another machine.
 
 use super::block_on;
-use super::frames::{FrameSender, FrameTarget, Haste, NOBODY, OutgoingFrame, open_session};
+use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, open_session};
 use albireo_node::input::source::{
     Handover, LiveSource, RtspTransport, SourceAddress, SourceSettings, SourceSink,
 };
@@ -14,6 +14,7 @@ use anyhow::{Context, anyhow, bail};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
+use tokio::sync::watch;
 use tokio_util::sync::CancellationToken;
 use zenoh::session::Session;
 
@@ -102,27 +103,12 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
     let Some(session) = connected(&arguments.target, &shutdown).await else {
         return Ok(());
     };
-    let sender = FrameSender::declare(&session, &key, Haste::Drop)
-        .await?
-        .sharing_memory(arguments.target.is_here());
+    let sender = FrameSender::declare(&session, &key, Pacing::Drop).await?;
     tracing::info!(source = source.name(), key, "publishing");
-    let told = key.clone();
-    sender
-        .watch_receivers(move |taken| {
-            if taken {
-                tracing::info!(key = told, "a node takes the frames");
-            } else {
-                tracing::warn!(
-                    key = told,
-                    "nobody listens, so frames go to nobody: {NOBODY}"
-                );
-            }
-        })
-        .await?;
+    tokio::spawn(log_receivers(sender.receivers(), key.clone()));
     let sent = Arc::new(AtomicU64::new(0));
     let sink = Outlet {
         sender,
-        stream: 0,
         seq: 0,
         sent: Arc::clone(&sent),
         failed: false,
@@ -156,11 +142,23 @@ async fn connected(target: &FrameTarget, shutdown: &CancellationToken) -> Option
     }
 }
 
+/// Logs whether somebody takes the frames, now and at every change.
+async fn log_receivers(mut receivers: watch::Receiver<Option<bool>>, key: String) {
+    loop {
+        if *receivers.borrow_and_update() == Some(true) {
+            tracing::info!(key, "a node takes the frames");
+        } else {
+            tracing::warn!(key, "nobody listens, so frames go to nobody: {NOBODY}");
+        }
+        if receivers.changed().await.is_err() {
+            return;
+        }
+    }
+}
+
 /// Sends a source's pictures.
 struct Outlet {
     sender: FrameSender,
-    /// The numbering: begins with each opening of the source, for nobody knows what was missed in between.
-    stream: u64,
     seq: u64,
     sent: Arc<AtomicU64>,
     failed: bool,
@@ -179,7 +177,6 @@ impl Outlet {
             attachment: FrameAttachment {
                 v: VERSION,
                 seq: Some(seq),
-                stream: Some(self.stream),
                 t_ns: Some(unix_nanoseconds()),
                 ..FrameAttachment::default()
             },
@@ -188,11 +185,14 @@ impl Outlet {
 }
 
 impl SourceSink for Outlet {
-    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, anew: bool) {
-        if anew {
-            (self.stream, self.seq) = (unix_nanoseconds(), 0);
-        }
-        match self.send(picture) {
+    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
+        let begun = if reopened {
+            self.seq = 0;
+            self.sender.begin_stream()
+        } else {
+            Ok(())
+        };
+        match begun.and_then(|()| self.send(picture)) {
             Ok(()) => {
                 self.sent.fetch_add(1, Ordering::Relaxed);
                 self.failed = false;

@@ -2,7 +2,7 @@
 
 mod publish;
 
-pub use super::frames::{DEFAULT_ENDPOINT, FrameSender, Haste, OutgoingFrame, flush, open_session};
+pub use super::frames::{DEFAULT_ENDPOINT, FrameSender, Pacing, OutgoingFrame, flush, open_session};
 pub use albireo_eval::footage::{
     Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Synthetic, Video, VideoEncoding,
 };
@@ -12,7 +12,6 @@ use super::frames::{FrameTarget, NOBODY};
 use anyhow::{Context, anyhow, bail};
 use clap::Args;
 use indicatif::{HumanBytes, ProgressBar, ProgressStyle};
-use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
@@ -130,22 +129,20 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         session = open_session(&arguments.target.connect, &arguments.target.listen, patience) => session?,
         () = shutdown.cancelled() => return Ok(Sent::default()),
     };
-    let haste = if arguments.every {
-        Haste::WaitForNode
+    let pacing = if arguments.every {
+        Pacing::WaitForNode
     } else {
-        Haste::Drop
+        Pacing::Drop
     };
-    let sender = FrameSender::declare(&session, &key, haste)
-        .await?
-        .sharing_memory(arguments.target.is_here());
+    let sender = FrameSender::declare(&session, &key, pacing).await?;
     if arguments.wait_for_subscriber.is_some() {
         tokio::select! {
             waited = sender.wait_for_receiver(patience) => waited?,
             () = shutdown.cancelled() => return Ok(Sent::default()),
         }
     }
-    let heard = sender.heard().await?;
-    if !heard.load(Ordering::Relaxed) {
+    let receivers = sender.receivers();
+    if receivers.borrow().is_none() {
         // What a node subscribes to is known a moment after the session is open.
         let waited = tokio::select! {
             waited = sender.wait_for_receiver(LISTENERS) => waited,
@@ -179,7 +176,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         .map_err(|error| anyhow!("closing the Zenoh session: {error}"))?;
     let sent = sent?;
     println!("{}", summary(&sent, &key));
-    if sent.frames > 0 && !heard.load(Ordering::Relaxed) {
+    if sent.frames > 0 && receivers.borrow().is_none() {
         bail!("nobody listened on `{key}`: {NOBODY}");
     }
     Ok(sent)

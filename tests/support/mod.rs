@@ -14,7 +14,7 @@ pub(crate) mod policies;
 #[allow(unreachable_pub)]
 pub(crate) mod postgres;
 
-use albireo::cli::replay::{FrameSender, Haste};
+use albireo::cli::replay::{FrameSender, Pacing};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
@@ -232,7 +232,7 @@ async fn http_address<R: AsyncRead + Unpin>(lines: &mut Lines<BufReader<R>>) -> 
 /// Waits until a node has subscribed to the frames of its camera, and knows what `session` has subscribed to.
 pub(crate) async fn both_ways(session: &zenoh::Session, node: &str, camera: &str) {
     let key = format!("albireo/{node}/{camera}/frame");
-    let sender = FrameSender::declare(session, &key, Haste::Drop).await;
+    let sender = FrameSender::declare(session, &key, Pacing::Drop).await;
     let sender = sender.expect("a key for frames");
     let waited = sender.wait_for_receiver(PATIENCE).await;
     waited.expect("the node subscribes");

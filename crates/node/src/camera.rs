@@ -18,7 +18,7 @@ use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::Detections;
 use crate::delivery::report::ClipAccounts;
 use crate::input::RingReceiver;
-use crate::input::intake::{DropCounts, DropKind, Incoming};
+use crate::input::receiver::{DropCounts, DropKind, SequencedFrame};
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{
     CallCause, Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, decide,
@@ -37,9 +37,9 @@ use tokio_util::sync::CancellationToken;
 pub(crate) struct Camera {
     /// What HTTP and metrics see of it.
     pub board: Arc<CameraBoard>,
-    /// Frames from the intake.
-    pub ring: RingReceiver<Incoming>,
-    /// Dropped frames, shared with the intake.
+    /// Frames from the receiver.
+    pub ring: RingReceiver<SequencedFrame>,
+    /// Dropped frames, shared with the receiver.
     pub drops: Arc<DropCounts>,
     /// What decides.
     pub policy: Box<dyn Policy>,
@@ -113,7 +113,7 @@ impl Camera {
         self.accounts.shutdown();
     }
 
-    async fn process(&mut self, incoming: Incoming, stream: &mut Stream) {
+    async fn process(&mut self, incoming: SequencedFrame, stream: &mut Stream) {
         let taken = Instant::now();
         let frame = &incoming.frame;
         if stream
@@ -226,7 +226,7 @@ impl Camera {
     }
 
     /// Leaves the frame to be looked at if it is drawn; its answer is out.
-    fn audit(&self, incoming: &Incoming, stream: &mut Stream) {
+    fn audit(&self, incoming: &SequencedFrame, stream: &mut Stream) {
         let outcome = &stream.outcome;
         if outcome.degraded {
             return;
@@ -263,8 +263,8 @@ impl Camera {
 /// One frame's evidence, and a look at the next frame.
 struct FrameSource<'a> {
     evidence: &'a mut LiveEvidence,
-    ring: &'a RingReceiver<Incoming>,
-    incoming: &'a Incoming,
+    ring: &'a RingReceiver<SequencedFrame>,
+    incoming: &'a SequencedFrame,
     head: FrameHead,
 }
 
@@ -295,8 +295,8 @@ impl Drop for Camera {
 /// The picture of the frame after `present` and what it will need, once it waits in the ring; for ever, when it
 /// may need nothing or there is another frame than the one foreseen. A predicted frame is never decoded.
 fn next_need(
-    ring: &RingReceiver<Incoming>,
-    present: &Incoming,
+    ring: &RingReceiver<SequencedFrame>,
+    present: &SequencedFrame,
     policy: &dyn Policy,
     head: FrameHead,
 ) -> impl Future<Output = (EncodedPicture, Need)> + Send {
@@ -307,7 +307,7 @@ fn next_need(
     });
     async move {
         if need != Need::Nothing {
-            let follows = |next: &Incoming| {
+            let follows = |next: &SequencedFrame| {
                 let foreseen = next.epoch == present.epoch
                     && next.index.checked_sub(present.index) == Some(1)
                     && next.frame.clip == present.frame.clip

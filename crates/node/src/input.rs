@@ -1,17 +1,17 @@
-//! What a camera sends: payload formats, sequence numbers, the ring of newest frames; and cameras that the node opens.
+//! What a camera sends: how its frames are read and numbered, the ring they wait in, and cameras that the node opens.
 
 mod attachment;
 mod config;
-pub mod intake;
 mod read;
+pub(crate) mod receiver;
 mod ring;
 mod ros2;
 mod sequence;
 pub mod source;
 
 pub use config::{Delivery, PayloadFormat};
-pub(crate) use read::read_query;
-pub use read::{Frame, FrameOrder, RawSample, RejectedFrame, read_frame, read_sample};
-pub use ring::RingSender;
-pub use ring::{Pushed, RingReceiver, frame_ring};
-pub(crate) use sequence::{Arrival, SequenceTracker};
+pub use read::{Frame, RawSample, RejectedFrame, read_frame};
+#[cfg(test)]
+pub(crate) use ring::Pushed;
+pub(crate) use ring::{RingLimits, RingReceiver, RingSender, frame_ring};
+pub use sequence::FrameNumber;

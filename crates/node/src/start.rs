@@ -12,9 +12,9 @@ use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::{ClipAccounts, Reporter};
 use crate::delivery::uplink::{DesiredKeeper, Uplink, UplinkSetup, Way};
 use crate::error::NodeError;
-use crate::input::intake::{DropCounts, HeldFrames, Incoming, Intake, SourceFeed};
+use crate::input::receiver::{DropCounts, FrameReceiver, SequencedFrame, SourceFeed};
 use crate::input::source::{LiveSource, SourceSettings};
-use crate::input::{Delivery, RingReceiver, RingSender, frame_ring};
+use crate::input::{Delivery, RingLimits, RingReceiver, RingSender, frame_ring};
 use crate::state::board::{Board, BoardSetup, CameraBoard};
 use crate::state::counters::Counters;
 use crate::state::readiness;
@@ -27,7 +27,7 @@ use albireo_service::supervise::{Restarts, Supervisor};
 use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle, ScreenKind};
-use albireo_wire::{CameraKeys, NodeKeys};
+use albireo_wire::{CameraKeys, NodeKeys, stream_of_token, stream_tokens};
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -35,6 +35,7 @@ use tokio::sync::{Mutex, mpsc, watch};
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use zenoh::qos::CongestionControl;
+use zenoh::sample::SampleKind;
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
@@ -69,7 +70,7 @@ pub struct Node {
     alive: NodeName,
     publishing: PublishingThread,
     uplink: Uplink,
-    intakes: Intakes,
+    subscriptions: Subscriptions,
     shutdown: CancellationToken,
 }
 
@@ -266,7 +267,7 @@ impl PreparedNode {
             tasks,
             policies: &policies,
             hurry: CancellationToken::new(),
-            intakes: Intakes::default(),
+            subscriptions: Subscriptions::default(),
             shutdown: shutdown.clone(),
         };
         for (slot, camera) in config.cameras.iter().enumerate() {
@@ -300,7 +301,7 @@ impl PreparedNode {
         parts.add_target(keys.target()).await?;
         let Parts {
             mut tasks,
-            intakes,
+            subscriptions,
             hurry,
             ..
         } = parts;
@@ -350,7 +351,7 @@ impl PreparedNode {
             alive,
             publishing,
             uplink,
-            intakes,
+            subscriptions,
             shutdown,
         })
     }
@@ -392,10 +393,10 @@ impl Node {
             hurry.cancel();
             std::future::pending().await
         };
-        let intakes = std::mem::take(&mut self.intakes);
+        let subscriptions = std::mem::take(&mut self.subscriptions);
         // Zenoh's calls may block, so each has a thread of its own.
         let undeclared = tokio::task::spawn_blocking(move || {
-            intakes.undeclare();
+            subscriptions.undeclare();
         });
         let ending = tokio::select! {
             ended = tokio::time::timeout_at(tasks_until, async {
@@ -450,13 +451,13 @@ fn refused(what: impl fmt::Display) -> impl FnOnce(zenoh::Error) -> NodeError {
 
 /// Where frames come in.
 #[derive(Default)]
-struct Intakes {
+struct Subscriptions {
     subscribers: Vec<zenoh::pubsub::Subscriber<()>>,
     /// Of the cameras that are to miss no frame.
     queryables: Vec<zenoh::query::Queryable<()>>,
 }
 
-impl Intakes {
+impl Subscriptions {
     fn undeclare(self) {
         for subscriber in self.subscribers {
             let _ = subscriber.undeclare().wait();
@@ -480,7 +481,7 @@ struct Parts<'a> {
     tasks: Supervisor,
     policies: &'a PolicyMaker,
     hurry: CancellationToken,
-    intakes: Intakes,
+    subscriptions: Subscriptions,
     shutdown: CancellationToken,
 }
 
@@ -497,7 +498,11 @@ impl Parts<'_> {
             .ok_or_else(|| NodeError::State("it is not on the board".to_owned()))?;
         let name = &config.name;
         let drops = Arc::new(DropCounts::new(Arc::clone(board)));
-        let (sender, ring) = frame_ring(config.ring);
+        let (sender, ring) = frame_ring(RingLimits::new(
+            config.delivery,
+            config.ring,
+            self.config.frame.max_payload_bytes,
+        ));
         let (closed, clips) = mpsc::unbounded_channel();
 
         // A live camera's answers age with its frames; a replay wants each of them.
@@ -616,7 +621,7 @@ impl Parts<'_> {
                 async move { threshold.run(stop).await }
             },
         );
-        let intake = Intake::new(
+        let receiver = FrameReceiver::new(
             Arc::clone(board),
             drops,
             sender,
@@ -625,47 +630,41 @@ impl Parts<'_> {
         )
         .advancing(place);
         if let Some(settings) = config.source_settings(self.config.frame) {
-            return self.add_source(name, intake, settings).await;
+            return self.add_source(name, receiver, settings).await;
         }
-        let refused = || refused(format!("frames on `{}` cannot be had", board.key()));
-        let key = board.key().to_owned();
-        let subscriber = match config.delivery {
-            Delivery::Newest => {
-                let subscriber = self.session.declare_subscriber(key);
-                subscriber
-                    .callback(move |sample| intake.take(&sample))
-                    .await
-                    .map_err(refused())?
-            }
-            Delivery::Every => {
-                let (sender, held) = HeldFrames::new(intake);
-                let (held, stop) = (Arc::new(held), self.shutdown.clone());
-                self.tasks.restarting(
-                    format!("held frames {name}"),
-                    tracing::info_span!("held frames", camera = name),
-                    Restarts::new(Effect::NotReady),
-                    move || {
-                        let (held, stop) = (Arc::clone(&held), stop.clone());
-                        async move { held.run(stop).await }
-                    },
-                );
-                let asked = sender.clone();
-                let queryable = self
-                    .session
-                    .declare_queryable(key.clone())
-                    .complete(true)
-                    .callback(move |query| asked.ask(query))
-                    .await
-                    .map_err(refused())?;
-                self.intakes.queryables.push(queryable);
-                self.session
-                    .declare_subscriber(key)
-                    .callback(move |sample| sender.put(sample))
-                    .await
-                    .map_err(refused())?
-            }
-        };
-        self.intakes.subscribers.push(subscriber);
+        let key = board.key();
+        let refused = || refused(format!("frames on `{key}` cannot be had"));
+        let receiver = Arc::new(receiver);
+        if config.delivery == Delivery::Every {
+            let asked = Arc::clone(&receiver);
+            let queryable = self
+                .session
+                .declare_queryable(key.to_owned())
+                .complete(true)
+                .callback(move |query| asked.take_query(query))
+                .await
+                .map_err(refused())?;
+            self.subscriptions.queryables.push(queryable);
+        }
+        let watching = Arc::clone(&receiver);
+        let tokens = self
+            .session
+            .liveliness()
+            .declare_subscriber(stream_tokens(key))
+            .callback(move |token| {
+                if let Some(stream) = stream_of_token(token.key_expr().as_str()) {
+                    watching.publisher_changed(stream, token.kind() == SampleKind::Delete);
+                }
+            })
+            .await
+            .map_err(refused())?;
+        let frames = self
+            .session
+            .declare_subscriber(key.to_owned())
+            .callback(move |sample| receiver.take(&sample))
+            .await
+            .map_err(refused())?;
+        self.subscriptions.subscribers.extend([tokens, frames]);
         Ok(())
     }
 }
@@ -731,7 +730,7 @@ impl Parts<'_> {
     async fn add_source(
         &mut self,
         name: &str,
-        intake: Intake,
+        receiver: FrameReceiver,
         settings: SourceSettings,
     ) -> Result<(), NodeError> {
         // It asks the programs for their versions.
@@ -741,7 +740,7 @@ impl Parts<'_> {
         let part = self.board.readiness().part_of(readiness::CAMERAS, subject);
         let feed = SourceFeed {
             source: Arc::new(source),
-            intake: Arc::new(intake),
+            receiver: Arc::new(receiver),
             part,
         };
         let stop = self.shutdown.clone();
@@ -762,8 +761,8 @@ struct CameraMaker {
     board: Arc<CameraBoard>,
     drops: Arc<DropCounts>,
     /// The ring as it was made: no frame between that and the loop's start is lost.
-    first_ring: Mutex<Option<RingReceiver<Incoming>>>,
-    sender: RingSender<Incoming>,
+    first_ring: Mutex<Option<RingReceiver<SequencedFrame>>>,
+    sender: RingSender<SequencedFrame>,
     policies: PolicyMaker,
     detector: DetectorHandle,
     screen: Option<ScreenHandle>,

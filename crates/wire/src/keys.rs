@@ -211,6 +211,22 @@ impl CameraKeys {
     }
 }
 
+/// Key of the liveliness token that a publisher of frames holds as long as it is there, so that a stream that follows
+/// its own is taken at once: `{frame key}/@stream/{stream}`.
+pub fn stream_token(frame_key: &str, stream: u64) -> String {
+    format!("{frame_key}/@stream/{stream}")
+}
+
+/// The tokens of all streams on a frame key.
+pub fn stream_tokens(frame_key: &str) -> String {
+    format!("{frame_key}/@stream/*")
+}
+
+/// The stream of a [`stream_token`].
+pub fn stream_of_token(key: &str) -> Option<u64> {
+    key.rsplit_once('/')?.1.parse().ok()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -235,6 +251,9 @@ mod tests {
         assert_eq!(camera.counters(), "albireo/car-7/front/counters");
         assert_eq!(camera.threshold(), "albireo/car-7/front/threshold");
         assert_eq!(camera.picture(), "albireo/car-7/front/picture");
+        let token = stream_token(&camera.frame(), 7);
+        assert_eq!(token, "albireo/car-7/front/frame/@stream/7");
+        assert_eq!(stream_of_token(&token), Some(7));
         let every = FleetKeys::new("albireo", "car-7").unwrap().all_counters();
         assert_eq!(every, "albireo/car-7/*/counters");
     }

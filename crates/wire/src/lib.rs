@@ -31,7 +31,10 @@ pub use clip::{
 pub use counters::{CountersMessage, DomainWatts};
 pub use desired::{Desired, Poke, PullRequest};
 pub use frames::{BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, Latency};
-pub use keys::{CameraKeys, FleetKeys, KeyError, NodeKeys, check_segment};
+pub use keys::{
+    CameraKeys, FleetKeys, KeyError, NodeKeys, check_segment, stream_of_token, stream_token,
+    stream_tokens,
+};
 pub use knob::{KnobChange, KnobValue, ThresholdMessage, WrongKnob};
 pub use report::{
     BatchCompression, BatchError, LARGEST_BATCH_BYTES, REPORT_DICTIONARY, ReceivedBatch,

@@ -146,9 +146,10 @@ pub struct DroppedFrames {
     pub lost: u64,
     /// Pushed out of the ring by a newer one before its turn.
     pub overrun: u64,
-    /// Arrived after a later frame (it had been counted as lost when the later one came), or with a number
-    /// far from all others.
+    /// Arrived after a later frame (it had been counted as lost when the later one came).
     pub late: u64,
+    /// Of another stream than the camera's present one: another publisher's, or with a number far from all others.
+    pub stray: u64,
     /// Arrived again with the same sequence number.
     pub duplicate: u64,
     /// The picture could not be decoded, or contradicts its own header.
@@ -163,11 +164,12 @@ pub struct DroppedFrames {
 
 impl DroppedFrames {
     /// Names and numbers, in the order of the fields.
-    pub fn by_kind(&self) -> [(&'static str, u64); 8] {
+    pub fn by_kind(&self) -> [(&'static str, u64); 9] {
         [
             ("lost", self.lost),
             ("overrun", self.overrun),
             ("late", self.late),
+            ("stray", self.stray),
             ("duplicate", self.duplicate),
             ("undecodable", self.undecodable),
             ("oversized", self.oversized),
@@ -187,6 +189,7 @@ impl std::ops::AddAssign<&Self> for DroppedFrames {
         self.lost += more.lost;
         self.overrun += more.overrun;
         self.late += more.late;
+        self.stray += more.stray;
         self.duplicate += more.duplicate;
         self.undecodable += more.undecodable;
         self.oversized += more.oversized;

@@ -2,7 +2,7 @@
 
 use super::PATIENCE;
 use super::clip::LoadedClip;
-use crate::cli::replay::{FrameSender, Haste, PublishOptions, Rate, flush, open_session, publish};
+use crate::cli::replay::{FrameSender, Pacing, PublishOptions, Rate, flush, open_session, publish};
 use albireo_core::policy::{Knob, PolicyConfig};
 use albireo_eval::compare::{Advice, Boxes, ClassNumbers};
 use albireo_node::PreparedNode;
@@ -182,12 +182,12 @@ impl Player {
             .context("the camera is not on the board")?;
         let session = open_session(endpoints, &[], PATIENCE).await?;
         let answers = subscribe(&session, keys.detections()).await?;
-        let haste = if self.rate.is_none() {
-            Haste::WaitForNode
+        let pacing = if self.rate.is_none() {
+            Pacing::WaitForNode
         } else {
-            Haste::WaitForNetwork
+            Pacing::WaitForNetwork
         };
-        let sender = FrameSender::declare(&session, &keys.frame(), haste).await?;
+        let sender = FrameSender::declare(&session, &keys.frame(), pacing).await?;
         sender.wait_for_receiver(PATIENCE).await?;
 
         let warm_up = self.warm_up_frames();

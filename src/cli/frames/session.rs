@@ -43,12 +43,7 @@ pub async fn open_session(
         ("connect/exit_on_failure", serde_json::json!(true)),
         ("scouting/multicast/enabled", serde_json::json!(false)),
         ("scouting/gossip/enabled", serde_json::json!(false)),
-        // Frames are placed in shared memory here, and nothing else is: Zenoh's own placing of what is large can lose a
-        // race (eclipse-zenoh/zenoh#2628).
-        (
-            "transport/shared_memory/transport_optimization/enabled",
-            serde_json::json!(false),
-        ),
+        ("transport/shared_memory/enabled", serde_json::json!(false)),
         (
             "transport/link/tx/queue/congestion_control/block/wait_before_close",
             serde_json::json!(BLOCKED_MICROSECONDS),

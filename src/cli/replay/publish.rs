@@ -234,7 +234,6 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
             attachment: FrameAttachment {
                 v: VERSION,
                 seq: Some(options.first_sequence + sent.frames),
-                stream: Some(nanoseconds(clock, 0.0)),
                 t_ns: Some(nanoseconds(clock, seconds)),
                 clip: clips.next(pass, seconds),
                 ..raw_size(&picture)

@@ -120,7 +120,7 @@ impl Drop for TakenAway<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::input::{Pushed, RingSender, frame_ring};
+    use crate::input::{Delivery, Pushed, RingLimits, RingSender, frame_ring};
     use std::thread::{self, ThreadId};
     use std::time::Duration;
     use tokio::sync::{mpsc, oneshot};
@@ -134,7 +134,7 @@ mod tests {
 
     /// A loop over a ring that tells what it took, and where.
     fn start(fails_at: Option<u32>) -> (InPlace, RingSender<u32>, Told, JoinHandle<()>) {
-        let (sender, mut ring) = frame_ring(4);
+        let (sender, mut ring) = frame_ring(RingLimits::new(Delivery::Newest, 4, 0));
         let (tell, told) = mpsc::unbounded_channel();
         let place = InPlace::default();
         let work = async move {
@@ -152,9 +152,9 @@ mod tests {
         (place, sender, told, task)
     }
 
-    /// As the intake does it.
+    /// As the receiver does it.
     fn bring(place: &InPlace, sender: &RingSender<u32>, item: u32) {
-        let (pushed, wake) = sender.push_newest_quietly(item);
+        let (pushed, wake) = sender.push(item);
         assert_eq!(pushed, Pushed::Queued);
         if let Some(wake) = wake
             && !(wake.only_this && place.advance())
@@ -174,19 +174,20 @@ mod tests {
                 }
                 bring(&place, &sender, item);
             }
+            sender.close();
         });
         for item in 0..2000 {
             let (taken, _) = timeout(LIMIT, told.recv()).await.unwrap().unwrap();
             assert_eq!(taken, item);
         }
         bringing.join().unwrap();
-        // The sender is gone, so the loop ends.
+        // The ring is closed, so the loop ends.
         timeout(LIMIT, task).await.unwrap().unwrap();
     }
 
     #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
     async fn an_idle_loop_takes_what_arrives_on_the_thread_that_brings_it() {
-        let (sender, mut ring) = frame_ring(4);
+        let (sender, mut ring) = frame_ring(RingLimits::new(Delivery::Newest, 4, 0));
         let (tell, mut told) = mpsc::unbounded_channel();
         let place = InPlace::default();
         let (idle, is_idle) = oneshot::channel();
@@ -218,6 +219,7 @@ mod tests {
                 thread::yield_now();
             }
             bring(&place, &sender, 7);
+            sender.close();
             thread::current().id()
         });
         let brought_by = bringing.join().unwrap();
@@ -258,7 +260,7 @@ mod tests {
                 .unwrap_err()
                 .is_cancelled()
         );
-        assert_eq!(sender.push_newest(1), Pushed::Closed(1));
+        assert_eq!(sender.push(1).0, Pushed::Closed(1));
         assert!(!place.advance());
     }
 }

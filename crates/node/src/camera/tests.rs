@@ -4,7 +4,7 @@ use super::*;
 use crate::camera::audit::{AuditConfig, Auditor};
 use crate::camera::clip::{ClipConfig, ClipMeta, ClipTracker, ClosedClip};
 use crate::config::{CameraConfig, NodeConfig};
-use crate::input::{Frame, FrameOrder, Pushed, RingSender, frame_ring};
+use crate::input::{Delivery, Frame, FrameNumber, Pushed, RingLimits, RingSender, frame_ring};
 use crate::state::board::{Board, BoardSetup, Event};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::PolicyConfig;
@@ -23,7 +23,7 @@ use zenoh::pubsub::Publisher;
 /// A camera whose frames are put into its ring by hand.
 struct Bench {
     board: Arc<Board>,
-    frames: RingSender<Incoming>,
+    frames: RingSender<SequencedFrame>,
     picture: EncodedPicture,
     camera: Camera,
     clips: UnboundedReceiver<ClosedClip>,
@@ -59,7 +59,7 @@ impl Bench {
         .await
         .unwrap();
         let slot = CameraSlot(0);
-        let (frames, ring) = frame_ring(64);
+        let (frames, ring) = frame_ring(RingLimits::new(Delivery::Newest, 64, 0));
         let power = without_a_meter();
         let mut tracker = ClipTracker::new(clip, power.user("front"));
         if audit.share > 0.0 {
@@ -123,17 +123,18 @@ impl Bench {
     fn put(&self, index: u64, epoch: u64, received: Instant) {
         let frame = Frame {
             sequence: index,
-            order: FrameOrder::default(),
+            number: FrameNumber::default(),
             time_ns: 0,
             clip: Some("drive".into()),
             picture: self.picture.clone(),
             received,
             payload_bytes: 0,
         };
-        let pushed = self.frames.push_newest(Incoming {
+        let (pushed, _) = self.frames.push(SequencedFrame {
             frame,
             index,
             epoch,
+            query: None,
         });
         assert!(matches!(pushed, Pushed::Queued));
     }
@@ -243,10 +244,10 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let mut skipped = 0;
     for index in 0..60 {
         let picture = bench.dashcam.frame(index).encode_jpeg(85).unwrap();
-        bench.frames.push_newest(Incoming {
+        let (_, wake) = bench.frames.push(SequencedFrame {
             frame: Frame {
                 sequence: index,
-                order: FrameOrder::default(),
+                number: FrameNumber::default(),
                 time_ns: 0,
                 clip: Some("drive".into()),
                 picture: EncodedPicture {
@@ -258,7 +259,11 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
             },
             index,
             epoch: 0,
+            query: None,
         });
+        if let Some(wake) = wake {
+            wake.waker.wake();
+        }
         let mut message = loop {
             if let Event::Frame(event) = &*events.recv().await.unwrap() {
                 break DetectionsMessage::clone(&event.detections);

@@ -6,7 +6,7 @@ use crate::camera::clip::{ClipMeta, ClipTracker, ClosedClip, FrameArrival, Frame
 use crate::camera::evidence::DetectorRun;
 use crate::camera::publishing::PublishLane;
 use crate::delivery::outbox::Outbox;
-use crate::input::intake::DropCounts;
+use crate::input::receiver::DropCounts;
 use crate::state::board::Board;
 use albireo_vision::detector::DetectorHandle;
 use albireo_wire::ClipReport;

@@ -1,9 +1,9 @@
-//! What a camera says beside the picture: this program's JSON, or the attachment of ROS 2's rmw_zenoh.
+//! Reads the attachment of a frame: this program's JSON, or what ROS 2's rmw_zenoh puts there.
 
-use super::PayloadFormat;
+use super::{FrameNumber, PayloadFormat};
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::FrameFault;
-use albireo_wire::{self, FrameAttachment};
+use albireo_wire::FrameAttachment;
 use std::sync::Arc;
 
 /// Longest attachment that is read, bytes.
@@ -13,9 +13,8 @@ const MAX_CLIP_BYTES: usize = 200;
 
 /// What is known about a frame without its payload.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Said {
-    pub sequence: Option<u64>,
-    pub stream: Option<u64>,
+pub(super) struct Attachment {
+    pub number: FrameNumber,
     pub time_ns: Option<u64>,
     pub clip: Option<Arc<str>>,
     pub size: Option<PictureSize>,
@@ -26,9 +25,9 @@ pub(super) struct Said {
 pub(super) fn read_attachment(
     attachment: Option<&[u8]>,
     format: PayloadFormat,
-) -> Result<Said, FrameFault> {
+) -> Result<Attachment, FrameFault> {
     let Some(bytes) = attachment.filter(|bytes| !bytes.is_empty()) else {
-        return Ok(Said::default());
+        return Ok(Attachment::default());
     };
     match format {
         PayloadFormat::Encoding => read_json(bytes),
@@ -38,7 +37,7 @@ pub(super) fn read_attachment(
     }
 }
 
-fn read_json(bytes: &[u8]) -> Result<Said, FrameFault> {
+fn read_json(bytes: &[u8]) -> Result<Attachment, FrameFault> {
     if bytes.len() > MAX_ATTACHMENT_BYTES {
         return Err(FrameFault::unknown_format(format!(
             "the attachment has {} bytes, {MAX_ATTACHMENT_BYTES} are read",
@@ -62,9 +61,11 @@ fn read_json(bytes: &[u8]) -> Result<Said, FrameFault> {
         (Some(width), Some(height)) => Some(PictureSize::new(width, height)),
         _ => None,
     };
-    Ok(Said {
-        sequence: said.seq,
-        stream: said.stream,
+    Ok(Attachment {
+        number: FrameNumber {
+            seq: said.seq,
+            stream: said.stream,
+        },
         time_ns: said.t_ns,
         clip: said.clip.map(Arc::from),
         size,
@@ -75,7 +76,7 @@ fn read_json(bytes: &[u8]) -> Result<Said, FrameFault> {
 /// sequence number and source time in nanoseconds as little-endian `int64`, then the sender's id of
 /// 16 bytes, in some releases with its length before it. The first releases put a name, with its
 /// length before it, before each of the three.
-fn read_rmw_zenoh(bytes: &[u8]) -> Option<Said> {
+fn read_rmw_zenoh(bytes: &[u8]) -> Option<Attachment> {
     let (sequence, rest) = match strip_name(bytes, b"sequence_number") {
         Some(rest) => {
             let (sequence, rest) = take_i64(rest)?;
@@ -93,11 +94,13 @@ fn read_rmw_zenoh(bytes: &[u8]) -> Option<Said> {
         let id = u128::from_le_bytes(*id);
         (id >> 64) as u64 ^ id as u64
     });
-    Some(Said {
-        sequence: Some(u64::try_from(sequence).ok()?),
-        stream,
+    Some(Attachment {
+        number: FrameNumber {
+            seq: Some(u64::try_from(sequence).ok()?),
+            stream,
+        },
         time_ns: u64::try_from(time_ns).ok().filter(|time| *time > 0),
-        ..Said::default()
+        ..Attachment::default()
     })
 }
 
@@ -141,9 +144,9 @@ mod tests {
             let bytes = rmw(named, length_byte);
             for format in [PayloadFormat::Ros2CompressedImage, PayloadFormat::Ros2Image] {
                 let said = read_attachment(Some(&bytes), format).unwrap();
-                assert_eq!(said.sequence, Some(41), "{named} {length_byte}");
+                assert_eq!(said.number.seq, Some(41), "{named} {length_byte}");
                 assert_eq!(said.time_ns, Some(1_700_000_000_123_456_789));
-                assert!(said.stream.is_some(), "a publisher's id");
+                assert!(said.number.stream.is_some(), "a publisher's id");
             }
         }
     }
@@ -153,12 +156,12 @@ mod tests {
         for bytes in [&b"\0"[..], b"{", &[0xFF; 32], &[0; 500], b"sequence_number"] {
             assert_eq!(
                 read_attachment(Some(bytes), PayloadFormat::Ros2Image).unwrap(),
-                Said::default()
+                Attachment::default()
             );
         }
         let json = br#"{"v":1,"seq":3}"#;
         let said = read_attachment(Some(json), PayloadFormat::Ros2Image).unwrap();
-        assert_eq!(said.sequence, Some(3));
+        assert_eq!(said.number.seq, Some(3));
     }
 
     #[test]
@@ -170,9 +173,11 @@ mod tests {
         .unwrap();
         assert_eq!(
             said,
-            Said {
-                sequence: Some(9),
-                stream: None,
+            Attachment {
+                number: FrameNumber {
+                    seq: Some(9),
+                    stream: None,
+                },
                 time_ns: Some(5),
                 clip: Some("a".into()),
                 size: Some(PictureSize::new(4, 2)),

@@ -1,7 +1,7 @@
-//! From a Zenoh sample to a frame, still encoded.
+//! Reads a Zenoh sample or query as a frame, whose picture stays encoded.
 
-use super::attachment::{Said, read_attachment};
-use super::{PayloadFormat, ros2};
+use super::attachment::{Attachment, read_attachment};
+use super::{FrameNumber, PayloadFormat, ros2};
 use albireo_core::geometry::PictureSize;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_vision::picture::{
@@ -17,7 +17,7 @@ use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::query::Query;
 use zenoh::sample::Sample;
 
-/// A sample of a frame key, as Zenoh delivers it.
+/// A sample of a frame key.
 #[derive(Clone, Debug)]
 pub struct RawSample<'a> {
     /// The payload.
@@ -34,26 +34,13 @@ pub struct RawSample<'a> {
     pub received: Instant,
 }
 
-/// What tells the place of a frame in its camera's stream, beside its number.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct FrameOrder {
-    /// Whether the camera sent a number.
-    pub numbered: bool,
-    /// Which numbering the number belongs to, where the camera says so.
-    pub stream: Option<u64>,
-    /// Capture time, where the camera says it.
-    pub time_ns: Option<u64>,
-    /// When the frame was received.
-    pub received: Option<Instant>,
-}
-
 /// A frame, still encoded.
 #[derive(Clone, Debug)]
 pub struct Frame {
     /// The camera's sequence number; by arrival when it sends none.
     pub sequence: u64,
-    /// What else tells its place.
-    pub order: FrameOrder,
+    /// How the camera itself numbers it.
+    pub number: FrameNumber,
     /// Capture time, nanoseconds since the Unix epoch: the camera's, else the sample's timestamp, else
     /// this machine's clock.
     pub time_ns: u64,
@@ -72,75 +59,59 @@ pub struct Frame {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{fault}")]
 pub struct RejectedFrame {
-    /// Its sequence number, where it has one that could be read.
-    pub sequence: Option<u64>,
-    /// What else tells its place.
-    pub order: FrameOrder,
-    /// Its clip, where it could be read.
-    pub clip: Option<Arc<str>>,
+    /// How the camera numbers it, as far as that could be read.
+    pub number: FrameNumber,
     /// What was wrong.
     pub fault: FrameFault,
 }
 
-/// Reads a Zenoh sample as a frame, received now. As [`read_frame`], with the payload's length checked
-/// before it is copied out of Zenoh's buffers.
-///
-/// # Errors
-/// As [`read_frame`].
-pub fn read_sample(
-    sample: &Sample,
-    arrival: u64,
-    format: PayloadFormat,
-    limits: &FrameLimits,
-) -> Result<Frame, RejectedFrame> {
-    let received = Received {
-        payload: Some(sample.payload()),
-        encoding: Some(sample.encoding()),
-        attachment: sample.attachment(),
-        timestamp_ns: sample
-            .timestamp()
-            .and_then(|stamp| u64::try_from(stamp.get_time().to_duration().as_nanos()).ok()),
-    };
-    received.read(arrival, format, limits)
-}
-
-/// As [`read_sample`], of a frame that came as a query.
-///
-/// # Errors
-/// As [`read_frame`].
-pub(crate) fn read_query(
-    query: &Query,
-    arrival: u64,
-    format: PayloadFormat,
-    limits: &FrameLimits,
-) -> Result<Frame, RejectedFrame> {
-    let received = Received {
-        payload: query.payload(),
-        encoding: query.encoding(),
-        attachment: query.attachment(),
-        timestamp_ns: None,
-    };
-    received.read(arrival, format, limits)
-}
-
 /// A frame as Zenoh holds it.
-struct Received<'a> {
-    payload: Option<&'a ZBytes>,
+pub(crate) struct ZenohFrame<'a> {
+    pub payload: Option<&'a ZBytes>,
     encoding: Option<&'a Encoding>,
     attachment: Option<&'a ZBytes>,
     timestamp_ns: Option<u64>,
 }
 
-impl Received<'_> {
-    fn read(
-        self,
+impl<'a> From<&'a Sample> for ZenohFrame<'a> {
+    fn from(sample: &'a Sample) -> Self {
+        Self {
+            payload: Some(sample.payload()),
+            encoding: Some(sample.encoding()),
+            attachment: sample.attachment(),
+            timestamp_ns: sample
+                .timestamp()
+                .and_then(|stamp| u64::try_from(stamp.get_time().to_duration().as_nanos()).ok()),
+        }
+    }
+}
+
+impl<'a> From<&'a Query> for ZenohFrame<'a> {
+    fn from(query: &'a Query) -> Self {
+        Self {
+            payload: query.payload(),
+            encoding: query.encoding(),
+            attachment: query.attachment(),
+            timestamp_ns: None,
+        }
+    }
+}
+
+impl ZenohFrame<'_> {
+    /// Size of the payload.
+    pub(crate) fn bytes(&self) -> usize {
+        self.payload.map_or(0, ZBytes::len)
+    }
+
+    /// Reads it as [`read_frame`] does, with the payload's length checked before it is copied out of Zenoh's buffers.
+    pub(crate) fn read(
+        &self,
         arrival: u64,
         format: PayloadFormat,
         limits: &FrameLimits,
     ) -> Result<Frame, RejectedFrame> {
-        let length = self.payload.map_or(0, ZBytes::len);
         let payload = match self.payload {
-            Some(payload) if length <= limits.max_payload_bytes => shared_bytes(payload),
+            Some(payload) if payload.len() <= limits.max_payload_bytes => shared_bytes(payload),
             _ => Bytes::new(),
         };
         let encoding = self.encoding.map(Cow::from).unwrap_or_default();
@@ -153,7 +124,7 @@ impl Received<'_> {
             arrival,
             received: Instant::now(),
         };
-        read_checked(raw, length, format, limits)
+        read_checked(raw, self.bytes(), format, limits)
     }
 }
 
@@ -193,57 +164,39 @@ fn read_checked(
     format: PayloadFormat,
     limits: &FrameLimits,
 ) -> Result<Frame, RejectedFrame> {
-    let said = read_attachment(raw.attachment, format).map_err(|fault| RejectedFrame {
-        sequence: None,
-        order: FrameOrder::default(),
-        clip: None,
+    let attachment = read_attachment(raw.attachment, format).map_err(|fault| RejectedFrame {
+        number: FrameNumber::default(),
         fault,
     })?;
-    let sequence = said.sequence.unwrap_or(raw.arrival);
-    let mut order = FrameOrder {
-        numbered: said.sequence.is_some(),
-        stream: said.stream,
-        time_ns: said.time_ns,
-        received: Some(raw.received),
-    };
-    let read = check_payload(payload_bytes, limits)
-        .and_then(|()| read_picture(&raw, &said, format, limits));
-    match read {
-        Ok((picture, stamp)) => Ok(Frame {
-            sequence,
-            order: {
-                order.time_ns = order.time_ns.or(stamp);
-                order
-            },
-            // A ROS header's stamp is when the picture was taken, the attachment's when it was sent.
-            time_ns: stamp
-                .or(said.time_ns)
-                .or(raw.timestamp_ns)
-                .unwrap_or_else(unix_nanoseconds),
-            clip: said.clip,
-            picture,
-            received: raw.received,
-            payload_bytes,
-        }),
-        Err(fault) => Err(RejectedFrame {
-            sequence: said.sequence,
-            order,
-            clip: said.clip,
-            fault,
-        }),
-    }
+    let number = attachment.number;
+    let (picture, stamp) = check_payload(payload_bytes, limits)
+        .and_then(|()| read_picture(&raw, &attachment, format, limits))
+        .map_err(|fault| RejectedFrame { number, fault })?;
+    Ok(Frame {
+        sequence: number.seq.unwrap_or(raw.arrival),
+        number,
+        // A ROS header's stamp is when the picture was taken, the attachment's when it was sent.
+        time_ns: stamp
+            .or(attachment.time_ns)
+            .or(raw.timestamp_ns)
+            .unwrap_or_else(unix_nanoseconds),
+        clip: attachment.clip,
+        picture,
+        received: raw.received,
+        payload_bytes,
+    })
 }
 
 /// The picture, and the capture time where the payload itself tells it.
 fn read_picture(
     raw: &RawSample<'_>,
-    said: &Said,
+    attachment: &Attachment,
     format: PayloadFormat,
     limits: &FrameLimits,
 ) -> Result<(EncodedPicture, Option<u64>), FrameFault> {
     match format {
         PayloadFormat::Encoding => {
-            read_by_encoding(raw, said.size, limits).map(|picture| (picture, None))
+            read_by_encoding(raw, attachment.size, limits).map(|picture| (picture, None))
         }
         PayloadFormat::Ros2CompressedImage => {
             let message = ros2::read_compressed_image(&raw.payload)?;

@@ -1,6 +1,6 @@
 //! Pictures of a source that the node itself keeps open, on their way into a camera's ring.
 
-use super::Intake;
+use super::FrameReceiver;
 use crate::input::source::{LiveSource, SourceSink};
 use albireo_service::readiness::Part;
 use albireo_vision::picture::{EncodedPicture, FrameFault};
@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 #[derive(Clone, Debug)]
 pub(crate) struct SourceFeed {
     pub source: Arc<LiveSource>,
-    pub intake: Arc<Intake>,
+    pub receiver: Arc<FrameReceiver>,
     /// Where it is told whether pictures come.
     pub part: Part,
 }
@@ -29,7 +29,7 @@ impl SourceFeed {
 
 impl SourceSink for SourceFeed {
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, anew: bool) {
-        self.intake.take_picture(picture, anew);
+        self.receiver.take_picture(picture, anew);
     }
 
     fn works(&mut self) {

@@ -1,0 +1,445 @@
+//! Takes a camera's frames as they arrive: reads them, follows their numbers, counts what cannot be used, and puts the
+//! rest into the camera's ring. Runs on Zenoh's receiving threads, so it neither decodes nor waits.
+
+mod source;
+
+pub(crate) use source::SourceFeed;
+
+use super::read::ZenohFrame;
+use super::ring::{Pushed, RingItem, RingSender};
+use super::sequence::{Arrival, SequenceTracker};
+use super::{Frame, FrameNumber, PayloadFormat, RejectedFrame};
+use crate::camera::InPlace;
+use crate::rate_limit::RateLimit;
+use crate::state::board::{CameraBoard, LatestFrame};
+use albireo_service::clock::unix_nanoseconds;
+use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
+use albireo_wire::{DroppedFrames, FrameAnswer, VERSION};
+use parking_lot::Mutex;
+use std::collections::BTreeMap;
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::runtime::Handle;
+use tokio::sync::Semaphore;
+use tokio::time::Instant;
+use zenoh::Wait;
+use zenoh::bytes::Encoding;
+use zenoh::query::Query;
+use zenoh::sample::Sample;
+
+/// Time between two log lines about dropped frames of one kind.
+const LOG_PERIOD: Duration = Duration::from_secs(10);
+/// The same for frames that a newer one pushed out: a live camera that is faster than its detector.
+const OVERRUN_LOG_PERIOD: Duration = Duration::from_secs(3600);
+
+/// Answers to frames sent as queries that may wait for the network.
+const MAX_ANSWERS: usize = 64;
+
+/// A frame in the ring, with its place in the stream.
+#[derive(Debug)]
+pub(crate) struct SequencedFrame {
+    /// The frame, still encoded.
+    pub frame: Frame,
+    /// Its place in the stream, lost frames counted.
+    pub index: u64,
+    /// Which stream it belongs to: grows each time a new stream begins, also when the frame that showed it could not
+    /// be used.
+    pub epoch: u64,
+    /// The query it came as, which is answered when the frame is taken from the ring.
+    pub query: Option<FrameQuery>,
+}
+
+impl RingItem for SequencedFrame {
+    fn bytes(&self) -> usize {
+        self.frame.payload_bytes
+    }
+
+    fn taken(&mut self) {
+        if let Some(query) = self.query.take() {
+            query.answer(None);
+        }
+    }
+}
+
+/// A frame that came as a query: its sender waits for the answer before it sends the next one. A query that is dropped
+/// ends without an answer, and the sender asks again.
+#[derive(Debug)]
+pub(crate) struct FrameQuery {
+    query: Query,
+    answers: Arc<Answers>,
+}
+
+/// Sends answers, off the threads that must not wait for the network.
+#[derive(Debug)]
+struct Answers {
+    runtime: Handle,
+    waiting: Arc<Semaphore>,
+}
+
+impl FrameQuery {
+    /// Tells the sender that its frame's turn has come, or why it will not be processed.
+    fn answer(self, refused: Option<String>) {
+        let Self { query, answers } = self;
+        let Ok(permit) = Arc::clone(&answers.waiting).try_acquire_owned() else {
+            return;
+        };
+        answers.runtime.spawn_blocking(move || {
+            let answer = FrameAnswer {
+                v: VERSION,
+                refused,
+            };
+            let sent = serde_json::to_vec(&answer)
+                .map_err(zenoh::Error::from)
+                .and_then(|answer| {
+                    let reply = query.reply(query.key_expr(), answer);
+                    reply.encoding(Encoding::APPLICATION_JSON).wait()
+                });
+            if let Err(error) = sent {
+                tracing::debug!(%error, "a frame's sender was not answered");
+            }
+            drop(permit);
+        });
+    }
+}
+
+/// Dropped frames of one camera: counted on the board at once and kept for the open clip.
+#[derive(Debug)]
+pub(crate) struct DropCounts {
+    board: Arc<CameraBoard>,
+    state: Mutex<DropState>,
+}
+
+#[derive(Debug, Default)]
+struct DropState {
+    since_taken: DroppedFrames,
+    limits: BTreeMap<&'static str, RateLimit>,
+}
+
+impl DropCounts {
+    /// No drops yet, for the camera of `board`.
+    pub(crate) fn new(board: Arc<CameraBoard>) -> Self {
+        Self {
+            board,
+            state: Mutex::default(),
+        }
+    }
+
+    /// Counts `number` frames dropped as `kind`, and logs `reason` from time to time.
+    pub(crate) fn count(&self, kind: DropKind, number: u64, reason: &dyn fmt::Display) {
+        let mut more = DroppedFrames::default();
+        *kind.counter(&mut more) = number;
+        self.board.record_dropped(&more);
+        let mut state = self.state.lock();
+        *kind.counter(&mut state.since_taken) += number;
+        let expected = kind == DropKind::Overrun;
+        let period = if expected { OVERRUN_LOG_PERIOD } else { LOG_PERIOD };
+        let limit = state.limits.entry(kind.as_str());
+        let admitted = limit.or_insert(RateLimit::new(period)).admit(Instant::now());
+        drop(state);
+        let Some(held_back) = admitted else { return };
+        let (camera, kind) = (self.board.name(), kind.as_str());
+        if expected {
+            tracing::info!(camera, kind, number, held_back, "frame dropped: {reason}");
+        } else {
+            tracing::warn!(camera, kind, number, held_back, "frame dropped: {reason}");
+        }
+    }
+
+    /// What was dropped since the last call: the open clip's share.
+    pub(crate) fn take(&self) -> DroppedFrames {
+        std::mem::take(&mut self.state.lock().since_taken)
+    }
+}
+
+/// Why a frame was not processed; each kind is a field of [`DroppedFrames`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum DropKind {
+    /// Missing in the sequence.
+    Lost,
+    /// Pushed out of the ring.
+    Overrun,
+    /// After a later one.
+    Late,
+    /// Of another stream than the present one.
+    Stray,
+    /// There twice.
+    Duplicate,
+    /// Broken picture.
+    Undecodable,
+    /// Above a limit.
+    Oversized,
+    /// Of a kind not known.
+    UnknownFormat,
+    /// The camera's loop did not run.
+    Stopped,
+}
+
+impl DropKind {
+    /// The name of the counter.
+    pub(crate) const fn as_str(self) -> &'static str {
+        match self {
+            Self::Lost => "lost",
+            Self::Overrun => "overrun",
+            Self::Late => "late",
+            Self::Stray => "stray",
+            Self::Duplicate => "duplicate",
+            Self::Undecodable => "undecodable",
+            Self::Oversized => "oversized",
+            Self::UnknownFormat => "unknown_format",
+            Self::Stopped => "stopped",
+        }
+    }
+
+    fn counter(self, dropped: &mut DroppedFrames) -> &mut u64 {
+        match self {
+            Self::Lost => &mut dropped.lost,
+            Self::Overrun => &mut dropped.overrun,
+            Self::Late => &mut dropped.late,
+            Self::Stray => &mut dropped.stray,
+            Self::Duplicate => &mut dropped.duplicate,
+            Self::Undecodable => &mut dropped.undecodable,
+            Self::Oversized => &mut dropped.oversized,
+            Self::UnknownFormat => &mut dropped.unknown_format,
+            Self::Stopped => &mut dropped.stopped,
+        }
+    }
+}
+
+impl From<&FrameFault> for DropKind {
+    fn from(fault: &FrameFault) -> Self {
+        match fault {
+            FrameFault::Undecodable { .. } => Self::Undecodable,
+            FrameFault::Oversized { .. } => Self::Oversized,
+            FrameFault::UnknownFormat { .. } => Self::UnknownFormat,
+        }
+    }
+}
+
+/// The receiving end of one camera.
+#[derive(Debug)]
+pub(crate) struct FrameReceiver {
+    board: Arc<CameraBoard>,
+    drops: Arc<DropCounts>,
+    ring: RingSender<SequencedFrame>,
+    format: PayloadFormat,
+    limits: FrameLimits,
+    stream: Mutex<StreamState>,
+    answers: Arc<Answers>,
+    /// The camera's loop.
+    camera: InPlace,
+}
+
+#[derive(Debug, Default)]
+struct StreamState {
+    tracker: SequenceTracker,
+    arrivals: u64,
+    epoch: u64,
+}
+
+impl FrameReceiver {
+    /// A receiver that pushes into `ring`. Called where the runtime is that its answers are sent from.
+    pub(crate) fn new(
+        board: Arc<CameraBoard>,
+        drops: Arc<DropCounts>,
+        ring: RingSender<SequencedFrame>,
+        format: PayloadFormat,
+        limits: FrameLimits,
+    ) -> Self {
+        Self {
+            board,
+            drops,
+            ring,
+            format,
+            limits,
+            stream: Mutex::default(),
+            answers: Arc::new(Answers {
+                runtime: Handle::current(),
+                waiting: Arc::new(Semaphore::new(MAX_ANSWERS)),
+            }),
+            camera: InPlace::default(),
+        }
+    }
+
+    /// Takes `camera`, the loop that the frames are for, further where they arrive.
+    #[must_use]
+    pub(crate) fn advancing(mut self, camera: InPlace) -> Self {
+        self.camera = camera;
+        self
+    }
+
+    /// Takes a frame that was put.
+    pub(crate) fn take(&self, sample: &Sample) {
+        if sample.payload().as_shm().is_some() {
+            self.board.count_shared_frame();
+        }
+        self.place(None, |arrival| {
+            ZenohFrame::from(sample).read(arrival, self.format, &self.limits)
+        });
+    }
+
+    /// Takes a frame that came as a query. Without room for it the query ends without an answer.
+    pub(crate) fn take_query(&self, query: Query) {
+        let asked = FrameQuery {
+            query: query.clone(),
+            answers: Arc::clone(&self.answers),
+        };
+        self.place(Some(asked), |arrival| {
+            ZenohFrame::from(&query).read(arrival, self.format, &self.limits)
+        });
+    }
+
+    /// Takes one picture of a source that the node itself reads. `reopened`: it is the first since the source was
+    /// opened, so that nothing is known of what happened in between.
+    pub(crate) fn take_picture(&self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
+        if reopened {
+            self.stream.lock().epoch += 1;
+        }
+        self.place(None, |arrival| {
+            let number = FrameNumber::default();
+            let picture = picture.map_err(|fault| RejectedFrame { number, fault })?;
+            Ok(Frame {
+                sequence: arrival,
+                number,
+                time_ns: unix_nanoseconds(),
+                clip: None,
+                payload_bytes: picture.bytes.len(),
+                picture,
+                received: Instant::now(),
+            })
+        });
+    }
+
+    /// The publisher of a stream is there, or gone.
+    pub(crate) fn publisher_changed(&self, stream: u64, gone: bool) {
+        self.stream.lock().tracker.publisher_changed(stream, gone);
+    }
+
+    /// Numbers what `read` reads and puts it into the ring.
+    fn place(
+        &self,
+        mut query: Option<FrameQuery>,
+        read: impl FnOnce(u64) -> Result<Frame, RejectedFrame>,
+    ) {
+        // One lock over reading, numbering and pushing keeps the order of arrival where Zenoh calls from
+        // more than one thread.
+        let mut stream = self.stream.lock();
+        if let Some(FrameQuery { query, .. }) = &query
+            && !self.ring.has_room(ZenohFrame::from(query).bytes())
+        {
+            return;
+        }
+        let mut woken = None;
+        let refused = self.admit(&mut stream, read).and_then(|mut frame| {
+            frame.query = query.take();
+            let (pushed, wake) = self.ring.push(frame);
+            woken = wake;
+            self.count_pushed(pushed)
+        });
+        // The next frame need not wait for this one's answer to get into the ring.
+        drop(stream);
+        if let (Err(reason), Some(query)) = (refused, query) {
+            query.answer(Some(reason));
+        }
+        if let Some(wake) = woken
+            && !(wake.only_this && self.camera.advance())
+        {
+            wake.waker.wake();
+        }
+    }
+
+    /// Counts what is missing, and what cannot be used.
+    ///
+    /// # Errors
+    /// Why it cannot be used.
+    fn admit(
+        &self,
+        stream: &mut StreamState,
+        read: impl FnOnce(u64) -> Result<Frame, RejectedFrame>,
+    ) -> Result<SequencedFrame, String> {
+        let read = read(stream.arrivals);
+        stream.arrivals += 1;
+        let number = match &read {
+            Ok(frame) => Some(frame.number),
+            Err(rejected) => Some(rejected.number).filter(|number| number.seq.is_some()),
+        };
+        let arrival = match number {
+            Some(number) => Some(stream.tracker.arrive(&number, Instant::now())),
+            None => {
+                stream.tracker.arrive_unreadable();
+                None
+            }
+        };
+        if let Some(Arrival::New {
+            lost, restarted, ..
+        }) = arrival
+        {
+            stream.epoch += u64::from(restarted);
+            if lost > 0 {
+                let reason = "numbers are missing in the camera's sequence";
+                self.drops.count(DropKind::Lost, lost, &reason);
+            }
+        }
+        let frame = read.map_err(|rejected| {
+            self.refuse(DropKind::from(&rejected.fault), rejected.fault.to_string())
+        })?;
+        let sequence = frame.sequence;
+        let (kind, reason) = match arrival {
+            Some(Arrival::New { index, .. }) => {
+                self.board.set_latest_frame(LatestFrame {
+                    seq: sequence,
+                    picture: frame.picture.clone(),
+                });
+                return Ok(SequencedFrame {
+                    frame,
+                    index,
+                    epoch: stream.epoch,
+                    query: None,
+                });
+            }
+            Some(Arrival::Duplicate) => (DropKind::Duplicate, "came before"),
+            Some(Arrival::Late) | None => (DropKind::Late, "came after a later one"),
+            Some(Arrival::Stray) => (
+                DropKind::Stray,
+                "belongs to another stream than the camera's present one",
+            ),
+        };
+        Err(self.refuse(kind, format!("sequence number {sequence} {reason}")))
+    }
+
+    /// Counts a frame that will not be processed, and gives back why.
+    fn refuse(&self, kind: DropKind, reason: String) -> String {
+        self.drops.count(kind, 1, &reason);
+        reason
+    }
+
+    /// Counts what was pushed out by a frame, or the frame itself if it was not queued.
+    fn count_pushed(&self, pushed: Pushed<SequencedFrame>) -> Result<(), String> {
+        let (mut frame, kind, reason) = match pushed {
+            Pushed::Queued => return Ok(()),
+            Pushed::Replaced(_) => {
+                let reason = "a newer frame came before its turn (camera.ring, camera.delivery)";
+                self.drops.count(DropKind::Overrun, 1, &reason);
+                return Ok(());
+            }
+            Pushed::Full(frame) => (
+                frame,
+                DropKind::Overrun,
+                "too many frames wait that were put: send them as queries to be held back (camera.delivery)",
+            ),
+            Pushed::Closed(frame) => (
+                frame,
+                DropKind::Stopped,
+                "the camera's loop does not run: it has failed, or the node stops",
+            ),
+        };
+        let reason = self.refuse(kind, reason.to_owned());
+        if let Some(query) = frame.query.take() {
+            query.answer(Some(reason.clone()));
+        }
+        Err(reason)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,145 @@
+//! What a receiver promises of the order and the numbering of frames.
+
+use super::*;
+use crate::config::{CameraConfig, NodeConfig};
+use crate::input::{Delivery, RingLimits, RingReceiver, frame_ring};
+use crate::state::board::{Board, BoardSetup};
+use albireo_core::geometry::PictureSize;
+use albireo_vision::detector::DetectorStatus;
+use albireo_vision::picture::{EncodedPicture, FrameFault, PictureFormat};
+use futures_util::FutureExt;
+use std::thread;
+use tokio::sync::watch;
+
+/// A receiver whose ring holds `capacity` frames, and the ring's other end.
+fn receiver(capacity: usize) -> (Arc<FrameReceiver>, RingReceiver<SequencedFrame>) {
+    let config = NodeConfig {
+        cameras: vec![CameraConfig::named("front")],
+        ..NodeConfig::default()
+    };
+    let (_, status) = watch::channel(DetectorStatus::Starting);
+    let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
+    let camera = Arc::clone(board.camera("front").unwrap());
+    let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
+    let limits = FrameLimits::default();
+    let (sender, ring) = frame_ring(RingLimits::new(Delivery::Newest, capacity, 0));
+    let receiver = FrameReceiver::new(camera, drops, sender, PayloadFormat::Encoding, limits);
+    (Arc::new(receiver), ring)
+}
+
+fn number(seq: impl Into<Option<u64>>, stream: impl Into<Option<u64>>) -> FrameNumber {
+    FrameNumber {
+        seq: seq.into(),
+        stream: stream.into(),
+    }
+}
+
+fn frame(number: FrameNumber) -> Result<Frame, RejectedFrame> {
+    Ok(Frame {
+        sequence: number.seq.unwrap_or_default(),
+        number,
+        time_ns: 0,
+        clip: None,
+        picture: EncodedPicture {
+            format: PictureFormat::Jpeg,
+            bytes: bytes::Bytes::new(),
+            size: PictureSize::new(64, 36),
+        },
+        received: Instant::now(),
+        payload_bytes: 0,
+    })
+}
+
+fn rejected(seq: Option<u64>) -> Result<Frame, RejectedFrame> {
+    Err(RejectedFrame {
+        number: number(seq, None),
+        fault: FrameFault::Undecodable {
+            reason: "half a picture".to_owned(),
+        },
+    })
+}
+
+impl FrameReceiver {
+    fn give(&self, read: Result<Frame, RejectedFrame>) {
+        self.place(None, |_| read);
+    }
+}
+
+/// Index and stream of what waits in the ring.
+fn waiting(ring: &mut RingReceiver<SequencedFrame>) -> Vec<(u64, u64)> {
+    let mut found = Vec::new();
+    while let Some(Some(frame)) = ring.next().now_or_never() {
+        found.push((frame.index, frame.epoch));
+    }
+    found
+}
+
+#[tokio::test]
+async fn a_restart_is_not_forgotten_when_its_first_frame_is_broken_or_pushed_out() {
+    let (receiver, mut ring) = receiver(8);
+    receiver.give(frame(number(1000, 1)));
+    receiver.publisher_changed(1, true);
+    receiver.give(rejected(Some(0)));
+    receiver.give(frame(number(1, None)));
+    assert_eq!(waiting(&mut ring), [(0, 0), (2, 1)]);
+
+    let (receiver, mut ring) = self::receiver(1);
+    receiver.give(frame(number(1000, 1)));
+    receiver.publisher_changed(1, true);
+    for seq in [0, 1, 2] {
+        receiver.give(frame(number(seq, 2)));
+    }
+    assert_eq!(waiting(&mut ring), [(3, 1)]);
+    let dropped = receiver.board.snapshot().dropped;
+    assert_eq!((dropped.overrun, dropped.total()), (3, 3));
+}
+
+#[tokio::test]
+async fn a_stray_frame_is_counted_as_that_and_nothing_is_counted_lost() {
+    let (receiver, mut ring) = receiver(8);
+    for seq in [1000, 1001, 900, 1002] {
+        receiver.give(frame(number(seq, None)));
+    }
+    receiver.give(frame(number(1003, 77)));
+    assert_eq!(waiting(&mut ring), [(0, 0), (1, 0), (2, 0)]);
+    let dropped = receiver.board.snapshot().dropped;
+    assert_eq!((dropped.stray, dropped.lost, dropped.total()), (2, 0, 2));
+}
+
+#[tokio::test]
+async fn a_frame_whose_number_cannot_be_read_is_counted_once() {
+    let (receiver, mut ring) = receiver(8);
+    receiver.give(frame(number(5, None)));
+    receiver.give(rejected(None));
+    receiver.give(frame(number(7, None)));
+    assert_eq!(waiting(&mut ring).len(), 2);
+    let dropped = receiver.board.snapshot().dropped;
+    assert_eq!((dropped.undecodable, dropped.lost), (1, 0));
+}
+
+#[tokio::test]
+async fn two_receiving_threads_cannot_swap_frames() {
+    const FRAMES: u64 = 40_000;
+    let (receiver, mut ring) = receiver(FRAMES as usize);
+    let numbers = Arc::new(std::sync::atomic::AtomicU64::new(0));
+    let threads: Vec<_> = (0..4)
+        .map(|_| {
+            let (receiver, numbers) = (Arc::clone(&receiver), Arc::clone(&numbers));
+            thread::spawn(move || {
+                loop {
+                    let number = numbers.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
+                    if number >= FRAMES {
+                        return;
+                    }
+                    receiver.give(frame(self::number(number, None)));
+                }
+            })
+        })
+        .collect();
+    for thread in threads {
+        thread.join().unwrap();
+    }
+    let waiting = waiting(&mut ring);
+    assert!(waiting.len() > 100, "{}", waiting.len());
+    assert!(waiting.is_sorted_by(|a, b| a.0 < b.0));
+}
