@@ -443,3 +443,63 @@ async fn a_source_that_cannot_be_opened_is_named_with_what_to_do() {
     let said = run(&["publish", "a ! jpegenc"], &[("PATH", "/nowhere")]).await;
     assert!(said.contains("gstreamer1.0-tools"), "{said}");
 }
+
+/// A camera with Zenoh's own settings, shared memory among them, that sends some frames and goes.
+async fn come_and_go(endpoint: &str, number: u64, picture: &[u8]) {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"client\"".to_owned()),
+        ("connect/endpoints", format!("[\"{endpoint}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    let session = zenoh::open(config).await.unwrap();
+    for seq in 0..10 {
+        let attachment = FrameAttachment {
+            v: albireo_wire::VERSION,
+            seq: Some(seq),
+            stream: Some(number),
+            ..FrameAttachment::default()
+        };
+        session
+            .put("albireo/node/front/frame", picture)
+            .encoding("image/jpeg")
+            .attachment(serde_json::to_vec(&attachment).unwrap())
+            .await
+            .unwrap();
+    }
+    session.close().await.unwrap();
+}
+
+/// Resident memory of a process, MB, shared pages included.
+fn resident_mb(process: u32) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmRSS:"));
+    let kb = line.unwrap().split_whitespace().nth(1).unwrap();
+    kb.parse::<f64>().unwrap() / 1024.0
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn cameras_that_come_and_go_leave_no_memory_in_the_node() {
+    // For figures by hand: how many, and with which setting.
+    let count = std::env::var("ALBIREO_SESSIONS").map_or(200, |count| count.parse().unwrap());
+    let more = std::env::var("ALBIREO_SESSIONS_NODE").unwrap_or_default();
+    let node = Node::start(&format!(
+        "policy.name = \"fixed-skip\"\npolicy.fixed_skip.n = 1000\naudit.share = 0\n{more}\n"
+    ))
+    .await;
+    let picture = picture();
+    for number in 0..20 {
+        come_and_go(&node.zenoh, number, &picture).await;
+    }
+    let before = resident_mb(node.id());
+    for number in 20..20 + count {
+        come_and_go(&node.zenoh, number, &picture).await;
+    }
+    let after = resident_mb(node.id());
+    println!("{count} sessions: {before:.1} MB, then {after:.1} MB");
+    assert!(after - before < 10.0, "{before:.1} MB, then {after:.1} MB");
+    node.stop().await;
+}

@@ -8,6 +8,7 @@ const DROPPED: Record<string, string> = {
   lost: "lost on the way",
   overrun: "pushed out by a newer one",
   late: "too late",
+  stray: "of another stream",
   duplicate: "there twice",
   undecodable: "not to be decoded",
   oversized: "too large",

@@ -41,7 +41,8 @@ pub struct ZenohConfig {
     pub listen: Vec<String>,
     /// Whether to look for others on the local network by multicast.
     pub multicast_scouting: bool,
-    /// Whether a camera on this machine may place its frames in memory that the node reads in place.
+    /// Whether a program on this machine may place its frames in memory that the node reads in place. Zenoh never gives
+    /// that memory back: each session that comes and goes leaves some MB.
     pub shared_memory: bool,
     /// A Zenoh configuration file (JSON5). When it is given, the other keys of this section are not used.
     pub config_file: Option<PathBuf>,
@@ -54,7 +55,7 @@ impl Default for ZenohConfig {
             connect: Vec::new(),
             listen: vec!["tcp/127.0.0.1:7447".to_owned()],
             multicast_scouting: false,
-            shared_memory: true,
+            shared_memory: false,
             config_file: None,
         }
     }
