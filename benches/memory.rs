@@ -14,7 +14,7 @@
 
 #![allow(clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
-use albireo::cli::frames::{FrameSender, Pacing, OutgoingFrame, open_session};
+use albireo::cli::frames::{FrameSender, OutgoingFrame, Pacing, open_session};
 use albireo_core::geometry::PictureSize;
 use albireo_synth::{Dashcam, DashcamSettings};
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};

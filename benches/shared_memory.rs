@@ -131,7 +131,10 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
         ("connect/timeout_ms", "20000".to_owned()),
         ("scouting/multicast/enabled", "false".to_owned()),
         // Frames are placed here, and nothing else is.
-        ("transport/shared_memory/transport_optimization/enabled", "false".to_owned()),
+        (
+            "transport/shared_memory/transport_optimization/enabled",
+            "false".to_owned(),
+        ),
     ] {
         config.insert_json5(key, &value).expect("Zenoh takes it");
     }
@@ -152,7 +155,12 @@ async fn turn(port: u16, pid: u32, sharing: bool, picture: &EncodedPicture, firs
         .await
         .expect("a publisher");
     let matching = publisher.matching_listener().await.expect("a listener");
-    while !publisher.matching_status().await.expect("a status").matching() {
+    while !publisher
+        .matching_status()
+        .await
+        .expect("a status")
+        .matching()
+    {
         matching.recv_async().await.expect("the node listens");
     }
     let memory = sharing.then(|| shared_memory(picture.bytes.len()));

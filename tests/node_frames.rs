@@ -458,7 +458,10 @@ async fn a_second_publisher_on_a_camera_s_key_costs_it_no_frame() {
     config.cameras = vec![
         camera("plain", json),
         camera("streamed", json),
-        camera("ros", albireo_node::input::PayloadFormat::Ros2CompressedImage),
+        camera(
+            "ros",
+            albireo_node::input::PayloadFormat::Ros2CompressedImage,
+        ),
     ];
     let bench = Bench::start_unmatched(&config, PreparedNode::new(&config).unwrap()).await;
     let jpeg = pictures(1).remove(0);
@@ -472,7 +475,9 @@ async fn a_second_publisher_on_a_camera_s_key_costs_it_no_frame() {
                 (_, false) => json_attachment(seq, Some(77)),
             };
             let payload = if name == "ros" { &cdr } else { &jpeg };
-            let put = bench.session.put(format!("albireo/node/{name}/frame"), payload.clone());
+            let put = bench
+                .session
+                .put(format!("albireo/node/{name}/frame"), payload.clone());
             put.attachment(attachment)
                 .congestion_control(zenoh::qos::CongestionControl::Block)
                 .await
@@ -516,8 +521,9 @@ async fn a_sender_that_follows_one_that_is_gone_is_heard_at_once() {
     let camera = bench.board.camera(CAMERA).unwrap();
     for round in 1..=3 {
         let session = connect(&bench.endpoints).await;
-        let sender = FrameSender::declare(&session, &frame_key(), Pacing::WaitForNetwork);
-        let sender = sender.await.unwrap();
+        let sender = FrameSender::declare(&session, &frame_key(), Pacing::WaitForNetwork)
+            .await
+            .unwrap();
         sender.wait_for_receiver(LONG).await.unwrap();
         for seq in 0..10 {
             let frame = OutgoingFrame {

@@ -3,7 +3,7 @@
 use super::block_on;
 use super::frames::{FrameSender, FrameTarget, NOBODY, OutgoingFrame, Pacing, open_session};
 use albireo_node::input::source::{
-    Handover, LiveSource, RtspTransport, SourceAddress, SourceSettings, SourceSink,
+    Handover, LiveSource, RtspTransport, SourceAddress, SourceOptions, SourceSettings, SourceSink,
 };
 use albireo_service::clock::unix_nanoseconds;
 use albireo_service::config::LogConfig;
@@ -87,12 +87,16 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
 
 async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::Result<()> {
     let key = arguments.target.frame_key()?;
+    let options = SourceOptions::new(arguments.source_option.clone());
+    options
+        .check()
+        .map_err(|error| anyhow!("--source-option {error}"))?;
     let settings = SourceSettings {
         address: arguments.source.clone(),
         max_rate: arguments.rate,
         transport: arguments.rtsp_transport,
         hardware: arguments.hardware.clone(),
-        options: arguments.source_option.clone(),
+        options,
         silence: Duration::from_secs(arguments.source_timeout.max(1)),
         // The network between costs more than the coding.
         decoded: Handover::Jpeg(QUALITY),
@@ -108,6 +112,7 @@ async fn publish(arguments: Arguments, shutdown: CancellationToken) -> anyhow::R
     tokio::spawn(log_receivers(sender.receivers(), key.clone()));
     let sent = Arc::new(AtomicU64::new(0));
     let sink = Outlet {
+        source: source.name(),
         sender,
         seq: 0,
         sent: Arc::clone(&sent),
@@ -158,6 +163,7 @@ async fn log_receivers(mut receivers: watch::Receiver<Option<bool>>, key: String
 
 /// Sends a source's pictures.
 struct Outlet {
+    source: String,
     sender: FrameSender,
     seq: u64,
     sent: Arc<AtomicU64>,
@@ -185,6 +191,11 @@ impl Outlet {
 }
 
 impl SourceSink for Outlet {
+    fn fails(&mut self, reason: &str, pause: Duration) {
+        let (source, seconds) = (&self.source, pause.as_secs_f64());
+        tracing::warn!(source, "failed: {reason}; next attempt in {seconds} s");
+    }
+
     fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
         let begun = if reopened {
             self.seq = 0;

@@ -2,7 +2,9 @@
 
 mod publish;
 
-pub use super::frames::{DEFAULT_ENDPOINT, FrameSender, Pacing, OutgoingFrame, flush, open_session};
+pub use super::frames::{
+    DEFAULT_ENDPOINT, FrameSender, OutgoingFrame, Pacing, flush, open_session,
+};
 pub use albireo_eval::footage::{
     Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Synthetic, Video, VideoEncoding,
 };

@@ -7,7 +7,7 @@ mod validate;
 use crate::camera::audit::AuditConfig;
 use crate::camera::clip::ClipConfig;
 use crate::delivery::outbox::OutboxConfig;
-use crate::input::source::{Handover, RtspTransport, SourceAddress, SourceSettings};
+use crate::input::source::{Handover, RtspTransport, SourceAddress, SourceOptions, SourceSettings};
 use crate::input::{Delivery, PayloadFormat};
 use crate::state::target::TargetConfig;
 use albireo_core::policy::PolicyConfig;
@@ -184,9 +184,9 @@ pub struct CameraConfig {
     /// What decodes the source in the place of the processor: an acceleration or a decoder of ffmpeg.
     #[serde(default)]
     pub hardware: Option<String>,
-    /// Options of ffmpeg put before the source.
+    /// Options of ffmpeg for the source.
     #[serde(default)]
-    pub source_options: Vec<String>,
+    pub source_options: SourceOptions,
     /// A source without a picture for so long is opened anew, seconds.
     #[serde(default = "default_source_timeout")]
     pub source_timeout_s: f64,
@@ -229,7 +229,7 @@ impl CameraConfig {
             max_rate: None,
             rtsp_transport: RtspTransport::default(),
             hardware: None,
-            source_options: Vec::new(),
+            source_options: SourceOptions::default(),
             source_timeout_s: default_source_timeout(),
             format: PayloadFormat::default(),
             delivery: Delivery::default(),
@@ -249,7 +249,7 @@ impl CameraConfig {
             options: self.source_options.clone(),
             silence: Duration::try_from_secs_f64(self.source_timeout_s).unwrap_or(Duration::MAX),
             // Not coded again: most frames are never looked at.
-            decoded: Handover::Ppm,
+            decoded: Handover::Pixels,
             limits,
         })
     }

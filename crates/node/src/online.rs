@@ -138,7 +138,7 @@ fn try_detector(config: &DetectorConfig) -> Result<String, String> {
 struct FirstPicture(Sender<Result<String, String>>);
 
 impl SourceSink for FirstPicture {
-    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, _anew: bool) {
+    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, _reopened: bool) {
         let seen = match picture {
             Ok(picture) => Ok(format!(
                 "a picture came, {} kB as {}",
@@ -151,7 +151,7 @@ impl SourceSink for FirstPicture {
         let _ = self.0.try_send(seen);
     }
 
-    fn fails(&mut self, reason: &str) {
+    fn fails(&mut self, reason: &str, _pause: Duration) {
         let _ = self.0.try_send(Err(reason.to_owned()));
     }
 }
@@ -160,8 +160,7 @@ async fn try_source(config: &NodeConfig, camera: &CameraConfig) -> Result<String
     let Some(settings) = camera.source_settings(config.frame) else {
         return Err("it has no source".to_owned());
     };
-    // The source's own patience with the first picture is twice its silence.
-    let patience = 2 * settings.silence.min(Duration::from_secs(300)) + ANSWER;
+    let patience = settings.silence.min(Duration::from_secs(600)) + ANSWER;
     let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
     let source = found
         .map_err(|error| error.to_string())?

@@ -296,6 +296,9 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     if let Err(error) = source.check() {
         findings.add(key("source"), error.to_string());
     }
+    if let Err(error) = camera.source_options.check() {
+        findings.add(key("source_options"), error.to_string());
+    }
     if camera.key.is_some() {
         findings.add(
             key("key"),

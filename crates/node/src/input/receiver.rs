@@ -133,9 +133,15 @@ impl DropCounts {
         let mut state = self.state.lock();
         *kind.counter(&mut state.since_taken) += number;
         let expected = kind == DropKind::Overrun;
-        let period = if expected { OVERRUN_LOG_PERIOD } else { LOG_PERIOD };
+        let period = if expected {
+            OVERRUN_LOG_PERIOD
+        } else {
+            LOG_PERIOD
+        };
         let limit = state.limits.entry(kind.as_str());
-        let admitted = limit.or_insert(RateLimit::new(period)).admit(Instant::now());
+        let admitted = limit
+            .or_insert(RateLimit::new(period))
+            .admit(Instant::now());
         drop(state);
         let Some(held_back) = admitted else { return };
         let (camera, kind) = (self.board.name(), kind.as_str());

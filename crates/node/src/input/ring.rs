@@ -140,8 +140,7 @@ impl<T: RingItem> Ring<T> {
     fn has_room(&self, items: &VecDeque<T>, bytes: usize) -> bool {
         let held: usize = items.iter().map(RingItem::bytes).sum();
         items.is_empty()
-            || (items.len() < self.limits.items
-                && held.saturating_add(bytes) <= self.limits.bytes)
+            || (items.len() < self.limits.items && held.saturating_add(bytes) <= self.limits.bytes)
     }
 }
 

@@ -165,7 +165,8 @@ impl SequenceTracker {
 
     /// The publisher of a stream is there, or gone.
     pub(crate) fn publisher_changed(&mut self, stream: u64, gone: bool) {
-        if let Some(present) = (self.present.as_mut()).filter(|present| present.id == Some(stream)) {
+        if let Some(present) = (self.present.as_mut()).filter(|present| present.id == Some(stream))
+        {
             present.ended = gone;
         }
     }
@@ -218,7 +219,11 @@ mod tests {
             }
         }
 
-        fn arrive(&mut self, seq: impl Into<Option<u64>>, stream: impl Into<Option<u64>>) -> Arrival {
+        fn arrive(
+            &mut self,
+            seq: impl Into<Option<u64>>,
+            stream: impl Into<Option<u64>>,
+        ) -> Arrival {
             let (seq, stream) = (seq.into(), stream.into());
             self.tracker.arrive(&FrameNumber { seq, stream }, self.now)
         }
@@ -229,7 +234,11 @@ mod tests {
         }
 
         /// Frames of one stream, a period apart.
-        fn send(&mut self, numbers: impl IntoIterator<Item = u64>, stream: Option<u64>) -> Vec<Arrival> {
+        fn send(
+            &mut self,
+            numbers: impl IntoIterator<Item = u64>,
+            stream: Option<u64>,
+        ) -> Vec<Arrival> {
             let arrive = |number| self.pass(PERIOD).arrive(number, stream);
             numbers.into_iter().map(arrive).collect()
         }
@@ -288,7 +297,13 @@ mod tests {
     fn a_long_gap_costs_one_more_frame() {
         assert_eq!(
             arrivals([5, 6, 1000, 1002, 1003]),
-            [new(0, 0), new(1, 0), Arrival::Stray, new(997, 994), new(998, 0)]
+            [
+                new(0, 0),
+                new(1, 0),
+                Arrival::Stray,
+                new(997, 994),
+                new(998, 0)
+            ]
         );
         let mut camera = Camera::new();
         camera.send(0..10, None);
@@ -303,7 +318,11 @@ mod tests {
         camera.tracker.arrive_unreadable();
         camera.tracker.arrive_unreadable();
         assert_eq!(camera.send([5], None), [new(5, 2)]);
-        assert_eq!(camera.send([8], None), [new(8, 2)], "the count begins again");
+        assert_eq!(
+            camera.send([8], None),
+            [new(8, 2)],
+            "the count begins again"
+        );
         camera.tracker.arrive_unreadable();
         assert_eq!(camera.send([9], None), [new(9, 0)]);
     }
@@ -360,8 +379,15 @@ mod tests {
             assert_eq!(camera.arrive(0, 2), Arrival::Stray, "{period:?}");
             camera.pass(Duration::from_millis(1));
             assert_eq!(camera.arrive(1, 2), restarted(10), "{period:?}");
-            assert_eq!(camera.send(2..9, Some(2)), (11..18).map(|place| new(place, 0)).collect::<Vec<_>>());
-            assert_eq!(camera.arrive(10, 1), Arrival::Stray, "what is left of the first");
+            assert_eq!(
+                camera.send(2..9, Some(2)),
+                (11..18).map(|place| new(place, 0)).collect::<Vec<_>>()
+            );
+            assert_eq!(
+                camera.arrive(10, 1),
+                Arrival::Stray,
+                "what is left of the first"
+            );
         }
     }
 
@@ -374,11 +400,27 @@ mod tests {
             // What was still on its way is processed.
             let seen = camera.send(numbers, Some(stream));
             assert_eq!(losses(&seen), (0, 0));
-            assert!(matches!(seen[0], Arrival::New { restarted: true, .. }));
-            assert!(matches!(seen[1], Arrival::New { restarted: false, .. }));
+            assert!(matches!(
+                seen[0],
+                Arrival::New {
+                    restarted: true,
+                    ..
+                }
+            ));
+            assert!(matches!(
+                seen[1],
+                Arrival::New {
+                    restarted: false,
+                    ..
+                }
+            ));
         }
         camera.tracker.publisher_changed(4, true);
-        assert_eq!(camera.arrive(0, 6), Arrival::Stray, "an earlier one is gone");
+        assert_eq!(
+            camera.arrive(0, 6),
+            Arrival::Stray,
+            "an earlier one is gone"
+        );
         camera.tracker.publisher_changed(5, true);
         assert_eq!(losses(&camera.send([5], Some(5))), (0, 0), "its last frame");
         camera.tracker.publisher_changed(5, false);
@@ -392,14 +434,21 @@ mod tests {
             camera.send(0..sent, None);
             let seen = camera.send(0..30, None);
             let (dropped, lost) = losses(&seen);
-            assert!((9..=10).contains(&dropped) && lost == 0, "{sent}: {dropped}");
+            assert!(
+                (9..=10).contains(&dropped) && lost == 0,
+                "{sent}: {dropped}"
+            );
             assert_eq!(losses(&seen[dropped..]), (0, 0));
             assert_eq!(seen[dropped], restarted(sent));
         }
         let mut camera = Camera::new();
         camera.send(0..50, None);
         camera.pass(SILENCE);
-        assert_eq!(losses(&camera.send(0..50, None)), (0, 0), "after a silence nothing");
+        assert_eq!(
+            losses(&camera.send(0..50, None)),
+            (0, 0),
+            "after a silence nothing"
+        );
         assert_eq!(camera.arrive(7, None), Arrival::Duplicate);
     }
 

@@ -1,21 +1,19 @@
-//! Sources of pictures: a network camera, a device, a video file or a GStreamer pipeline, opened by a child process whose
-//! output is read. The node's own cameras and `albireo publish` come from here.
+//! Sources of pictures that are kept open: a network camera, a device, a video file or a GStreamer pipeline. A program,
+//! ffmpeg or GStreamer, opens the source and writes its pictures, which are read here.
 //!
 //! | file | what is in it |
 //! | --- | --- |
-//! | `address` | what a source is called, what of it is secret, how it is shown |
-//! | `ffmpeg`, `gstreamer` | how the two programs are told what to do |
-//! | `program` | a program that runs: started, listened to, killed with its owner |
+//! | `address` | the address of a source and its options, shown without what is secret |
+//! | `templates` | the command lines of ffmpeg and GStreamer |
+//! | `program` | a program that writes pictures: started, read under a deadline, ended |
 //! | `live` | a source that is opened again and again |
 
 mod address;
-mod ffmpeg;
-mod gstreamer;
-mod limit;
 mod live;
 mod program;
+mod templates;
 
-pub use address::{AddressError, SourceAddress, SourceKind};
-pub use ffmpeg::{Ffmpeg, FfmpegInput, Handover, RtspTransport};
-pub use live::{LiveSource, SourceSettings, SourceSink};
-pub use program::{Running, SourceError, Stop};
+pub use address::{AddressError, SourceAddress, SourceKind, SourceOptions};
+pub use live::{LiveSource, SourceSink};
+pub use program::SourceError;
+pub use templates::{Handover, RtspTransport, SourceSettings};

@@ -5,6 +5,7 @@ use crate::input::source::{LiveSource, SourceSink};
 use albireo_service::readiness::Part;
 use albireo_vision::picture::{EncodedPicture, FrameFault};
 use std::sync::Arc;
+use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
 /// A camera's source, and where its pictures go.
@@ -12,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 pub(crate) struct SourceFeed {
     pub source: Arc<LiveSource>,
     pub receiver: Arc<FrameReceiver>,
-    /// Where it is told whether pictures come.
+    /// The camera's part of the readiness.
     pub part: Part,
 }
 
@@ -28,17 +29,17 @@ impl SourceFeed {
 }
 
 impl SourceSink for SourceFeed {
-    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, anew: bool) {
-        self.receiver.take_picture(picture, anew);
+    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool) {
+        self.receiver.take_picture(picture, reopened);
     }
 
     fn works(&mut self) {
         self.part.works();
     }
 
-    fn fails(&mut self, reason: &str) {
-        let name = self.source.name();
+    fn fails(&mut self, reason: &str, pause: Duration) {
+        let seconds = pause.as_secs_f64();
         self.part
-            .degraded(format!("{name} is opened again: {reason}"));
+            .degraded(format!("failed: {reason}; next attempt in {seconds} s"));
     }
 }

@@ -1,8 +1,19 @@
-//! What a source is called. An address may hold a password, or the name of an environment variable that does: it is shown
-//! without them, and what a program says of it is cleaned of them.
+//! The address of a source, and options for it. Both may hold a password, or the name of an environment variable that
+//! does: they are shown without, and what a program says of them is cleaned of it.
 
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use serde::{Deserialize, Serialize, Serializer};
 use std::fmt;
+
+/// What is encoded between `://` and `@`: all but the unreserved characters of RFC 3986, section 2.3.
+const LOGIN: &AsciiSet = &NON_ALPHANUMERIC
+    .remove(b'-')
+    .remove(b'.')
+    .remove(b'_')
+    .remove(b'~');
+
+/// What is shown in place of a secret.
+const MASK: &str = "***";
 
 /// A source as a user names it, with `${NAME}` for environment variables. Shown (and serialised) without credentials.
 #[derive(Clone, PartialEq, Eq, Deserialize)]
@@ -34,8 +45,8 @@ pub enum AddressError {
     /// A variable is begun and not ended.
     #[error("has `${{` without `}}` behind the variable's name")]
     Open,
-    /// A variable is not set.
-    #[error("wants the environment variable `{0}`, which is not set")]
+    /// Variables that are not set.
+    #[error("needs environment variables that are not set: `{0}`")]
     Unset(String),
     /// A quotation mark is not closed.
     #[error("has a quotation mark that is not closed")]
@@ -49,8 +60,6 @@ pub(super) struct Resolved {
     /// The address, or the words of a pipeline.
     pub words: Vec<String>,
     pub secrets: Secrets,
-    /// Names of the variables: a child process has no use for them.
-    pub variables: Vec<String>,
 }
 
 impl Resolved {
@@ -65,8 +74,10 @@ impl Resolved {
 pub(super) struct Secrets(Vec<String>);
 
 impl Secrets {
-    fn add(&mut self, secret: &str) {
-        for form in [secret.to_owned(), percent_decoded(secret), encoded(secret)] {
+    pub(super) fn add(&mut self, secret: &str) {
+        let decoded = percent_decode_str(secret).decode_utf8_lossy().into_owned();
+        let encoded = utf8_percent_encode(secret, LOGIN).to_string();
+        for form in [secret.to_owned(), decoded, encoded] {
             if !form.is_empty() && !self.0.contains(&form) {
                 self.0.push(form);
             }
@@ -101,7 +112,7 @@ impl Secrets {
 
     /// `text` without them.
     pub(super) fn redact(&self, text: &str) -> String {
-        let hidden = |text: String, secret: &String| text.replace(secret.as_str(), "***");
+        let hidden = |text: String, secret: &String| text.replace(secret.as_str(), MASK);
         self.0.iter().fold(text.to_owned(), hidden)
     }
 }
@@ -157,33 +168,45 @@ impl SourceAddress {
         }
         let kind = self.kind();
         let mut secrets = Secrets::default();
-        let mut variables = Vec::new();
+        let mut unset = Vec::new();
         let mut fill = |text: &str, encode: bool| {
             let mut filled = String::new();
             let mut rest = text;
             while let Some((before, after)) = rest.split_once("${") {
                 let (name, after) = after.split_once('}').ok_or(AddressError::Open)?;
-                let value = variable(name).ok_or_else(|| AddressError::Unset(name.to_owned()))?;
+                let value = variable(name).unwrap_or_default();
+                if value.is_empty() {
+                    unset.push(name.to_owned());
+                }
                 if kind != SourceKind::File && kind != SourceKind::Device {
                     secrets.add(&value);
                 }
-                variables.push(name.to_owned());
                 filled.push_str(before);
-                filled.push_str(&if encode { encoded(&value) } else { value });
+                if encode {
+                    filled.extend(utf8_percent_encode(&value, LOGIN));
+                } else {
+                    filled.push_str(&value);
+                }
                 rest = after;
             }
             filled.push_str(rest);
             Ok(filled)
         };
         let words = if kind == SourceKind::Pipeline {
-            let words = words(&self.0).ok_or(AddressError::Quote)?;
+            let words = shlex::split(&self.0).ok_or(AddressError::Quote)?;
             let filled = words.iter().map(|word| fill(word, false));
-            filled.collect::<Result<_, _>>()?
+            filled.collect::<Result<Vec<_>, _>>()?
         } else {
             let login = self.login_end();
             let (login, rest) = self.0.split_at(login);
             vec![fill(login, true)? + &fill(rest, false)?]
         };
+        if !unset.is_empty() {
+            return Err(AddressError::Unset(unset.join("`, `")));
+        }
+        if words.iter().any(|word| word.contains(char::is_control)) {
+            return Err(AddressError::Control);
+        }
         for word in &words {
             // A pipeline's locations, and properties such as user-pw=…
             let value = word
@@ -206,7 +229,6 @@ impl SourceAddress {
             kind,
             words,
             secrets,
-            variables,
         })
     }
 
@@ -282,56 +304,82 @@ fn environment(name: &str) -> Option<String> {
     std::env::var(name).ok().filter(|value| !value.is_empty())
 }
 
-/// `text` as it may stand between `://` and `@` (RFC 3986, section 2.3: unreserved characters stay).
-fn encoded(text: &str) -> String {
-    text.bytes().fold(String::new(), |mut encoded, byte| {
-        if byte.is_ascii_alphanumeric() || b"-._~".contains(&byte) {
-            encoded.push(char::from(byte));
+/// Options of ffmpeg for a source, each name followed by its value. Shown (and serialised) without the values that are
+/// secrets.
+#[derive(Clone, Default, PartialEq, Eq, Deserialize)]
+#[serde(transparent)]
+pub struct SourceOptions(Vec<String>);
+
+impl SourceOptions {
+    /// The options in these words.
+    pub fn new(words: Vec<String>) -> Self {
+        Self(words)
+    }
+
+    /// Whether there is none.
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// Checks that they can be handed to a program.
+    ///
+    /// # Errors
+    /// What is wrong with them.
+    pub fn check(&self) -> Result<(), AddressError> {
+        let bad = self.0.iter().any(|word| word.contains(char::is_control));
+        if bad {
+            Err(AddressError::Control)
         } else {
-            encoded.push_str(&format!("%{byte:02X}"));
-        }
-        encoded
-    })
-}
-
-fn percent_decoded(text: &str) -> String {
-    let bytes = text.as_bytes();
-    let mut decoded = Vec::new();
-    let mut at = 0;
-    while let Some(&byte) = bytes.get(at) {
-        let hex = (byte == b'%').then(|| text.get(at + 1..at + 3)).flatten();
-        match hex.and_then(|hex| u8::from_str_radix(hex, 16).ok()) {
-            Some(value) => {
-                decoded.push(value);
-                at += 3;
-            }
-            None => {
-                decoded.push(byte);
-                at += 1;
-            }
+            Ok(())
         }
     }
-    String::from_utf8_lossy(&decoded).into_owned()
+
+    /// Name, without its `-`, and value. An option without a value is a flag.
+    pub(super) fn pairs(&self) -> Vec<(&str, Option<&str>)> {
+        let mut pairs: Vec<(&str, Option<&str>)> = Vec::new();
+        for word in &self.0 {
+            match (word.strip_prefix('-'), pairs.last_mut()) {
+                // A value may be a negative number.
+                (Some(name), _) if !name.starts_with(|c: char| c.is_ascii_digit()) => {
+                    pairs.push((name, None));
+                }
+                (_, Some((_, value @ None))) => *value = Some(word),
+                _ => pairs.push((word, None)),
+            }
+        }
+        pairs
+    }
+
+    /// The values that nobody may see.
+    pub(super) fn secrets(&self) -> impl Iterator<Item = &str> {
+        (self.pairs().into_iter()).filter_map(|(name, value)| value.filter(|_| is_secret(name)))
+    }
 }
 
-/// The words of a pipeline as a shell would cut them; `None` when a quotation mark is not closed.
-fn words(text: &str) -> Option<Vec<String>> {
-    let mut words = Vec::new();
-    let mut word: Option<String> = None;
-    let mut quote = None;
-    for c in text.chars() {
-        match (quote, c) {
-            (None, '"' | '\'') => {
-                quote = Some(c);
-                word.get_or_insert_default();
-            }
-            (Some(open), c) if c == open => quote = None,
-            (None, c) if c.is_whitespace() => words.extend(word.take()),
-            (_, c) => word.get_or_insert_default().push(c),
-        }
+/// Whether an option of that name carries a secret.
+fn is_secret(name: &str) -> bool {
+    let name = name.to_ascii_lowercase();
+    let parts = [
+        "key", "pass", "secret", "token", "header", "cookie", "auth", "proxy", "user", "login",
+    ];
+    parts.iter().any(|part| name.contains(part))
+}
+
+impl Serialize for SourceOptions {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let shown = self.pairs().into_iter().flat_map(|(name, value)| {
+            let shown = value.map(|value| if is_secret(name) { MASK } else { value });
+            std::iter::once(format!("-{name}")).chain(shown.map(str::to_owned))
+        });
+        serializer.collect_seq(shown)
     }
-    words.extend(word);
-    quote.is_none().then_some(words)
+}
+
+impl fmt::Debug for SourceOptions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let shown = serde_json::to_string(self).unwrap_or_default();
+        write!(f, "SourceOptions({shown})")
+    }
 }
 
 #[cfg(test)]
@@ -342,6 +390,7 @@ mod tests {
         SourceAddress::new(text).resolve(&|name| match name {
             "USER" => Some("viewer".to_owned()),
             "PASSWORD" => Some("p@ss/w:rd".to_owned()),
+            "LINES" => Some("a'\noption x y".to_owned()),
             _ => None,
         })
     }
@@ -385,7 +434,6 @@ mod tests {
     fn variables_are_filled_in_and_what_programs_say_is_cleaned_of_them() {
         let resolved = resolve("rtsp://${USER}:${PASSWORD}@cam/s").unwrap();
         assert_eq!(resolved.text(), "rtsp://viewer:p%40ss%2Fw%3Ard@cam/s");
-        assert_eq!(resolved.variables, ["USER", "PASSWORD"]);
         let said = format!("{}: 401, password p@ss/w:rd of viewer", resolved.text());
         let told = resolved.secrets.redact(&said);
         for secret in ["viewer", "p@ss", "p%40ss", "w%3A"] {
@@ -412,9 +460,41 @@ mod tests {
                 "rtsp://${NOBODY}@cam",
                 AddressError::Unset("NOBODY".to_owned()),
             ),
+            (
+                "rtsp://${NOBODY}:${NONE}@cam",
+                AddressError::Unset("NOBODY`, `NONE".to_owned()),
+            ),
+            ("rtsp://cam/${LINES}", AddressError::Control),
             ("a caps=\"b ! c", AddressError::Quote),
         ] {
             assert_eq!(resolve(text).err(), Some(error), "{text}");
         }
+    }
+
+    #[test]
+    fn options_are_shown_without_what_is_secret() {
+        let words = [
+            "-headers",
+            "Authorization: Bearer abc",
+            "-video_size",
+            "1280x720",
+            "-re",
+            "-cenc_decryption_key",
+            "0123",
+            "-itsoffset",
+            "-1.5",
+        ];
+        let options = SourceOptions::new(words.map(str::to_owned).to_vec());
+        let shown = serde_json::to_string(&options).unwrap();
+        assert_eq!(
+            shown,
+            r#"["-headers","***","-video_size","1280x720","-re","-cenc_decryption_key","***","-itsoffset","-1.5"]"#
+        );
+        assert_eq!(format!("{options:?}"), format!("SourceOptions({shown})"));
+        let secrets: Vec<_> = options.secrets().collect();
+        assert_eq!(secrets, ["Authorization: Bearer abc", "0123"]);
+        options.check().unwrap();
+        let broken = SourceOptions::new(vec!["-headers".to_owned(), "A: b\r\nC: d".to_owned()]);
+        assert_eq!(broken.check(), Err(AddressError::Control));
     }
 }

@@ -1,159 +1,80 @@
 //! A source that is opened again whenever it ends, fails or falls silent, with growing pauses, until it is told to stop.
 
 use super::address::{SourceAddress, SourceKind};
-use super::ffmpeg::{Ffmpeg, FfmpegInput, Handover, RtspTransport};
-use super::gstreamer;
-use super::limit::RateSlots;
-use super::program::{INSTALL_FFMPEG, Running, SourceError, Stop};
-use albireo_vision::picture::{
-    CutError, EncodedPicture, FrameFault, FrameLimits, picture_of_file, read_part, read_ppm,
-};
+use super::program::{PictureProgram, RunningProgram, SourceError, output_of};
+use super::templates::{FFMPEG, GSTREAMER, SourceSettings, Version, ffmpeg, gstreamer, version};
+use albireo_vision::picture::{EncodedPicture, FrameFault, picture_of_file, read_part, read_ppm};
 use bytes::Bytes;
-use parking_lot::Mutex;
+use std::collections::VecDeque;
+use std::io::BufReader;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
-use tokio::time::{Instant, sleep_until};
+use tokio::net::TcpStream;
+use tokio::time::{Instant, timeout};
 use tokio_util::sync::CancellationToken;
+use url::Url;
 
 /// Pause before a source is opened again; doubles up to the longest while it does not stay open.
 const FIRST_PAUSE: Duration = Duration::from_millis(500);
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
-
-/// A source that was open so long ends for another reason than the time before.
+/// A source that was open for so long ends for another reason than the time before.
 const STAYED: Duration = Duration::from_secs(10);
+/// The longest silence that can be set.
+const LONGEST_SILENCE: Duration = Duration::from_secs(86_400);
+/// How long a camera that sent nothing is tried to be reached, to say why.
+const CONNECT_LIMIT: Duration = Duration::from_secs(3);
+/// The first parts that all must be something else before motion JPEG is given up.
+const FIRST_PARTS: u32 = 3;
+/// How often within `SWITCH_PERIOD` a source may be opened in the other way at once.
+const MAX_SWITCHES: usize = 2;
+const SWITCH_PERIOD: Duration = Duration::from_secs(60);
+/// What is read of a program's output at once.
+const BUFFER: usize = 1 << 18;
 
 /// Ends of HTTP addresses behind which there is no motion JPEG.
 const CONTAINERS: [&str; 8] = [
     ".m3u8", ".mpd", ".mp4", ".ts", ".mkv", ".webm", ".flv", ".mov",
 ];
 
-/// What is to be opened, and how.
-#[derive(Clone, Debug)]
-pub struct SourceSettings {
-    /// The source.
-    pub address: SourceAddress,
-    /// Frames per second at most.
-    pub max_rate: Option<f64>,
-    /// How RTSP packets come.
-    pub transport: RtspTransport,
-    /// Acceleration or decoder of ffmpeg.
-    pub hardware: Option<String>,
-    /// Options of ffmpeg, put before the source.
-    pub options: Vec<String>,
-    /// A source without a picture for so long is opened anew.
-    pub silence: Duration,
-    /// What pictures are handed over as where they must be decoded.
-    pub decoded: Handover,
-    /// Limits of the pictures.
-    pub limits: FrameLimits,
-}
+const INSTALL_FFMPEG: &str =
+    "Install it with `apt-get install ffmpeg`, `dnf install ffmpeg` or `brew install ffmpeg`";
+const INSTALL_GSTREAMER: &str =
+    "Install it with `apt-get install gstreamer1.0-tools gstreamer1.0-plugins-good`";
 
 /// Who takes the pictures. Called on the thread that reads: while it is at work the source waits.
 pub trait SourceSink: Send + 'static {
-    /// A picture, or one that cannot be used. `anew`: the first since the source was opened.
-    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, anew: bool);
+    /// A picture, or one that cannot be used. `reopened`: the first since the source was opened.
+    fn picture(&mut self, picture: Result<EncodedPicture, FrameFault>, reopened: bool);
 
     /// Pictures come.
     fn works(&mut self) {}
 
-    /// The source ended, and will be opened again.
-    fn fails(&mut self, _reason: &str) {}
-}
-
-/// Which program opens it.
-#[derive(Clone, Debug)]
-enum Opener {
-    Ffmpeg(Ffmpeg),
-    GStreamer,
+    /// The source ended for this reason, and will be opened again after a pause.
+    fn fails(&mut self, _reason: &str, _pause: Duration) {}
 }
 
 /// A source that is kept open.
 #[derive(Debug)]
 pub struct LiveSource {
     settings: SourceSettings,
-    opener: Opener,
+    /// The ffmpeg that opens it; GStreamer does without one.
+    ffmpeg: Option<Version>,
     /// Whether it is believed to send motion JPEG, which need not be decoded: ffmpeg must be told before it sees.
     motion_jpeg: AtomicBool,
+    /// Whether what ffmpeg took for motion JPEG was something else.
+    not_jpeg: AtomicBool,
 }
 
 /// How one opening ended.
 enum End {
-    /// By itself.
-    Ended,
     /// For this reason.
     Failed(String),
+    /// For this reason, before the first picture.
+    Nothing(String),
     /// It is to be read in the other way.
-    Otherwise,
-}
-
-/// One opening as seen from outside.
-#[derive(Debug)]
-struct Watch {
-    state: Mutex<WatchState>,
-}
-
-#[derive(Debug)]
-struct WatchState {
-    /// Since when a picture is waited for; none while one is being taken.
-    waiting: Option<Instant>,
-    pictures: u64,
-    stop: Option<Stop>,
-    given_up: Option<String>,
-}
-
-impl Watch {
-    fn new() -> Self {
-        Self {
-            state: Mutex::new(WatchState {
-                waiting: Some(Instant::now()),
-                pictures: 0,
-                stop: None,
-                given_up: None,
-            }),
-        }
-    }
-
-    /// Ends the opening.
-    fn give_up(&self, reason: impl Into<String>) {
-        let mut state = self.state.lock();
-        state.given_up.get_or_insert(reason.into());
-        state.waiting = Some(Instant::now());
-        if let Some(stop) = &state.stop {
-            stop.stop();
-        }
-    }
-
-    fn runs(&self, stop: Stop) {
-        let mut state = self.state.lock();
-        if state.given_up.is_some() {
-            stop.stop();
-        }
-        state.stop = Some(stop);
-    }
-
-    fn taking(&self) {
-        let mut state = self.state.lock();
-        state.waiting = None;
-        state.pictures += 1;
-    }
-
-    fn taken(&self) {
-        self.state.lock().waiting = Some(Instant::now());
-    }
-
-    /// When the source counts as silent, unless a picture comes.
-    fn silent_at(&self, silence: Duration) -> Instant {
-        let state = self.state.lock();
-        // Until the first one a connection is made and a whole picture waited for.
-        let patience = if state.pictures == 0 {
-            2 * silence
-        } else {
-            silence
-        };
-        state.waiting.unwrap_or_else(Instant::now) + patience
-    }
+    Switch,
 }
 
 impl LiveSource {
@@ -161,62 +82,68 @@ impl LiveSource {
     ///
     /// # Errors
     /// What is missing.
-    pub fn find(settings: SourceSettings) -> Result<Self, SourceError> {
-        let address = &settings.address;
-        let resolved = address.resolved()?;
-        let kind = &resolved.kind;
-        if *kind == SourceKind::File
-            && !Path::new(resolved.text().trim_start_matches("file://")).exists()
-        {
-            return Err(SourceError::NoFile(address.to_string()));
+    pub fn find(mut settings: SourceSettings) -> Result<Self, SourceError> {
+        // Several frames at least.
+        let frames = settings.max_rate.map_or(0.0, |rate| 3.0 / rate);
+        let frames = Duration::try_from_secs_f64(frames).unwrap_or(LONGEST_SILENCE);
+        settings.silence = settings.silence.max(frames).min(LONGEST_SILENCE);
+        let name = settings.address.to_string();
+        let resolved = settings.address.resolved()?;
+        let path = resolved.text().trim_start_matches("file://");
+        if resolved.kind == SourceKind::File && !Path::new(path).exists() {
+            return Err(SourceError::NoFile(name));
         }
-        let ffmpeg = Ffmpeg::default();
-        let opener = match kind {
-            SourceKind::Pipeline if gstreamer::is_there() => Opener::GStreamer,
-            SourceKind::Pipeline => return Err(gstreamer::missing(address)),
-            _ => match ffmpeg.version(&address.to_string()) {
-                Ok(_) => Opener::Ffmpeg(ffmpeg),
-                Err(SourceError::Missing { .. }) if gstreamer::is_there() => {
-                    if !resolved.secrets.is_empty() {
-                        return Err(SourceError::WouldShow(address.to_string()));
-                    }
-                    Opener::GStreamer
-                }
-                Err(SourceError::Missing { source_name, .. }) => {
-                    return Err(SourceError::Missing {
-                        source_name,
-                        programs: "neither `ffmpeg` nor `gst-launch-1.0`",
-                        remedy: INSTALL_FFMPEG,
-                    });
-                }
-                Err(error) => return Err(error),
-            },
+        let is_pipeline = resolved.kind == SourceKind::Pipeline;
+        let found = match is_pipeline {
+            true => None,
+            false => output_of(FFMPEG, "-version")?,
         };
-        let motion_jpeg = match kind {
+        if found.is_none() && output_of(GSTREAMER, "--version")?.is_none() {
+            let (programs, remedy) = match is_pipeline {
+                true => ("no `gst-launch-1.0`", INSTALL_GSTREAMER),
+                false => ("neither `ffmpeg` nor `gst-launch-1.0`", INSTALL_FFMPEG),
+            };
+            return Err(SourceError::Missing {
+                source_name: name,
+                programs,
+                remedy,
+            });
+        }
+        let motion_jpeg = match &resolved.kind {
             SourceKind::Network(scheme) if scheme.starts_with("http") => {
-                let path = resolved.text().split('?').next().unwrap_or_default();
+                let path = path.split('?').next().unwrap_or_default();
                 !CONTAINERS.iter().any(|end| path.ends_with(end))
             }
-            SourceKind::Device => true,
-            _ => false,
+            kind => *kind == SourceKind::Device,
         };
-        if *kind == SourceKind::Pipeline && !resolved.secrets.is_empty() {
+        let source = Self {
+            settings,
+            ffmpeg: found.as_deref().map(version),
+            motion_jpeg: AtomicBool::new(motion_jpeg),
+            not_jpeg: AtomicBool::new(false),
+        };
+        let program = source.program(motion_jpeg)?;
+        if program.input.is_none() && !program.secrets.is_empty() {
             tracing::warn!(
-                source = %address,
-                "GStreamer takes credentials on its command line only, where every user of this machine can read them; \
-                 ffmpeg does not"
+                source = name,
+                program = program.program,
+                "this program takes credentials on its command line only, where every user of this machine can read \
+                 them"
             );
         }
-        Ok(Self {
-            settings,
-            opener,
-            motion_jpeg: AtomicBool::new(motion_jpeg),
-        })
+        Ok(source)
     }
 
     /// The source, without credentials.
     pub fn name(&self) -> String {
         self.settings.address.to_string()
+    }
+
+    fn program(&self, untouched: bool) -> Result<PictureProgram, SourceError> {
+        match self.ffmpeg {
+            Some(version) => ffmpeg(&self.settings, untouched, version),
+            None => gstreamer(&self.settings),
+        }
     }
 
     /// Keeps the source open and hands its pictures to `sink` until `shutdown`.
@@ -229,10 +156,16 @@ impl LiveSource {
         shutdown: CancellationToken,
     ) -> Result<(), String> {
         let mut pause = FIRST_PAUSE;
+        let mut switches = VecDeque::new();
         loop {
             let begun = Instant::now();
+            let (source, stop) = (Arc::clone(self), shutdown.clone());
+            let reading = tokio::task::spawn_blocking(move || {
+                let end = source.read(&mut sink, stop);
+                (sink, end)
+            });
             let end;
-            (sink, end) = self.once(sink, &shutdown).await?;
+            (sink, end) = reading.await.map_err(|error| error.to_string())?;
             if shutdown.is_cancelled() {
                 return Ok(());
             }
@@ -240,16 +173,21 @@ impl LiveSource {
                 pause = FIRST_PAUSE;
             }
             let reason = match end {
-                End::Otherwise => continue,
-                End::Ended => "it ended".to_owned(),
                 End::Failed(reason) => reason,
+                End::Nothing(reason) => tokio::select! {
+                    () = shutdown.cancelled() => return Ok(()),
+                    unreachable = self.unreachable() => unreachable.unwrap_or(reason),
+                },
+                End::Switch => {
+                    switches.retain(|at: &Instant| at.elapsed() < SWITCH_PERIOD);
+                    switches.push_back(Instant::now());
+                    if switches.len() <= MAX_SWITCHES {
+                        continue;
+                    }
+                    "it sends now motion JPEG, now something else".to_owned()
+                }
             };
-            tracing::warn!(
-                source = self.name(),
-                again_in_s = pause.as_secs_f64(),
-                "the source is opened again: {reason}"
-            );
-            sink.fails(&reason);
+            sink.fails(&reason, pause);
             tokio::select! {
                 () = shutdown.cancelled() => return Ok(()),
                 () = tokio::time::sleep(pause) => {}
@@ -258,172 +196,141 @@ impl LiveSource {
         }
     }
 
-    /// How long it may be silent: several frames at least.
-    fn silence(&self) -> Duration {
-        let frames = self.settings.max_rate.map_or(0.0, |rate| 3.0 / rate);
-        let frames = Duration::try_from_secs_f64(frames).unwrap_or_default();
-        self.settings.silence.max(frames)
-    }
-
-    /// Opens it once and watches over it.
-    async fn once<S: SourceSink>(
-        self: &Arc<Self>,
-        mut sink: S,
-        shutdown: &CancellationToken,
-    ) -> Result<(S, End), String> {
-        let watch = Arc::new(Watch::new());
-        let (source, watched) = (Arc::clone(self), Arc::clone(&watch));
-        let mut reading = tokio::task::spawn_blocking(move || {
-            let end = source.read(&watched, &mut sink);
-            (sink, end)
-        });
-        let silence = self.silence();
-        let mut stopping = false;
-        loop {
-            tokio::select! {
-                done = &mut reading => return done.map_err(|error| error.to_string()),
-                () = shutdown.cancelled(), if !stopping => {
-                    stopping = true;
-                    watch.give_up("told to stop");
-                }
-                () = sleep_until(watch.silent_at(silence)), if !stopping => {
-                    if Instant::now() >= watch.silent_at(silence) {
-                        let seconds = silence.as_secs_f64();
-                        watch.give_up(format!("no picture for more than {seconds} s"));
-                    }
-                }
-            }
-        }
-    }
-
-    /// Opens it and reads to its end.
-    fn read(&self, watch: &Watch, sink: &mut dyn SourceSink) -> End {
-        let motion_jpeg = self.motion_jpeg.load(Ordering::Relaxed);
-        let opened = match &self.opener {
-            Opener::Ffmpeg(ffmpeg) => {
-                let input = FfmpegInput {
-                    transport: self.settings.transport,
-                    hardware: self.settings.hardware.as_deref(),
-                    options: &self.settings.options,
-                    max_rate: self.settings.max_rate,
-                    as_camera: true,
-                    silence: 2 * self.silence(),
-                    ..FfmpegInput::new(&self.settings.address)
-                };
-                let handover = if motion_jpeg {
-                    Handover::Untouched
-                } else {
-                    self.settings.decoded
-                };
-                ffmpeg.open(&input, handover)
-            }
-            Opener::GStreamer => gstreamer::open(&self.settings.address, self.settings.transport),
+    /// Why a network camera cannot even be connected to, in clearer words than a program's.
+    async fn unreachable(&self) -> Option<String> {
+        let resolved = self.settings.address.resolved().ok()?;
+        let SourceKind::Network(scheme) = &resolved.kind else {
+            return None;
         };
-        let mut running = match opened {
+        // Shown without the login, which need not be encoded as an address has to be.
+        let shown = SourceAddress::new(resolved.text()).to_string();
+        let url = Url::parse(&shown).ok()?;
+        let host = url.host_str()?.trim_matches(['[', ']']);
+        let port = url.port_or_known_default().or(match scheme.as_str() {
+            "rtsp" => Some(554),
+            "rtsps" => Some(322),
+            "rtmp" => Some(1935),
+            _ => None,
+        })?;
+        let reason = match timeout(CONNECT_LIMIT, TcpStream::connect((host, port))).await {
+            Ok(Ok(_)) => return None,
+            Ok(Err(error)) => error.to_string(),
+            Err(_) => format!("no answer in {} s", CONNECT_LIMIT.as_secs()),
+        };
+        Some(format!("{host}:{port} cannot be reached: {reason}"))
+    }
+
+    /// Opens it once and reads to its end.
+    fn read(&self, sink: &mut dyn SourceSink, stop: CancellationToken) -> End {
+        let untouched = self.motion_jpeg.load(Ordering::Relaxed);
+        let program = match self.program(untouched) {
+            Ok(program) => program,
+            Err(error) => return End::Nothing(error.to_string()),
+        };
+        let (name, ppm) = (program.program, program.ppm);
+        let running = match program.start(self.settings.silence, stop) {
             Ok(running) => running,
-            Err(error) => return End::Failed(error.to_string()),
+            Err(error) => return End::Nothing(format!("`{name}` cannot be started: {error}")),
         };
-        watch.runs(running.stop());
-        let cut = self.pictures(&mut running, motion_jpeg, watch, sink);
-        let given_up = watch.state.lock().given_up.clone();
-        let pictures = watch.state.lock().pictures;
-        let is_ffmpeg = matches!(self.opener, Opener::Ffmpeg(_));
-        let codec = running.codec();
-        let hint = running.last_complaint();
-        if !matches!(cut, Ok(End::Ended)) {
-            running.stop().stop();
+        let mut output = BufReader::with_capacity(BUFFER, running);
+        let mut pictures = 0;
+        let cut = self.pictures(&mut output, untouched, ppm, sink, &mut pictures);
+        let running = output.into_inner();
+        let codec = running.codec().map(str::to_owned);
+        let reason = match cut {
+            Ok(Some(switch)) => return switch,
+            Ok(None) => running.end().err().unwrap_or_else(|| "it ended".to_owned()),
+            Err(error) => match running.abort() {
+                Some(said) => format!("{error}; {name} said: {said}"),
+                None => error,
+            },
+        };
+        if pictures > 0 {
+            return End::Failed(reason);
         }
-        let ended = running.ended();
-        if let Some(reason) = given_up {
-            return match hint {
-                Some(hint) => End::Failed(format!("{reason}; it said: {hint}")),
-                None => End::Failed(reason),
-            };
+        if self.switches(codec.as_deref(), untouched) {
+            return self.switch(untouched);
         }
-        let device = self.settings.address.kind() == SourceKind::Device;
-        let is_file = self.settings.address.kind() == SourceKind::File;
-        if is_ffmpeg
-            && !is_file
-            && pictures == 0
-            && let Some(codec) = codec
-            && (codec == "mjpeg") != motion_jpeg
-        {
-            self.motion_jpeg.store(!motion_jpeg, Ordering::Relaxed);
-            return End::Otherwise;
-        }
-        if is_ffmpeg && device && pictures == 0 {
+        if self.settings.address.kind() == SourceKind::Device && self.ffmpeg.is_some() {
             // A device that has no motion JPEG refuses to be opened for it.
-            self.motion_jpeg.store(!motion_jpeg, Ordering::Relaxed);
+            self.motion_jpeg.store(!untouched, Ordering::Relaxed);
         }
-        match (cut, ended) {
-            (Ok(End::Otherwise), _) => End::Otherwise,
-            (_, Err(reason)) => End::Failed(reason),
-            (Err(error), Ok(())) => End::Failed(error.to_string()),
-            (Ok(end), Ok(())) => end,
-        }
+        End::Nothing(reason)
     }
 
-    /// Hands on pictures until there are no more.
+    /// Hands on pictures until there are no more, or until it is seen that the source is to be read in the other way.
+    ///
+    /// # Errors
+    /// Why the output cannot be read further.
     fn pictures(
         &self,
-        running: &mut Running,
-        motion_jpeg: bool,
-        watch: &Watch,
+        output: &mut BufReader<RunningProgram>,
+        untouched: bool,
+        ppm: bool,
         sink: &mut dyn SourceSink,
-    ) -> Result<End, CutError> {
+        pictures: &mut u64,
+    ) -> Result<Option<End>, String> {
         let begun = Instant::now();
-        let is_ffmpeg = matches!(self.opener, Opener::Ffmpeg(_));
         let limits = &self.settings.limits;
-        let most = limits.max_payload_bytes as u64;
-        let ppm = is_ffmpeg && !motion_jpeg && self.settings.decoded == Handover::Ppm;
-        let mut slots = RateSlots::default();
         // ffmpeg keeps the limit itself where it decodes.
-        let limit = (self.settings.max_rate).filter(|_| motion_jpeg || !is_ffmpeg);
-        let mut codec_seen = !is_ffmpeg || motion_jpeg;
-        let mut first = true;
+        let limit = (self.settings.max_rate).filter(|_| untouched || self.ffmpeg.is_none());
+        let mut last_slot = None;
+        let mut bad_parts = 0;
         loop {
             let picture = if ppm {
-                read_ppm(running.output(), limits)?
+                read_ppm(output, limits).map_err(|error| error.to_string())?
             } else {
-                let part = read_part(running.output(), most)?;
-                if motion_jpeg
-                    && part
-                        .as_ref()
-                        .is_some_and(|part| !part.starts_with(&[0xFF, 0xD8]))
-                {
-                    self.motion_jpeg.store(false, Ordering::Relaxed);
-                    return Ok(End::Otherwise);
-                }
+                let part = read_part(output, limits.max_payload_bytes as u64);
+                let part = part.map_err(|error| error.to_string())?;
                 part.map(|part| picture_of_file(Bytes::from(part), limits))
             };
             let Some(picture) = picture else {
-                return Ok(End::Ended);
+                return Ok(None);
             };
-            if !codec_seen && let Some(codec) = running.codec() {
-                codec_seen = true;
-                if codec == "mjpeg" && self.settings.address.kind() != SourceKind::File {
-                    self.motion_jpeg.store(true, Ordering::Relaxed);
-                    return Ok(End::Otherwise);
+            if *pictures == 0 && self.switches(output.get_ref().codec(), untouched) {
+                return Ok(Some(self.switch(untouched)));
+            }
+            if untouched && *pictures == 0 && picture.is_err() {
+                bad_parts += 1;
+                if bad_parts == FIRST_PARTS {
+                    self.not_jpeg.store(true, Ordering::Relaxed);
+                    return Ok(Some(self.switch(untouched)));
                 }
             }
-            watch.taking();
-            if slots.admit(begun.elapsed(), limit) {
-                if first {
-                    tracing::info!(
-                        source = self.name(),
-                        codec = running.codec(),
-                        size = picture
-                            .as_ref()
-                            .ok()
-                            .map(|picture| picture.size.to_string()),
-                        "the source is open"
-                    );
-                    sink.works();
+            // The first picture of each slot of time: on average exactly the limit, whatever the camera's rate.
+            let slot = limit.map(|rate| (begun.elapsed().as_secs_f64() * rate) as u64);
+            if slot.is_none() || last_slot != slot {
+                last_slot = slot;
+                let first = *pictures == 0;
+                if let Ok(picture) = &picture {
+                    if first {
+                        tracing::info!(
+                            source = self.name(),
+                            codec = output.get_ref().codec(),
+                            size = picture.size.to_string(),
+                            "the source is open"
+                        );
+                        sink.works();
+                    }
+                    *pictures += 1;
                 }
                 sink.picture(picture, first);
-                first = false;
             }
-            watch.taken();
+            output.get_mut().picture_taken();
         }
+    }
+
+    /// Whether what ffmpeg says of the source calls for the other way of reading it.
+    fn switches(&self, codec: Option<&str>, untouched: bool) -> bool {
+        let is_jpeg = codec.map(|codec| codec == "mjpeg");
+        self.ffmpeg.is_some()
+            && self.settings.address.kind() != SourceKind::File
+            && is_jpeg.is_some_and(|is_jpeg| is_jpeg != untouched)
+            && (untouched || !self.not_jpeg.load(Ordering::Relaxed))
+    }
+
+    fn switch(&self, untouched: bool) -> End {
+        self.motion_jpeg.store(!untouched, Ordering::Relaxed);
+        End::Switch
     }
 }

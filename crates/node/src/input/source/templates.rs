@@ -1,0 +1,536 @@
+//! The command lines of ffmpeg and GStreamer that make pictures of a source.
+
+use super::address::{Resolved, SourceAddress, SourceKind, SourceOptions};
+use super::program::{PictureProgram, SourceError};
+use albireo_vision::picture::FrameLimits;
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// The programs.
+pub(super) const FFMPEG: &str = "ffmpeg";
+pub(super) const GSTREAMER: &str = "gst-launch-1.0";
+
+/// Version of ffmpeg: major and minor number.
+pub(super) type Version = (u32, u32);
+
+/// The first version that takes options inside a script, and knows `-timeout` for RTSP.
+const SCRIPT_OPTIONS: Version = (5, 0);
+/// The first version with `-fps_mode`.
+const FPS_MODE: Version = (5, 1);
+
+/// Memory of ffmpeg beside its largest blocks: libraries, threads, what waits.
+const WORKING_MEMORY: u64 = 512 << 20;
+
+/// Protocols that a script may open.
+const PROTOCOLS: &str =
+    "file,pipe,fd,tcp,tls,udp,rtp,srtp,rtsp,rtsps,rtmp,rtmps,http,https,httpproxy,crypto,srt,data";
+
+/// Options that ffmpeg itself or a decoder takes, and no camera: they stay on the command line.
+const PROGRAM_OPTIONS: [&str; 24] = [
+    "an",
+    "autorotate",
+    "c",
+    "codec",
+    "discard",
+    "ec",
+    "err_detect",
+    "f",
+    "flags",
+    "flags2",
+    "hwaccel",
+    "hwaccel_device",
+    "hwaccel_output_format",
+    "init_hw_device",
+    "itsoffset",
+    "lowres",
+    "noautorotate",
+    "r",
+    "re",
+    "skip_frame",
+    "skip_idct",
+    "skip_loop_filter",
+    "thread_queue_size",
+    "threads",
+];
+
+/// Frameworks that ffmpeg hands decoding to (`ffmpeg -hwaccels`); every other name is a decoder's.
+const ACCELERATIONS: [&str; 11] = [
+    "auto",
+    "cuda",
+    "d3d11va",
+    "drm",
+    "dxva2",
+    "opencl",
+    "qsv",
+    "vaapi",
+    "vdpau",
+    "videotoolbox",
+    "vulkan",
+];
+
+/// How an RTSP camera sends its packets.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "cli", derive(clap::ValueEnum))]
+#[serde(rename_all = "lowercase")]
+pub enum RtspTransport {
+    /// In the connection that is open already: none is lost, and no firewall is in the way.
+    #[default]
+    Tcp,
+    /// In datagrams: a lost one breaks pictures.
+    Udp,
+}
+
+impl RtspTransport {
+    const fn as_str(self) -> &'static str {
+        match self {
+            Self::Tcp => "tcp",
+            Self::Udp => "udp",
+        }
+    }
+}
+
+/// The form in which decoded pictures are handed over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Handover {
+    /// JPEG files of this quality (`-q:v`, 2 is the best).
+    Jpeg(u8),
+    /// Pixels, not coded again.
+    Pixels,
+}
+
+/// What is to be opened, and how.
+#[derive(Clone, Debug)]
+pub struct SourceSettings {
+    /// The source.
+    pub address: SourceAddress,
+    /// Frames per second at most.
+    pub max_rate: Option<f64>,
+    /// How RTSP packets come.
+    pub transport: RtspTransport,
+    /// Acceleration or decoder of ffmpeg.
+    pub hardware: Option<String>,
+    /// Options of ffmpeg for the source.
+    pub options: SourceOptions,
+    /// A source without a picture for so long is opened again.
+    pub silence: Duration,
+    /// What pictures are handed over as where they must be decoded.
+    pub decoded: Handover,
+    /// Limits of the pictures.
+    pub limits: FrameLimits,
+}
+
+/// The numbers in `ffmpeg version 5.1.9-0+deb12u1 …`. Builds between releases have none; they are young.
+pub(super) fn version(said: &str) -> Version {
+    let number = said
+        .strip_prefix("ffmpeg version ")
+        .unwrap_or_default()
+        .trim_start_matches('n');
+    let mut parts = number.split(|c: char| !c.is_ascii_digit());
+    let major = parts.next().and_then(|part| part.parse().ok());
+    let minor = parts.next().and_then(|part| part.parse().ok()).unwrap_or(0);
+    major.map_or((u32::MAX, 0), |major| (major, minor))
+}
+
+/// ffmpeg on a source: decoded as the settings say, or `untouched` where it sends motion JPEG. An address or an option
+/// that is secret is read from a script on its input, and not from its command line, which every user of the machine
+/// can see.
+///
+/// # Errors
+/// When the address cannot be used.
+pub(super) fn ffmpeg(
+    settings: &SourceSettings,
+    untouched: bool,
+    version: Version,
+) -> Result<PictureProgram, SourceError> {
+    let mut resolved = settings.address.resolved()?;
+    let hidden_address = !resolved.secrets.is_empty();
+    let takes_options = version >= SCRIPT_OPTIONS;
+    let live = resolved.kind != SourceKind::File;
+    let limits = &settings.limits;
+    let packets = limits.max_payload_bytes.saturating_mul(4);
+    let max_block = if untouched {
+        packets
+    } else {
+        // Rows of decoded pictures are padded.
+        packets.max(limits.max_decoded_bytes / 4 * 5)
+    } as u64;
+
+    let mut arguments = Arguments::default();
+    arguments.add(&["-hide_banner", "-nostats", "-v", "level+info", "-max_alloc"]);
+    arguments.add(&[&max_block.to_string()]);
+    match settings.hardware.as_deref().filter(|_| !untouched) {
+        Some(name) if ACCELERATIONS.contains(&name) => arguments.add(&["-hwaccel", name]),
+        Some(name) => arguments.add(&["-c:v", name]),
+        None => {}
+    }
+    // What the camera is opened with.
+    let mut camera = Vec::new();
+    if live {
+        // Decoding by several threads, each with a frame of its own, holds frames back.
+        arguments.add(&["-flags", "low_delay"]);
+        camera.push(("analyzeduration", "2000000".to_owned()));
+    }
+    // In case nobody is left to kill it.
+    let silence = (2 * settings.silence).as_micros().to_string();
+    let mut address = resolved.text().to_owned();
+    match &resolved.kind {
+        SourceKind::Network(scheme) if scheme.starts_with("rtsp") => {
+            let transport = settings.transport.as_str();
+            if takes_options || !hidden_address {
+                let timeout = if takes_options { "timeout" } else { "stimeout" };
+                camera.push(("rtsp_transport", transport.to_owned()));
+                camera.push((timeout, silence));
+            } else {
+                // Older ones take it at the end of the address.
+                let sign = if address.contains('?') { '&' } else { '?' };
+                address = format!("{address}{sign}{transport}");
+            }
+        }
+        SourceKind::Network(scheme) if scheme.starts_with("http") => {
+            camera.push(("rw_timeout", silence));
+        }
+        SourceKind::Device => {
+            arguments.add(&["-f", "v4l2"]);
+            if untouched {
+                camera.push(("input_format", "mjpeg".to_owned()));
+            }
+        }
+        SourceKind::File => arguments.add(&["-re", "-stream_loop", "-1"]),
+        _ => {}
+    }
+    let mut secrets = settings.options.secrets().peekable();
+    let networked = matches!(resolved.kind, SourceKind::Network(_));
+    let scripted = hidden_address || (networked && takes_options && secrets.peek().is_some());
+    secrets.for_each(|secret| resolved.secrets.add(secret));
+    for (name, value) in settings.options.pairs() {
+        let of_program = PROGRAM_OPTIONS.contains(&name.split(':').next().unwrap_or(name));
+        match value {
+            Some(value) if scripted && !of_program => camera.push((name, value.to_owned())),
+            _ => {
+                arguments.add(&[&format!("-{name}")]);
+                arguments.add(value.as_slice());
+            }
+        }
+    }
+    let input = if scripted {
+        if !takes_options && !settings.options.is_empty() {
+            return Err(SourceError::OldFfmpeg(settings.address.to_string()));
+        }
+        arguments.add(&[
+            "-f",
+            "concat",
+            "-safe",
+            "0",
+            "-protocol_whitelist",
+            PROTOCOLS,
+        ]);
+        arguments.add(&["-i", "pipe:0"]);
+        let address = address.replace('\\', "%5C").replace('\'', "%27");
+        let mut script = format!("ffconcat version 1.0\nfile '{address}'\n");
+        for (name, value) in camera.iter().filter(|_| takes_options) {
+            let value = value.replace('\'', "'\\''");
+            script.push_str(&format!("option {name} '{value}'\n"));
+        }
+        Some(script)
+    } else {
+        for (name, value) in &camera {
+            arguments.add(&[&format!("-{name}"), value]);
+        }
+        // A file's name stays one, whatever it begins with.
+        let sign = if address.starts_with('-') { "./" } else { "" };
+        arguments.add(&["-nostdin", "-i", &format!("{sign}{address}")]);
+        None
+    };
+    arguments.add(&["-map", "0:v:0"]);
+    // Cameras send frames of one time twice, which encoders refuse.
+    let fps_mode = if version >= FPS_MODE {
+        "-fps_mode"
+    } else {
+        "-vsync"
+    };
+    arguments.add(&[fps_mode, "vfr"]);
+    let ppm = !untouched && settings.decoded == Handover::Pixels;
+    if untouched {
+        arguments.add(&["-c:v", "copy", "-f", "mpjpeg"]);
+    } else {
+        if let Some(rate) = settings.max_rate {
+            let filter = format!("select=isnan(prev_t)+gt(floor(t*{rate})\\,floor(prev_t*{rate}))");
+            arguments.add(&["-vf", &filter]);
+        }
+        // Fine enough that no two frames fall on one tick.
+        arguments.add(&["-enc_time_base", "1/90000"]);
+        match settings.decoded {
+            Handover::Pixels => arguments.add(&["-c:v", "ppm", "-f", "image2pipe"]),
+            Handover::Jpeg(quality) => {
+                arguments.add(&[
+                    "-c:v",
+                    "mjpeg",
+                    "-q:v",
+                    &quality.to_string(),
+                    "-f",
+                    "mpjpeg",
+                ]);
+            }
+        }
+    }
+    arguments.add(&["-flush_packets", "1", "pipe:1"]);
+    Ok(PictureProgram {
+        program: FFMPEG,
+        arguments: arguments.0,
+        input,
+        ppm,
+        secrets: resolved.secrets,
+        // A graphics card's driver maps as much as it likes.
+        max_memory: (settings.hardware.is_none())
+            .then(|| WORKING_MEMORY.saturating_add(4 * max_block)),
+    })
+}
+
+/// GStreamer on a source: a pipeline of the user's own, or, where there is no ffmpeg, one made here. Its pictures are
+/// JPEG files.
+///
+/// # Errors
+/// When the address cannot be used, or would show a password that the user has not put on a command line.
+pub(super) fn gstreamer(settings: &SourceSettings) -> Result<PictureProgram, SourceError> {
+    let resolved = settings.address.resolved()?;
+    let Resolved {
+        kind,
+        words,
+        secrets,
+    } = &resolved;
+    // The program takes an address on its command line only.
+    if *kind != SourceKind::Pipeline && !secrets.is_empty() {
+        return Err(SourceError::WouldShow(settings.address.to_string()));
+    }
+    let text = resolved.text();
+    let mut arguments = Arguments::default();
+    arguments.add(&["-q"]);
+    match kind {
+        SourceKind::Pipeline => arguments.0.extend(words.iter().cloned()),
+        SourceKind::Device => arguments.add(&["v4l2src", &format!("device={text}")]),
+        SourceKind::File => arguments.add(&["filesrc", &format!("location={text}")]),
+        SourceKind::Network(scheme) if scheme.starts_with("rtsp") => arguments.add(&[
+            "rtspsrc",
+            &format!("location={text}"),
+            &format!("protocols={}", settings.transport.as_str()),
+            "latency=0",
+        ]),
+        SourceKind::Network(_) => arguments.add(&["uridecodebin", &format!("uri={text}")]),
+    }
+    if *kind != SourceKind::Pipeline {
+        if !matches!(kind, SourceKind::Network(scheme) if !scheme.starts_with("rtsp")) {
+            arguments.add(&["!", "decodebin"]);
+        }
+        arguments.add(&["!", "videoconvert", "!", "jpegenc"]);
+    }
+    // Each picture with its length before it.
+    arguments.add(&["!", "multipartmux", "!", "fdsink", "fd=1"]);
+    if *kind == SourceKind::File {
+        arguments.add(&["sync=true"]);
+    }
+    Ok(PictureProgram {
+        program: GSTREAMER,
+        arguments: arguments.0,
+        secrets: resolved.secrets,
+        ..PictureProgram::default()
+    })
+}
+
+#[derive(Default)]
+struct Arguments(Vec<String>);
+
+impl Arguments {
+    fn add(&mut self, words: &[&str]) {
+        self.0.extend(words.iter().map(|word| (*word).to_owned()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn settings(address: &str) -> SourceSettings {
+        SourceSettings {
+            address: SourceAddress::new(address),
+            max_rate: Some(5.0),
+            transport: RtspTransport::Tcp,
+            hardware: None,
+            options: SourceOptions::default(),
+            silence: Duration::from_secs(15),
+            decoded: Handover::Pixels,
+            limits: FrameLimits::default(),
+        }
+    }
+
+    fn with_options(address: &str, options: &[&str]) -> SourceSettings {
+        let options = options.iter().map(|word| (*word).to_owned()).collect();
+        SourceSettings {
+            options: SourceOptions::new(options),
+            ..settings(address)
+        }
+    }
+
+    fn line(
+        settings: &SourceSettings,
+        untouched: bool,
+        version: Version,
+    ) -> (String, Option<String>) {
+        let program = ffmpeg(settings, untouched, version).unwrap();
+        (program.arguments.join(" "), program.input)
+    }
+
+    #[test]
+    fn the_version_is_read_from_releases_and_builds_between_them() {
+        for (line, numbers) in [
+            ("ffmpeg version 4.4.2-0ubuntu0.22.04.1 Copyright", (4, 4)),
+            ("ffmpeg version 5.0", (5, 0)),
+            ("ffmpeg version 5.1.9-0+deb12u1 Copyright", (5, 1)),
+            ("ffmpeg version n7.1", (7, 1)),
+            ("ffmpeg version N-118000-gabc", (u32::MAX, 0)),
+        ] {
+            assert_eq!(version(line), numbers, "{line}");
+        }
+    }
+
+    #[test]
+    fn rtsp_comes_by_tcp_and_frames_of_one_time_are_no_error() {
+        let mut settings = settings("rtsp://cam/s");
+        settings.hardware = Some("cuda".to_owned());
+        let (line, script) = line(&settings, false, (5, 1));
+        for part in [
+            "-rtsp_transport tcp",
+            "-i rtsp://cam/s",
+            "-fps_mode vfr",
+            "-hwaccel cuda",
+            "floor(t*5)",
+        ] {
+            assert!(line.contains(part), "{line}");
+        }
+        assert_eq!(script, None);
+        let (old, _) = self::line(&settings, false, (4, 4));
+        assert!(
+            old.contains("-vsync vfr") && old.contains("-stimeout"),
+            "{old}"
+        );
+    }
+
+    #[test]
+    fn a_password_is_never_in_the_command_line() {
+        for version in [(4, 4), (5, 1), (7, 1)] {
+            let (line, script) = line(&settings("rtsp://viewer:hidden'@cam/s"), false, version);
+            assert!(
+                !line.contains("hidden") && !line.contains("viewer"),
+                "{line}"
+            );
+            let script = script.unwrap();
+            assert!(
+                script.contains("file 'rtsp://viewer:hidden%27@cam/s"),
+                "{script}"
+            );
+            assert!(script.contains("tcp"), "{script}");
+        }
+    }
+
+    #[test]
+    fn options_reach_the_camera_also_where_its_address_has_a_password() {
+        let options = [
+            "-rtsp_flags",
+            "prefer_tcp",
+            "-skip_frame",
+            "nokey",
+            "-user_agent",
+            "it's me",
+        ];
+        let hidden = with_options("rtsp://u:hidden@cam/s", &options);
+        let (line, script) = line(&hidden, false, (5, 1));
+        let script = script.unwrap();
+        assert!(
+            script.contains("\noption rtsp_flags 'prefer_tcp'\n"),
+            "{script}"
+        );
+        assert!(
+            script.contains("\noption user_agent 'it'\\''s me'\n"),
+            "{script}"
+        );
+        assert!(line.contains("-skip_frame nokey"), "a decoder's: {line}");
+        assert!(!line.contains("rtsp_flags"), "{line}");
+        let plain = with_options("rtsp://cam/s", &options[..4]);
+        let (line, script) = self::line(&plain, false, (5, 1));
+        assert!(
+            line.contains("-rtsp_flags prefer_tcp -skip_frame nokey"),
+            "{line}"
+        );
+        assert_eq!(script, None);
+        let old = ffmpeg(&hidden, false, (4, 4)).err().unwrap().to_string();
+        assert!(
+            old.contains("version 5") && !old.contains("hidden"),
+            "{old}"
+        );
+    }
+
+    #[test]
+    fn an_option_that_is_secret_is_not_in_the_command_line() {
+        let options = ["-headers", "Authorization: Bearer abc"];
+        let program = ffmpeg(&with_options("http://cam/v", &options), true, (5, 1)).unwrap();
+        assert!(!program.arguments.join(" ").contains("Bearer"));
+        let script = program.input.unwrap();
+        assert!(
+            script.contains("option headers 'Authorization: Bearer abc'\n"),
+            "{script}"
+        );
+        assert_eq!(
+            program.secrets.redact("sent Authorization: Bearer abc"),
+            "sent ***"
+        );
+    }
+
+    #[test]
+    fn motion_jpeg_is_not_decoded() {
+        let mut settings = settings("http://cam/v.mjpg");
+        settings.hardware = Some("cuda".to_owned());
+        let (line, _) = line(&settings, true, (5, 1));
+        assert!(line.contains("-c:v copy"), "{line}");
+        assert!(!line.contains("cuda") && !line.contains("select"), "{line}");
+    }
+
+    #[test]
+    fn memory_is_limited_unless_a_driver_needs_it() {
+        let mut settings = settings("http://cam/v.mjpg");
+        let program = ffmpeg(&settings, true, (5, 1)).unwrap();
+        assert!(program.arguments.join(" ").contains("-max_alloc 67108864"));
+        assert_eq!(program.max_memory, Some((512 + 4 * 64) << 20));
+        settings.hardware = Some("cuda".to_owned());
+        assert_eq!(ffmpeg(&settings, true, (5, 1)).unwrap().max_memory, None);
+    }
+
+    fn pipeline(address: &str) -> Result<String, SourceError> {
+        gstreamer(&settings(address)).map(|program| program.arguments.join(" "))
+    }
+
+    #[test]
+    fn a_pipeline_gets_an_end_that_tells_lengths() {
+        assert_eq!(
+            pipeline("videotestsrc ! jpegenc").unwrap(),
+            "-q videotestsrc ! jpegenc ! multipartmux ! fdsink fd=1"
+        );
+        let camera = pipeline("rtsp://cam/s").unwrap();
+        assert!(
+            camera.contains("rtspsrc location=rtsp://cam/s protocols=tcp"),
+            "{camera}"
+        );
+        let web = pipeline("http://cam/s").unwrap();
+        assert!(
+            web.contains("uridecodebin uri=http://cam/s ! videoconvert ! jpegenc !"),
+            "{web}"
+        );
+    }
+
+    #[test]
+    fn no_password_is_put_into_a_command_line_that_was_not_written_so() {
+        let refused = pipeline("rtsp://u:hidden@cam/s").unwrap_err().to_string();
+        assert!(
+            refused.contains("install ffmpeg") && !refused.contains("hidden"),
+            "{refused}"
+        );
+    }
+}
