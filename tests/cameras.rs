@@ -2,7 +2,7 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
 
-use crate::support::live_camera::{MotionJpegCamera, RtspCamera};
+use crate::support::live_camera::{MotionJpegCamera, RtspCamera, Script};
 use crate::support::{Node, PATIENCE, albireo};
 use albireo::cli::replay::open_session;
 use albireo_core::geometry::PictureSize;
@@ -191,13 +191,13 @@ async fn a_node_s_own_camera_goes_away_and_comes_back_and_its_password_is_never_
 
     camera.kill().await;
     wait_until("the node says so", async || {
-        get(&node, "/readyz").await.contains("front source")
+        get(&node, "/readyz").await.contains("front: failed: ")
     })
     .await;
     let mut told = get(&node, "/readyz").await;
     let _camera = RtspCamera::start_at(port, "h264", &login).await;
     wait_until("the node is ready again", async || {
-        !get(&node, "/readyz").await.contains("front source")
+        !get(&node, "/readyz").await.contains("front: ")
     })
     .await;
     // More than may have waited in the ring since before.
@@ -209,12 +209,13 @@ async fn a_node_s_own_camera_goes_away_and_comes_back_and_its_password_is_never_
     for path in ["/metrics", "/api/v1/cameras", "/api/v1/frame-states"] {
         told += &get(&node, path).await;
     }
+    assert!(told.contains("; next attempt in "), "{told}");
     assert!(told.contains(&format!("127.0.0.1:{port}/stream")), "{told}");
     assert_hidden(&told);
     let programs = children(node.id());
     let (status, _, log, _) = node.stop().await;
     assert!(status.success(), "{log}");
-    assert!(log.contains("the source is opened again"), "{log}");
+    assert!(log.contains("next attempt in"), "{log}");
     assert_hidden(&log);
     for process in programs {
         assert!(
@@ -252,7 +253,7 @@ async fn a_published_camera_goes_away_and_comes_back_with_a_numbering_of_its_own
     assert_eq!(again.said.seq, Some(0));
     publisher.take(20).await;
     let log = publisher.stop().await;
-    assert!(log.contains("the source is opened again"), "{log}");
+    assert!(log.contains("next attempt in"), "{log}");
     assert_hidden(&log);
 }
 
@@ -444,6 +445,163 @@ async fn a_source_that_cannot_be_opened_is_named_with_what_to_do() {
     assert!(said.contains("gstreamer1.0-tools"), "{said}");
 }
 
+/// Settings of a node's camera `front` with this source.
+fn source(address: &str, more: &str) -> String {
+    format!("[[camera]]\nname = \"front\"\nring = 64\nsource = \"{address}\"\n{more}\n")
+}
+
+async fn front(node: &Node) -> Value {
+    let cameras: Value = serde_json::from_str(&get(node, "/api/v1/cameras").await).unwrap();
+    cameras["cameras"][0].clone()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ONNX Runtime and ffmpeg and RTSP server"]
+async fn a_failed_source_says_why_and_when_it_is_tried_again() {
+    let camera = RtspCamera::start("h264", &[USER, "another"]).await;
+    let address = format!("rtsp://{USER}:{PASSWORD}@127.0.0.1:{}/stream", camera.port);
+    let node = Node::start(&source(&address, "")).await;
+    wait_until("the third attempt has failed", async || {
+        front(&node).await["fault"] == "failed: 401 Unauthorized; next attempt in 2 s"
+    })
+    .await;
+    let entry = front(&node).await;
+    assert_eq!(
+        entry["source"],
+        format!("rtsp://127.0.0.1:{}/stream", camera.port)
+    );
+    assert!(entry.get("key").is_none(), "{entry}");
+    let told = get(&node, "/readyz").await;
+    assert!(
+        told.contains("front: failed: 401 Unauthorized; next attempt in "),
+        "{told}"
+    );
+    let (_, _, log, _) = node.stop().await;
+    let lines = log
+        .lines()
+        .filter(|line| line.contains("next attempt in 2 s"));
+    assert_eq!(lines.count(), 1, "once for each attempt: {log}");
+    assert_hidden(&log);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ONNX Runtime and ffmpeg"]
+async fn a_camera_that_cannot_be_reached_is_named_in_clear_words() {
+    let address = format!("rtsp://127.0.0.1:{}/stream", crate::support::free_port());
+    let node = Node::start(&source(&address, "")).await;
+    wait_until("the node says so", async || {
+        let entry = front(&node).await;
+        let fault = entry["fault"].as_str().unwrap_or_default();
+        fault.contains("cannot be reached: Connection refused")
+    })
+    .await;
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ONNX Runtime and ffmpeg"]
+async fn a_source_that_falls_silent_fails_when_it_is_to() {
+    let script = Script::FallSilent(vec![picture(); 20]);
+    let camera = MotionJpegCamera::playing(script, Duration::from_millis(10)).await;
+    let node = Node::start(&source(&camera.address, "source_timeout_s = 3.0")).await;
+    wait_until("frames come", async || processed(&node).await >= 1).await;
+    let mut last = (processed(&node).await, Instant::now());
+    let fault = loop {
+        let entry = front(&node).await;
+        if let Some(fault) = entry["fault"].as_str() {
+            break fault.to_owned();
+        }
+        let now = entry["frames"].as_u64().unwrap();
+        if now > last.0 {
+            last = (now, Instant::now());
+        }
+        assert!(last.1.elapsed() < PATIENCE, "nothing is said");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    };
+    assert!(
+        fault.starts_with("failed: no picture for more than 3 s"),
+        "{fault}"
+    );
+    // The last pictures may have waited for the detector.
+    let silent = last.1.elapsed();
+    assert!(silent < Duration::from_millis(4500), "{silent:?}");
+    node.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn a_picture_that_never_ends_does_not_fill_the_memory() {
+    let camera = MotionJpegCamera::playing(Script::EndlessPart, Duration::ZERO).await;
+    let publisher = Publisher::start(&[&camera.address], &[]).await;
+    let mut peak = 0.0_f64;
+    wait_until("it has failed twice", async || {
+        for program in children(publisher.child.id().unwrap()) {
+            peak = peak.max(memory_mb(program, "VmHWM:"));
+        }
+        camera.clients() >= 3
+    })
+    .await;
+    println!("ffmpeg had at most {peak:.0} MB");
+    assert!((1.0..300.0).contains(&peak), "{peak:.0} MB");
+    let log = publisher.stop().await;
+    assert!(log.contains("next attempt in"), "{log}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn a_stream_of_broken_pictures_is_not_opened_again_and_again() {
+    let broken = Script::Repeat(vec![b"no picture".to_vec()]);
+    let camera = MotionJpegCamera::playing(broken, Duration::from_millis(10)).await;
+    let publisher = Publisher::start(&[&camera.address], &[]).await;
+    wait_until("it is tried in both ways", async || camera.clients() >= 2).await;
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    assert!(camera.clients() <= 6, "{} times", camera.clients());
+    publisher.stop().await;
+
+    // One broken picture in a good stream is left out.
+    let picture = picture();
+    let mut parts = vec![picture.clone(); 20];
+    parts[0] = b"broken".to_vec();
+    parts[10] = b"broken".to_vec();
+    let camera = MotionJpegCamera::playing(Script::Repeat(parts), Duration::from_millis(10)).await;
+    let mut publisher = Publisher::start(&[&camera.address], &[]).await;
+    let frames = publisher.take(60).await;
+    assert!(frames.iter().all(|frame| frame.bytes == picture));
+    assert_eq!(camera.clients(), 1);
+    publisher.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs ffmpeg"]
+async fn options_reach_a_camera_whose_address_has_a_password_and_nobody_else() {
+    let camera = MotionJpegCamera::start(picture(), Duration::from_millis(10)).await;
+    let address = camera.address.replace("http://", "http://viewer:hidden@");
+    let arguments = [
+        &address,
+        "--source-option=-headers",
+        "--source-option=X-Gate: opened by hidden",
+        "--source-option=-multiple_requests",
+        "--source-option=0",
+    ];
+    let environment = [("ALBIREO_HTTP__TOKEN", "hidden"), ("GST_DEBUG", "1")];
+    let mut publisher = Publisher::start(&arguments, &environment).await;
+    publisher.take(3).await;
+    let request = camera.first_request();
+    for part in ["X-Gate: opened by hidden", "Authorization: Basic"] {
+        assert!(request.contains(part), "{request}");
+    }
+    let programs = children(publisher.child.id().unwrap());
+    assert_eq!(programs.len(), 1);
+    let environment = std::fs::read(format!("/proc/{}/environ", programs[0])).unwrap();
+    let environment = String::from_utf8_lossy(&environment).into_owned();
+    assert!(environment.contains("GST_DEBUG=1"), "{environment}");
+    for told in [command_line(programs[0]), environment] {
+        assert!(!told.contains("hidden"), "{told}");
+    }
+    let log = publisher.stop().await;
+    assert!(!log.contains("opened by"), "{log}");
+}
+
 /// A camera with Zenoh's own settings, shared memory among them, that sends some frames and goes.
 async fn come_and_go(endpoint: &str, number: u64, picture: &[u8]) {
     let mut config = zenoh::Config::default();
@@ -472,12 +630,12 @@ async fn come_and_go(endpoint: &str, number: u64, picture: &[u8]) {
     session.close().await.unwrap();
 }
 
-/// Resident memory of a process, MB, shared pages included.
-fn resident_mb(process: u32) -> f64 {
-    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap();
-    let line = status.lines().find(|line| line.starts_with("VmRSS:"));
-    let kb = line.unwrap().split_whitespace().nth(1).unwrap();
-    kb.parse::<f64>().unwrap() / 1024.0
+/// A figure of a process's memory, MB: `VmRSS:` with shared pages, `VmHWM:` its peak. 0 when it is gone.
+fn memory_mb(process: u32, figure: &str) -> f64 {
+    let status = std::fs::read_to_string(format!("/proc/{process}/status")).unwrap_or_default();
+    let line = status.lines().find(|line| line.starts_with(figure));
+    let kb = line.and_then(|line| line.split_whitespace().nth(1));
+    kb.map_or(0.0, |kb| kb.parse::<f64>().unwrap() / 1024.0)
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -494,11 +652,11 @@ async fn cameras_that_come_and_go_leave_no_memory_in_the_node() {
     for number in 0..20 {
         come_and_go(&node.zenoh, number, &picture).await;
     }
-    let before = resident_mb(node.id());
+    let before = memory_mb(node.id(), "VmRSS:");
     for number in 20..20 + count {
         come_and_go(&node.zenoh, number, &picture).await;
     }
-    let after = resident_mb(node.id());
+    let after = memory_mb(node.id(), "VmRSS:");
     println!("{count} sessions: {before:.1} MB, then {after:.1} MB");
     assert!(after - before < 10.0, "{before:.1} MB, then {after:.1} MB");
     node.stop().await;

@@ -2,11 +2,10 @@
 
 use super::{PATIENCE, free_port};
 use std::process::Stdio;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
-use tokio::net::TcpListener;
+use tokio::net::{TcpListener, TcpStream};
 use tokio::process::{Child, Command};
 use tokio::task::JoinHandle;
 use tokio::time::timeout;
@@ -52,51 +51,99 @@ impl RtspCamera {
     }
 }
 
-/// A camera that sends one JPEG file again and again by HTTP.
+/// A camera that sends the parts of a motion JPEG stream by HTTP.
 pub(crate) struct MotionJpegCamera {
     pub(crate) address: String,
-    clients: Arc<AtomicU64>,
+    requests: Arc<Mutex<Vec<String>>>,
     serving: JoinHandle<()>,
+}
+
+/// What a camera sends to each client.
+#[derive(Clone)]
+pub(crate) enum Script {
+    /// These parts again and again.
+    Repeat(Vec<Vec<u8>>),
+    /// These parts, and then nothing more.
+    FallSilent(Vec<Vec<u8>>),
+    /// The beginning of a part that never ends.
+    EndlessPart,
 }
 
 impl MotionJpegCamera {
     /// A camera that sends `picture` every `period`.
     pub(crate) async fn start(picture: Vec<u8>, period: Duration) -> Self {
+        Self::playing(Script::Repeat(vec![picture]), period).await
+    }
+
+    /// A camera that sends a part of `script` every `period`.
+    pub(crate) async fn playing(script: Script, period: Duration) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let address = listener.local_addr().expect("its address");
-        let clients = Arc::new(AtomicU64::new(0));
-        let counted = Arc::clone(&clients);
+        let requests = Arc::new(Mutex::new(Vec::new()));
+        let noted = Arc::clone(&requests);
         let serving = tokio::spawn(async move {
             while let Ok((mut client, _)) = listener.accept().await {
-                counted.fetch_add(1, Ordering::SeqCst);
-                let picture = picture.clone();
+                let (script, noted) = (script.clone(), Arc::clone(&noted));
                 tokio::spawn(async move {
-                    let mut request = [0; 1024];
-                    let _ = client.read(&mut request).await;
+                    let mut request = [0; 4096];
+                    let length = client.read(&mut request).await.unwrap_or(0);
+                    let request = String::from_utf8_lossy(&request[..length]).into_owned();
+                    noted.lock().expect("no test failed").push(request);
                     let head = "HTTP/1.0 200 OK\r\nContent-Type: multipart/x-mixed-replace;boundary=cut\r\n\r\n";
-                    let part = format!(
-                        "--cut\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n",
-                        picture.len()
-                    );
-                    let mut out = client.write_all(head.as_bytes()).await;
-                    while out.is_ok() {
-                        let whole = [part.as_bytes(), &picture, b"\r\n"].concat();
-                        out = client.write_all(&whole).await;
-                        tokio::time::sleep(period).await;
+                    if client.write_all(head.as_bytes()).await.is_ok() {
+                        // It fails when the client goes.
+                        let _ = script.play(&mut client, period).await;
                     }
                 });
             }
         });
         Self {
             address: format!("http://{address}/video.mjpg"),
-            clients,
+            requests,
             serving,
         }
     }
 
     /// How many clients came so far.
-    pub(crate) fn clients(&self) -> u64 {
-        self.clients.load(Ordering::SeqCst)
+    pub(crate) fn clients(&self) -> usize {
+        self.requests.lock().expect("no test failed").len()
+    }
+
+    /// What the first client asked for.
+    pub(crate) fn first_request(&self) -> String {
+        self.requests.lock().expect("no test failed")[0].clone()
+    }
+}
+
+impl Script {
+    async fn play(self, client: &mut TcpStream, period: Duration) -> std::io::Result<()> {
+        let (parts, again) = match self {
+            Self::Repeat(parts) => (parts, true),
+            Self::FallSilent(parts) => (parts, false),
+            Self::EndlessPart => {
+                client
+                    .write_all(b"--cut\r\nContent-Type: image/jpeg\r\n\r\n\xff\xd8\xff\xe0")
+                    .await?;
+                let more = vec![0x11; 1 << 20];
+                loop {
+                    client.write_all(&more).await?;
+                }
+            }
+        };
+        loop {
+            for part in &parts {
+                let head = format!(
+                    "--cut\r\nContent-Type: image/jpeg\r\nContent-Length: {}\r\n\r\n",
+                    part.len()
+                );
+                let whole = [head.as_bytes(), part, b"\r\n"].concat();
+                client.write_all(&whole).await?;
+                tokio::time::sleep(period).await;
+            }
+            if !again {
+                std::future::pending::<()>().await;
+            }
+        }
     }
 }
 

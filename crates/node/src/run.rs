@@ -113,7 +113,9 @@ pub async fn run_prepared(
 
 /// One line with all that somebody asks first who reads a log.
 fn tell_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr, zenoh: &[String]) {
-    let keys: Vec<_> = board.cameras().iter().map(|camera| camera.key()).collect();
+    let from: Vec<_> = (board.cameras().iter())
+        .map(|camera| camera.source().unwrap_or_else(|| camera.key()))
+        .collect();
     let knobs: BTreeSet<_> = (board.cameras().iter())
         .filter_map(|camera| Some(camera.knob_value()?.to_string()))
         .collect();
@@ -124,8 +126,8 @@ fn tell_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr,
         knob = knobs.into_iter().collect::<Vec<_>>().join(", "),
         model = %config.detector.model.display(),
         provider = node.provider(),
-        cameras = keys.len(),
-        keys = keys.join(" "),
+        cameras = from.len(),
+        from = from.join(" "),
         http = format!("http://{http}"),
         zenoh = zenoh.join(" "),
         state_dir = config.node.state_dir.as_ref().map_or_else(

@@ -628,7 +628,11 @@ impl Parts<'_> {
             config.format,
             self.config.frame,
         )
-        .advancing(place);
+        .advancing(match config.delivery {
+            Delivery::Newest => place,
+            // Whatever its loop waits for, Zenoh's threads do not.
+            Delivery::Every => InPlace::default(),
+        });
         if let Some(settings) = config.source_settings(self.config.frame) {
             return self.add_source(name, receiver, settings).await;
         }
@@ -736,8 +740,8 @@ impl Parts<'_> {
         // It asks the programs for their versions.
         let found = tokio::task::spawn_blocking(move || LiveSource::find(settings)).await;
         let source = found.map_err(|error| NodeError::State(error.to_string()))??;
-        let subject = format!("{name} source");
-        let part = self.board.readiness().part_of(readiness::CAMERAS, subject);
+        let readiness = self.board.readiness();
+        let part = readiness.part_of(readiness::CAMERAS, name.to_owned());
         let feed = SourceFeed {
             source: Arc::new(source),
             receiver: Arc::new(receiver),

@@ -19,8 +19,8 @@ export function cameraState(age: number | undefined, usualGap: number, degradedL
 
 const MOODS: Record<CameraWord, Mood> = { live: "good", stale: "bad", "never seen": "wait", degraded: "bad" };
 
-function snippet(camera: CameraEntry): string {
-  return `albireo replay VIDEO.mp4 --loop --key ${camera.key}`;
+function snippet(key: string): string {
+  return `albireo replay VIDEO.mp4 --loop --key ${key}`;
 }
 
 export function Tiles() {
@@ -65,13 +65,15 @@ function Tile({ camera }: { camera: CameraEntry & { readAt: number } }) {
           {camera.width ? ` · ${camera.width}×${camera.height}` : ""}
         </span>
       </button>
-      {word === "never seen" && (
+      {camera.fault && <p class="fault bad">{camera.source ? `${camera.source} ${camera.fault}` : camera.fault}</p>}
+      {word === "never seen" && camera.source && !camera.fault && <p class="fault quiet">Opening {camera.source} …</p>}
+      {word === "never seen" && camera.key && (
         <div class="snippet">
           <p>
             No frame has come. Publish JPEG, PNG or raw pictures by Zenoh on the key <code>{camera.key}</code>, for example:
           </p>
-          <pre tabIndex={0}>{snippet(camera)}</pre>
-          <CopyButton text={snippet(camera)} />
+          <pre tabIndex={0}>{snippet(camera.key)}</pre>
+          <CopyButton text={snippet(camera.key)} />
         </div>
       )}
     </li>

@@ -4,7 +4,7 @@
 //! | --- | --- | --- |
 //! | `detector` | it starts, its session is being rebuilt, or its GPU is lost | |
 //! | `screen` | | its session is being rebuilt: the detector is asked instead |
-//! | `cameras` | they are not subscribed to yet | no frame has come from one for a while, or its source is opened again |
+//! | `cameras` | they are not subscribed to yet | no frame has come from one for a while, or its source has failed |
 //! | `power` | | the meter cannot be read, or gives no samples |
 //! | `outbox` | | reports are lost, or do not survive a power loss though a state directory is set |
 //! | `zenoh` | the local session is not open, or closed | another node has the same name |
@@ -115,10 +115,11 @@ pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fa
     }
 }
 
-/// Looks from now on whether frames come from every camera.
+/// Looks from now on whether frames come from every camera that has no source: a source says itself why none come.
 pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
     let start = tokio::time::Instant::now();
-    for camera in board.cameras() {
+    let cameras = board.cameras().iter();
+    for camera in cameras.filter(|camera| camera.source().is_none()) {
         let name = camera.name().to_owned();
         let camera = Arc::clone(camera);
         board.readiness().probe(CAMERAS, name, move || {

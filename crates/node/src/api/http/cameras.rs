@@ -2,7 +2,8 @@
 
 use super::RouteState;
 use crate::state::advice::Advice;
-use crate::state::board::CameraBoard;
+use crate::state::board::{Board, CameraBoard};
+use crate::state::readiness::CAMERAS;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::Knob;
 use albireo_service::clock::{seconds, significant};
@@ -19,8 +20,15 @@ use utoipa::ToSchema;
 pub(super) struct CameraEntry {
     /// Its name.
     camera: String,
-    /// Zenoh key its frames come on.
-    key: String,
+    /// Zenoh key its frames come on; absent where it has a source.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    key: Option<String>,
+    /// Address of the source that the node opens for it, without credentials.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    source: Option<String>,
+    /// Why no frames come, where that is so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fault: Option<String>,
     /// Frames processed since the node started.
     frames: u64,
     /// Clips ended since the node started.
@@ -79,13 +87,20 @@ pub(super) struct CameraDetail {
     dropped: DroppedFrames,
 }
 
-fn entry(camera: &CameraBoard) -> CameraEntry {
+fn entry(board: &Board, camera: &CameraBoard) -> CameraEntry {
+    let faults = board.readiness().health().faults;
+    let fault = (faults.into_iter())
+        .find(|fault| fault.part == CAMERAS && fault.subject == camera.name())
+        .map(|fault| fault.fault.reason);
+    let source = camera.source().map(str::to_owned);
     let snapshot = camera.snapshot();
     let picture =
         (snapshot.latest.as_ref()).map(|latest| PictureSize::new(latest.width, latest.height));
     CameraEntry {
         camera: camera.name().to_owned(),
-        key: camera.key().to_owned(),
+        key: (source.is_none()).then(|| camera.key().to_owned()),
+        source,
+        fault,
         frames: snapshot.states.frames(),
         clips: snapshot.clips,
         last_frame_age_s: snapshot.last_frame_age.map(seconds),
@@ -101,9 +116,11 @@ fn entry(camera: &CameraBoard) -> CameraEntry {
 /// `curl http://127.0.0.1:8080/api/v1/cameras`
 #[utoipa::path(get, operation_id = "list_cameras", path = "/api/v1/cameras", tag = "frames", responses((status = 200, body = Cameras)))]
 pub(super) async fn list(State(shared): State<RouteState>) -> Json<Cameras> {
-    let cameras = shared.board().cameras();
+    let cameras = shared.board().cameras().iter();
     Json(Cameras {
-        cameras: cameras.iter().map(|camera| entry(camera)).collect(),
+        cameras: cameras
+            .map(|camera| entry(shared.board(), camera))
+            .collect(),
     })
 }
 
@@ -126,7 +143,7 @@ pub(super) async fn one(
     let snapshot = camera.snapshot();
     let skip_rate = significant(snapshot.skip_rate(), 4);
     Ok(Json(CameraDetail {
-        entry: entry(camera),
+        entry: entry(shared.board(), camera),
         version: env!("CARGO_PKG_VERSION"),
         policy: camera.policy(),
         value: camera.knob_value(),
@@ -158,11 +175,14 @@ pub(super) async fn detections(
 ) -> Result<Json<DetectionsMessage>, Problem> {
     let camera = shared.camera(&camera)?;
     let latest = camera.snapshot().latest.ok_or_else(|| {
-        let detail = format!(
-            "camera `{}` has had no frame yet; it listens on the Zenoh key {}",
-            camera.name(),
-            camera.key()
-        );
+        let name = camera.name();
+        let detail = match camera.source() {
+            Some(source) => format!("camera `{name}` has had no frame yet from {source}"),
+            None => format!(
+                "camera `{name}` has had no frame yet; it listens on the Zenoh key {}",
+                camera.key()
+            ),
+        };
         Problem::new(StatusCode::NOT_FOUND, detail)
     })?;
     Ok(Json(DetectionsMessage::clone(&latest)))

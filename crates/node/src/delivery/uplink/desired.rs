@@ -195,6 +195,7 @@ mod tests {
         let camera = |name: &str| CameraSetup {
             name: name.to_owned(),
             key: format!("albireo/n/{name}/frame"),
+            source: None,
             knob: Some(KNOB),
             threshold: None,
             sizeless: true,

@@ -235,8 +235,7 @@ impl LiveSource {
         let mut output = BufReader::with_capacity(BUFFER, running);
         let mut pictures = 0;
         let cut = self.pictures(&mut output, untouched, ppm, sink, &mut pictures);
-        let running = output.into_inner();
-        let codec = running.codec().map(str::to_owned);
+        let running = output.get_mut();
         let reason = match cut {
             Ok(Some(switch)) => return switch,
             Ok(None) => running.end().err().unwrap_or_else(|| "it ended".to_owned()),
@@ -248,7 +247,7 @@ impl LiveSource {
         if pictures > 0 {
             return End::Failed(reason);
         }
-        if self.switches(codec.as_deref(), untouched) {
+        if self.switches(running.codec(), untouched) {
             return self.switch(untouched);
         }
         if self.settings.address.kind() == SourceKind::Device && self.ffmpeg.is_some() {

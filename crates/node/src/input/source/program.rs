@@ -202,7 +202,7 @@ impl RunningProgram {
     ///
     /// # Errors
     /// Why it failed.
-    pub(super) fn end(mut self) -> Result<(), String> {
+    pub(super) fn end(&mut self) -> Result<(), String> {
         self.wait(END_LIMIT);
         let by_itself = self.status;
         self.kill();
@@ -216,7 +216,7 @@ impl RunningProgram {
     }
 
     /// Kills it, and gives its last complaint.
-    pub(super) fn abort(mut self) -> Option<String> {
+    pub(super) fn abort(&mut self) -> Option<String> {
         self.kill();
         self.said.reason()
     }

@@ -36,8 +36,10 @@ pub(crate) const LATENCY_BUCKETS_S: [f64; 15] = [
 pub struct CameraSetup {
     /// The camera's name.
     pub name: String,
-    /// Where its frames come from: a Zenoh key, or the source that the node opens, without credentials.
+    /// Zenoh key its frames come on, unless it has a source.
     pub key: String,
+    /// The source that the node opens for it, without credentials.
+    pub source: Option<String>,
     /// What its policy lets a user turn, if anything.
     pub knob: Option<Knob>,
     /// The configured value; the knob's default without one. It must be inside the knob's range; a value
@@ -167,6 +169,7 @@ const fn source_name(source: BoxSource) -> &'static str {
 pub struct CameraBoard {
     name: Arc<str>,
     key: String,
+    opened: Option<String>,
     policy: &'static str,
     knob: Option<Knob>,
     sizeless: bool,
@@ -220,6 +223,7 @@ impl CameraBoard {
         Self {
             name: setup.name.into(),
             key: setup.key,
+            opened: setup.source,
             policy,
             knob: setup.knob,
             sizeless: setup.sizeless,
@@ -247,9 +251,14 @@ impl CameraBoard {
         &self.name
     }
 
-    /// Where its frames come from: a Zenoh key, or the source that the node opens, without credentials.
+    /// Zenoh key its frames come on, unless it has a source.
     pub fn key(&self) -> &str {
         &self.key
+    }
+
+    /// The source that the node opens for it, without credentials.
+    pub(crate) fn source(&self) -> Option<&str> {
+        self.opened.as_deref()
     }
 
     /// Name of its policy.
@@ -358,7 +367,7 @@ impl CameraBoard {
         let published = self.published_threshold(picture);
         tracing::info!(
             camera = %self.name,
-            key = self.key,
+            from = self.source().unwrap_or(&self.key),
             picture = %picture,
             knob = first.knob.map(|knob| knob.to_string()),
             as_published = published.map(short),

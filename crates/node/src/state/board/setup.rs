@@ -41,10 +41,8 @@ impl BoardSetup {
         let camera = |camera: &CameraConfig| -> Result<CameraSetup, SetupError> {
             Ok(CameraSetup {
                 name: camera.name.clone(),
-                key: match &camera.source {
-                    Some(source) => source.to_string(),
-                    None => config.frame_key(camera)?,
-                },
+                key: config.frame_key(camera)?,
+                source: camera.source.as_ref().map(ToString::to_string),
                 knob: policy.knob(),
                 threshold: camera.threshold.or_else(|| policy.knob_value()),
                 sizeless: config.policy.profile == Profile::Paper

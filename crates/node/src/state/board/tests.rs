@@ -22,6 +22,7 @@ fn board(state_dir: Option<PathBuf>, knob: Knob, threshold: Option<f64>) -> Arc<
     let camera = |name: &str| CameraSetup {
         name: name.to_owned(),
         key: format!("albireo/n/{name}/frame"),
+        source: None,
         knob: Some(knob),
         threshold,
         sizeless: true,
