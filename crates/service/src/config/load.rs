@@ -18,6 +18,9 @@ pub trait Configuration: DeserializeOwned {
     /// Its sections in capitals, as they stand in the names of environment variables.
     const SECTIONS: &'static [&'static str];
 
+    /// Keys that an earlier version had, and values (`section.key = value`), each with what became of it.
+    const REMOVED: &'static [(&'static str, &'static str)] = &[];
+
     /// Everything that is wrong with the values; empty when they can be used.
     fn findings(&self) -> Vec<Finding>;
 }
@@ -86,7 +89,10 @@ fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
     let mut findings: Vec<Finding> = Vec::new();
     let mut values = match figment.extract::<Dict>() {
         Ok(values) => values,
-        Err(error) => return (None, error.into_iter().map(finding).collect()),
+        Err(error) => {
+            let findings = error.into_iter().map(|error| finding(error, C::REMOVED));
+            return (None, findings.collect());
+        }
     };
     loop {
         // The first time as it is, for its errors know where they come from.
@@ -114,7 +120,7 @@ fn read<C: Configuration>(figment: &Figment) -> (Option<C>, Vec<Finding>) {
                 }
                 _ => left_out(&mut values, &path),
             };
-            let mut noted = finding(error);
+            let mut noted = finding(error, C::REMOVED);
             if noted.source.is_none() {
                 noted.source = source(figment, &path.join("."));
             }
@@ -217,7 +223,7 @@ fn misspelt_variables(names: impl Iterator<Item = String>, sections: &[&str]) ->
         .collect()
 }
 
-fn finding(error: figment::Error) -> Finding {
+fn finding(error: figment::Error, removed: &[(&str, &str)]) -> Finding {
     let mut key = String::new();
     for part in &error.path {
         if part.bytes().all(|byte| byte.is_ascii_digit()) {
@@ -229,9 +235,19 @@ fn finding(error: figment::Error) -> Finding {
             key.push_str(part);
         }
     }
+    let removed = |wanted: &str| removed.iter().find(|(name, _)| *name == wanted);
+    let removed = match &error.kind {
+        figment::error::Kind::UnknownField(..) => removed(&key),
+        figment::error::Kind::UnknownVariant(value, _) => removed(&format!("{key} = {value}")),
+        _ => None,
+    };
+    let reason = match removed {
+        Some((_, became)) => format!("was removed: {became}"),
+        None => reason(&error.kind),
+    };
     Finding {
         key,
-        reason: reason(&error.kind),
+        reason,
         source: None,
     }
 }
@@ -270,6 +286,7 @@ mod tests {
     #[serde(deny_unknown_fields, default)]
     struct Small {
         http: SmallHttp,
+        mode: Mode,
         camera: Vec<SmallCamera>,
     }
 
@@ -278,6 +295,13 @@ mod tests {
     struct SmallHttp {
         timeout: f64,
         port: u16,
+    }
+
+    #[derive(serde::Deserialize, Default)]
+    #[serde(rename_all = "lowercase")]
+    enum Mode {
+        #[default]
+        Fast,
     }
 
     #[derive(serde::Deserialize)]
@@ -290,6 +314,10 @@ mod tests {
 
     impl Configuration for Small {
         const SECTIONS: &'static [&'static str] = &["HTTP"];
+        const REMOVED: &'static [(&'static str, &'static str)] = &[
+            ("http.backlog", "the system's own is used"),
+            ("mode = slow", "there is one mode"),
+        ];
 
         fn findings(&self) -> Vec<Finding> {
             let mut findings = Vec::new();
@@ -330,6 +358,25 @@ mod tests {
                 "http.port: must not be 0",
                 "http.prot: unknown key `prot`; known are `timeout` or `port`",
                 "http.timeout: must be a number, not string \"long\"",
+            ]
+        );
+    }
+
+    #[test]
+    fn a_removed_key_or_value_is_refused_with_what_became_of_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("small.toml");
+        std::fs::write(&file, "mode = \"slow\"\n[http]\nport = 1\nbacklog = 5\n").unwrap();
+        let Err(error) = load::<Small>(Some(&file)) else {
+            panic!("it can be used");
+        };
+        let mut found: Vec<_> = error.findings.iter().map(ToString::to_string).collect();
+        found.sort();
+        assert_eq!(
+            found,
+            [
+                "http.backlog: was removed: the system's own is used",
+                "mode: was removed: there is one mode",
             ]
         );
     }
