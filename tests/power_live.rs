@@ -310,15 +310,7 @@ async fn the_survey_lists_every_source_and_runs_tegrastats_by_sudo_only_when_tol
             .iter()
             .map(|s| s["source"].as_str().unwrap())
             .collect();
-        let all = [
-            "ina",
-            "tegrastats",
-            "rapl",
-            "nvml",
-            "battery",
-            "sum",
-            "estimate",
-        ];
+        let all = ["ina", "tegrastats", "rapl", "nvml", "estimate"];
         assert_eq!(names, all);
         let tegrastats = &sources[1];
         assert!(tegrastats["why_not"].is_null(), "{tegrastats}");

@@ -6,7 +6,7 @@
 
 use crate::support::shared;
 use albireo_node::camera::clip::energy_of;
-use albireo_power::SpanEnergy;
+use albireo_power::{Energy, Measured};
 use albireo_wire::{DomainEnergy, EnergyQuality, FrameStates};
 use serde::Deserialize;
 use std::time::Duration;
@@ -45,7 +45,7 @@ fn states(row: &Row) -> FrameStates {
 
 /// J·ms/frame of a clip, as its report would tell.
 fn energy_delay_product(row: &Row) -> f64 {
-    let node = SpanEnergy {
+    let node = Energy {
         source: "tegrastats".to_owned(),
         quality: EnergyQuality::Measured,
         total_from: "input_rail".to_owned(),
@@ -59,7 +59,14 @@ fn energy_delay_product(row: &Row) -> f64 {
         }],
     };
     let duration = Duration::from_secs_f64(row.wall_duration_s);
-    let energy = energy_of(&node, node.total_joules(), duration, states(row).frames());
+    let measured = Measured {
+        node,
+        joules: Some(row.energy_j),
+        detector_watts: None,
+        saved_joules: None,
+        board: None,
+    };
+    let energy = energy_of(&measured, duration, states(row).frames());
     assert_eq!(energy.node_joules, Some(row.energy_j));
     energy.edp.unwrap()
 }

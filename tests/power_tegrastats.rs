@@ -4,7 +4,8 @@
 #![allow(clippy::unwrap_used)]
 
 use albireo_power::{
-    self as power, Meter, MeterError, PowerConfig, PowerHandle, PowerSource, Tegrastats,
+    self as power, Domain, Energy, Meter, MeterError, PowerConfig, PowerHandle, PowerSource,
+    Tegrastats,
 };
 use albireo_wire::EnergyQuality;
 use serde_json::{Value, json};
@@ -51,14 +52,19 @@ async fn run(task: &Value) -> Running {
 
 impl Running {
     /// Watches for `length` and gives back the mean watts over what was covered, with the whole answer.
-    async fn watch(&self, length: Duration) -> (f64, power::SpanEnergy) {
+    async fn watch(&self, length: Duration) -> (f64, Energy) {
         // Begin where a sample is: the meter has just been opened.
         let start = Instant::now() + Duration::from_millis(250);
         let end = start + length;
         tokio::time::sleep_until(end).await;
-        let found = self.power.settled_energy(start, end).await;
+        let found = self.energy(start, end).await;
         let covered = found.coverage * length.as_secs_f64();
-        (found.total_joules().unwrap() / covered, found)
+        (found.joules(Domain::Total).unwrap() / covered, found)
+    }
+
+    async fn energy(&self, start: Instant, end: Instant) -> Energy {
+        let measured = self.power.camera("front").measure(start);
+        measured.finish(end, Duration::MAX).await.unwrap().node
     }
 
     async fn end(self) {
@@ -78,12 +84,10 @@ async fn a_constant_power_is_its_watts_times_the_time() {
     assert!(close(mean, 21.5), "{found:?}");
     assert_eq!(found.total_from, "input_rail");
     assert_eq!(found.source, "tegrastats");
-    let cpu = found.joules(power::Domain::Cpu).unwrap() / found.total_joules().unwrap();
+    let cpu = found.joules(Domain::Cpu).unwrap() / found.joules(Domain::Total).unwrap();
     assert!(close(cpu, 0.3), "the domains follow their rails: {found:?}");
-    let board = running
-        .power
-        .board(Instant::now() - Duration::from_secs(2), Instant::now());
-    assert_eq!(board.unwrap().hottest_sensor.as_deref(), Some("tj"));
+    let (sensor, _) = running.power.condition().hottest.unwrap();
+    assert_eq!(&*sensor, "tj");
     running.end().await;
 }
 
@@ -140,9 +144,8 @@ async fn a_child_that_dies_is_started_again_and_half_its_last_line_is_no_reading
     let (mean, found) = running.watch(Duration::from_secs(6)).await;
     assert!(close(mean, 30.0), "{found:?}");
     assert_eq!(found.domains[0].peak_watts, Some(30.0));
-    let samples_after = running
-        .power
-        .energy(Instant::now() - Duration::from_millis(900), Instant::now());
+    let now = Instant::now();
+    let samples_after = running.energy(now - Duration::from_millis(900), now).await;
     assert!(
         samples_after.samples > 3,
         "it prints again: {samples_after:?}"

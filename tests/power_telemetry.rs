@@ -3,7 +3,7 @@
 #![allow(clippy::unwrap_used, clippy::panic)]
 
 use crate::support::shared;
-use albireo_power::{Domain, RailMap, TegrastatsLine};
+use albireo_power::{Domain, RailMap, TegrastatsLine, Value};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -38,11 +38,9 @@ fn check(name: &str, text: &str, expected: &BTreeMap<String, Expected>) {
         "{name}: a rail is there twice"
     );
     let reading = RailMap::new(None).unwrap().reading(&line.rails);
-    let total = reading
-        .values
-        .get(Domain::Total)
-        .watts
-        .map(|w| (w * 1e3).round());
+    let total = (reading.value(Domain::Total))
+        .and_then(Value::watts)
+        .map(|watts| (watts * 1e3).round());
     assert_eq!(total, expected.total_mw, "{name}");
     if let Some(rule) = &expected.total_from {
         assert_eq!(&*reading.total_from, rule, "{name}");

@@ -146,7 +146,14 @@ async fn the_hour_of_power_is_told_by_domain() {
         covered_s: BTreeMap::from([("total".to_owned(), 3.0), ("cpu".to_owned(), 3.0)]),
         ..PowerSnapshot::default()
     });
+    // A piece is told when it is over.
+    assert_eq!(node.json("/api/v1/power").await["slots"], json!([]));
+    tokio::time::pause();
+    tokio::time::advance(Duration::from_secs(11)).await;
+    tokio::time::resume();
+    node.board.set_power(node.board.power());
     let told = node.json("/api/v1/power").await;
+    assert_eq!(told["slots"].as_array().unwrap().len(), 1, "{told}");
     assert_eq!(
         told["slots"][0]["watts"],
         json!({"total": 10.0, "cpu": 2.0})
@@ -155,55 +162,47 @@ async fn the_hour_of_power_is_told_by_domain() {
 }
 
 #[tokio::test]
-async fn what_was_saved_is_told_since_the_start_and_today_measured_and_estimated_apart() {
+async fn what_was_saved_is_told_since_the_start_and_today() {
     let node = Served::start().await;
     let front = node.board.camera("front").unwrap();
     for (seq, state) in FrameState::ALL.into_iter().enumerate() {
         front.record_frame(frame(seq as u64, state));
     }
-    let mut measured = clip("front", 1);
-    measured.energy.quality = EnergyQuality::Measured;
-    measured.energy.joules = Some(400.0);
-    // 10 W for 20 ms, 600 times.
-    measured.detector_latency_ms.count = 600;
-    measured.detector_latency_ms.mean = 20.0;
-    let mut part = measured.clone();
-    part.energy.coverage = 0.5;
-    for report in [clip("front", 0), measured, part] {
-        node.board.record_clip(report);
-    }
     let overview = node.json("/api/v1/node").await;
-    for period in ["since_start", "today"] {
-        let told = &overview[period];
+    assert_eq!(overview["since_start"]["energy"], Value::Null);
+    let mut power = PowerSnapshot {
+        meter_quality: EnergyQuality::Measured,
+        joules: BTreeMap::from([("total".to_owned(), 7200.0)]),
+        covered_s: BTreeMap::from([("total".to_owned(), 120.0)]),
+        sampled_s: 120.0,
+        saved_detector_s: 30.0,
+        ..PowerSnapshot::default()
+    };
+    // What a call costs is not known: calls avoided and nothing else.
+    node.board.set_power(power.clone());
+    let energy = node.json("/api/v1/node").await["since_start"]["energy"].clone();
+    assert_eq!(energy["saved_joules_estimated"], Value::Null, "{energy}");
+    power.detector_watts = Some(10.0);
+    for (sampled_s, quality) in [(120.0, "measured"), (130.0, "partial")] {
+        power.sampled_s = sampled_s;
+        node.board.set_power(power.clone());
+        let overview = node.json("/api/v1/node").await;
+        for period in ["since_start", "today"] {
+            let told = &overview[period];
+            assert_eq!(
+                (&told["frames"], &told["avoided_calls"]),
+                (&json!(5), &json!(2))
+            );
+            let expected = json!({
+                "quality": quality, "joules": 7200.0, "covered_s": 120.0, "saved_joules_estimated": 300.0,
+            });
+            assert_eq!(told["energy"], expected);
+        }
         assert_eq!(
-            (&told["frames"], &told["avoided_calls"]),
-            (&json!(5), &json!(2))
-        );
-        let energy = told["energy"].as_array().unwrap();
-        assert_eq!(energy.len(), 2, "{told}");
-        assert_eq!(
-            (
-                &energy[0]["quality"],
-                &energy[0]["clips"],
-                &energy[0]["joules"]
-            ),
-            (&json!("measured"), &json!(1), &json!(400.0))
-        );
-        let vanilla = energy[0]["vanilla_joules_estimated"].as_f64().unwrap();
-        assert!((vanilla - 520.0).abs() < 1e-9, "{told}");
-        assert_eq!(
-            (
-                &energy[1]["quality"],
-                &energy[1]["joules"],
-                &energy[1]["unpriced_calls"]
-            ),
-            (&json!("estimated"), &json!(412.0), &json!(600))
+            overview["today"]["since_ms"],
+            overview["since_start"]["since_ms"]
         );
     }
-    assert_eq!(
-        overview["today"]["since_ms"],
-        overview["since_start"]["since_ms"]
-    );
 }
 
 /// The files of a tar archive.

@@ -233,11 +233,13 @@ pub(crate) fn clip(camera: &str, report: u64) -> ClipReport {
         provider: "cpu".to_owned(),
         total_latency_ms: Percentiles::default(),
         detector_latency_ms: Percentiles::default(),
+        detector_used_ms: 0.0,
         board: None,
         audit: None,
         energy: ClipEnergy {
             joules: Some(412.0),
             node_joules: Some(412.0),
+            saved_joules_estimated: None,
             edp: Some(13_733.3),
             quality: EnergyQuality::Estimated,
             source: "estimate".to_owned(),

@@ -304,9 +304,11 @@ pub(crate) fn report(node: &str, number: u64, begun_ns: u64) -> ClipReport {
         provider: "cpu".to_owned(),
         total_latency_ms: percentiles,
         detector_latency_ms: percentiles,
+        detector_used_ms: 0.0,
         energy: ClipEnergy {
             joules: Some(10.0),
             node_joules: Some(10.0),
+            saved_joules_estimated: None,
             edp: None,
             quality: EnergyQuality::Measured,
             source: "rapl".to_owned(),

@@ -211,13 +211,13 @@ test("a node's knob is what its cameras have beside their own fields", () => {
   expect(knobOf(node())).toBeUndefined();
 });
 
-test("points of a chart begin where the hub's sums do", () => {
+test("points of a chart begin where the hub's sums do and are over", () => {
   const span = { id: "day", words: "", step: 3_600_000, points: 24 };
   const times = beginnings(span, 1_795_307_277_759);
   expect(times).toHaveLength(24);
   expect(times.every((time) => time % 300_000 === 0)).toBe(true);
-  expect(times[23]).toBeLessThanOrEqual(1_795_307_277_759);
-  expect(times[23]! + span.step).toBeGreaterThan(1_795_307_277_759);
+  expect(times[23]! + span.step).toBeLessThanOrEqual(1_795_307_277_759);
+  expect(times[23]! + 2 * span.step).toBeGreaterThan(1_795_307_277_759);
 });
 
 describe("tables", () => {

@@ -44,7 +44,9 @@ async fn sums_are_exact(database: &str) {
             let key = (group["group"].to_string(), group["quality"].to_string());
             let sum = (uj(&group["joules"]), group["frames"].as_i64().unwrap());
             assert!(sums.insert(key, sum).is_none());
-            assert!(group["vanilla_joules_estimated"].as_f64() > group["joules"].as_f64());
+            let (clips, saved) = (&group["clips"], &group["saved_joules_estimated"]);
+            assert_eq!(saved.as_f64().unwrap(), 12.5 * clips.as_f64().unwrap());
+            assert_eq!(group["unpriced_calls"], 0);
         }
         assert_eq!(sums, raw, "{path}");
     }

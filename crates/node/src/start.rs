@@ -20,7 +20,7 @@ use crate::state::counters::Counters;
 use crate::state::readiness;
 use crate::state::target::{TargetKey, TargetTask};
 use albireo_core::policy::{Policy, PolicyConfigError};
-use albireo_power::{EnergyUser, PowerHandle};
+use albireo_power::PowerHandle;
 use albireo_service::readiness::{Effect, Fault, Latch};
 use albireo_service::session;
 use albireo_service::supervise::{Restarts, Supervisor};
@@ -716,7 +716,7 @@ impl Parts<'_> {
                 .filter(|_| self.config.screen.kind() == ScreenKind::Model)
                 .map(ScreenHandle::input_format),
             pixels: self.pixels.clone(),
-            energy: audit_energy(self.power, name),
+            energy: self.power.camera(name),
         });
         let stop = self.shutdown.clone();
         self.tasks.restarting(
@@ -789,9 +789,9 @@ impl CameraMaker {
     async fn make(&self) -> Result<Camera, PolicyConfigError> {
         let policy = (self.policies)(&self.name)?;
         let ring = self.first_ring.lock().await.take();
-        let mut tracker = ClipTracker::new(self.clip, self.power.user(&self.name));
+        let mut tracker = ClipTracker::new(self.clip, self.power.camera(&self.name));
         if let Some(share) = self.audit.share() {
-            tracker = tracker.audited_with(share, audit_energy(&self.power, &self.name));
+            tracker = tracker.audited_with(share);
         }
         Ok(Camera {
             board: Arc::clone(&self.board),
@@ -817,11 +817,6 @@ impl CameraMaker {
             reset_at_clip: self.reset_at_clip,
         })
     }
-}
-
-/// Whose the energy of a camera's audit is. No camera has a name with a space.
-fn audit_energy(power: &PowerHandle, camera: &str) -> EnergyUser {
-    power.user_aside(&format!("{camera} audit"))
 }
 
 /// Copies the detector's status to where the board reads it.

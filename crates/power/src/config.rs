@@ -1,7 +1,7 @@
 //! The `[power]` section of the configuration.
 
-use super::error::MeterError;
-use super::rails::RailTable;
+use crate::error::MeterError;
+use crate::rails::RailTable;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -21,11 +21,7 @@ pub enum PowerSource {
     Rapl,
     /// NVIDIA graphics cards, through their driver's NVML.
     Nvml,
-    /// The battery of a laptop or a UPS, while it discharges.
-    Battery,
-    /// Several of `rapl`, `nvml` and `battery` as one; see [`PowerConfig::sum`].
-    Sum,
-    /// From CPU and GPU utilisation; always marked estimated.
+    /// From CPU utilisation; always marked estimated.
     Estimate,
     /// None: clips carry no energy.
     None,
@@ -40,8 +36,6 @@ impl PowerSource {
             Self::Tegrastats => "tegrastats",
             Self::Rapl => "rapl",
             Self::Nvml => "nvml",
-            Self::Battery => "battery",
-            Self::Sum => "sum",
             Self::Estimate => "estimate",
             Self::None => "none",
         }
@@ -68,18 +62,12 @@ pub struct PowerConfig {
     pub nvpmodel: PathBuf,
     /// Indices of the NVIDIA cards whose power counts; empty for all.
     pub nvml_cards: Vec<u32>,
-    /// What `source = "sum"` adds up: of `rapl`, `nvml`, `battery`.
-    pub sum: Vec<PowerSource>,
     /// The user's own table of rails, in place of the built-in ones.
     pub rails: Option<RailTable>,
     /// Watts the estimate assumes for an idle machine.
     pub idle_watts: f64,
     /// Watts the estimate assumes with all cores busy.
     pub busy_watts: f64,
-    /// Watts the estimate adds for an idle GPU, where the GPU's load can be read.
-    pub gpu_idle_watts: f64,
-    /// Watts the estimate adds for a busy GPU, where the GPU's load can be read.
-    pub gpu_busy_watts: f64,
 }
 
 impl Default for PowerConfig {
@@ -93,12 +81,9 @@ impl Default for PowerConfig {
             sudo: false,
             nvpmodel: PathBuf::from("nvpmodel"),
             nvml_cards: Vec::new(),
-            sum: vec![PowerSource::Rapl, PowerSource::Nvml],
             rails: None,
             idle_watts: 5.0,
             busy_watts: 25.0,
-            gpu_idle_watts: 1.0,
-            gpu_busy_watts: 15.0,
         }
     }
 }
@@ -125,48 +110,20 @@ impl PowerConfig {
                 add(key, "is empty; leave the key out instead".to_owned());
             }
         }
-        let watts = [
-            ("idle_watts", self.idle_watts, "busy_watts", self.busy_watts),
-            (
-                "gpu_idle_watts",
-                self.gpu_idle_watts,
-                "gpu_busy_watts",
-                self.gpu_busy_watts,
-            ),
-        ];
-        for (idle_key, idle, busy_key, busy) in watts {
-            let mut sound = true;
-            for (key, value) in [(idle_key, idle), (busy_key, busy)] {
-                // Written so that NaN is refused.
-                if !(0.0..=1e5).contains(&value) {
-                    sound = false;
-                    add(
-                        key,
-                        format!("must be a number from 0 to 100000, not {value}"),
-                    );
-                }
-            }
-            if sound && busy < idle {
-                add(busy_key, format!("is {busy}, below {idle_key} ({idle})"));
+        let (idle, busy) = (self.idle_watts, self.busy_watts);
+        for (key, watts) in [("idle_watts", idle), ("busy_watts", busy)] {
+            // Written so that NaN is refused.
+            if !(0.0..=1e5).contains(&watts) {
+                add(
+                    key,
+                    format!("must be a number from 0 to 100000, not {watts}"),
+                );
             }
         }
-        for (i, source) in self.sum.iter().enumerate() {
-            let name = source.as_str();
-            if !matches!(
-                source,
-                PowerSource::Rapl | PowerSource::Nvml | PowerSource::Battery
-            ) {
-                let reason =
-                    format!("`{name}` cannot be added up; list rapl, nvml and battery only");
-                add("sum", reason);
-            } else if self.sum.iter().take(i).any(|s| s == source) {
-                add("sum", format!("`{name}` is there twice"));
-            }
-        }
-        if self.sum.is_empty() {
+        if busy < idle {
             add(
-                "sum",
-                "list at least one of rapl, nvml and battery".to_owned(),
+                "busy_watts",
+                format!("is {busy}, below idle_watts ({idle})"),
             );
         }
         if let Some(Err(MeterError::Configuration { key, reason })) =
@@ -212,13 +169,8 @@ mod tests {
             refused("interval_ms = 1")
                 .contains("power.interval_ms: must be from 10 to 10000, not 1")
         );
-        assert!(refused("gpu_busy_watts = 0.5").contains("gpu_busy_watts"));
+        assert!(refused("busy_watts = 0.5").contains("power.busy_watts: is 0.5, below idle_watts"));
         assert!(refused("idle_watts = nan").contains("idle_watts"));
-        assert!(
-            refused("sum = [\"rapl\", \"tegrastats\"]").contains("`tegrastats` cannot be added")
-        );
-        assert!(refused("sum = [\"rapl\", \"rapl\"]").contains("twice"));
-        assert!(refused("sum = []").contains("at least one"));
         assert!(refused("tegrastats = \"\"").contains("power.tegrastats: is empty"));
         assert!(refused("[rails]\ngpu = [\"A\"]").contains("power.rails:"));
         assert!(toml::from_str::<PowerConfig>("watt = 3").is_err());

@@ -7,7 +7,7 @@ const IMPLAUSIBLE_WATTS: f64 = 10_000.0;
 
 /// Follows one counter.
 #[derive(Clone, Debug)]
-pub(super) struct Counter {
+pub(crate) struct Counter {
     /// Joules of one count.
     unit: f64,
     /// The highest count, after which it begins at 0 again; `None` for one that never does.
@@ -17,7 +17,7 @@ pub(super) struct Counter {
 }
 
 impl Counter {
-    pub(super) const fn new(unit: f64, range: Option<u64>) -> Self {
+    pub(crate) const fn new(unit: f64, range: Option<u64>) -> Self {
         Self {
             unit,
             range,
@@ -28,7 +28,7 @@ impl Counter {
 
     /// Takes note of what the counter reads now. False when it was reset: what it counted since the last
     /// call is lost, less than an interval's worth.
-    pub(super) fn update(&mut self, now: Instant, raw: u64) -> bool {
+    pub(crate) fn update(&mut self, now: Instant, raw: u64) -> bool {
         let mut sound = true;
         if let Some((then, before)) = self.last {
             let rise = match (raw.checked_sub(before), self.range) {
@@ -46,7 +46,7 @@ impl Counter {
     }
 
     /// Joules counted since the first update.
-    pub(super) fn joules(&self) -> f64 {
+    pub(crate) fn joules(&self) -> f64 {
         self.counted as f64 * self.unit
     }
 }

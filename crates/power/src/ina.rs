@@ -6,13 +6,12 @@
 //! JetPack 4 has another driver with other files; there, `tegrastats` is the meter.
 //! INA238: `power1_input` (µW); on AGX Thor it measures the board's input, `VIN`.
 
-use super::config::PowerConfig;
-use super::error::MeterError;
-use super::meter::Meter;
-use super::rails::{RailMap, RailWatts};
-use super::reading::Reading;
-use super::sysfs;
-use albireo_wire::EnergyQuality;
+use crate::config::PowerConfig;
+use crate::error::MeterError;
+use crate::meter::Meter;
+use crate::rails::{RailMap, RailWatts};
+use crate::reading::Reading;
+use crate::sysfs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use tokio::time::Instant;
@@ -21,6 +20,9 @@ const SOURCE: &str = "ina";
 
 /// The name of an INA238's only rail where the device tree gives none.
 const INPUT: &str = "VIN";
+
+const INA238: &str = "ina238";
+const CHIPS: [&str; 2] = ["ina3221", INA238];
 
 #[derive(Debug)]
 enum Files {
@@ -50,7 +52,7 @@ impl Channel {
 
 /// The power monitors of this board.
 #[derive(Debug)]
-pub struct Ina {
+pub(crate) struct Ina {
     channels: Vec<Channel>,
     map: RailMap,
 }
@@ -61,16 +63,14 @@ impl Ina {
     /// # Errors
     /// [`MeterError::Missing`] where there is none, or none with a rail; [`MeterError::Permission`] and
     /// [`MeterError::Unreadable`] when no rail can be read.
-    pub fn open(config: &PowerConfig) -> Result<Self, MeterError> {
+    pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         config.check()?;
         let mut chips = sysfs::entries(&config.sysfs.join("class/hwmon"));
         chips.retain(|chip| kind(chip).is_some());
         if chips.is_empty() {
-            chips = ["ina3221", "ina238"]
-                .iter()
-                .flat_map(|driver| {
-                    sysfs::entries(&config.sysfs.join("bus/i2c/drivers").join(driver))
-                })
+            let drivers = config.sysfs.join("bus/i2c/drivers");
+            chips = (CHIPS.iter())
+                .flat_map(|driver| sysfs::entries(&drivers.join(driver)))
                 .flat_map(|device| sysfs::entries(&device.join("hwmon")))
                 .filter(|chip| kind(chip).is_some())
                 .collect();
@@ -95,56 +95,41 @@ impl Ina {
     }
 }
 
-#[derive(Clone, Copy)]
-enum Kind {
-    Ina3221,
-    Ina238,
-}
-
-fn kind(chip: &Path) -> Option<Kind> {
-    match sysfs::text(SOURCE, &chip.join("name")).ok()?.as_str() {
-        "ina3221" => Some(Kind::Ina3221),
-        "ina238" => Some(Kind::Ina238),
-        _ => None,
-    }
+/// The driver's name for the chip, of those that are read.
+fn kind(chip: &Path) -> Option<&'static str> {
+    let name = sysfs::text(SOURCE, &chip.join("name")).ok()?;
+    CHIPS.into_iter().find(|known| *known == name)
 }
 
 fn channels(chip: &Path) -> Vec<Channel> {
     let text = |file: String| sysfs::text(SOURCE, &chip.join(file)).ok();
-    match kind(chip) {
-        None => Vec::new(),
-        Some(Kind::Ina3221) => (1..=3)
-            .filter(|i| text(format!("in{i}_enable")).is_none_or(|on| on != "0"))
-            .filter_map(|i| Some((i, text(format!("in{i}_label"))?)))
-            .filter(|(_, label)| !label.is_empty() && label != "NC" && !label.contains("shunt"))
-            .map(|(i, label)| Channel {
-                name: label.into(),
-                files: Files::VoltageAndCurrent(
-                    chip.join(format!("in{i}_input")),
-                    chip.join(format!("curr{i}_input")),
-                ),
-            })
-            .collect(),
-        Some(Kind::Ina238) => {
-            let label = ["power1_label", "in1_label", "label"]
-                .iter()
-                .find_map(|file| text((*file).to_owned()))
-                .filter(|label| !label.is_empty());
-            vec![Channel {
-                name: label.map_or_else(|| INPUT.into(), Into::into),
-                files: Files::Power(chip.join("power1_input")),
-            }]
-        }
+    if kind(chip) == Some(INA238) {
+        let label = ["power1_label", "in1_label", "label"]
+            .iter()
+            .find_map(|file| text((*file).to_owned()))
+            .filter(|label| !label.is_empty());
+        return vec![Channel {
+            name: label.map_or_else(|| INPUT.into(), Into::into),
+            files: Files::Power(chip.join("power1_input")),
+        }];
     }
+    (1..=3)
+        .filter(|i| text(format!("in{i}_enable")).is_none_or(|on| on != "0"))
+        .filter_map(|i| Some((i, text(format!("in{i}_label"))?)))
+        .filter(|(_, label)| !label.is_empty() && label != "NC" && !label.contains("shunt"))
+        .map(|(i, label)| Channel {
+            name: label.into(),
+            files: Files::VoltageAndCurrent(
+                chip.join(format!("in{i}_input")),
+                chip.join(format!("curr{i}_input")),
+            ),
+        })
+        .collect()
 }
 
 impl Meter for Ina {
     fn source(&self) -> &str {
         SOURCE
-    }
-
-    fn quality(&self) -> EnergyQuality {
-        EnergyQuality::Measured
     }
 
     /// A rail that cannot be read now is missing from the reading; if none can be read, that is the error.

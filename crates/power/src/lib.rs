@@ -1,57 +1,73 @@
-//! Power meters, one file each; sampling; energy summed up as it is used, exact for a clip of any length.
+//! Power meters of boards and PCs, and the energy between two instants, divided between the cameras of a node.
+//!
+//! A [`Meter`] reads watts or counts joules: `ina` and `tegrastats` on Jetson boards, `rapl`, `nvml`, or an estimate from
+//! CPU utilisation. [`start`] opens one and samples it. Its [`PowerHandle`] answers for power now, for energy since the
+//! start and, through a [`CameraEnergy`], for the energy of a clip: exact for any length in constant memory, whole or
+//! marked with the share of its time that samples cover. It also learns the watts that a running detector adds, from
+//! which it estimates what avoided calls saved.
 //!
 //! ```text
-//! a Meter (ina, tegrastats, rapl, nvml, …) ─ every interval_ms ─▶ Series ─▶ Ledger ─▶ SpanEnergy of a clip
-//! Machine (thermal zones, clocks, …) ─ every second ─▶ Conditions ─┘  └▶ BoardState
-//! frames and runs of the detector, by camera ─▶ Shares ─┘
+//! Meter ─ every interval_ms ─▶ running totals ─▶ two copies subtracted: a clip's energy
+//! frames, detector calls ─▶ attribution to cameras ─┘
+//! ```
+//!
+//! ```
+//! # #[tokio::main(flavor = "current_thread")]
+//! # async fn main() -> Result<(), albireo_power::MeterError> {
+//! use albireo_power::{PowerConfig, PowerSource, start};
+//! use std::time::Duration;
+//! use tokio::time::Instant;
+//!
+//! let config = PowerConfig { source: PowerSource::Auto, ..PowerConfig::default() };
+//! let stop = tokio_util::sync::CancellationToken::new();
+//! let (power, sampler) = start(&config, stop.clone()).await?;
+//!
+//! let camera = power.camera("front");
+//! let clip = camera.measure(Instant::now());
+//! tokio::time::sleep(Duration::from_millis(500)).await;
+//! camera.frame();
+//! if let Some(used) = clip.finish(Instant::now(), Duration::MAX).await {
+//!     println!("{:?} J by {} ({:?})", used.joules, used.node.source, used.node.quality);
+//! }
+//! stop.cancel();
+//! let _ = sampler.await;
+//! # Ok(())
+//! # }
 //! ```
 
-mod battery;
+mod account;
+mod attribution;
 mod child;
 mod choose;
 mod condition;
 mod config;
-mod cost;
 mod counter;
+mod detector_watts;
 mod error;
 mod estimate;
-mod gpu_load;
 mod ina;
-mod ledger;
 mod machine;
+mod measurement;
 mod meter;
-mod none;
 mod nvml;
 mod rails;
 mod rapl;
 mod reading;
-pub mod sampler;
-mod series;
-mod shares;
-mod sum;
+mod sampler;
 mod survey;
 mod sysfs;
 mod tegrastats;
-mod user;
+mod totals;
 
-pub use battery::Battery;
+pub use account::{Energy, Measured};
 pub use choose::open;
 pub use condition::Condition;
 pub use config::{PowerConfig, PowerSource};
-pub use cost::MeterCost;
 pub use error::MeterError;
-pub use estimate::Estimate;
-pub use ina::Ina;
-pub use ledger::SpanEnergy;
+pub use measurement::{CameraEnergy, Measurement};
 pub use meter::Meter;
-pub use none::NoMeter;
-pub use nvml::Nvml;
-pub use rails::RailMap;
-pub use rails::{RailTable, RailWatts};
-pub use rapl::Rapl;
+pub use rails::{RailMap, RailTable, RailWatts};
 pub use reading::{Domain, Rail, Reading, Value, Values};
-pub use sampler::{EnergySoFar, PowerHandle, PowerNow, start};
-pub use sum::SumMeter;
+pub use sampler::{EnergySoFar, MeterCost, PowerHandle, PowerNow, start, start_with};
 pub use survey::{RailNow, SourceSurvey, survey};
 pub use tegrastats::{Tegrastats, TegrastatsLine};
-pub use user::{EnergyUser, OpenSpan};

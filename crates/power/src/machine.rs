@@ -1,14 +1,12 @@
-//! What the system tells of the machine's condition: thermal zones, throttling, clocks, power mode. Read
-//! once a second; what is not there is left out.
+//! Reads the machine's condition: thermal zones, throttling, clocks, power mode. What is not there is left out.
 
-mod mode;
-
-use self::mode::ModeQuestion;
-use super::condition::{Condition, is_a_sensor};
-use super::config::PowerConfig;
-use super::sysfs;
+use crate::condition::{Condition, is_a_sensor};
+use crate::config::PowerConfig;
+use crate::sysfs;
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::time::Instant;
 
 const SOURCE: &str = "condition";
@@ -21,7 +19,7 @@ const PI_NOW: u64 = 0b1110;
 
 /// The files that tell the machine's condition.
 #[derive(Debug)]
-pub(super) struct Machine {
+pub(crate) struct Machine {
     /// Thermal zones: type and temperature file (millidegrees).
     zones: Vec<(Arc<str>, PathBuf)>,
     /// Cooling devices that hold clocks back, 0 when they do not.
@@ -32,12 +30,12 @@ pub(super) struct Machine {
     pi: Option<PathBuf>,
     cpu_clocks: Vec<PathBuf>,
     gpu_clock: Option<PathBuf>,
-    mode: ModeQuestion,
+    mode: PowerMode,
 }
 
 impl Machine {
     /// Looks for the files.
-    pub(super) fn new(config: &PowerConfig) -> Self {
+    pub(crate) fn new(config: &PowerConfig) -> Self {
         let class = |name: &str| sysfs::entries(&config.sysfs.join("class").join(name));
         let label = |path: &Path| sysfs::text(SOURCE, &path.join("type")).unwrap_or_default();
         let cpus: Vec<PathBuf> = sysfs::entries(&config.sysfs.join("devices/system/cpu"))
@@ -87,7 +85,7 @@ impl Machine {
                 .into_iter()
                 .find(|device| is_gpu(sysfs::name(device)))
                 .map(|device| device.join("cur_freq")),
-            mode: ModeQuestion::new(
+            mode: PowerMode::new(
                 &config.nvpmodel,
                 config.sysfs.join("firmware/acpi/platform_profile"),
             ),
@@ -95,7 +93,7 @@ impl Machine {
     }
 
     /// Reads them.
-    pub(super) fn read(&mut self, now: Instant) -> Condition {
+    pub(crate) fn read(&mut self, now: Instant) -> Condition {
         let number = |path: &PathBuf| sysfs::number::<f64>(SOURCE, path).ok();
         let hottest = self
             .zones
@@ -112,7 +110,7 @@ impl Machine {
             throttled: self.throttled(),
             cpu_mhz,
             gpu_mhz: self.gpu_clock.as_ref().and_then(number).map(|hz| hz * 1e-6),
-            mode: self.mode.answer(now),
+            mode: self.mode.read(now),
         }
     }
 
@@ -160,6 +158,100 @@ fn holds_clocks_back(kind: &str) -> bool {
     ]
     .iter()
     .any(|part| kind.contains(part))
+}
+
+/// Time between two questions for the power mode.
+const ASK_EVERY: Duration = Duration::from_secs(60);
+
+/// How long the first answer is waited for: nothing is measured yet.
+const FIRST_ANSWER: Duration = Duration::from_secs(2);
+
+/// The board's power mode: `nvpmodel`'s, else the platform profile of ACPI. The program takes its time, so it is started
+/// at one reading and its answer taken at a later one.
+#[derive(Debug)]
+struct PowerMode {
+    /// Absent where it had no answer at first: no program is started every minute for nothing.
+    nvpmodel: Option<PathBuf>,
+    profile: PathBuf,
+    asked: Instant,
+    asking: Option<Child>,
+    known: Option<Arc<str>>,
+}
+
+impl PowerMode {
+    fn new(nvpmodel: &Path, profile: PathBuf) -> Self {
+        let mut mode = Self {
+            nvpmodel: Some(nvpmodel.to_owned()),
+            profile,
+            asked: Instant::now(),
+            asking: None,
+            known: None,
+        };
+        mode.ask();
+        let until = std::time::Instant::now() + FIRST_ANSWER;
+        while mode.asking.is_some() && std::time::Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(5));
+            mode.take_answer();
+        }
+        if mode.known.is_none() {
+            mode.nvpmodel = None;
+            mode.end();
+        }
+        mode
+    }
+
+    /// The mode as far as it is known; never waits.
+    fn read(&mut self, now: Instant) -> Option<Arc<str>> {
+        self.take_answer();
+        if self.nvpmodel.is_none() {
+            let profile = sysfs::text(SOURCE, &self.profile).ok();
+            return profile.filter(|mode| !mode.is_empty()).map(Into::into);
+        }
+        if self.asking.is_none() && now.saturating_duration_since(self.asked) >= ASK_EVERY {
+            self.asked = now;
+            self.ask();
+        }
+        self.known.clone()
+    }
+
+    fn ask(&mut self) {
+        let asked = self.nvpmodel.as_ref().map(|program| {
+            let mut command = Command::new(program);
+            let command = command.arg("-q").stdin(Stdio::null());
+            command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn()
+        });
+        self.asking = asked.and_then(Result::ok);
+    }
+
+    fn take_answer(&mut self) {
+        let ended = |child: &mut Child| !matches!(child.try_wait(), Ok(None));
+        if let Some(child) = self.asking.take_if(ended)
+            && let Ok(output) = child.wait_with_output()
+            && let Some(mode) = mode_in(&String::from_utf8_lossy(&output.stdout))
+        {
+            self.known = Some(mode.into());
+        }
+    }
+
+    fn end(&mut self) {
+        if let Some(mut child) = self.asking.take() {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+impl Drop for PowerMode {
+    fn drop(&mut self) {
+        self.end();
+    }
+}
+
+/// The mode in the output of `nvpmodel -q`: `NV Power Mode: MODE_30W`, then its number.
+fn mode_in(output: &str) -> Option<&str> {
+    let mut lines = output.lines();
+    let mode = lines.find_map(|line| line.trim().strip_prefix("NV Power Mode:"))?;
+    Some(mode.trim())
 }
 
 #[cfg(test)]

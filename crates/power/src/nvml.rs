@@ -1,18 +1,17 @@
 //! NVIDIA graphics cards, through NVML, which comes with their driver and is loaded at run time.
 //!
-//! A card's energy counter is used where it has one (Volta and later), else its power. Jetson boards have
+//! The cards' energy counters are used where all have one (Volta and later), else their power. Jetson boards have
 //! an NVML that loads and says "not supported" to every question for power: there, this meter is missing
 //! and the board's own monitors are to be used.
 
 mod driver;
 
-use super::condition::Condition;
-use super::config::PowerConfig;
-use super::counter::Counter;
-use super::error::MeterError;
-use super::meter::Meter;
-use super::reading::{Domain, Rail, Reading, Value, Values};
-use albireo_wire::EnergyQuality;
+use crate::condition::Condition;
+use crate::config::PowerConfig;
+use crate::counter::Counter;
+use crate::error::MeterError;
+use crate::meter::Meter;
+use crate::reading::{Domain, Rail, Reading, Value};
 use std::path::PathBuf;
 use std::sync::Arc;
 use tokio::time::Instant;
@@ -46,21 +45,17 @@ trait Cards: Send {
 }
 
 #[derive(Debug)]
-enum Way {
-    Energy(Counter),
-    Power,
-}
-
-#[derive(Debug)]
 struct Card {
     index: u32,
     name: Arc<str>,
-    way: Way,
+    energy: Counter,
 }
 
 /// The NVIDIA cards of this machine.
-pub struct Nvml {
+pub(crate) struct Nvml {
     cards: Vec<Card>,
+    /// Whether all of them count energy.
+    count: bool,
     driver: Box<dyn Cards>,
     total_from: Arc<str>,
 }
@@ -79,7 +74,7 @@ impl Nvml {
     /// # Errors
     /// [`MeterError::Missing`] without a driver, without a card, or when no card can tell its power;
     /// [`MeterError::Configuration`] when `nvml_cards` names a card that is not there.
-    pub fn open(config: &PowerConfig) -> Result<Self, MeterError> {
+    pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         config.check()?;
         let driver = driver::Driver::load(&driver::LIBRARIES).map_err(missing)?;
         Self::with(Box::new(driver), &config.nvml_cards)
@@ -99,24 +94,20 @@ impl Nvml {
                 ),
             });
         }
-        let mut cards = Vec::new();
+        let (mut cards, mut all_count) = (Vec::new(), true);
         for index in (0..count).filter(|i| wanted.is_empty() || wanted.contains(i)) {
+            let counts = driver.energy_mj(index).is_ok();
+            match driver.power_mw(index) {
+                _ if counts => {}
+                Ok(_) => all_count = false,
+                Err(CardError::NotSupported) => continue,
+                Err(CardError::Failed(reason)) => return Err(unreadable(index, reason)),
+            }
             let name = driver.name(index).unwrap_or_else(|_| "card".to_owned());
-            let way = if driver.energy_mj(index).is_ok() {
-                Way::Energy(Counter::new(UNIT, None))
-            } else {
-                match driver.power_mw(index) {
-                    Ok(_) => Way::Power,
-                    Err(CardError::NotSupported) => continue,
-                    Err(CardError::Failed(reason)) => {
-                        return Err(unreadable(index, reason));
-                    }
-                }
-            };
             cards.push(Card {
                 index,
                 name: format!("{index} {name}").into(),
-                way,
+                energy: Counter::new(UNIT, None),
             });
         }
         if cards.is_empty() {
@@ -129,6 +120,7 @@ impl Nvml {
         }
         Ok(Self {
             cards,
+            count: all_count,
             driver,
             total_from: "sum_of_rails: graphics cards only".into(),
         })
@@ -155,45 +147,43 @@ impl Meter for Nvml {
         SOURCE
     }
 
-    fn quality(&self) -> EnergyQuality {
-        EnergyQuality::Measured
-    }
-
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
-        let mut values = Values::default();
         let mut rails = Vec::with_capacity(self.cards.len());
+        let mut sum = 0.0;
+        let value = if self.count {
+            Value::Counter
+        } else {
+            Value::Power
+        };
         for card in &mut self.cards {
-            let failed = |error| match error {
-                CardError::NotSupported => {
-                    unreadable(card.index, "it no longer tells its power".to_owned())
-                }
-                CardError::Failed(reason) => unreadable(card.index, reason),
-            };
-            let value = match &mut card.way {
-                Way::Energy(counter) => {
-                    let raw = self.driver.energy_mj(card.index).map_err(failed)?;
-                    if !counter.update(now, raw) {
+            let read = if self.count {
+                self.driver.energy_mj(card.index).map(|raw| {
+                    if !card.energy.update(now, raw) {
                         tracing::warn!(card = %card.name, "its energy counter was reset; counting on from it");
                     }
-                    Value::counter(counter.joules())
-                }
-                Way::Power => {
-                    let milliwatts = self.driver.power_mw(card.index).map_err(failed)?;
-                    Value::power(f64::from(milliwatts) * 1e-3)
-                }
+                    card.energy.joules()
+                })
+            } else {
+                let milliwatts = self.driver.power_mw(card.index);
+                milliwatts.map(|milliwatts| f64::from(milliwatts) * 1e-3)
             };
-            values.add(Domain::Total, value);
-            values.add(Domain::Gpu, value);
+            let read = read.map_err(|error| match error {
+                CardError::NotSupported => {
+                    unreadable(card.index, "it no longer reads its power".to_owned())
+                }
+                CardError::Failed(reason) => unreadable(card.index, reason),
+            })?;
+            sum += read;
             rails.push(Rail {
                 name: Arc::clone(&card.name),
                 domain: Some(Domain::Gpu),
                 in_total: true,
-                value,
+                value: value(read),
             });
         }
         Ok(vec![Reading {
             at: None,
-            values,
+            values: [Some(value(sum)), Some(value(sum)), None, None],
             total_from: Arc::clone(&self.total_from),
             rails,
         }])

@@ -1,8 +1,9 @@
 //! From a board's rails to domains, by tables: the built-in ones in `boards.toml`, or the user's own.
 
-use super::error::MeterError;
-use super::reading::{Domain, INPUT_RAIL, Rail, Reading, SUM_OF_RAILS, Value, Values};
+use crate::error::MeterError;
+use crate::reading::{Domain, INPUT_RAIL, Rail, Reading, SUM_OF_RAILS, Value, Values};
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Readings without the input rail after which it is taken for gone, and rails are added up instead.
@@ -29,29 +30,24 @@ pub struct RailTable {
 }
 
 impl RailTable {
-    fn lists(&self) -> [&Vec<String>; 6] {
+    fn domains(&self) -> [(Domain, &Vec<String>); 3] {
         [
-            &self.input,
-            &self.sum,
-            &self.gpu,
-            &self.cpu,
-            &self.io_mem,
-            &self.other,
+            (Domain::Gpu, &self.gpu),
+            (Domain::Cpu, &self.cpu),
+            (Domain::IoMem, &self.io_mem),
         ]
     }
 
     fn knows(&self, rail: &str) -> bool {
-        self.lists().into_iter().flatten().any(|r| r == rail)
+        let domains = self.domains().map(|(_, rails)| rails);
+        let lists = [&self.input, &self.sum, &self.other].into_iter();
+        lists.chain(domains).flatten().any(|name| name == rail)
     }
 
     fn domain_of(&self, rail: &str) -> Option<Domain> {
-        let lists = [
-            (Domain::Gpu, &self.gpu),
-            (Domain::Cpu, &self.cpu),
-            (Domain::IoMem, &self.io_mem),
-        ];
-        let found = lists.iter().find(|(_, l)| l.iter().any(|r| r == rail));
-        found.map(|(domain, _)| *domain)
+        let mut domains = self.domains().into_iter();
+        let found = domains.find(|(_, rails)| rails.iter().any(|name| name == rail));
+        found.map(|(domain, _)| domain)
     }
 
     /// Refuses a table that would count a rail twice or tells no total.
@@ -69,11 +65,10 @@ impl RailTable {
                     .to_owned(),
             );
         }
-        let domains = [&self.gpu, &self.cpu, &self.io_mem];
         if let Some(rail) = twice(self.sum.iter()) {
             return refuse(format!("`{rail}` is in `sum` twice"));
         }
-        if let Some(rail) = twice(domains.into_iter().flatten()) {
+        if let Some(rail) = twice(self.domains().into_iter().flat_map(|(_, rails)| rails)) {
             return refuse(format!(
                 "`{rail}` is counted in two of gpu, cpu and io_mem, or twice in one"
             ));
@@ -82,15 +77,9 @@ impl RailTable {
     }
 }
 
-fn twice<'a>(rails: impl Iterator<Item = &'a String>) -> Option<&'a String> {
-    let mut seen: Vec<&String> = Vec::new();
-    for rail in rails {
-        if seen.contains(&rail) {
-            return Some(rail);
-        }
-        seen.push(rail);
-    }
-    None
+fn twice<'a>(mut rails: impl Iterator<Item = &'a String>) -> Option<&'a String> {
+    let mut seen = BTreeSet::new();
+    rails.find(|rail| !seen.insert(*rail))
 }
 
 /// Power of one rail as it was read.
@@ -155,37 +144,32 @@ impl RailMap {
         let added = |names: &[String]| -> Option<f64> {
             (!names.is_empty()).then(|| names.iter().map(|n| watts(n)).sum())?
         };
-        let mut values = Values::default();
-        let mut put = |domain, watts: Option<f64>| {
-            if let Some(watts) = watts {
-                values.set(domain, Value::power(watts));
-            }
-        };
         let input = table
             .as_ref()
             .and_then(|t| t.input.iter().find(|name| watts(name).is_some()))
             .cloned();
-        let total_from = if let Some(name) = &input {
+        let (total, total_from) = if let Some(name) = &input {
             self.since_input = Some(0);
-            put(Domain::Total, watts(name));
-            &self.input_rail
-        } else if self.since_input.is_some_and(|n| n < GONE_AFTER) {
+            (watts(name), &self.input_rail)
+        } else if let Some(since) = self
+            .since_input
+            .as_mut()
+            .filter(|since| **since < GONE_AFTER)
+        {
             // It was there a moment ago: this is a gap, not another rule.
-            self.since_input = self.since_input.map(|n| n + 1);
-            &self.input_rail
+            *since += 1;
+            (None, &self.input_rail)
         } else if let Some(table) = &table {
-            put(Domain::Total, added(&table.sum));
-            &self.sum_of_rails
+            (added(&table.sum), &self.sum_of_rails)
         } else {
             let all: f64 = rails.iter().map(|r| r.watts.max(0.0)).sum();
-            put(Domain::Total, (!rails.is_empty()).then_some(all));
-            &self.unknown_board
+            ((!rails.is_empty()).then_some(all), &self.unknown_board)
         };
         let total_from = Arc::clone(total_from);
-        if let Some(table) = &table {
-            put(Domain::Gpu, added(&table.gpu));
-            put(Domain::Cpu, added(&table.cpu));
-            put(Domain::IoMem, added(&table.io_mem));
+        let mut values = Values::default();
+        values[Domain::Total as usize] = total.map(Value::Power);
+        for (domain, names) in table.iter().flat_map(RailTable::domains) {
+            values[domain as usize] = added(names).map(Value::Power);
         }
         let rails = rails
             .iter()
@@ -197,7 +181,7 @@ impl RailMap {
                     (None, Some(table)) => table.sum.iter().any(|r| **r == *rail.name),
                     (None, None) => true,
                 },
-                value: Value::power(rail.watts),
+                value: Value::Power(rail.watts),
             })
             .collect();
         Reading {

@@ -7,13 +7,12 @@
 //! (PP1) is the integrated GPU (Intel SDM volume 3, "RAPL domains"), so the GPU domain is `uncore` and
 //! the CPU domain is the packages without it: no joule is in two domains.
 
-use super::config::PowerConfig;
-use super::counter::Counter;
-use super::error::MeterError;
-use super::meter::Meter;
-use super::reading::{Domain, INPUT_RAIL, Rail, Reading, SUM_OF_RAILS, Value, Values};
-use super::sysfs;
-use albireo_wire::EnergyQuality;
+use crate::config::PowerConfig;
+use crate::counter::Counter;
+use crate::error::MeterError;
+use crate::meter::Meter;
+use crate::reading::{Domain, INPUT_RAIL, Rail, Reading, SUM_OF_RAILS, Value, Values};
+use crate::sysfs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -83,15 +82,11 @@ impl Zone {
         }
         Ok(())
     }
-
-    fn value(&self) -> Value {
-        Value::counter(self.counter.joules())
-    }
 }
 
 /// The RAPL counters of this machine.
 #[derive(Debug)]
-pub struct Rapl {
+pub(crate) struct Rapl {
     zones: Vec<Zone>,
     total_from: Arc<str>,
     platform: bool,
@@ -103,7 +98,7 @@ impl Rapl {
     /// # Errors
     /// [`MeterError::Missing`] where there is none, [`MeterError::Permission`] where this user may not
     /// read them (they are for root alone since CVE-2020-8694), [`MeterError::Unreadable`] otherwise.
-    pub fn open(config: &PowerConfig) -> Result<Self, MeterError> {
+    pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         config.check()?;
         let root = config.sysfs.join("class/powercap");
         let mut zones = find(&root)?;
@@ -195,18 +190,21 @@ impl Meter for Rapl {
         SOURCE
     }
 
-    fn quality(&self) -> EnergyQuality {
-        EnergyQuality::Measured
-    }
-
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         read(&mut self.zones, now)?;
         let mut values = Values::default();
+        let mut add = |domain: Domain, joules: f64| {
+            let sum = values[domain as usize]
+                .and_then(Value::joules)
+                .unwrap_or(0.0);
+            values[domain as usize] = Some(Value::Counter(sum + joules));
+        };
         let mut rails = Vec::with_capacity(self.zones.len());
         for zone in &self.zones {
+            let joules = zone.counter.joules();
             let in_total = self.in_total(zone.kind);
             if in_total {
-                values.add(Domain::Total, zone.value());
+                add(Domain::Total, joules);
             }
             let domain = match zone.kind {
                 Kind::Package => Some(Domain::Cpu),
@@ -215,16 +213,16 @@ impl Meter for Rapl {
                 Kind::Platform | Kind::Core | Kind::Other => None,
             };
             if let Some(domain) = domain {
-                values.add(domain, zone.value());
+                add(domain, joules);
             }
             if zone.kind == Kind::Uncore {
-                values.add(Domain::Cpu, Value::counter(-zone.counter.joules()));
+                add(Domain::Cpu, -joules);
             }
             rails.push(Rail {
                 name: Arc::clone(&zone.name),
                 domain,
                 in_total,
-                value: zone.value(),
+                value: Value::Counter(joules),
             });
         }
         Ok(vec![Reading {

@@ -1,15 +1,15 @@
-//! What a power meter reads: watts and joules, by domain and rail by rail.
+//! What a power meter reads: watts or joules by domain, and rail by rail.
 
 use std::sync::Arc;
 use tokio::time::Instant;
 
-/// [`Reading::total_from`] of a total that one rail or counter tells for the whole board.
-pub const INPUT_RAIL: &str = "input_rail";
+/// [`Reading::total_from`] of a total that one rail or counter reads for the whole board.
+pub(crate) const INPUT_RAIL: &str = "input_rail";
 
 /// [`Reading::total_from`] of a total that was added up.
-pub const SUM_OF_RAILS: &str = "sum_of_rails";
+pub(crate) const SUM_OF_RAILS: &str = "sum_of_rails";
 
-/// A part of the board whose energy is told apart (paper: total, GPU, CPU, IO and memory).
+/// A part of the board whose energy is reported by itself (paper: total, GPU, CPU, IO and memory).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub enum Domain {
     /// The whole board, as far as the source sees it.
@@ -37,66 +37,46 @@ impl Domain {
     }
 }
 
-/// What one sample says of one domain. A domain may be the sum of devices that tell power and devices
-/// that count energy; the two are kept apart because they are integrated differently.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Value {
+/// What is read of one domain or rail. Power and energy are integrated differently.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Value {
     /// Power at the time of the sample, watts.
-    pub watts: Option<f64>,
+    Power(f64),
     /// Energy counted since the meter was opened, joules; never falls.
-    pub joules: Option<f64>,
+    Counter(f64),
 }
 
 impl Value {
-    /// A power reading.
-    pub const fn power(watts: f64) -> Self {
-        Self {
-            watts: Some(watts),
-            joules: None,
+    /// The power, if that is what was read, watts.
+    pub const fn watts(self) -> Option<f64> {
+        match self {
+            Self::Power(watts) => Some(watts),
+            Self::Counter(_) => None,
         }
     }
 
-    /// An energy counter.
-    pub const fn counter(joules: f64) -> Self {
-        Self {
-            watts: None,
-            joules: Some(joules),
+    /// The counted energy, if that is what was read, joules.
+    pub const fn joules(self) -> Option<f64> {
+        match self {
+            Self::Power(_) => None,
+            Self::Counter(joules) => Some(joules),
         }
     }
 
-    /// The sum of two domains' values.
-    pub fn plus(self, other: Self) -> Self {
-        let sum = |a: Option<f64>, b: Option<f64>| match (a, b) {
-            (Some(a), Some(b)) => Some(a + b),
-            (one, None) | (None, one) => one,
-        };
-        Self {
-            watts: sum(self.watts, other.watts),
-            joules: sum(self.joules, other.joules),
+    /// Mean power from `before`, read `seconds` earlier, until this; of power, what was read last.
+    pub(crate) fn mean_watts(self, before: Option<Self>, seconds: f64) -> Option<f64> {
+        match (before, self) {
+            (_, Self::Power(watts)) => Some(watts),
+            (Some(Self::Counter(then)), Self::Counter(now)) if seconds > 0.0 => {
+                Some((now - then) / seconds)
+            }
+            _ => None,
         }
     }
 }
 
-/// The values of one sample, in the order of [`Domain::ALL`].
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Values([Value; 4]);
-
-impl Values {
-    /// The value of `domain`; empty where the source does not tell it.
-    pub const fn get(&self, domain: Domain) -> Value {
-        self.0[domain as usize]
-    }
-
-    /// Sets the value of `domain`.
-    pub const fn set(&mut self, domain: Domain, value: Value) {
-        self.0[domain as usize] = value;
-    }
-
-    /// Adds `value` to `domain`.
-    pub fn add(&mut self, domain: Domain, value: Value) {
-        self.set(domain, self.get(domain).plus(value));
-    }
-}
+/// The values of one sample, in the order of [`Domain::ALL`]; none for a domain that the source does not read.
+pub type Values = [Option<Value>; Domain::ALL.len()];
 
 /// One rail, counter or device as the source names it.
 #[derive(Clone, Debug, PartialEq)]
@@ -122,4 +102,11 @@ pub struct Reading {
     pub total_from: Arc<str>,
     /// Rail by rail, for people.
     pub rails: Vec<Rail>,
+}
+
+impl Reading {
+    /// The value of `domain`.
+    pub fn value(&self, domain: Domain) -> Option<Value> {
+        self.values.get(domain as usize).copied().flatten()
+    }
 }

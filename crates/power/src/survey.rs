@@ -1,24 +1,22 @@
-//! A look at every source: whether it can be used here and why not, its rails, and watts now.
+//! Tries every source: whether it can be used here and why not, its rails, and watts now.
 
-use super::choose;
-use super::config::{PowerConfig, PowerSource};
-use super::cost::thread_cpu;
-use super::error::MeterError;
-use super::meter::Meter;
-use super::reading::{Domain, Reading, Value};
+use crate::choose;
+use crate::config::{PowerConfig, PowerSource};
+use crate::error::MeterError;
+use crate::meter::Meter;
+use crate::reading::{Domain, Reading};
+use crate::sampler::thread_cpu;
 use albireo_wire::EnergyQuality;
 use serde::Serialize;
 use std::time::Duration;
 use tokio::time::Instant;
 
 /// The sources, in the order they are listed.
-const SOURCES: [PowerSource; 7] = [
+const SOURCES: [PowerSource; 5] = [
     PowerSource::Ina,
     PowerSource::Tegrastats,
     PowerSource::Rapl,
     PowerSource::Nvml,
-    PowerSource::Battery,
-    PowerSource::Sum,
     PowerSource::Estimate,
 ];
 
@@ -62,7 +60,7 @@ pub struct SourceSurvey {
 /// Opens every source in turn and watches it for a second. Blocks for some seconds.
 pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
     let automatic = choose::open_source(PowerSource::Auto, config)
-        .map(|meter| family(meter.source()).to_owned())
+        .map(|meter| meter.source().to_owned())
         .unwrap_or_default();
     SOURCES
         .into_iter()
@@ -83,11 +81,6 @@ pub fn survey(config: &PowerConfig) -> Vec<SourceSurvey> {
             found
         })
         .collect()
-}
-
-/// `sum` of `sum(rapl+nvml)`.
-fn family(source: &str) -> &str {
-    source.split('(').next().unwrap_or(source)
 }
 
 impl SourceSurvey {
@@ -115,44 +108,28 @@ impl SourceSurvey {
         // What one interval's reading costs, whatever the length of this watch.
         self.share_of_core = Some(cpu.as_secs_f64() / f64::from(polls) / interval.as_secs_f64());
         if let (Some(first), Some(last)) = (first, last) {
-            self.tell(&first, &last);
+            self.fill(&first, &last);
         }
         Ok(())
     }
 
-    fn tell(&mut self, first: &(Instant, Reading), last: &(Instant, Reading)) {
-        let seconds = last.0.saturating_duration_since(first.0).as_secs_f64();
-        let watts = |before: Value, now: Value| -> Option<f64> {
-            let rise = match (before.joules, now.joules) {
-                (Some(before), Some(now)) if seconds > 0.0 => Some((now - before) / seconds),
-                _ => None,
-            };
-            match (now.watts, rise) {
-                (Some(power), rise) => Some(power + rise.unwrap_or(0.0)),
-                (None, rise) => rise,
+    fn fill(&mut self, (from, first): &(Instant, Reading), (to, last): &(Instant, Reading)) {
+        let seconds = to.saturating_duration_since(*from).as_secs_f64();
+        self.total_from = last.total_from.to_string();
+        let domains = Domain::ALL.into_iter().filter_map(|domain| {
+            let watts = last.value(domain)?.mean_watts(first.value(domain), seconds);
+            Some((domain.as_str(), watts?))
+        });
+        self.watts = domains.collect();
+        let rails = last.rails.iter().map(|rail| {
+            let before = first.rails.iter().find(|r| r.name == rail.name);
+            RailNow {
+                name: rail.name.to_string(),
+                watts: (rail.value).mean_watts(before.map(|rail| rail.value), seconds),
+                domain: rail.domain.map(Domain::as_str),
+                in_total: rail.in_total,
             }
-        };
-        self.total_from = last.1.total_from.to_string();
-        self.watts = Domain::ALL
-            .into_iter()
-            .filter_map(|domain| {
-                let (before, now) = (first.1.values.get(domain), last.1.values.get(domain));
-                Some((domain.as_str(), watts(before, now)?))
-            })
-            .collect();
-        self.rails = last
-            .1
-            .rails
-            .iter()
-            .map(|rail| {
-                let before = first.1.rails.iter().find(|r| r.name == rail.name);
-                RailNow {
-                    name: rail.name.to_string(),
-                    watts: watts(before.map(|r| r.value).unwrap_or_default(), rail.value),
-                    domain: rail.domain.map(Domain::as_str),
-                    in_total: rail.in_total,
-                }
-            })
-            .collect();
+        });
+        self.rails = rails.collect();
     }
 }

@@ -1,11 +1,11 @@
 //! Reading the small text files of sysfs and procfs, with errors that name the file and the remedy.
 
-use super::error::MeterError;
+use crate::error::MeterError;
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// The file's text without surrounding white space.
-pub(super) fn text(source_name: &'static str, path: &Path) -> Result<String, MeterError> {
+pub(crate) fn text(source_name: &'static str, path: &Path) -> Result<String, MeterError> {
     match std::fs::read_to_string(path) {
         Ok(text) => Ok(text.trim().to_owned()),
         Err(error) => Err(failure(source_name, path, &error)),
@@ -13,7 +13,7 @@ pub(super) fn text(source_name: &'static str, path: &Path) -> Result<String, Met
 }
 
 /// The file's text as a number.
-pub(super) fn number<T: std::str::FromStr>(
+pub(crate) fn number<T: std::str::FromStr>(
     source_name: &'static str,
     path: &Path,
 ) -> Result<T, MeterError> {
@@ -29,7 +29,7 @@ pub(super) fn number<T: std::str::FromStr>(
 }
 
 /// The entries of a directory in order of their names; none if it cannot be listed.
-pub(super) fn entries(directory: &Path) -> Vec<PathBuf> {
+pub(crate) fn entries(directory: &Path) -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> = std::fs::read_dir(directory)
         .into_iter()
         .flatten()
@@ -40,14 +40,14 @@ pub(super) fn entries(directory: &Path) -> Vec<PathBuf> {
 }
 
 /// The last part of a path as text.
-pub(super) fn name(path: &Path) -> &str {
+pub(crate) fn name(path: &Path) -> &str {
     path.file_name()
         .and_then(|n| n.to_str())
         .unwrap_or_default()
 }
 
 /// What an input error on `path` means.
-pub(super) fn failure(source_name: &'static str, path: &Path, error: &io::Error) -> MeterError {
+pub(crate) fn failure(source_name: &'static str, path: &Path, error: &io::Error) -> MeterError {
     match error.kind() {
         io::ErrorKind::PermissionDenied => MeterError::Permission {
             source_name,

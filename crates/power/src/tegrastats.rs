@@ -7,15 +7,14 @@ mod line;
 
 pub use line::TegrastatsLine;
 
-use super::child::LineChild;
-use super::condition::Condition;
-use super::config::PowerConfig;
-use super::error::MeterError;
-use super::meter::Meter;
-use super::rails::RailMap;
-use super::reading::Reading;
-use super::sysfs;
-use albireo_wire::EnergyQuality;
+use crate::child::LineChild;
+use crate::condition::Condition;
+use crate::config::PowerConfig;
+use crate::error::MeterError;
+use crate::meter::Meter;
+use crate::rails::RailMap;
+use crate::reading::Reading;
+use crate::sysfs;
 use std::path::PathBuf;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -77,30 +76,24 @@ impl Tegrastats {
     }
 
     fn first_line(&mut self, sudo: bool) -> Result<(), MeterError> {
-        if !self.child.wait_for_line(FIRST_LINE) {
-            let why = self
-                .child
-                .trouble()
-                .unwrap_or_else(|| "it prints nothing".to_owned());
-            let sudo = if sudo {
-                "; does sudoers allow it without a password?"
-            } else {
-                ""
+        let Some(line) = self.child.first_line(FIRST_LINE) else {
+            let why = self.child.trouble().unwrap_or("it prints nothing");
+            let sudo = match sudo {
+                true => "; does sudoers allow it without a password?",
+                false => "",
             };
             return Err(self.unreadable(format!("{why}{sudo}")));
-        }
-        let lines = self.child.take();
-        let Some(line) = lines.iter().find_map(|(_, l)| TegrastatsLine::parse(l)) else {
+        };
+        let Some(line) = TegrastatsLine::parse(&line) else {
             return Err(self.unreadable("it does not print lines of tegrastats".to_owned()));
         };
         if line.rails.is_empty() {
             return Err(MeterError::Permission {
                 source_name: SOURCE,
                 path: self.program.clone(),
-                remedy:
-                    "it prints no power rails for this user; run as root, or set `sudo = true` in \
-                         [power] and allow it in sudoers without a password"
-                        .to_owned(),
+                remedy: "it prints no power rails for this user; run as root, or set `sudo = true` in [power] and \
+                         allow it in sudoers without a password"
+                    .to_owned(),
             });
         }
         self.condition = line.condition();
@@ -114,11 +107,6 @@ impl Tegrastats {
             reason,
         }
     }
-
-    /// How often the program was started; more than once when it died or stalled.
-    pub fn starts(&self) -> u64 {
-        self.child.starts()
-    }
 }
 
 impl Meter for Tegrastats {
@@ -126,13 +114,9 @@ impl Meter for Tegrastats {
         SOURCE
     }
 
-    fn quality(&self) -> EnergyQuality {
-        EnergyQuality::Measured
-    }
-
     fn poll(&mut self, now: Instant) -> Result<Vec<Reading>, MeterError> {
         let mut readings = Vec::new();
-        for (at, text) in self.child.take() {
+        for (at, text) in self.child.take(self.longest_silence) {
             let Some(line) = TegrastatsLine::parse(&text) else {
                 continue;
             };
@@ -144,14 +128,10 @@ impl Meter for Tegrastats {
                 readings.push(reading);
             }
         }
-        self.child.kill_if_silent(now, self.longest_silence);
         let silent = now.saturating_duration_since(self.newest);
         if readings.is_empty() && silent > Duration::from_secs(1) {
-            let why = self
-                .child
-                .trouble()
-                .map_or_else(String::new, |t| format!(": {t}"));
-            let text = format!("no line for {:.1} s{why}", silent.as_secs_f64());
+            let why = self.child.trouble().unwrap_or("it stalls");
+            let text = format!("no line for {:.1} s: {why}", silent.as_secs_f64());
             return Err(self.unreadable(text));
         }
         Ok(readings)
@@ -161,13 +141,13 @@ impl Meter for Tegrastats {
         self.condition.clone()
     }
 
-    /// The reading thread's, and that of the program itself since its last start.
+    /// That of the program since its last start.
     fn other_cpu(&self) -> Duration {
         let program = self.child.process().and_then(|process| {
             let stat = self.procfs.join(process.to_string()).join("stat");
             cpu_of(&std::fs::read_to_string(stat).ok()?)
         });
-        self.child.reader_cpu() + program.unwrap_or_default()
+        program.unwrap_or_default()
     }
 }
 

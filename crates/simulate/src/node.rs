@@ -27,6 +27,8 @@ const RANGE: std::ops::RangeInclusive<f64> = 1e-9..=1.0;
 const HELD_WITHIN: (f64, f64) = (1.5e-4, 2e-3);
 /// Skip rate at [`FIRST_U`], and how much a decade of `u` adds.
 const SKIP: (f64, f64) = (0.55, 0.2);
+/// What a detector on every frame adds, watts.
+const DETECTOR_WATTS: f64 = 9.0;
 
 /// One simulated node. Its reports are computed from their numbers, so that a backlog of hours takes no memory.
 #[derive(Debug)]
@@ -328,7 +330,7 @@ impl SimNode {
         } else {
             1.0
         };
-        let watts = 6.0 + 9.0 * (1.0 - skip) + 0.2 * noise();
+        let watts = 6.0 + DETECTOR_WATTS * (1.0 - skip) + 0.2 * noise();
         let joules = (watts * worse * self.clip_s).max(0.1);
         let p99 = (28.0 * worse + noise()).max(1.0);
         let skipped = (skip * frames).round() as u64;
@@ -378,9 +380,11 @@ impl SimNode {
             provider: "simulated".to_owned(),
             total_latency_ms: latency(4.0, frames as u64),
             detector_latency_ms: latency(18.0, frames as u64 - skipped),
+            detector_used_ms: 18.0 * (frames as u64 - skipped) as f64,
             energy: ClipEnergy {
                 joules: Some(joules),
                 node_joules: Some(joules),
+                saved_joules_estimated: Some(DETECTOR_WATTS * skip * worse * self.clip_s),
                 edp: Some(joules * self.clip_s * 1e3 / frames),
                 quality: self.quality(),
                 source: "simulated".to_owned(),

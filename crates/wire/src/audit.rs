@@ -15,8 +15,8 @@ pub struct AuditReport {
     pub calls: u64,
     /// Detector time of these, microseconds.
     pub detector_us: u64,
-    /// Joules of the node during that time, by the share of each second that the detector worked for the audit; not in
-    /// the clip's own. Absent without a figure.
+    /// Estimate of what that time added, joules, which are among the clip's: the watts that a running detector adds on this
+    /// machine times `detector_us`. Absent while it is not known what it adds.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub joules: Option<f64>,
     /// What was compared.

@@ -66,6 +66,11 @@ pub struct ClipEnergy {
     /// number when the node has one camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node_joules: Option<f64>,
+    /// Estimate of the joules that this clip's avoided detector calls would have added: the time they would have run, no
+    /// longer than the one detector had nothing to do, times the watts that a running detector adds on this machine.
+    /// Absent while it is not known what it adds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub saved_joules_estimated: Option<f64>,
     /// Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation). Absent
     /// without frames, and when samples do not cover the whole clip (`coverage` below 0.999).
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -161,6 +166,10 @@ pub struct ClipReport {
     pub total_latency_ms: Percentiles,
     /// Latency of the detector alone, over the frames where it ran.
     pub detector_latency_ms: Percentiles,
+    /// Time for which the detector ran for this clip's frames, milliseconds: of each run an even part for each of its
+    /// pictures. Waiting and the audit are not in it.
+    #[serde(default)]
+    pub detector_used_ms: f64,
     /// Energy.
     pub energy: ClipEnergy,
     /// The state of the board during the clip; absent where the board tells nothing of it.
@@ -202,7 +211,12 @@ impl ClipReport {
     /// stands behind is noise that compresses badly.
     pub fn round(&mut self) {
         let energy = &mut self.energy;
-        let sums = [&mut energy.joules, &mut energy.node_joules, &mut energy.edp];
+        let sums = [
+            &mut energy.joules,
+            &mut energy.node_joules,
+            &mut energy.saved_joules_estimated,
+            &mut energy.edp,
+        ];
         for value in sums.into_iter().flatten() {
             round_to(value, 6);
         }
@@ -219,6 +233,7 @@ impl ClipReport {
             round_to(&mut latency.p95, 4);
             round_to(&mut latency.p99, 4);
         }
+        round_to(&mut self.detector_used_ms, 6);
         round_to(&mut self.duration_s, 6);
         round_to(&mut self.skip_rate, 6);
         round_to(&mut energy.coverage, 6);

@@ -295,7 +295,7 @@ fn sums(answer: &Value) -> String {
         ">skip rate",
         ">calls avoided",
         ">recall of the detector",
-        ">vanilla J (estimate)",
+        ">saved J (estimate)",
     ]);
     for group in groups {
         let number = |name: &str| group[name].as_f64().unwrap_or(0.0);
@@ -320,7 +320,7 @@ fn sums(answer: &Value) -> String {
             figure(number("skip_rate")),
             group["avoided_calls"].to_string(),
             recall(&group["audit"]["all"]["recall"]),
-            joules(number("vanilla_joules_estimated")),
+            joules(number("saved_joules_estimated")),
         ]);
     }
     table.to_string()

@@ -26,9 +26,9 @@ const SPANS: Span[] = [
   { id: "month", words: "last 30 days", step: 24 * HOUR, points: 30 },
 ];
 
-/** Beginnings of the points, the last of which goes on now; days begin where the hub's days do, in UTC. */
+/** Beginnings of the points, all of which are over: one that goes on would dive. Days begin where the hub's do, in UTC. */
 export function beginnings(span: Span, now: number): number[] {
-  const last = Math.floor(now / span.step) * span.step;
+  const last = (Math.floor(now / span.step) - 1) * span.step;
   return Array.from({ length: span.points }, (_, index) => last - (span.points - 1 - index) * span.step);
 }
 
@@ -44,9 +44,9 @@ function usePoints(span: Span): { points: Point[]; fault: string } {
     const known = new Map<number, Found>();
     const look = async () => {
       const times = beginnings(span, Date.now());
-      const open = times.at(-1)!;
-      // Reports may come late, so the span before the last is read again too.
-      const missing = times.filter((at) => !known.has(at) || at >= open - span.step);
+      const last = times.at(-1)!;
+      // Reports may come late, so the last two are read again.
+      const missing = times.filter((at) => !known.has(at) || at >= last - span.step);
       const work = async () => {
         for (let at = missing.pop(); at !== undefined; at = missing.pop()) {
           const found = await json<Energy>(`/api/v1/energy?by=all&since_ms=${at}&until_ms=${at + span.step}`, { signal: stop.signal });
@@ -163,17 +163,17 @@ function Energies({ quality, points }: { quality: string; points: Point[] }) {
         const group = groups.find((group) => group.quality === quality);
         return group ? figure(group) : null;
       });
-    return [points.map((point) => point.at / 1000), of((group) => group.joules), of((group) => group.vanilla_joules_estimated)];
+    return [points.map((point) => point.at / 1000), of((group) => group.joules), of((group) => group.joules + group.saved_joules_estimated)];
   }, [points, quality]);
   return (
     <div class="energy-chart">
       <Quality quality={quality} />
       <Chart
         data={data}
-        label={`Energy of the fleet by time, ${quality}, beside what a detector call on every frame would have cost`}
+        label={`Energy of the fleet by time, ${quality}, beside the same and what avoided calls saved`}
         lines={[
           { label: "energy used", colour: "--state-i" },
-          { label: "≈ detector on every frame (estimated)", colour: "--quiet", dash: [6, 4] },
+          { label: "≈ with what avoided calls saved (estimated)", colour: "--quiet", dash: [6, 4] },
         ]}
         value={joules}
         range={[0, null]}

@@ -3,7 +3,7 @@
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
 import { Pill, Quality, Section } from "../shared/parts";
 import { heldText } from "../shared/target";
-import { Download, Fault, Knob, Outcomes, Presence, useLoaded } from "./parts";
+import { Download, Fault, Knob, Outcomes, Presence, Saved, useLoaded } from "./parts";
 import { Live } from "./live";
 import { href } from "./route";
 import { selected } from "./fleet";
@@ -219,7 +219,7 @@ export function EnergyTable({ energy }: { energy: Energy | undefined }) {
           <tr>
             <th scope="col" class="left">policy and value</th>
             <th scope="col" class="left">energy is</th>
-            {["clips", "hours", "skipped", "calls avoided", "recall of the detector", "energy", "an hour", "detector on every frame ≈", "saved ≈"].map((head) => (
+            {["clips", "hours", "skipped", "calls avoided", "recall of the detector", "energy", "per hour", "saved ≈"].map((head) => (
               <th key={head} scope="col">{head}</th>
             ))}
           </tr>
@@ -236,8 +236,9 @@ export function EnergyTable({ energy }: { energy: Energy | undefined }) {
               <td>{group.audit?.all.recall ? `${percent(group.audit.all.recall.rate)} (${(100 * group.audit.all.recall.low).toFixed(1)} to ${(100 * group.audit.all.recall.high).toFixed(1)})` : "–"}</td>
               <td>{joules(group.joules)}</td>
               <td>{joules(group.duration_s ? (group.joules / group.duration_s) * 3600 : undefined)}</td>
-              <td>{joules(group.vanilla_joules_estimated)}</td>
-              <td>{group.vanilla_joules_estimated > 0 ? percent(1 - group.joules / group.vanilla_joules_estimated) : "–"}</td>
+              <td>
+                <Saved group={group} />
+              </td>
             </tr>
           ))}
         </tbody>

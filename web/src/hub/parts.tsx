@@ -3,13 +3,13 @@
 import type { ComponentChildren } from "preact";
 import { useEffect, useState } from "preact/hooks";
 import { json } from "../shared/api";
-import { small } from "../shared/format";
+import { joules, short, small } from "../shared/format";
 import { Pill, type Mood } from "../shared/parts";
 import { nameAndValue } from "../shared/target";
 
 export { Download, Fault } from "../shared/parts";
 import { changedSlowly } from "./store";
-import type { Interval, PresenceState } from "./types";
+import type { EnergyGroup, Interval, PresenceState } from "./types";
 
 const MOODS: Record<PresenceState, Mood> = { online: "good", degraded: "bad", silent: "wait", offline: "bad" };
 
@@ -126,5 +126,17 @@ export function Field({ label, children, wide }: { label: string; children: Comp
       <span>{label}</span>
       {children}
     </label>
+  );
+}
+
+/** What avoided calls would have added, where nodes know what a call adds. */
+export function Saved({ group }: { group: EnergyGroup }) {
+  if (group.avoided_calls > 0 && group.unpriced_calls === group.avoided_calls) return <>–</>;
+  const without = group.unpriced_calls > 0 ? `, without ${short(group.unpriced_calls)} calls whose cost is not known` : "";
+  return (
+    <>
+      {joules(group.saved_joules_estimated)}
+      {without}
+    </>
   );
 }

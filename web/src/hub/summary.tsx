@@ -3,6 +3,7 @@
 import { count, joules, percent, short } from "../shared/format";
 import { Figure, Pill, Quality } from "../shared/parts";
 import { caller } from "../shared/api";
+import { Saved } from "./parts";
 import { href, route } from "./route";
 import { auditToday, byQuality, fleet, lost, today } from "./store";
 
@@ -78,7 +79,7 @@ export function Summary() {
             label="energy today"
             note={
               <>
-                detector on every frame: {joules(group.vanilla_joules_estimated)} <Quality quality="estimated" />
+                avoided calls saved <Saved group={group} /> <Quality quality="estimated" />
               </>
             }
           >

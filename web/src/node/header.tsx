@@ -1,10 +1,12 @@
 // The head of the page: which node, how it is, what runs the detector, what was saved.
 
 import { useComputed } from "@preact/signals";
-import { count, duration, joules, percent, short, small, watts } from "../shared/format";
+import { count, duration, joules, percent, small, watts } from "../shared/format";
 import { Figure, Pill, Quality, type Mood } from "../shared/parts";
-import type { Balance } from "./types";
+import type { Savings } from "./types";
 import { counters, detector, knob, knobInForce, lost, missed, overview } from "./store";
+
+type Energy = NonNullable<Savings["energy"]>;
 
 interface State {
   mood: Mood;
@@ -83,14 +85,14 @@ export function Header() {
   );
 }
 
-/** What the whole node saved, since the start and today: sums of the node, measured and estimated apart. */
+/** What the whole node used and saved, since the start and today. */
 export function Headline() {
   const now = overview.value;
   const all = [...counters.value.values()];
   const whole = now?.since_start;
   const power = all[0]?.watts.find((entry) => entry.domain === "total") ?? all[0]?.watts[0];
   // A node that began today has no other day to tell from.
-  const days: [string, Balance][] = !now || !whole ? [] : now.today.since_ms > whole.since_ms
+  const days: [string, Savings][] = !now || !whole ? [] : now.today.since_ms > whole.since_ms
     ? [["since the start", whole], ["today", now.today]]
     : [["since the start (today)", whole]];
   return (
@@ -110,28 +112,17 @@ export function Headline() {
             <span class="big">–</span>
           </Figure>
         )}
-        {days.flatMap(([words, period]) =>
-          period.energy.map((sum) => (
-            <Figure
-              key={`${words} ${sum.quality}`}
-              label={`energy an hour ${words}, over ${duration(sum.duration_s)} of clips`}
-              note={
-                <>
-                  detector on every frame: {joules((sum.vanilla_joules_estimated / sum.duration_s) * 3600)} an hour{" "}
-                  <Quality quality="estimated" />
-                  {sum.vanilla_joules_estimated > 0 && `, ${percent(1 - sum.joules / sum.vanilla_joules_estimated)} less`}
-                  {sum.unpriced_calls > 0 && `, without ${short(sum.unpriced_calls)} avoided calls that have no price`}
-                </>
-              }
-            >
-              <span class="big">{joules((sum.joules / sum.duration_s) * 3600)}</span> <Quality quality={sum.quality} />
-            </Figure>
-          )),
-        )}
-        {whole?.energy.length === 0 && (
-          <Figure label="energy an hour" note="comes with the first clip that ends">
-            <span class="big">–</span>
-          </Figure>
+        {days.map(
+          ([words, { energy }]) =>
+            energy && (
+              <Figure
+                key={`energy ${words}`}
+                label={`energy per hour ${words}, sampled for ${duration(energy.covered_s)}`}
+                note={energy.saved_joules_estimated != null && <Saved energy={energy} saved={energy.saved_joules_estimated} />}
+              >
+                <span class="big">{joules((energy.joules / energy.covered_s) * 3600)}</span> <Quality quality={energy.quality} />
+              </Figure>
+            ),
         )}
         {power && (
           <Figure label="power now" note={<Quality quality={all[0]!.power_quality} />}>
@@ -144,7 +135,7 @@ export function Headline() {
           </Figure>
         )}
       </dl>
-      {now && days.length > 1 && <p class="message quiet">Today is the day of UTC; a clip counts for the day on which it ended.</p>}
+      {now && days.length > 1 && <p class="message quiet">Today is the day of UTC.</p>}
       {now && !now.outbox.durable && now.outbox.waiting > 0 && (
         <p class="message quiet">
           {count(now.outbox.waiting)} clip reports wait for a hub in memory: no state_dir is set, so they are gone when the
@@ -153,5 +144,15 @@ export function Headline() {
       )}
       {missed.value > 0 && <p class="message wait">This page was too slow for {count(missed.value)} events.</p>}
     </section>
+  );
+}
+
+/** What the avoided calls would have added to that energy. */
+function Saved({ energy, saved }: { energy: Energy; saved: number }) {
+  return (
+    <span title="Run time of the avoided detector calls, no longer than the detector was idle, times the watts that a running detector adds on this machine.">
+      avoided calls saved {joules((saved / energy.covered_s) * 3600)} per hour ({percent(saved / (energy.joules + saved))}){" "}
+      <Quality quality="estimated" />
+    </span>
   );
 }

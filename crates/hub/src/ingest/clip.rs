@@ -98,22 +98,9 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
         let found = energy.domains.iter().find(|domain| domain.domain == name);
         joules(name, found.map(|domain| domain.joules * share))
     };
-    // What the calls that were avoided would have cost: the time of a call at the clip's mean power, over the time that
-    // the joules are of.
-    let covered_us = if energy.is_whole() {
-        duration_us as f64
-    } else {
-        duration_us as f64 * energy.coverage
-    };
-    let avoided_uj = match energy_uj {
-        Some(_) if avoided_calls == 0 => Some(0),
-        Some(energy_uj) if detector_calls > 0 && covered_us > 0.0 => {
-            let watts = energy_uj as f64 / covered_us;
-            let uj = avoided_calls as f64 * detector_mean_us as f64 * watts;
-            (uj <= MOST_JOULES * 1e6).then_some(uj.round() as i64)
-        }
-        _ => None,
-    };
+    // Without a price where the node does not know what a call costs.
+    let avoided_uj = joules("energy.saved_joules_estimated", energy.saved_joules_estimated)?
+        .or((avoided_calls == 0).then_some(0));
     let product = |mean_us: i64, count: i64| {
         mean_us
             .checked_mul(count)

@@ -74,9 +74,11 @@ fn report(number: u64) -> Value {
         provider: "cpu".into(),
         total_latency_ms: latency,
         detector_latency_ms: latency,
+        detector_used_ms: 0.0,
         energy: ClipEnergy {
             joules: Some(10.0),
             node_joules: Some(10.0),
+            saved_joules_estimated: None,
             edp: None,
             quality: EnergyQuality::Measured,
             source: "rapl".into(),

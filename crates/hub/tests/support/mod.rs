@@ -252,9 +252,11 @@ pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
         provider: "cpu".into(),
         total_latency_ms: percentiles(1200, 11.3),
         detector_latency_ms: percentiles(400, 30.7),
+        detector_used_ms: 400.0 * 28.0,
         energy: ClipEnergy {
             joules: Some(joules),
             node_joules: Some(joules * 2.0),
+            saved_joules_estimated: Some(12.5),
             edp: Some(joules * 40_000.0 / 1200.0),
             quality: if number.is_multiple_of(3) {
                 EnergyQuality::Measured

@@ -40,11 +40,9 @@ pub struct Times {
 /// nobody's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct DetectorRun {
-    /// When it began.
-    pub start: Instant,
     /// When it had ended.
     pub end: Instant,
-    /// The frame's part of the time between: an even part for each of the pictures it looked at.
+    /// The frame's part of its time: an even part for each of the pictures it looked at.
     pub used: Duration,
 }
 
@@ -242,7 +240,6 @@ impl LiveEvidence {
         self.times.detector_span = Some((start, end));
         if let Some(detected) = &answer {
             self.times.detector_run = Some(DetectorRun {
-                start: end.checked_sub(detected.took).unwrap_or(start),
                 end,
                 used: detected.took / detected.pictures.max(1),
             });

@@ -8,7 +8,7 @@ use crate::input::{Delivery, Frame, FrameNumber, Pushed, RingLimits, RingSender,
 use crate::state::board::{Board, BoardSetup, Event};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::PolicyConfig;
-use albireo_power::sampler::without_a_meter;
+use albireo_power::PowerHandle;
 use albireo_synth::{Dashcam, DashcamSettings};
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
 use albireo_vision::picture::{FrameLimits, PictureFormat};
@@ -60,10 +60,10 @@ impl Bench {
         .unwrap();
         let slot = CameraSlot(0);
         let (frames, ring) = frame_ring(RingLimits::new(Delivery::Newest, 64, 0));
-        let power = without_a_meter();
-        let mut tracker = ClipTracker::new(clip, power.user("front"));
+        let power = PowerHandle::none();
+        let mut tracker = ClipTracker::new(clip, power.camera("front"));
         if audit.share > 0.0 {
-            tracker = tracker.audited_with(audit.share, power.user_aside("front audit"));
+            tracker = tracker.audited_with(audit.share);
         }
         let (closed, clips) = tokio::sync::mpsc::unbounded_channel();
         let audit = Arc::new(CameraAudit::new(
@@ -86,7 +86,7 @@ impl Bench {
             detector: detector.clone(),
             screen: None,
             pixels: pixels.clone(),
-            energy: power.user_aside("front audit"),
+            energy: power.camera("front"),
         };
         let camera = Camera {
             board: camera,

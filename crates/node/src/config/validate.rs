@@ -10,10 +10,22 @@ use albireo_vision::detector::ClassNames;
 use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
 
+const NO_BATTERY: &str = "a battery renews its figures too seldom to measure clips by; `estimate` works on every machine";
+const ONE_METER: &str = "name one meter in power.source: `rapl` for the processor or `nvml` for the cards";
+const NO_GPU: &str = "the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)";
+
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
         "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "TARGET",
         "AUDIT", "CLIP", "FRAME", "POWER", "LOG", "TOKEN",
+    ];
+
+    const REMOVED: &'static [(&'static str, &'static str)] = &[
+        ("power.source = battery", NO_BATTERY),
+        ("power.source = sum", ONE_METER),
+        ("power.sum", ONE_METER),
+        ("power.gpu_idle_watts", NO_GPU),
+        ("power.gpu_busy_watts", NO_GPU),
     ];
 
     /// Whether files are there is not looked at: that is seen when they are opened.

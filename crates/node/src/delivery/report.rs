@@ -50,8 +50,8 @@ impl ClipAccounts {
     }
 
     /// Notes what this camera used of a run of the detector.
-    pub(crate) fn detector_ran(&self, run: DetectorRun) {
-        self.tracker.detector_ran(run.start, run.end, run.used);
+    pub(crate) fn detector_ran(&mut self, run: DetectorRun) {
+        self.tracker.detector_ran(run.end, run.used);
     }
 
     /// Counts the outcome of the frame that arrived last.

@@ -1,20 +1,20 @@
 //! The live board: what the camera loops write while they run, and what HTTP, metrics and the counter
 //! messages read. Nothing here decides anything.
 
-mod balance;
 mod camera;
 mod event;
 mod history;
 mod power_past;
+mod savings;
 mod setup;
 mod thresholds;
 
-pub(crate) use balance::Balance;
 pub use camera::CameraSnapshot;
 pub use camera::{CameraBoard, CameraSetup, LatestFrame};
 pub use event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
 pub(crate) use history::{Estimate, FRAMES, PastFrame, PastSlot, SLOT_S};
 pub(crate) use power_past::PowerSlot;
+pub(crate) use savings::Savings;
 pub use setup::SetupError;
 pub use setup::{BoardSetup, DetectorFacts};
 
@@ -30,9 +30,9 @@ use albireo_service::supervise::TaskTally;
 use albireo_vision::detector::{DetectorCounts, DetectorMeter, DetectorStatus};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
 use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality, KnobSource};
-use balance::Balances;
 use parking_lot::Mutex;
 use power_past::PowerPast;
+use savings::SavingsSince;
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 use std::sync::{Arc, OnceLock};
@@ -51,14 +51,22 @@ const EVENT_BACKLOG: usize = 1024;
 pub struct PowerSnapshot {
     /// Where the figures come from: `rapl`, `estimate`, …; `none` without a source.
     pub source: String,
-    /// How far to trust them.
+    /// How far to trust the power: unavailable without a fresh sample.
     pub quality: EnergyQuality,
+    /// How far to trust the meter.
+    pub meter_quality: EnergyQuality,
     /// Power by domain, watts; empty without a source.
     pub watts: Vec<DomainWatts>,
     /// Energy by domain since the node started, joules, over the time that samples cover; only ever grows.
     pub joules: BTreeMap<String, f64>,
     /// That time, seconds.
     pub covered_s: BTreeMap<String, f64>,
+    /// From the first sample to the newest, seconds.
+    pub sampled_s: f64,
+    /// Detector time that avoided calls would have taken since the node started, seconds.
+    pub saved_detector_s: f64,
+    /// Watts that a running detector adds, once that is known.
+    pub detector_watts: Option<f64>,
     /// What reading the source has cost.
     pub cost: MeterCost,
     /// How often it could not be read.
@@ -72,9 +80,13 @@ impl Default for PowerSnapshot {
         Self {
             source: "none".to_owned(),
             quality: EnergyQuality::Unavailable,
+            meter_quality: EnergyQuality::Unavailable,
             watts: Vec::new(),
             joules: BTreeMap::new(),
             covered_s: BTreeMap::new(),
+            sampled_s: 0.0,
+            saved_detector_s: 0.0,
+            detector_watts: None,
             cost: MeterCost::default(),
             failed_reads: 0,
             hottest: None,
@@ -97,7 +109,7 @@ pub struct Board {
     screen_meter: OnceLock<WorkerMeter>,
     power: Mutex<PowerSnapshot>,
     power_past: Mutex<PowerPast>,
-    balances: Mutex<Balances>,
+    savings: Mutex<SavingsSince>,
     readiness: Readiness,
     tasks: TaskTally,
     outbox: Outbox,
@@ -155,7 +167,7 @@ impl Board {
             screen_meter: OnceLock::new(),
             power: Mutex::default(),
             power_past: Mutex::default(),
-            balances: Mutex::new(Balances::new()),
+            savings: Mutex::new(SavingsSince::new()),
             readiness,
             tasks: TaskTally::default(),
             outbox: setup.outbox,
@@ -226,7 +238,6 @@ impl Board {
             let audit_joules = report.audit.as_ref().and_then(|audit| audit.joules);
             camera.count_clip(report.energy.joules, audit_joules);
         }
-        (self.balances.lock()).add(&report, &self.cameras, unix_milliseconds());
         let report = Arc::new(report);
         let mut clips = self.clips.lock();
         if clips.len() == RECENT_CLIPS {
@@ -264,7 +275,7 @@ impl Board {
     /// The counter messages of all cameras as they stand now, told to subscribers too. To be called
     /// once a second; `t_ns` is the wall clock, nanoseconds since the Unix epoch.
     pub fn publish_counters(&self, t_ns: u64) -> Vec<Arc<CountersMessage>> {
-        (self.balances.lock()).turn(&self.cameras, unix_milliseconds());
+        self.turn_day();
         self.cameras
             .iter()
             .map(|camera| {
@@ -394,9 +405,15 @@ impl Board {
         (self.power_past.lock().slots(now), now)
     }
 
+    fn turn_day(&self) {
+        let power = self.power();
+        (self.savings.lock()).turn(&self.cameras, &power, unix_milliseconds());
+    }
+
     /// What was saved since the start, and today.
-    pub(crate) fn balances(&self) -> (Balance, Balance) {
-        (self.balances.lock()).read(&self.cameras, unix_milliseconds())
+    pub(crate) fn savings(&self) -> (Savings, Savings) {
+        self.turn_day();
+        self.savings.lock().read(&self.cameras, &self.power())
     }
 
     /// The power figures as last written.

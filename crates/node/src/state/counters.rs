@@ -9,16 +9,13 @@ use albireo_wire::{CountersMessage, NodeKeys};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::time::{Instant, MissedTickBehavior};
+use tokio::time::MissedTickBehavior;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::qos::CongestionControl;
 
 /// Time between two counter messages of a camera.
 const PERIOD: Duration = Duration::from_secs(1);
-
-/// The machine's condition is that of so long a time.
-const CONDITION: Duration = Duration::from_secs(3);
 
 /// Publishes the counters of a node's cameras.
 pub(crate) struct Counters {
@@ -79,13 +76,11 @@ impl Counters {
     fn update_power(&self) {
         let so_far = self.power.so_far();
         let now = self.power.now();
-        let moment = Instant::now();
-        let condition = moment
-            .checked_sub(CONDITION)
-            .and_then(|since| self.power.board(since, moment));
+        let hottest = self.power.condition().hottest;
         self.board.set_power(PowerSnapshot {
             source: now.source,
             quality: now.quality,
+            meter_quality: self.power.quality(),
             watts: now.watts,
             joules: so_far
                 .iter()
@@ -95,10 +90,12 @@ impl Counters {
                 .iter()
                 .map(|so_far| (so_far.domain.as_str().to_owned(), so_far.covered_s))
                 .collect(),
+            sampled_s: self.power.sampled_s(),
+            saved_detector_s: self.power.saved_detector_s(),
+            detector_watts: self.power.detector_watts(),
             cost: self.power.cost(),
             failed_reads: self.power.failed_reads(),
-            hottest: condition
-                .and_then(|condition| condition.hottest_sensor.zip(condition.hottest_celsius)),
+            hottest: hottest.map(|(sensor, celsius)| (sensor.to_string(), celsius)),
         });
     }
 

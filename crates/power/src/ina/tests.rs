@@ -1,7 +1,7 @@
 //! Promises of the hwmon meters, on trees in the documented layout.
 
 use super::*;
-use crate::Domain;
+use crate::reading::Domain;
 
 struct Tree(tempfile::TempDir);
 
@@ -40,7 +40,7 @@ impl Tree {
 
     fn watts(&self, domain: Domain) -> Option<f64> {
         let reading = self.open().unwrap().poll(Instant::now()).unwrap().remove(0);
-        reading.values.get(domain).watts
+        reading.value(domain)?.watts()
     }
 }
 

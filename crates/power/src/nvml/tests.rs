@@ -76,8 +76,8 @@ fn jetson() -> Fake {
 }
 
 #[test]
-fn the_energy_counter_is_used_where_there_is_one_and_power_elsewhere() {
-    let machine = FakeMachine::new(&[counting(5_000), power_only(75_500)]);
+fn the_energy_counters_are_used_where_all_cards_have_one() {
+    let machine = FakeMachine::new(&[counting(5_000), counting(7_000)]);
     let mut meter = machine.open(&[]).unwrap();
     let start = Instant::now();
     meter.poll(start).unwrap();
@@ -86,10 +86,21 @@ fn the_energy_counter_is_used_where_there_is_one_and_power_elsewhere() {
         .poll(start + Duration::from_secs(1))
         .unwrap()
         .remove(0);
-    let total = reading.values.get(Domain::Total);
-    assert_eq!((total.joules, total.watts), (Some(60.0), Some(75.5)));
-    assert_eq!(reading.values.get(Domain::Gpu), total);
-    assert_eq!(reading.values.get(Domain::Cpu), Value::default());
+    let total = reading.value(Domain::Total);
+    assert_eq!(total, Some(Value::Counter(60.0)));
+    assert_eq!(reading.value(Domain::Gpu), total);
+    assert_eq!(reading.value(Domain::Cpu), None);
+}
+
+#[test]
+fn power_is_used_where_a_card_counts_no_energy() {
+    let machine = FakeMachine::new(&[counting(5_000), power_only(75_500)]);
+    let mut meter = machine.open(&[]).unwrap();
+    let reading = meter.poll(Instant::now()).unwrap().remove(0);
+    assert_eq!(
+        reading.value(Domain::Total),
+        Some(Value::Power(0.001 + 75.5))
+    );
 }
 
 #[test]
@@ -157,7 +168,7 @@ fn a_driver_that_was_loaded_anew_does_not_take_energy_back() {
         .poll(start + Duration::from_secs(1))
         .unwrap()
         .remove(0);
-    assert_eq!(reading.values.get(Domain::Total).joules, Some(0.0));
+    assert_eq!(reading.value(Domain::Total), Some(Value::Counter(0.0)));
 }
 
 #[test]

@@ -12,7 +12,7 @@ fn rails(list: &[(&str, f64)]) -> Vec<RailWatts> {
 }
 
 fn watts(reading: &Reading, domain: Domain) -> Option<f64> {
-    reading.values.get(domain).watts
+    reading.value(domain)?.watts()
 }
 
 #[test]
@@ -80,7 +80,7 @@ fn a_negative_rail_counts_as_zero_and_is_shown_as_read() {
     ]));
     assert_eq!(watts(&found, Domain::Total), Some(1.592 + 2.624));
     assert_eq!(watts(&found, Domain::Cpu), Some(0.0));
-    assert_eq!(found.rails[1].value.watts, Some(-0.398));
+    assert_eq!(found.rails[1].value, Value::Power(-0.398));
 }
 
 #[test]

@@ -35,7 +35,7 @@ impl Tree {
 }
 
 fn joules(reading: &Reading, domain: Domain) -> Option<f64> {
-    reading.values.get(domain).joules
+    reading.value(domain)?.joules()
 }
 
 const CORE: &str = "intel-rapl:0/intel-rapl:0:0";

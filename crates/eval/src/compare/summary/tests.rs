@@ -45,9 +45,11 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
             provider: "cpu".to_owned(),
             total_latency_ms: timed(100, 12.5),
             detector_latency_ms: timed(calls, 20.0),
+            detector_used_ms: 0.0,
             energy: ClipEnergy {
                 joules,
                 node_joules: joules,
+                saved_joules_estimated: None,
                 edp: joules.map(|joules| joules * duration_s * 1e3 / 100.0),
                 quality: match joules {
                     Some(_) => EnergyQuality::Measured,

@@ -84,15 +84,14 @@ pub struct EnergyGroup {
     pub cpu_joules: f64,
     /// Of it memory's and input and output's.
     pub io_mem_joules: f64,
-    /// Always an estimate, whatever the quality: what calling the detector on every frame would have cost, by each
-    /// clip's own mean power over its own mean detector time for each call that was avoided.
-    pub vanilla_joules_estimated: f64,
-    /// Avoided calls in clips without a call or without energy: they have no price, and are not in the estimate.
+    /// Estimate, whatever the quality, of what the avoided calls would have added, joules: sum of what the nodes report.
+    pub saved_joules_estimated: f64,
+    /// Avoided calls in clips whose node did not know what a call adds: they are not in the estimate.
     pub unpriced_calls: i64,
     /// What the detector, looking afterwards, found on skipped frames; absent where none was audited.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditFigures>,
-    /// Joules of the audit: not in `joules`.
+    /// Estimate of what the audit added, joules: a part of `joules`.
     pub audit_joules: f64,
     /// The sums of the audit, to be added up further.
     #[serde(skip)]
@@ -196,8 +195,7 @@ impl Store {
                     gpu_joules: joules("gpu_uj")?,
                     cpu_joules: joules("cpu_uj")?,
                     io_mem_joules: joules("io_mem_uj")?,
-                    vanilla_joules_estimated: (number("energy_uj")? + number("avoided_uj")?) as f64
-                        / 1e6,
+                    saved_joules_estimated: joules("avoided_uj")?,
                     unpriced_calls: number("unpriced_calls")?,
                 })
             })

@@ -194,7 +194,7 @@ pub(super) struct PowerPiece {
 pub(super) struct PowerHistory {
     /// Length of a piece, seconds.
     slot_s: u64,
-    /// The pieces, the oldest first, the last one still open; those without a figure are left out.
+    /// The pieces that are over, the oldest first; those without a figure are left out.
     slots: Vec<PowerPiece>,
 }
 

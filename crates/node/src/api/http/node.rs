@@ -2,7 +2,7 @@
 
 use super::RouteState;
 use super::health::{Readiness, readiness};
-use crate::state::board::Balance;
+use crate::state::board::Savings;
 use albireo_service::clock::seconds;
 use albireo_wire::{EnergyQuality, OutboxStatus};
 use axum::Json;
@@ -25,9 +25,9 @@ pub(super) struct NodeOverview {
     /// Energy since the start.
     energy: EnergySinceStart,
     /// What was saved since the start.
-    since_start: Balance,
+    since_start: Savings,
     /// What was saved today: since midnight UTC, or since the start where that is later.
-    today: Balance,
+    today: Savings,
 }
 
 /// What the whole node has used since it started.
@@ -51,7 +51,7 @@ pub(super) struct EnergySinceStart {
 pub(super) async fn overview(State(shared): State<RouteState>) -> Json<NodeOverview> {
     let board = shared.board();
     let power = board.power();
-    let (since_start, today) = board.balances();
+    let (since_start, today) = board.savings();
     Json(NodeOverview {
         version: env!("CARGO_PKG_VERSION"),
         uptime_s: seconds(board.uptime()),

@@ -2,7 +2,7 @@
 
 use super::frames::{AuditCount, CameraAudit, DrawnFrame};
 use albireo_core::audit::AuditSums;
-use albireo_power::EnergyUser;
+use albireo_power::CameraEnergy;
 use albireo_vision::detector::DetectorHandle;
 use albireo_vision::picture::InputFormat;
 use albireo_vision::pixel_work::PixelWork;
@@ -21,8 +21,8 @@ pub(crate) struct Auditor {
     pub screen: Option<InputFormat>,
     /// Where pictures are decoded.
     pub pixels: PixelWork,
-    /// Whose the energy is.
-    pub energy: EnergyUser,
+    /// The energy of the audit's camera.
+    pub energy: CameraEnergy,
 }
 
 impl Auditor {
@@ -56,9 +56,7 @@ impl Auditor {
         let answer = timeout_at(until, self.detector.detect_spare(turn, prepared?)).await;
         // The detector counts and logs its failures itself.
         let detected = answer.ok()?.ok()?;
-        let end = Instant::now();
-        let start = end.checked_sub(detected.took).unwrap_or(now);
-        self.energy.detector(start, end, detected.took);
+        self.energy.detector_called(Instant::now(), detected.took);
         let mut sums = AuditSums::default();
         sums.add(&frame.shown, &detected.detections, frame.state, frame.pause);
         Some(AuditCount {

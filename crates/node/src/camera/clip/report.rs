@@ -2,16 +2,17 @@
 
 use super::latencies::Latencies;
 use crate::camera::audit::AuditCount;
-use albireo_power::{OpenSpan, SpanEnergy};
+use albireo_power::{Domain, Energy, Measured, Measurement};
+use albireo_service::clock::milliseconds;
 use albireo_wire::{
-    AuditReport, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FULL_COVERAGE,
-    FrameStates, KnobChange, KnobValue, VERSION,
+    AuditReport, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, FULL_COVERAGE, FrameStates,
+    KnobChange, KnobValue, VERSION,
 };
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// How long the last report may wait for its energy when the node stops.
+/// How long the last report may wait for its energy when the node stops: for two samples at usual intervals.
 const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
 
 /// The audit's part of a clip that has ended.
@@ -21,8 +22,6 @@ pub(crate) struct ClosedAudit {
     pub share: f64,
     /// What became known during the clip.
     pub count: AuditCount,
-    /// Its energy, still to be closed.
-    pub energy: Option<OpenSpan>,
 }
 
 impl ClosedAudit {
@@ -64,8 +63,10 @@ pub(crate) struct ClosedClip {
     pub total: Latencies,
     /// Latencies of the detector, over the frames where it ran.
     pub detector: Latencies,
-    /// Its energy, still to be closed.
-    pub energy: OpenSpan,
+    /// Detector time that its frames used.
+    pub detector_used: Duration,
+    /// Its energy, still being measured.
+    pub energy: Measurement,
     /// What its audit has found, if there is one.
     pub audit: Option<ClosedAudit>,
 }
@@ -118,15 +119,16 @@ impl ClosedClip {
             provider: meta.provider,
             total_latency_ms: self.total.percentiles(),
             detector_latency_ms: self.detector.percentiles(),
-            energy: energy_of(&SpanEnergy::unavailable(""), None, duration, 0),
+            detector_used_ms: milliseconds(self.detector_used),
+            energy: energy_of(&unmeasured(), duration, 0),
             board: None,
             audit: self.audit.as_ref().map(ClosedAudit::report),
         }
     }
 
-    /// The report, with the clip's energy and the board's state during it. Waits until the meter was read
-    /// after the clip's end, which is asked for at once: some milliseconds for a meter that answers, and not at
-    /// all without one. To be awaited away from the frames' way.
+    /// The report, with the clip's energy and the board's state during it. Waits for the meter's first sample after the
+    /// clip's end, at most an interval where the meter answers, and not at all without one. To be awaited away from the
+    /// frames' way.
     pub(crate) async fn into_report(self, meta: ClipMeta) -> ClipReport {
         let mut report = self.without_energy(meta);
         let patience = match self.ended_by {
@@ -134,37 +136,40 @@ impl ClosedClip {
             ClipEnd::NextClip | ClipEnd::Window | ClipEnd::Silence => Duration::MAX,
         };
         let duration = self.duration();
-        if let Some(spent) = self.energy.close(self.end, patience).await {
-            report.energy = energy_of(&spent.node, spent.joules, duration, report.frames);
-            report.board = spent.board;
-        }
-        let audit_energy = self.audit.and_then(|audit| audit.energy);
-        if let (Some(energy), Some(audit)) = (audit_energy, report.audit.as_mut())
-            && let Some(spent) = energy.close(self.end, patience).await
-            && spent.node.quality != EnergyQuality::Unavailable
-        {
-            audit.joules = spent.joules;
+        if let Some(measured) = self.energy.finish(self.end, patience).await {
+            report.energy = energy_of(&measured, duration, report.frames);
+            if let Some(audit) = &mut report.audit {
+                let seconds = audit.detector_us as f64 / 1e6;
+                audit.joules = measured.detector_watts.map(|watts| watts * seconds);
+            }
+            report.board = measured.board;
         }
         report
     }
 }
 
-/// The energy section of a report, from the node's energy and the clip's part of its total. Where samples do
-/// not cover the whole clip there is no energy-delay product: the energy would be that of a part of the time.
-pub fn energy_of(
-    node: &SpanEnergy,
-    joules: Option<f64>,
-    duration: Duration,
-    frames: u64,
-) -> ClipEnergy {
-    let known = node.quality != EnergyQuality::Unavailable;
-    let joules = joules.filter(|_| known);
+/// Of a clip whose energy is not known.
+fn unmeasured() -> Measured {
+    Measured {
+        node: Energy::unavailable(""),
+        joules: None,
+        detector_watts: None,
+        saved_joules: None,
+        board: None,
+    }
+}
+
+/// The energy section of a report. Where samples do not cover the whole clip there is no energy-delay product: the energy
+/// would be that of a part of the time.
+pub fn energy_of(measured: &Measured, duration: Duration, frames: u64) -> ClipEnergy {
+    let node = &measured.node;
     ClipEnergy {
-        joules,
-        node_joules: node.total_joules().filter(|_| known),
-        edp: joules
+        joules: measured.joules,
+        node_joules: node.joules(Domain::Total),
+        saved_joules_estimated: measured.saved_joules,
+        edp: (measured.joules)
             .filter(|_| node.coverage >= FULL_COVERAGE)
-            .and_then(|j| energy_delay_product(j, duration, frames)),
+            .and_then(|joules| energy_delay_product(joules, duration, frames)),
         quality: node.quality,
         source: node.source.clone(),
         total_from: node.total_from.clone(),

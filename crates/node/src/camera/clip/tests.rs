@@ -3,7 +3,7 @@
 use super::*;
 use albireo_core::policy::Albireo;
 use albireo_core::policy::FrameState;
-use albireo_power::sampler::without_a_meter;
+use albireo_power::PowerHandle;
 use albireo_wire::{ClipEnd, DroppedFrames, KnobValue};
 use proptest::prelude::*;
 use std::time::Duration;
@@ -27,7 +27,7 @@ impl Camera {
 
     fn with(config: ClipConfig) -> Self {
         Self {
-            tracker: ClipTracker::new(config, without_a_meter().user("front")),
+            tracker: ClipTracker::new(config, PowerHandle::none().camera("front")),
             start: Instant::now(),
             seq: 0,
         }

@@ -11,7 +11,7 @@ use super::latencies::Latencies;
 use super::report::{ClosedAudit, ClosedClip};
 use crate::camera::audit::AuditCount;
 use albireo_core::policy::FrameState;
-use albireo_power::{EnergyUser, OpenSpan};
+use albireo_power::{CameraEnergy, Measurement};
 use albireo_wire::{ClipEnd, DroppedFrames, FrameStates, KnobChange, KnobValue};
 use std::sync::Arc;
 use std::time::Duration;
@@ -66,17 +66,15 @@ struct OpenClip {
     knob_changes: Vec<KnobChange>,
     total: Latencies,
     detector: Latencies,
-    energy: OpenSpan,
+    detector_used: Duration,
+    energy: Measurement,
     audit: AuditCount,
-    /// The energy of the audit, beside the clip's own.
-    audit_energy: Option<OpenSpan>,
 }
 
 /// The audit that a camera's clips tell of.
 #[derive(Debug)]
 struct Audited {
     share: f64,
-    energy: EnergyUser,
     /// Counted while no clip was open: it goes to the next.
     pending: AuditCount,
 }
@@ -84,7 +82,7 @@ struct Audited {
 /// Counts the open clip of one camera.
 #[derive(Debug)]
 pub(crate) struct ClipTracker {
-    energy: EnergyUser,
+    energy: CameraEnergy,
     audit: Option<Audited>,
     window: Duration,
     silence: Duration,
@@ -98,7 +96,7 @@ pub(crate) struct ClipTracker {
 
 impl ClipTracker {
     /// No clip yet, of a camera whose part of the node's energy is `energy`.
-    pub(crate) fn new(config: ClipConfig, energy: EnergyUser) -> Self {
+    pub(crate) fn new(config: ClipConfig, energy: CameraEnergy) -> Self {
         let seconds =
             |s: f64, least: f64| Duration::try_from_secs_f64(s.max(least)).unwrap_or(Duration::MAX);
         Self {
@@ -113,12 +111,11 @@ impl ClipTracker {
         }
     }
 
-    /// Clips tell of an audit too, that draws `share` and uses the energy of `energy`.
+    /// Clips tell of an audit too, that draws `share`.
     #[must_use]
-    pub(crate) fn audited_with(mut self, share: f64, energy: EnergyUser) -> Self {
+    pub(crate) fn audited_with(mut self, share: f64) -> Self {
         self.audit = Some(Audited {
             share,
-            energy,
             pending: AuditCount::default(),
         });
         self
@@ -138,7 +135,7 @@ impl ClipTracker {
     /// more than one a call.
     pub(crate) fn arrive(&mut self, frame: &FrameArrival<'_>) -> Option<ClosedClip> {
         let closed = self.close_before(frame);
-        self.energy.frame(frame.arrival);
+        self.energy.frame();
         match &mut self.open {
             Some(open) => {
                 open.arrivals += 1;
@@ -154,6 +151,9 @@ impl ClipTracker {
     /// Counts the outcome of the frame that arrived last.
     pub(crate) fn count(&mut self, frame: &FrameResult) {
         let Some(open) = &mut self.open else { return };
+        if frame.state.is_skipped() && !frame.degraded {
+            self.energy.call_avoided();
+        }
         open.states.count(frame.state);
         open.degraded += u64::from(frame.degraded);
         open.total.add(frame.total);
@@ -176,9 +176,12 @@ impl ClipTracker {
         open.keep_until_its_end();
     }
 
-    /// Notes a run of the detector from `start` to `end`, of which this camera used `used`.
-    pub(crate) fn detector_ran(&self, start: Instant, end: Instant, used: Duration) {
-        self.energy.detector(start, end, used);
+    /// Counts a run of the detector that ended at `end`, of which this camera used `used`.
+    pub(crate) fn detector_ran(&mut self, end: Instant, used: Duration) {
+        self.energy.detector_called(end, used);
+        if let Some(open) = &mut self.open {
+            open.detector_used += used;
+        }
     }
 
     /// Counts frames that were not processed.
@@ -266,12 +269,8 @@ impl ClipTracker {
             _ => frame.arrival,
         };
         let arrival = frame.arrival.max(start);
-        let energy = self.energy.open(start);
+        let energy = self.energy.measure(start);
         energy.until(arrival);
-        let audit_energy = self.audit.as_ref().map(|audit| audit.energy.open(start));
-        if let Some(energy) = &audit_energy {
-            energy.until(arrival);
-        }
         let audit = self.audit.as_mut();
         let pending = audit.map(|audit| std::mem::take(&mut audit.pending));
         self.open = Some(OpenClip {
@@ -290,9 +289,9 @@ impl ClipTracker {
             knob_changes: Vec::new(),
             total: Latencies::default(),
             detector: Latencies::default(),
+            detector_used: Duration::ZERO,
             energy,
             audit: pending.unwrap_or_default(),
-            audit_energy,
         });
     }
 
@@ -312,11 +311,11 @@ impl ClipTracker {
             knob_changes: open.knob_changes,
             total: open.total,
             detector: open.detector,
+            detector_used: open.detector_used,
             energy: open.energy,
             audit: self.audit.as_ref().map(|audit| ClosedAudit {
                 share: audit.share,
                 count: open.audit,
-                energy: open.audit_energy,
             }),
         })
     }
@@ -325,11 +324,7 @@ impl ClipTracker {
 impl OpenClip {
     /// Keeps the energy up to where the clip ends if nothing more happens.
     fn keep_until_its_end(&self) {
-        let end = self.natural_end();
-        self.energy.until(end);
-        if let Some(energy) = &self.audit_energy {
-            energy.until(end);
-        }
+        self.energy.until(self.natural_end());
     }
 
     /// One mean frame interval after the last arrival, or when that frame was answered, if later.

@@ -188,9 +188,9 @@ async fn a_frame_uses_its_part_of_the_detectors_run_and_no_more() {
     let detected = evidence.detect(&first, std::future::pending()).await;
     let took = detected.unwrap().unwrap().took;
     let run = evidence.times.detector_run.unwrap();
-    assert_eq!((run.end - run.start, run.used), (took, took));
+    assert_eq!(run.used, took);
     let (asked, answered) = evidence.times.detector_span.unwrap();
-    assert!(asked <= run.start && run.end == answered);
+    assert!(asked + took <= run.end && run.end == answered);
     evidence.next_frame();
     assert_eq!(evidence.times.detector_run, None);
 }

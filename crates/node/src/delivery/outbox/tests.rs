@@ -26,9 +26,11 @@ fn report(clip: u64) -> ClipReport {
         provider: "cpu".into(),
         total_latency_ms: albireo_wire::Percentiles::default(),
         detector_latency_ms: albireo_wire::Percentiles::default(),
+        detector_used_ms: 0.0,
         energy: ClipEnergy {
             joules: None,
             node_joules: None,
+            saved_joules_estimated: None,
             edp: None,
             quality: EnergyQuality::Unavailable,
             source: "none".into(),

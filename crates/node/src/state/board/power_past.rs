@@ -105,10 +105,10 @@ impl PowerPast {
         }
     }
 
-    /// The pieces of the hour before `now`, oldest first; those without a figure are left out.
+    /// The pieces of the hour before `now` that are over, oldest first; those without a figure are left out.
     pub(super) fn slots(&self, now: Duration) -> Vec<PowerSlot> {
         let oldest = (now.as_secs() / SLOT_S).saturating_sub(SLOTS as u64 - 1);
-        let all = self.slots.iter().copied().chain([self.ended()]);
+        let all = self.slots.iter().copied();
         all.filter(|slot| slot.slot >= oldest && slot.watts().next().is_some())
             .collect()
     }

@@ -117,7 +117,7 @@ pub(super) fn audit(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>
     family(
         encoder,
         "audit_energy_joules",
-        "Energy of the audit in the clips that ended, by the time the detector worked for it; not in camera_energy_joules",
+        "Estimate of what the audit added in the clips that ended: its detector time times the watts that a running detector adds; a part of camera_energy_joules",
         MetricType::Counter,
         |family| {
             audited().try_for_each(|(camera, snapshot)| {

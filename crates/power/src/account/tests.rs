@@ -1,18 +1,13 @@
 //! Promises of the account of energy.
 
 use super::*;
-use crate::{Value, Values};
+use crate::reading::{Value, Values};
 use proptest::prelude::*;
-
-const METER: Meta<'_> = Meta {
-    source: "test",
-    quality: EnergyQuality::Measured,
-};
 
 fn reading(values: &[(Domain, Value)]) -> Reading {
     let mut all = Values::default();
     for (domain, value) in values {
-        all.set(*domain, *value);
+        all[*domain as usize] = Some(*value);
     }
     Reading {
         at: None,
@@ -26,18 +21,24 @@ fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// The account of a meter that is read every 100 ms, and a clock that begins with them.
+fn account(interval: u64) -> Account {
+    Account::new("test", EnergyQuality::Measured, ms(interval))
+}
+
+/// The account of a meter that is read every 100 ms, and a clock that begins with it.
 struct Bench {
-    ledger: Ledger,
+    account: Account,
+    camera: u64,
     start: Instant,
     now: u64,
 }
 
 impl Bench {
     fn new() -> Self {
-        let ledger = Ledger::new(ms(100));
+        let mut account = account(100);
         Self {
-            ledger,
+            camera: account.cameras.register("front"),
+            account,
             start: Instant::now(),
             now: 0,
         }
@@ -50,78 +51,91 @@ impl Bench {
     /// Samples of the total until then, and including that moment.
     fn sample_until(&mut self, until: u64, watts: impl Fn(f64) -> f64) {
         while self.now <= until {
-            let value = Value::power(watts(self.now as f64 / 1e3));
+            let value = Value::Power(watts(self.now as f64 / 1e3));
             let reading = reading(&[(Domain::Total, value)]);
-            self.ledger.sampled(self.at(self.now), &reading, true);
+            self.account.sampled(self.at(self.now), &reading);
             self.now += 100;
         }
     }
 
-    fn close(&mut self, span: u64, end: u64) -> Spent {
-        self.ledger.close(span, self.at(end), METER).unwrap()
+    fn open(&mut self, start: u64) -> u64 {
+        self.account.open(self.camera, self.at(start))
     }
+
+    fn until(&mut self, number: u64, at: u64) {
+        self.account.until(number, self.at(at));
+    }
+
+    fn close(&mut self, number: u64, end: u64) -> Measured {
+        self.account.close(number, self.at(end)).unwrap()
+    }
+
+    /// The node's energy between two kept instants.
+    fn energy(&mut self, start: u64, end: u64) -> Energy {
+        let number = self.open(start);
+        self.close(number, end).node
+    }
+}
+
+fn total(energy: &Energy) -> f64 {
+    energy.joules(Domain::Total).unwrap()
 }
 
 #[test]
 fn a_clip_of_any_length_is_exact_in_constant_memory() {
     let mut bench = Bench::new();
-    let user = bench.ledger.user("front");
-    let span = bench.ledger.open(user, bench.at(250));
+    let span = bench.open(250);
     let mut most = 0;
     // Three hours, up and down a triangle of ten seconds.
     let watts = |t: f64| 10.0 + (t % 10.0 - 5.0).abs();
     for second in 1..=10_800 {
         bench.sample_until(second * 1000, watts);
-        bench.ledger.until(span, bench.at(second * 1000));
-        bench
-            .ledger
-            .looked(bench.at(second * 1000), Condition::default());
-        most = most.max(bench.ledger.footprint());
+        bench.until(span, second * 1000);
+        bench.account.looked(Condition::default());
+        most = most.max(bench.account.footprint());
     }
     let spent = bench.close(span, 10_800_000);
     let exact = 12.5 * 10_800.0 - 0.25 * (15.0 - 0.125);
-    let joules = spent.node.total_joules().unwrap();
+    let joules = total(&spent.node);
     assert!((joules - exact).abs() < 1e-3, "{joules}, not {exact}");
     assert!((spent.joules.unwrap() - joules).abs() < 1e-3);
     assert_eq!(spent.node.quality, EnergyQuality::Measured);
     assert!((spent.node.coverage - 1.0).abs() < 1e-9);
     assert_eq!(spent.node.samples, 107_998);
     assert_eq!(spent.node.domains[0].peak_watts, Some(15.0));
-    assert!(most < 1000, "{most} entries");
+    assert!(most < 1100, "{most} entries");
 }
 
 #[test]
 fn an_end_that_is_noticed_an_hour_later_is_exact() {
     let mut bench = Bench::new();
-    let user = bench.ledger.user("front");
-    let span = bench.ledger.open(user, bench.at(0));
+    let span = bench.open(0);
     bench.sample_until(100_000, |_| 10.0);
-    bench.ledger.until(span, bench.at(100_030));
+    bench.until(span, 100_030);
     bench.sample_until(3_700_000, |_| 50.0);
     let spent = bench.close(span, 100_030);
     // The 30 ms are on the way from 10 W to 50 W.
     let exact = 1000.0 + 0.03 * 10.0 + 0.5 * 0.03 * 0.03 * 400.0;
-    let joules = spent.node.total_joules().unwrap();
+    let joules = total(&spent.node);
     assert!((joules - exact).abs() < 1e-6, "{joules}, not {exact}");
-    assert_eq!(spent.node.samples, 1001);
+    assert_eq!(spent.node.samples, 1000);
     assert_eq!(spent.node.domains[0].peak_watts, Some(10.0));
 }
 
 #[test]
 fn a_clip_that_goes_on_after_a_long_pause_has_the_pause_too() {
     let mut bench = Bench::new();
-    let user = bench.ledger.user("front");
-    let span = bench.ledger.open(user, bench.at(0));
+    let span = bench.open(0);
     bench.sample_until(10_000, |_| 10.0);
-    bench.ledger.until(span, bench.at(10_000));
+    bench.until(span, 10_000);
     bench.sample_until(600_000, |_| 20.0);
-    bench.ledger.until(span, bench.at(600_000));
+    bench.until(span, 600_000);
     bench.sample_until(601_000, |_| 10.0);
     let spent = bench.close(span, 601_000);
-    let joules = spent.node.total_joules().unwrap();
+    let joules = total(&spent.node);
     let exact = 100.0 + 1.5 + 589.9 * 20.0 + 1.5 + 0.9 * 10.0;
     assert!((joules - exact).abs() < 1e-6, "{joules}, not {exact}");
-    assert_eq!(spent.node.samples, 6011);
+    assert_eq!(spent.node.samples, 6010);
     assert_eq!(spent.node.domains[0].peak_watts, Some(20.0));
 }
 
@@ -129,81 +143,70 @@ fn a_clip_that_goes_on_after_a_long_pause_has_the_pause_too() {
 fn a_span_older_than_what_is_kept_is_told_as_not_covered() {
     let mut bench = Bench::new();
     bench.sample_until(200_000, |_| 10.0);
-    let (start, end) = (bench.at(0), bench.at(200_000));
-    let found = bench.ledger.energy(start, end, METER);
+    let found = bench.energy(0, 200_000);
     assert_eq!(found.quality, EnergyQuality::Partial);
-    assert!((found.coverage - 0.3).abs() < 0.01, "{}", found.coverage);
-    let end = bench.at(50_000);
-    let found = bench.ledger.energy(start, end, METER);
+    assert!((found.coverage - 0.51).abs() < 0.01, "{}", found.coverage);
+    let found = bench.energy(0, 50_000);
     assert_eq!(found.quality, EnergyQuality::Unavailable);
 }
 
 #[test]
-fn a_domain_of_power_and_counters_is_their_sum() {
+fn what_is_not_sampled_makes_the_energy_partial_and_not_smaller_in_silence() {
     let mut bench = Bench::new();
     for i in 0..=100 {
-        let seconds = i as f64 * 0.1;
-        let both = Value::power(30.0).plus(Value::counter(12.0 * seconds));
+        let counted = (Domain::Cpu, Value::Counter(i as f64));
+        let both = [counted, (Domain::Total, Value::Power(5.0))];
+        let values = if i < 50 { &both[..] } else { &both[..1] };
         let at = bench.at(i * 100);
-        bench
-            .ledger
-            .sampled(at, &reading(&[(Domain::Total, both)]), true);
+        bench.account.sampled(at, &reading(values));
     }
-    let found = bench.ledger.energy(bench.at(1050), bench.at(9050), METER);
-    assert!((found.total_joules().unwrap() - 42.0 * 8.0).abs() < 1e-6);
-    let total = &found.domains[0];
-    assert!((total.peak_watts.unwrap() - 42.0).abs() < 1e-6);
-    assert!((total.mean_watts - 42.0).abs() < 1e-6);
-    assert_eq!(
-        (found.quality, found.samples),
-        (EnergyQuality::Measured, 80)
-    );
-    let watts = bench.ledger.watts(bench.at(10_000));
-    assert!((watts[0].watts - 42.0).abs() < 1e-6);
-    let so_far = bench.ledger.since_start();
-    assert!((so_far[0].1 - 420.0).abs() < 1e-6 && (so_far[0].2 - 10.0).abs() < 1e-9);
+    let found = bench.energy(0, 10_000);
+    assert_eq!(found.quality, EnergyQuality::Partial);
+    assert!((found.coverage - 0.49).abs() < 1e-9, "{}", found.coverage);
+    assert!((found.joules(Domain::Cpu).unwrap() - 100.0).abs() < 1e-9);
+    let now = bench.account.history.present(bench.at(10_000)).unwrap();
+    assert_eq!(now.watts, [None, None, Some(10.0), None]);
 }
 
 #[test]
-fn a_part_that_goes_missing_makes_the_energy_partial_and_not_smaller_in_silence() {
+fn a_clip_between_two_samples_is_interpolated_and_has_a_rule_and_a_board() {
     let mut bench = Bench::new();
-    for i in 0..=100 {
-        let counted = Value::counter(i as f64);
-        let value = if i < 50 {
-            counted.plus(Value::power(5.0))
-        } else {
-            counted
-        };
-        let at = bench.at(i * 100);
-        bench
-            .ledger
-            .sampled(at, &reading(&[(Domain::Total, value)]), true);
-    }
-    let found = bench.ledger.energy(bench.at(0), bench.at(10_000), METER);
-    assert_eq!(found.quality, EnergyQuality::Partial);
-    assert!((found.coverage - 0.49).abs() < 1e-9, "{}", found.coverage);
-    assert!(bench.ledger.watts(bench.at(10_000)).is_empty());
+    bench.account.looked(Condition {
+        cpu_mhz: Some(1500.0),
+        ..Condition::default()
+    });
+    bench.sample_until(1000, |t| 10.0 * t);
+    let span = bench.open(1020);
+    bench.until(span, 1060);
+    bench.sample_until(1500, |t| 10.0 * t);
+    let spent = bench.close(span, 1060);
+    assert!((total(&spent.node) - 5.0 * (1.06 * 1.06 - 1.02 * 1.02)).abs() < 1e-9);
+    assert_eq!(
+        (spent.node.samples, &*spent.node.total_from),
+        (0, "sum_of_rails")
+    );
+    assert_eq!(spent.board.unwrap().cpu_mhz, Some(1500.0));
 }
 
 #[test]
 fn an_old_sample_is_not_told_as_power_now() {
     let mut bench = Bench::new();
     bench.sample_until(0, |_| 1.0);
-    assert_eq!(bench.ledger.watts(bench.at(900)).len(), 1);
-    assert!(bench.ledger.watts(bench.at(1100)).is_empty());
+    assert!(bench.account.history.present(bench.at(900)).is_some());
+    assert!(bench.account.history.present(bench.at(1100)).is_none());
 }
 
 #[test]
 fn a_change_of_rule_is_told() {
     let mut bench = Bench::new();
-    let mut one = reading(&[(Domain::Total, Value::power(1.0))]);
+    let mut one = reading(&[(Domain::Total, Value::Power(1.0))]);
     for i in 0..10 {
         if i == 5 {
             one.total_from = "input_rail".into();
         }
-        bench.ledger.sampled(bench.at(i * 100), &one, true);
+        bench.account.sampled(bench.at(i * 100), &one);
     }
-    let found = bench.ledger.energy(bench.at(0), bench.at(900), METER);
+    let found = bench.energy(0, 900);
     assert_eq!(found.total_from, "sum_of_rails, then input_rail");
 }
 
@@ -241,20 +244,21 @@ proptest! {
     ) {
         let mut bench = Bench::new();
         // Long enough to be bridged whatever comes between two samples.
-        bench.ledger = Ledger::new(ms(100_000));
-        let users: Vec<usize> = (0..USERS)
-            .map(|user| bench.ledger.user(&user.to_string()))
+        bench.account = account(100_000);
+        let users: Vec<u64> = (0..USERS)
+            .map(|user| bench.account.cameras.register(&user.to_string()))
             .collect();
         let mut joules = 0.0;
         let mut sample = |bench: &mut Bench, watts: f64, seconds: f64| {
             joules += watts * seconds;
-            let value = if counted { Value::counter(joules) } else { Value::power(watts) };
+            let value = if counted { Value::Counter(joules) } else { Value::Power(watts) };
             let reading = reading(&[(Domain::Total, value)]);
-            bench.ledger.sampled(bench.at(bench.now), &reading, true);
+            bench.account.sampled(bench.at(bench.now), &reading);
         };
         sample(&mut bench, 10.0, 0.0);
-        let whole = bench.ledger.open(users[0], bench.at(0));
-        let mut open: Vec<u64> = users.iter().map(|user| bench.ledger.open(*user, bench.at(0))).collect();
+        let start = bench.at(0);
+        let whole = bench.account.open(users[0], start);
+        let mut open: Vec<u64> = users.iter().map(|user| bench.account.open(*user, start)).collect();
         // Clips that have ended and wait for a sample after their end.
         let mut ended: Vec<(u64, u64)> = Vec::new();
         let mut shares = Vec::new();
@@ -262,6 +266,7 @@ proptest! {
         for (wait, event) in events {
             bench.now += wait;
             let now = bench.now;
+            let at = bench.at(now);
             match event {
                 Event::Sample { watts } => {
                     sample(&mut bench, watts, wait as f64 / 1e3);
@@ -270,8 +275,9 @@ proptest! {
                     }
                 }
                 Event::Frame { user } => {
-                    bench.ledger.frame(users[user], bench.at(now));
-                    bench.ledger.until(open[user], bench.at(now));
+                    bench.account.cameras.frame(users[user]);
+                    bench.account.cameras.avoided(users[user]);
+                    bench.until(open[user], now);
                 }
                 Event::Run { took, pictures } => {
                     // One run after another; what is asked meanwhile waits.
@@ -279,12 +285,13 @@ proptest! {
                     free_at = now;
                     let used = ms(now - start) / pictures.len() as u32;
                     for user in pictures {
-                        bench.ledger.detector(users[user], bench.at(start), bench.at(now), used);
+                        bench.account.detector.called(at, used);
+                        bench.account.cameras.called(users[user], used);
                     }
                 }
                 Event::Cut { user } => {
                     ended.push((open[user], now));
-                    open[user] = bench.ledger.open(users[user], bench.at(now));
+                    open[user] = bench.account.open(users[user], at);
                 }
             }
         }
@@ -296,11 +303,11 @@ proptest! {
         for (span, end) in ended {
             shares.push(bench.close(span, end));
         }
-        let total = bench.close(whole, end).node.total_joules().unwrap();
+        let total = bench.close(whole, end).node.joules(Domain::Total).unwrap();
         let sum: f64 = shares.iter().filter_map(|spent| spent.joules).sum();
         prop_assert!((sum - total).abs() < 1e-6 * total.max(1.0), "{} of {}", sum, total);
-        let is_share = |spent: &Spent| {
-            let node = spent.node.total_joules().unwrap_or_default();
+        let is_share = |spent: &Measured| {
+            let node = spent.node.joules(Domain::Total).unwrap_or_default();
             spent.joules.is_none_or(|joules| joules > -1e-9 && joules < node + 1e-9)
         };
         prop_assert!(shares.iter().all(is_share), "no clip has more than its node: {:?}", shares);

@@ -1,0 +1,139 @@
+//! The watts that a running detector adds, learnt from how the node's power follows the detector's use.
+//!
+//! Time is cut into pieces of at least two seconds, each from the end of one run of the detector to the end of another, so
+//! that a piece's detector time is exact. Power and detector share of a piece are taken as deviations from their means of
+//! the last 20 seconds: whatever else changes slowly on the machine falls out. Their regression over the last hour is
+//! the answer, once its standard error is small.
+
+use crate::totals::{History, Sum};
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Shortest piece: long beside the delay of meters.
+const PIECE: Duration = Duration::from_secs(2);
+
+/// Share of a piece that samples must cover.
+const COVERED: f64 = 0.99;
+
+/// Time constants of the means and of the regression, seconds.
+const MEAN_S: f64 = 20.0;
+const MEMORY_S: f64 = 3600.0;
+
+/// Fewest pieces, and least standard deviation of the detector's share, to learn anything from.
+const FEWEST: f64 = 20.0;
+const LEAST_DEVIATION: f64 = 0.01;
+
+/// Largest standard error of an answer, as a share of it.
+const LARGEST_ERROR: f64 = 0.05;
+
+/// The end of a run.
+#[derive(Clone, Copy, Debug)]
+struct RunEnd {
+    at: Instant,
+    /// Detector time up to there, seconds.
+    used_s: f64,
+}
+
+/// Learns them.
+#[derive(Debug)]
+pub(crate) struct DetectorWatts {
+    shortest: Duration,
+    used_s: f64,
+    last: Option<RunEnd>,
+    /// Where the present piece began, and the node's total there.
+    begun: Option<(RunEnd, Sum)>,
+    line: Line,
+    known: Option<f64>,
+}
+
+impl DetectorWatts {
+    /// Of samples taken every `interval`.
+    pub(crate) fn new(interval: Duration) -> Self {
+        Self {
+            shortest: PIECE.max(interval * 5),
+            used_s: 0.0,
+            last: None,
+            begun: None,
+            line: Line::default(),
+            known: None,
+        }
+    }
+
+    /// Notes a call that ended then and used `used`.
+    pub(crate) fn called(&mut self, end: Instant, used: Duration) {
+        self.used_s += used.as_secs_f64();
+        self.last = Some(RunEnd {
+            at: self.last.map_or(end, |last| last.at.max(end)),
+            used_s: self.used_s,
+        });
+    }
+
+    /// Learns from the samples up to now.
+    pub(crate) fn learn(&mut self, history: &History) {
+        let Some(end) = self.last.filter(|end| history.newest() >= Some(end.at)) else {
+            return;
+        };
+        if let Some((start, before)) = &self.begun {
+            let seconds = end.at.saturating_duration_since(start.at).as_secs_f64();
+            if seconds < self.shortest.as_secs_f64() {
+                return;
+            }
+            let now = history.at(end.at).total();
+            let covered_s = now.covered_s - before.covered_s;
+            if covered_s >= COVERED * seconds {
+                let share = (end.used_s - start.used_s) / seconds;
+                self.line
+                    .add(share, (now.joules - before.joules) / covered_s, seconds);
+                self.known = self.line.slope().or(self.known);
+            }
+        }
+        self.begun = Some((end, history.at(end.at).total()));
+    }
+
+    /// Watts that the detector adds while it runs; `None` until that is known.
+    pub(crate) const fn watts(&self) -> Option<f64> {
+        self.known
+    }
+}
+
+/// A straight line through points that come one after another.
+#[derive(Clone, Copy, Debug, Default)]
+struct Line {
+    points: f64,
+    means: Option<(f64, f64)>,
+    xx: f64,
+    xy: f64,
+    yy: f64,
+}
+
+impl Line {
+    fn add(&mut self, x: f64, y: f64, seconds: f64) {
+        let (mean_x, mean_y) = self.means.unwrap_or((x, y));
+        let (dx, dy) = (x - mean_x, y - mean_y);
+        let part = 1.0 - (-seconds / MEAN_S).exp();
+        self.means = Some((mean_x + part * dx, mean_y + part * dy));
+        let keep = (-seconds / MEMORY_S).exp();
+        for (sum, more) in [
+            (&mut self.points, 1.0),
+            (&mut self.xx, dx * dx),
+            (&mut self.xy, dx * dy),
+            (&mut self.yy, dy * dy),
+        ] {
+            *sum = *sum * keep + more;
+        }
+    }
+
+    /// The slope, if it is known well enough.
+    fn slope(&self) -> Option<f64> {
+        if self.points < FEWEST || self.xx < self.points * LEAST_DEVIATION.powi(2) {
+            return None;
+        }
+        let slope = self.xy / self.xx;
+        let residual = (self.yy - slope * self.xy).max(0.0) / (self.points - 2.0);
+        let error = (residual / self.xx).sqrt();
+        (slope > 0.0 && error <= LARGEST_ERROR * slope).then_some(slope)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,258 @@
+//! Running totals of energy since sampling began, and what they were at any recent instant.
+//!
+//! - Between two samples power is a straight line and a counter rises evenly.
+//! - Samples of power further apart than [`longest_gap`] are not joined: the time between adds no energy and is not
+//!   covered. A counter counts on by itself, so it is joined over up to [`LONGEST_COUNTED_S`].
+//! - Nothing is assumed before the first sample or after the last.
+
+use crate::reading::{Domain, Reading, Value, Values};
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Longest gap of a counter's samples that is believed, seconds: a small counter may have wrapped after that.
+const LONGEST_COUNTED_S: f64 = 60.0;
+
+/// Samples kept to look back at: 100 s at the default interval.
+const KEPT: usize = 1024;
+
+/// The longest gap between two samples of power that is bridged: a sample may fail or come late.
+pub(crate) fn longest_gap(interval: Duration) -> Duration {
+    interval.mul_f64(2.5).max(Duration::from_secs(1))
+}
+
+/// Energy, and the time that samples cover.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Sum {
+    /// Joules.
+    pub joules: f64,
+    /// Seconds.
+    pub covered_s: f64,
+}
+
+/// What one camera used.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct CameraTotals {
+    /// Its part of the node's joules.
+    pub joules: f64,
+    /// Detector seconds that its avoided calls would have taken.
+    pub saved_s: f64,
+}
+
+/// Everything that is added up, since sampling began.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Totals {
+    /// The node, by domain.
+    pub sums: [Sum; Domain::ALL.len()],
+    /// Samples of the total.
+    pub samples: u64,
+    /// The cameras, by number.
+    pub cameras: Vec<(u64, CameraTotals)>,
+}
+
+impl Totals {
+    /// The node's total.
+    pub(crate) const fn total(&self) -> Sum {
+        self.sums[Domain::Total as usize]
+    }
+
+    /// Those of one camera.
+    pub(crate) fn camera(&self, number: u64) -> CameraTotals {
+        let found = self.cameras.iter().find(|(camera, _)| *camera == number);
+        found.map(|(_, totals)| *totals).unwrap_or_default()
+    }
+}
+
+/// One sample, and the totals up to it.
+#[derive(Clone, Debug)]
+pub(crate) struct Sample {
+    pub at: Instant,
+    /// How the total came about.
+    pub total_from: Arc<str>,
+    /// Power by domain; of a counter, the mean since the sample before.
+    pub watts: [Option<f64>; Domain::ALL.len()],
+    values: Values,
+    totals: Totals,
+}
+
+/// Adds samples up, and keeps the newest.
+#[derive(Debug)]
+pub(crate) struct History {
+    gap_s: f64,
+    totals: Totals,
+    first: Option<Instant>,
+    /// The newest value of each domain.
+    last: [Option<(Instant, Value)>; Domain::ALL.len()],
+    recent: VecDeque<Sample>,
+}
+
+impl History {
+    /// Of samples taken every `interval`.
+    pub(crate) fn new(interval: Duration) -> Self {
+        Self {
+            gap_s: longest_gap(interval).as_secs_f64(),
+            totals: Totals::default(),
+            first: None,
+            last: Default::default(),
+            recent: VecDeque::new(),
+        }
+    }
+
+    /// Adds a sample; `divide` is given the joules of the total and the seconds since the sample before and has the
+    /// cameras' totals. False for one that is not later than the last: times always rise.
+    pub(crate) fn add(
+        &mut self,
+        at: Instant,
+        reading: &Reading,
+        divide: impl FnOnce(f64, f64) -> Vec<(u64, CameraTotals)>,
+    ) -> bool {
+        let newest = self.newest();
+        if newest.is_some_and(|newest| newest >= at) {
+            return false;
+        }
+        self.first.get_or_insert(at);
+        let joules_before = self.totals.total().joules;
+        let watts = Domain::ALL.map(|domain| self.advance(domain, at, reading.value(domain)?));
+        self.totals.samples += u64::from(reading.value(Domain::Total).is_some());
+        let seconds = newest.map_or(0.0, |newest| (at - newest).as_secs_f64());
+        self.totals.cameras = divide(self.totals.total().joules - joules_before, seconds);
+        if self.recent.len() == KEPT {
+            self.recent.pop_front();
+        }
+        self.recent.push_back(Sample {
+            at,
+            total_from: Arc::clone(&reading.total_from),
+            watts,
+            values: reading.values,
+            totals: self.totals.clone(),
+        });
+        true
+    }
+
+    /// Adds up one domain and gives its power.
+    fn advance(&mut self, domain: Domain, at: Instant, value: Value) -> Option<f64> {
+        let index = domain as usize;
+        let Some((then, before)) = self.last[index].replace((at, value)) else {
+            return value.watts();
+        };
+        let seconds = (at - then).as_secs_f64();
+        let watts = value.mean_watts(Some(before), seconds);
+        let joules = match (before, value) {
+            (Value::Power(then), Value::Power(now)) if seconds <= self.gap_s => {
+                0.5 * (then + now) * seconds
+            }
+            (Value::Counter(then), Value::Counter(now))
+                if seconds <= self.gap_s.max(LONGEST_COUNTED_S) =>
+            {
+                now - then
+            }
+            _ => return watts,
+        };
+        let sum = &mut self.totals.sums[index];
+        sum.joules += joules;
+        sum.covered_s += seconds;
+        watts
+    }
+
+    /// Whether the source has ever read `domain`.
+    pub(crate) const fn has(&self, domain: Domain) -> bool {
+        self.last[domain as usize].is_some()
+    }
+
+    /// The totals up to the newest sample.
+    pub(crate) const fn totals(&self) -> &Totals {
+        &self.totals
+    }
+
+    /// The newest sample.
+    pub(crate) fn latest(&self) -> Option<&Sample> {
+        self.recent.back()
+    }
+
+    /// When the newest sample was taken.
+    pub(crate) fn newest(&self) -> Option<Instant> {
+        self.latest().map(|sample| sample.at)
+    }
+
+    /// From the first sample to the newest, seconds.
+    pub(crate) fn sampled_s(&self) -> f64 {
+        let length = self.newest().zip(self.first).map(|(newest, first)| newest - first);
+        length.unwrap_or_default().as_secs_f64()
+    }
+
+    /// The newest sample, unless it is too old to be the present of `now`.
+    pub(crate) fn present(&self, now: Instant) -> Option<&Sample> {
+        let age = |sample: &&Sample| now.saturating_duration_since(sample.at).as_secs_f64();
+        self.latest().filter(|newest| age(newest) <= self.gap_s)
+    }
+
+    /// The last kept sample at or before `moment`.
+    pub(crate) fn before(&self, moment: Instant) -> Option<&Sample> {
+        let next = self.recent.partition_point(|sample| sample.at <= moment);
+        self.recent.get(next.checked_sub(1)?)
+    }
+
+    /// The kept samples after `start`.
+    pub(crate) fn after(&self, start: Instant) -> impl Iterator<Item = &Sample> {
+        let first = self.recent.partition_point(|sample| sample.at <= start);
+        self.recent.range(first..)
+    }
+
+    /// The totals at `moment`; at the nearest kept sample where that is further back, or not reached yet.
+    pub(crate) fn at(&self, moment: Instant) -> Totals {
+        let next = self.recent.partition_point(|sample| sample.at <= moment);
+        let before = next.checked_sub(1).and_then(|i| self.recent.get(i));
+        match (before, self.recent.get(next)) {
+            (Some(before), Some(after)) => between(before, after, moment),
+            (Some(sample), None) | (None, Some(sample)) => sample.totals.clone(),
+            (None, None) => Totals::default(),
+        }
+    }
+}
+
+/// The totals at a moment between two samples.
+fn between(before: &Sample, after: &Sample, moment: Instant) -> Totals {
+    let whole = (after.at - before.at).as_secs_f64();
+    let part = (moment - before.at).as_secs_f64() / whole;
+    let mix = |from: f64, to: f64, part: f64| from + part * (to - from);
+    let energy_part = |index: usize| match (before.values[index], after.values[index]) {
+        (Some(Value::Power(from)), Some(Value::Power(to))) if from + to > 0.0 => {
+            part * (2.0 * from + (to - from) * part) / (from + to)
+        }
+        _ => part,
+    };
+    let (from, to) = (&before.totals, &after.totals);
+    let of_total = energy_part(Domain::Total as usize);
+    Totals {
+        sums: Domain::ALL.map(|domain| {
+            let index = domain as usize;
+            let (from, to) = (from.sums[index], to.sums[index]);
+            Sum {
+                joules: mix(from.joules, to.joules, energy_part(index)),
+                covered_s: mix(from.covered_s, to.covered_s, part),
+            }
+        }),
+        samples: from.samples,
+        cameras: (to.cameras.iter())
+            .map(|(number, to)| {
+                let from = from.camera(*number);
+                let totals = CameraTotals {
+                    joules: mix(from.joules, to.joules, of_total),
+                    saved_s: mix(from.saved_s, to.saved_s, part),
+                };
+                (*number, totals)
+            })
+            .collect(),
+    }
+}
+
+#[cfg(test)]
+impl History {
+    pub(crate) fn len(&self) -> usize {
+        self.recent.len()
+    }
+}
+
+#[cfg(test)]
+mod tests;
