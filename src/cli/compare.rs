@@ -10,7 +10,6 @@ use albireo_eval::compare::{
 use albireo_eval::footage::SourceName;
 use albireo_eval::spec::BASELINE;
 use albireo_node::config::NodeConfig;
-use albireo_power::{self, PowerSource};
 use albireo_service::{logging, signals};
 use albireo_vision::detector::HeadName;
 use anyhow::{Context, bail, ensure};
@@ -242,18 +241,7 @@ async fn choose_meter(config: &NodeConfig) -> anyhow::Result<Chosen> {
         albireo_power::open(&wanted).map(|meter| (meter.source().to_owned(), meter.quality()))
     });
     let (name, quality) = opened.await.context("the power meter")??;
-    let family = name.split('(').next().unwrap_or_default();
-    let sources = [
-        PowerSource::Ina,
-        PowerSource::Tegrastats,
-        PowerSource::Rapl,
-        PowerSource::Nvml,
-        PowerSource::Battery,
-        PowerSource::Sum,
-        PowerSource::Estimate,
-        PowerSource::None,
-    ];
-    if let Some(source) = sources.into_iter().find(|source| source.as_str() == family) {
+    if let Ok(source) = serde_json::from_value(name.as_str().into()) {
         config.source = source;
     }
     let name = match quality {

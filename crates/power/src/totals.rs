@@ -177,7 +177,10 @@ impl History {
 
     /// From the first sample to the newest, seconds.
     pub(crate) fn sampled_s(&self) -> f64 {
-        let length = self.newest().zip(self.first).map(|(newest, first)| newest - first);
+        let length = self
+            .newest()
+            .zip(self.first)
+            .map(|(newest, first)| newest - first);
         length.unwrap_or_default().as_secs_f64()
     }
 

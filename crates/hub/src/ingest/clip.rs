@@ -99,8 +99,11 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
         joules(name, found.map(|domain| domain.joules * share))
     };
     // Without a price where the node does not know what a call costs.
-    let avoided_uj = joules("energy.saved_joules_estimated", energy.saved_joules_estimated)?
-        .or((avoided_calls == 0).then_some(0));
+    let avoided_uj = joules(
+        "energy.saved_joules_estimated",
+        energy.saved_joules_estimated,
+    )?
+    .or((avoided_calls == 0).then_some(0));
     let product = |mean_us: i64, count: i64| {
         mean_us
             .checked_mul(count)

@@ -11,8 +11,10 @@ use std::collections::{HashMap, HashSet};
 use zenoh::key_expr::KeyExpr;
 
 const NO_BATTERY: &str = "a battery renews its figures too seldom to measure clips by; `estimate` works on every machine";
-const ONE_METER: &str = "name one meter in power.source: `rapl` for the processor or `nvml` for the cards";
-const NO_GPU: &str = "the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)";
+const ONE_METER: &str =
+    "name one meter in power.source: `rapl` for the processor or `nvml` for the cards";
+const NO_GPU: &str =
+    "the estimate is of the processor alone; a GPU needs a meter (`ina`, `tegrastats`, `nvml`)";
 
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[

@@ -23,7 +23,7 @@ use crate::state::readiness;
 use crate::state::target::NodeTarget;
 use albireo_core::policy::KnobError;
 use albireo_core::target::{Target, TargetError};
-use albireo_power::MeterCost;
+use albireo_power::{EnergySoFar, MeterCost, PowerHandle};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskTally;
@@ -90,6 +90,35 @@ impl Default for PowerSnapshot {
             cost: MeterCost::default(),
             failed_reads: 0,
             hottest: None,
+        }
+    }
+}
+
+impl PowerSnapshot {
+    /// The figures as they are now.
+    pub(crate) fn of(power: &PowerHandle) -> Self {
+        let now = power.now();
+        let so_far = power.so_far();
+        let by_domain = |figure: fn(&EnergySoFar) -> f64| {
+            let named = so_far
+                .iter()
+                .map(|sum| (sum.domain.as_str().to_owned(), figure(sum)));
+            named.collect()
+        };
+        let hottest = power.condition().hottest;
+        Self {
+            source: now.source,
+            quality: now.quality,
+            meter_quality: power.quality(),
+            watts: now.watts,
+            joules: by_domain(|sum| sum.joules),
+            covered_s: by_domain(|sum| sum.covered_s),
+            sampled_s: power.sampled_s(),
+            saved_detector_s: power.saved_detector_s(),
+            detector_watts: power.detector_watts(),
+            cost: power.cost(),
+            failed_reads: power.failed_reads(),
+            hottest: hottest.map(|(sensor, celsius)| (sensor.to_string(), celsius)),
         }
     }
 }

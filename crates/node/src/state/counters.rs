@@ -63,40 +63,14 @@ impl Counters {
         loop {
             tokio::select! {
                 // The figures at the end are the last ones anybody sees.
-                () = shutdown.cancelled() => return self.update_power(),
+                () = shutdown.cancelled() => return self.board.set_power(PowerSnapshot::of(&self.power)),
                 _ = ticks.tick() => {}
             }
-            self.update_power();
+            self.board.set_power(PowerSnapshot::of(&self.power));
             for message in self.board.publish_counters(unix_nanoseconds()) {
                 self.publish(&message);
             }
         }
-    }
-
-    fn update_power(&self) {
-        let so_far = self.power.so_far();
-        let now = self.power.now();
-        let hottest = self.power.condition().hottest;
-        self.board.set_power(PowerSnapshot {
-            source: now.source,
-            quality: now.quality,
-            meter_quality: self.power.quality(),
-            watts: now.watts,
-            joules: so_far
-                .iter()
-                .map(|so_far| (so_far.domain.as_str().to_owned(), so_far.joules))
-                .collect(),
-            covered_s: so_far
-                .iter()
-                .map(|so_far| (so_far.domain.as_str().to_owned(), so_far.covered_s))
-                .collect(),
-            sampled_s: self.power.sampled_s(),
-            saved_detector_s: self.power.saved_detector_s(),
-            detector_watts: self.power.detector_watts(),
-            cost: self.power.cost(),
-            failed_reads: self.power.failed_reads(),
-            hottest: hottest.map(|(sensor, celsius)| (sensor.to_string(), celsius)),
-        });
     }
 
     fn publish(&self, message: &CountersMessage) {

@@ -75,7 +75,7 @@ impl Counted {
         all
     }
 
-    const fn skipped(&self) -> u64 {
+    fn skipped(&self) -> u64 {
         self.states.skipped(self.degraded)
     }
 }
@@ -155,6 +155,12 @@ impl SavingsSince {
         power: &PowerSnapshot,
     ) -> (Savings, Savings) {
         let now = Counted::of(cameras, power);
-        (self.start.savings(&now, power), self.today.savings(&now, power))
+        (
+            self.start.savings(&now, power),
+            self.today.savings(&now, power),
+        )
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -4,8 +4,8 @@ use super::*;
 use crate::camera::clip::tests::{Camera, ms};
 use crate::camera::clip::{ClipConfig, ClipTracker, FrameArrival};
 use albireo_power::{Meter, MeterError, PowerHandle, Reading, Value, start_with};
-use albireo_wire::EnergyQuality;
 use albireo_wire::DomainEnergy;
+use albireo_wire::EnergyQuality;
 use tokio_util::sync::CancellationToken;
 
 fn measured(joules: f64, coverage: f64) -> Measured {
@@ -187,7 +187,10 @@ async fn a_closed_clip_waits_for_one_sample_and_no_longer_for_a_meter_that_fails
                 assert!((joules - 10.0).abs() < 1e-6, "{joules} J at {interval} ms");
                 assert!(report.energy.coverage > 1.0 - 1e-9);
             } else {
-                assert!(waited <= ms(2 * interval + 51), "{waited:?} at {interval} ms");
+                assert!(
+                    waited <= ms(2 * interval + 51),
+                    "{waited:?} at {interval} ms"
+                );
                 assert_eq!(report.energy.quality, EnergyQuality::Unavailable);
             }
             tracker.shutdown(Instant::now());
