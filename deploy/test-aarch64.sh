@@ -19,7 +19,7 @@ ONNXRUNTIME_MACHINE=aarch64 bash deploy/fetch-onnxruntime.sh "$folder/onnxruntim
 cat > "$folder/node.toml" <<- NODE
 	http.listen = "$http"
 	zenoh.listen = ["$zenoh"]
-	detector.model = "$PWD/models/detector.onnx"
+	detector.model = "$PWD/models/yolox_nano.onnx"
 	power.source = "none"
 	# Emulated, a run of the model takes seconds.
 	detector.timeout_ms = 60000
@@ -50,8 +50,7 @@ for _ in $(seq 240); do
 done
 curl -sSf "http://$http/readyz"
 echo
-(cd "$folder" && "$albireo" synth --out drive --frames 6 --size 640x360 > /dev/null)
-"$albireo" replay "$folder/drive" --every --camera front --connect "$zenoh" 2> "$folder/replay.log" || { cat "$folder/replay.log"; tail -n 20 "$folder/node.log"; exit 1; }
+"$albireo" replay demo --frames 6 --every --camera front --connect "$zenoh" 2> "$folder/replay.log" || { cat "$folder/replay.log"; tail -n 20 "$folder/node.log"; exit 1; }
 # A frame is taken before it is answered.
 for _ in $(seq 120); do
     curl -sSf "http://$http/api/v1/cameras/front" > "$folder/front.json"

@@ -5,7 +5,8 @@ mod hub;
 mod show;
 
 use super::replay::{
-    FrameSender, Pacing, PublishOptions, Rate, SourceName, VideoEncoding, open_session, publish,
+    ClipIds, FrameSender, Pacing, PublishOptions, Rate, SourceName, VideoEncoding, open_session,
+    publish,
 };
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::{PreparedNode, run_prepared};
@@ -22,7 +23,8 @@ const EXAMPLES: &str = "\
 Examples:
   albireo demo                      until Ctrl-C
   albireo demo --seconds 60         one minute, then a summary
-  albireo demo --seed 42 --u 1e-3   another world, a higher threshold
+  albireo demo --u 1e-3             a higher threshold
+  albireo demo --clip drive.mp4     your own road; needs ffmpeg
   albireo demo --policy expected-loss:0.5
                                     our own policy, a detector call priced at 0.5
 While it runs, in another terminal:
@@ -43,29 +45,21 @@ pub(super) struct Arguments {
     /// Stop so many seconds after the camera starts [default: run until Ctrl-C]
     #[arg(long, value_name = "SECONDS")]
     seconds: Option<u64>,
-    /// World the synthetic dashcam drives through
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
     /// Frames per second
     #[arg(long, value_name = "FPS", default_value_t = 10.0, value_parser = super::rate::parse_rate)]
     rate: f64,
-    /// Play a video or a folder of pictures in place of the synthetic dashcam
-    #[arg(
-        long = "clip",
-        alias = "source",
-        value_name = "FILE",
-        conflicts_with = "seed"
-    )]
-    source: Option<SourceName>,
+    /// A video file, a folder of pictures, or a tar archive of such folders; `demo` is demo/road.tar
+    #[arg(long, value_name = "FILE", default_value = "demo")]
+    clip: SourceName,
     /// Policy that decides, with the value of its knob if it should not be the default
     #[arg(long, value_name = "NAME[:VALUE]", default_value = "albireo")]
     policy: String,
     /// Uncertainty threshold at the start
     #[arg(long)]
     u: Option<f64>,
-    /// Folder with the demonstration models
-    #[arg(long, value_name = "FOLDER", default_value = "models")]
-    models: PathBuf,
+    /// The detector, an ONNX file
+    #[arg(long, value_name = "FILE", default_value = "models/yolox_nano.onnx")]
+    detector: PathBuf,
     /// Port of the HTTP interface; another free one when it is taken
     #[arg(long, default_value_t = 8080)]
     port: u16,
@@ -81,7 +75,8 @@ pub(super) struct Arguments {
 /// When a part cannot start.
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
-        level: "warn".to_owned(),
+        // What is dropped or failed stands in the summary; a warning would tear the table.
+        level: "error".to_owned(),
         ..LogConfig::default()
     })?;
     let shutdown = signals::shutdown().context(signals::CONTEXT)?;
@@ -100,7 +95,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     show.banner();
     #[cfg(feature = "hub")]
     show::hub_lines(hub.address());
-    show::heading();
+    show::frame_states();
 
     // A task each: opening a Zenoh session blocks its thread, and no part may wait for another's.
     // Whichever ends first ends the others.
@@ -151,8 +146,7 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
     config.zenoh.listen = vec![endpoint.to_owned()];
     // Who looks at a demonstration wants to see each clip arrive.
     config.outbox.gather_reports = 1;
-    config.detector.model = arguments.models.join("detector.onnx");
-    config.screen.model = Some(arguments.models.join("screen.onnx"));
+    config.detector.model.clone_from(&arguments.detector);
     config.policy.select(&arguments.policy)?;
     if let Some(u) = arguments.u {
         config.policy.u = u;
@@ -160,8 +154,7 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
     config.cameras = vec![CameraConfig::named(CAMERA)];
     if !config.detector.model.exists() {
         bail!(
-            "{} is not there: run the demonstration in the project's folder, or name the folder of the \
-             models with --models",
+            "{} is not there: run the demonstration in the project's folder, or name a detector with --detector",
             config.detector.model.display()
         );
     }
@@ -178,17 +171,15 @@ async fn camera(
     endpoint: String,
     shutdown: CancellationToken,
 ) -> anyhow::Result<()> {
-    let source = arguments.source.unwrap_or(SourceName::Synthetic {
-        seed: arguments.seed,
-    });
-    let source = source
+    let source = arguments
+        .clip
         .open(Some(arguments.rate), VideoEncoding::default())
         .await?;
     let options = PublishOptions {
         rate: Rate::PerSecond(arguments.rate),
         repeat: true,
         frames: None,
-        clip: Some(source.name().to_owned()),
+        clip: ClipIds::OfSource,
         clip_seconds: source.clip_seconds(),
         first_sequence: 0,
     };

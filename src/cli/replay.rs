@@ -8,7 +8,7 @@ pub use super::frames::{
 pub use albireo_eval::footage::{
     Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Synthetic, Video, VideoEncoding,
 };
-pub use publish::{PublishOptions, Rate, Sent, publish};
+pub use publish::{ClipIds, PublishOptions, Rate, Sent, publish};
 
 use super::frames::{FrameTarget, NOBODY};
 use anyhow::{Context, anyhow, bail};
@@ -96,15 +96,16 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 impl ReplayArguments {
     /// What is sent of `source`.
     pub fn publish_options(&self, source: &dyn FrameSource) -> PublishOptions {
-        let clip = self
-            .clip
-            .clone()
-            .unwrap_or_else(|| source.name().to_owned());
+        let clip = match &self.clip {
+            _ if self.no_clip => ClipIds::None,
+            Some(name) => ClipIds::Given(name.clone()),
+            None => ClipIds::OfSource,
+        };
         PublishOptions {
             rate: self.rate.unwrap_or_default(),
             repeat: self.repeat,
             frames: self.frames,
-            clip: (!self.no_clip).then_some(clip),
+            clip,
             clip_seconds: self.clip_seconds.or(source.clip_seconds()),
             first_sequence: 0,
         }

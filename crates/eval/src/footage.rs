@@ -1,6 +1,7 @@
 //! Footage: a video, a folder of pictures or the synthetic dashcam as a sequence of encoded pictures, the
 //! form in which a camera sends them. `replay` publishes it; `eval` looks at it.
 
+mod archive;
 mod error;
 mod folder;
 mod open;
@@ -9,6 +10,7 @@ mod synthetic;
 mod thinned;
 mod video;
 
+pub use archive::PictureArchive;
 pub use error::FootageError;
 pub use folder::PictureFolder;
 pub use open::SourceName;

@@ -2,7 +2,9 @@
 
 use super::PATIENCE;
 use super::clip::LoadedClip;
-use crate::cli::replay::{FrameSender, Pacing, PublishOptions, Rate, flush, open_session, publish};
+use crate::cli::replay::{
+    ClipIds, FrameSender, Pacing, PublishOptions, Rate, flush, open_session, publish,
+};
 use albireo_core::policy::{Knob, PolicyConfig};
 use albireo_eval::compare::{Advice, Boxes, ClassNumbers};
 use albireo_node::PreparedNode;
@@ -195,7 +197,7 @@ impl Player {
             let options = PublishOptions {
                 repeat: true,
                 frames: Some(warm_up),
-                clip: Some(WARM_UP.to_owned()),
+                clip: ClipIds::Given(WARM_UP.to_owned()),
                 ..self.options()
             };
             let told = |sent| tell(sent, "warm-up");
@@ -203,7 +205,7 @@ impl Player {
             self.answered(camera, warm_up).await?;
         }
         let options = PublishOptions {
-            clip: Some(MEASURED.to_owned()),
+            clip: ClipIds::Given(MEASURED.to_owned()),
             first_sequence: warm_up,
             ..self.options()
         };

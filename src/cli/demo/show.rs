@@ -22,6 +22,7 @@ pub(super) struct Show {
     address: SocketAddr,
     model: String,
     started: Instant,
+    has_heading: bool,
     bar: ProgressBar,
 }
 
@@ -29,7 +30,6 @@ pub(super) struct Show {
 #[derive(Debug, Default)]
 pub(super) struct Summary {
     seconds: f64,
-    first_detection: Option<f64>,
     clips: u64,
     states: FrameStates,
     degraded: u64,
@@ -53,12 +53,13 @@ impl Show {
             address,
             model: config.detector.model.display().to_string(),
             started: Instant::now(),
+            has_heading: false,
             bar,
         }
     }
 
     pub(super) fn banner(&self) {
-        println!("albireo demo: synthetic dashcam -> Zenoh -> {}", self.model);
+        println!("albireo demo: a recorded road -> Zenoh -> {}", self.model);
         println!("  page     http://{}/", self.address);
         println!(
             "  counters curl http://{}/api/v1/frame-states",
@@ -92,10 +93,10 @@ impl Show {
             };
             match event.as_deref() {
                 Ok(Event::Frame(frame)) => {
-                    if summary.first_detection.is_none() && !frame.detections.boxes.is_empty() {
+                    if !self.has_heading && !frame.detections.boxes.is_empty() {
                         let seconds = self.started.elapsed().as_secs_f64();
-                        summary.first_detection = Some(seconds);
                         self.say(&format!("first detection after {seconds:.1} s"));
+                        self.heading();
                     }
                     summary.seconds = self.started.elapsed().as_secs_f64();
                     self.bar
@@ -103,6 +104,7 @@ impl Show {
                     self.bar.tick();
                 }
                 Ok(Event::Clip(report)) => {
+                    self.heading();
                     self.say(&clip_line(report));
                     summary.add(report);
                     if shutdown.is_cancelled() {
@@ -117,6 +119,13 @@ impl Show {
         summary
     }
 
+    /// The head of the clips' table, once.
+    fn heading(&mut self) {
+        if !std::mem::replace(&mut self.has_heading, true) {
+            self.say(&format!("\n{HEADING}"));
+        }
+    }
+
     fn say(&self, line: &str) {
         self.bar.suspend(|| println!("{line}"));
     }
@@ -129,14 +138,13 @@ pub(super) fn hub_lines(address: SocketAddr) {
     println!("  fleet    albireo fleet --hub http://{address} ls");
 }
 
-/// What the letters mean, and what the columns of the clips are.
-pub(super) fn heading() {
-    println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue\n");
-    println!("{HEADING}");
+/// What the letters of the table mean.
+pub(super) fn frame_states() {
+    println!("E empty, P predicted, E+I screen then detector, I detector, AI with rescue");
 }
 
 const HEADING: &str =
-    "clip               frames    E    P  E+I    I   AI   skip   energy        EDP";
+    "clip                 frames    E    P  E+I    I   AI   skip   energy        EDP";
 
 /// What happens now, in one line.
 fn live_line(board: &Board, message: &DetectionsMessage) -> String {
@@ -176,7 +184,7 @@ fn clip_line(report: &ClipReport) -> String {
         )
     };
     format!(
-        "{:<18} {:>6} {:>4} {:>4} {:>4} {:>4} {:>4} {:>5.1}% {:>9} {:>12}",
+        "{:<20} {:>6} {:>4} {:>4} {:>4} {:>4} {:>4} {:>5.1}% {:>9} {:>12}",
         report.clip,
         report.frames,
         states.e,

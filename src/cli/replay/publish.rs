@@ -25,6 +25,18 @@ pub enum Rate {
     Unpaced,
 }
 
+/// How clips are named.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum ClipIds {
+    /// Not at all.
+    #[default]
+    None,
+    /// As the source names them.
+    OfSource,
+    /// All alike.
+    Given(String),
+}
+
 /// What is sent of a source, and how.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct PublishOptions {
@@ -34,8 +46,8 @@ pub struct PublishOptions {
     pub repeat: bool,
     /// Stop after this many frames.
     pub frames: Option<u64>,
-    /// Clip id, numbered (`name-0001`) when there can be more than one clip; `None` names no clips.
-    pub clip: Option<String>,
+    /// The names of clips, numbered (`name-0001`) when there can be more than one of a name.
+    pub clip: ClipIds,
     /// Begin a new clip after this many seconds of the source's time.
     pub clip_seconds: Option<f64>,
     /// Sequence number of the first frame.
@@ -94,14 +106,21 @@ impl Drop for StopOnDrop {
     }
 }
 
-/// A picture and the pass through the source it belongs to.
-type Prepared = anyhow::Result<(u64, EncodedPicture)>;
+/// A picture with the pass through the source and the source's clip it belongs to.
+struct Prepared {
+    pass: u64,
+    clip: Option<String>,
+    picture: EncodedPicture,
+}
 
 /// Frames made ahead of their time, so that a slow frame does not delay the next.
 const AHEAD: usize = 4;
 
 /// Runs the source on a thread of its own.
-fn prepare(mut source: Box<dyn FrameSource>, repeat: bool) -> mpsc::Receiver<Prepared> {
+fn prepare(
+    mut source: Box<dyn FrameSource>,
+    repeat: bool,
+) -> mpsc::Receiver<anyhow::Result<Prepared>> {
     let (sender, receiver) = mpsc::channel(AHEAD);
     std::thread::spawn(move || {
         for pass in 0_u64.. {
@@ -110,7 +129,13 @@ fn prepare(mut source: Box<dyn FrameSource>, repeat: bool) -> mpsc::Receiver<Pre
                 match source.next() {
                     Ok(Some(picture)) => {
                         frames += 1;
-                        if sender.blocking_send(Ok((pass, picture))).is_err() {
+                        let clip = source.clip().map(str::to_owned);
+                        let prepared = Prepared {
+                            pass,
+                            clip,
+                            picture,
+                        };
+                        if sender.blocking_send(Ok(prepared)).is_err() {
                             return;
                         }
                     }
@@ -140,18 +165,26 @@ fn prepare(mut source: Box<dyn FrameSource>, repeat: bool) -> mpsc::Receiver<Pre
 
 /// Names clips.
 struct Clips {
-    name: Option<String>,
+    ids: ClipIds,
+    source: String,
     numbered: bool,
     seconds: Option<f64>,
     begun: u64,
-    /// Pass and time of the present clip's first frame.
-    present: Option<(u64, f64)>,
+    present: Option<Present>,
+}
+
+/// The clip that is being sent: where it began.
+struct Present {
+    pass: u64,
+    of_source: Option<String>,
+    since: f64,
 }
 
 impl Clips {
-    fn new(options: &PublishOptions) -> Self {
+    fn new(options: &PublishOptions, source: &str) -> Self {
         Self {
-            name: options.clip.clone(),
+            ids: options.clip.clone(),
+            source: source.to_owned(),
             numbered: options.repeat || options.clip_seconds.is_some(),
             seconds: options.clip_seconds,
             begun: 0,
@@ -159,24 +192,31 @@ impl Clips {
         }
     }
 
-    /// The clip of the next frame, of pass `pass` and source time `seconds`.
-    fn next(&mut self, pass: u64, seconds: f64) -> Option<String> {
-        let name = self.name.as_ref()?;
-        let same = self.present.is_some_and(|(first_pass, first)| {
+    /// The clip of the next frame: of pass `pass`, of the source's clip `of_source`, `seconds` after the first.
+    fn next(&mut self, pass: u64, of_source: Option<String>, seconds: f64) -> Option<String> {
+        let (name, numbered) = match &self.ids {
+            ClipIds::None => return None,
+            ClipIds::Given(name) => (name, self.numbered || of_source.is_some()),
+            ClipIds::OfSource => (of_source.as_ref().unwrap_or(&self.source), self.numbered),
+        };
+        let name = name.clone();
+        let same = self.present.as_ref().is_some_and(|present| {
             // Frame times are computed: half a millisecond is no frame.
-            first_pass == pass
-                && self
-                    .seconds
-                    .is_none_or(|most| seconds - first < most - 0.0005)
+            let is_over = |most| seconds - present.since >= most - 0.0005;
+            (present.pass, &present.of_source) == (pass, &of_source)
+                && !self.seconds.is_some_and(is_over)
         });
         if !same {
-            self.present = Some((pass, seconds));
+            self.present = Some(Present {
+                pass,
+                of_source,
+                since: seconds,
+            });
             self.begun += 1;
         }
-        Some(if self.numbered {
-            format!("{name}-{:04}", self.begun)
-        } else {
-            name.clone()
+        Some(match numbered {
+            true => format!("{name}-{:04}", self.begun),
+            false => name,
         })
     }
 }
@@ -198,8 +238,8 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
         .filter(|period| *period <= LONGEST_PERIOD)
         .with_context(|| format!("{rate} frames per second is not a rate: give one with --rate"))?;
     let _stop = StopOnDrop(source.stopper());
+    let mut clips = Clips::new(options, source.name());
     let mut prepared = prepare(source, options.repeat);
-    let mut clips = Clips::new(options);
     let mut sent = Sent::default();
     let mut begun = None;
     let mut due = Instant::now();
@@ -210,7 +250,11 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
             next = prepared.recv() => next,
         };
         let Some(next) = next else { break };
-        let (pass, picture) = next?;
+        let Prepared {
+            pass,
+            clip,
+            picture,
+        } = next?;
         let (began, clock) = *begun.get_or_insert_with(|| {
             due = Instant::now();
             (due, SystemTime::now())
@@ -235,7 +279,7 @@ async fn play<F: Future<Output = anyhow::Result<SentFrame>>>(
                 v: VERSION,
                 seq: Some(options.first_sequence + sent.frames),
                 t_ns: Some(nanoseconds(clock, seconds)),
-                clip: clips.next(pass, seconds),
+                clip: clips.next(pass, clip, seconds),
                 ..raw_size(&picture)
             },
             picture,

@@ -2,6 +2,7 @@
 
 use albireo_synth::SynthError;
 use albireo_vision::picture::{CutError, FrameFault, PictureFileError};
+use std::path::PathBuf;
 
 /// Why footage cannot be opened or read on.
 #[derive(Debug, thiserror::Error)]
@@ -68,6 +69,14 @@ pub enum FootageError {
         input: String,
         /// Why.
         source: FrameFault,
+    },
+    /// An archive of pictures cannot be read.
+    #[error("{}: {source}", path.display())]
+    Archive {
+        /// The archive.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
     },
     /// A picture of a folder cannot be read.
     #[error(transparent)]

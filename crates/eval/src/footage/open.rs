@@ -1,5 +1,6 @@
 //! Opens the footage that a name on the command line means.
 
+use super::archive::PictureArchive;
 use super::error::FootageError;
 use super::folder::PictureFolder;
 use super::source::FrameSource;
@@ -8,6 +9,9 @@ use super::video::{Ffmpeg, Video, VideoEncoding};
 use albireo_vision::picture::is_picture_file;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
+
+/// The demonstration's road, in the project's folder.
+const ROAD: &str = "demo/road.tar";
 
 /// What to replay, as it is named on the command line.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -19,6 +23,8 @@ pub enum SourceName {
     },
     /// A folder of JPEG and PNG files, or one such file.
     Pictures(PathBuf),
+    /// A tar archive of such folders; `demo` is the demonstration's.
+    Archive(PathBuf),
     /// A video file.
     Video(String),
 }
@@ -36,7 +42,10 @@ impl FromStr for SourceName {
                 .map(|seed| Self::Synthetic { seed })
                 .map_err(|_| format!("`{seed}` is not a seed: use a whole number, as in synth:7"));
         }
-        let path = Path::new(text);
+        let path = Path::new(if text == "demo" { ROAD } else { text });
+        if path.extension().is_some_and(|extension| extension == "tar") {
+            return Ok(Self::Archive(path.to_path_buf()));
+        }
         if path.is_dir() || is_picture_file(path) {
             return Ok(Self::Pictures(path.to_path_buf()));
         }
@@ -62,6 +71,10 @@ impl SourceName {
             Self::Pictures(path) => {
                 let folder = PictureFolder::open(path, rate.unwrap_or(PictureFolder::RATE))?;
                 Ok(Box::new(folder))
+            }
+            Self::Archive(path) => {
+                let archive = PictureArchive::open(path, rate.unwrap_or(PictureFolder::RATE))?;
+                Ok(Box::new(archive))
             }
             Self::Video(input) => {
                 if !input.contains("://") && !Path::new(input).exists() {
@@ -97,6 +110,9 @@ mod tests {
             "one.PNG".parse(),
             Ok(SourceName::Pictures(PathBuf::from("one.PNG")))
         );
+        let archive = |path: &str| Ok(SourceName::Archive(PathBuf::from(path)));
+        assert_eq!("demo".parse(), archive("demo/road.tar"));
+        assert_eq!("other.tar".parse(), archive("other.tar"));
         let folder = env!("CARGO_MANIFEST_DIR");
         assert_eq!(
             folder.parse(),

@@ -18,6 +18,11 @@ pub trait FrameSource: Send {
     /// How many frames one pass has, where that is known beforehand.
     fn frames(&self) -> Option<u64>;
 
+    /// The clip of the picture that came last, where the source has several: nothing moves on from one to the next.
+    fn clip(&self) -> Option<&str> {
+        None
+    }
+
     /// Length of one of its clips, seconds, where it is cut into clips by itself.
     fn clip_seconds(&self) -> Option<f64> {
         None
@@ -52,7 +57,7 @@ pub fn clip_name(path: &Path) -> String {
 }
 
 /// `text` as a name that can stand in a clip id.
-fn plain_name(text: &str) -> String {
+pub(super) fn plain_name(text: &str) -> String {
     let name: String = text
         .chars()
         .take(100)

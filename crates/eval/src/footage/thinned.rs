@@ -73,6 +73,10 @@ impl FrameSource for Thinned<'_> {
         Some((0..frames).filter(|index| self.sieve.takes(*index)).count() as u64)
     }
 
+    fn clip(&self) -> Option<&str> {
+        self.source.clip()
+    }
+
     fn clip_seconds(&self) -> Option<f64> {
         self.source.clip_seconds()
     }

@@ -95,7 +95,7 @@ pub struct DetectorConfig {
 impl Default for DetectorConfig {
     fn default() -> Self {
         Self {
-            model: PathBuf::from("models/detector.onnx"),
+            model: PathBuf::from("models/yolox_nano.onnx"),
             head: HeadName::Auto,
             input_size: None,
             class_names: None,

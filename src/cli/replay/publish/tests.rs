@@ -6,15 +6,20 @@ use albireo_eval::footage::FootageError;
 use bytes::Bytes;
 use std::sync::Mutex;
 
-/// Pictures of one byte, numbered.
+/// Pictures of one byte, numbered; with `halves`, cut into two clips.
 struct Numbers {
     length: u8,
     at: u8,
+    halves: bool,
 }
 
 impl FrameSource for Numbers {
     fn name(&self) -> &str {
         "numbers"
+    }
+    fn clip(&self) -> Option<&str> {
+        let first = self.at <= self.length / 2;
+        self.halves.then_some(if first { "day" } else { "night" })
     }
     fn rate(&self) -> f64 {
         10.0
@@ -40,7 +45,11 @@ impl FrameSource for Numbers {
 }
 
 fn numbers(length: u8) -> Box<dyn FrameSource> {
-    Box::new(Numbers { length, at: 0 })
+    Box::new(Numbers {
+        length,
+        at: 0,
+        halves: false,
+    })
 }
 
 /// Everything sent, with the time since the start.
@@ -123,7 +132,7 @@ async fn a_loop_begins_a_clip_with_each_pass_and_stops_when_enough_is_sent() {
     let options = PublishOptions {
         repeat: true,
         frames: Some(7),
-        clip: Some("drive".to_owned()),
+        clip: ClipIds::Given("drive".to_owned()),
         ..PublishOptions::default()
     };
     let (frames, sent) = played(3, options, at_once).await;
@@ -143,7 +152,7 @@ async fn a_clip_has_the_seconds_asked_for_at_any_speed() {
     for rate in [Rate::Source, Rate::Unpaced] {
         let options = PublishOptions {
             rate,
-            clip: Some("c".to_owned()),
+            clip: ClipIds::Given("c".to_owned()),
             clip_seconds: Some(0.3),
             ..PublishOptions::default()
         };
@@ -156,11 +165,54 @@ async fn a_clip_has_the_seconds_asked_for_at_any_speed() {
         assert_eq!(sent.clips, 3);
     }
     let one = PublishOptions {
-        clip: Some("c".to_owned()),
+        clip: ClipIds::Given("c".to_owned()),
         ..PublishOptions::default()
     };
     let (frames, _) = played(2, one, at_once).await;
     assert_eq!(frames[1].1.attachment.clip.as_deref(), Some("c"));
+}
+
+#[tokio::test(start_paused = true)]
+async fn the_clips_of_a_source_are_kept_apart() {
+    let given = || ClipIds::Given("drive".to_owned());
+    for (ids, repeat, expected) in [
+        (ClipIds::OfSource, false, ["day", "night", ""]),
+        (
+            ClipIds::OfSource,
+            true,
+            ["day-0001", "night-0002", "day-0003"],
+        ),
+        (given(), false, ["drive-0001", "drive-0002", ""]),
+        (ClipIds::None, true, ["", "", ""]),
+    ] {
+        let options = PublishOptions {
+            repeat,
+            frames: Some(10),
+            clip: ids,
+            ..PublishOptions::default()
+        };
+        let source = Box::new(Numbers {
+            length: 8,
+            at: 0,
+            halves: true,
+        });
+        let clips = Mutex::new(Vec::new());
+        let send = |frame: OutgoingFrame| {
+            let clip = frame.attachment.clip.unwrap_or_default();
+            clips.lock().unwrap().push(clip);
+            async { Ok(SentFrame::Gone) }
+        };
+        let running = CancellationToken::new();
+        play(source, &options, send, |_| {}, &running)
+            .await
+            .unwrap();
+        let [one, two, three] = expected;
+        let rest = if repeat { vec![three; 2] } else { Vec::new() };
+        assert_eq!(
+            clips.into_inner().unwrap(),
+            [vec![one; 4], vec![two; 4], rest].concat()
+        );
+    }
 }
 
 #[tokio::test(start_paused = true)]
