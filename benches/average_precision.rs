@@ -3,8 +3,8 @@
 //!
 //! `cargo bench --bench average_precision`
 
-use albireo_bench_scene::{PICTURE, Scene, processor_seconds, quartiles};
 use albireo_eval::average_precision::{Classes, Interpolation, ScoredBox, TruthBox, accuracy};
+use albireo_scene::{PICTURE, Scene, processor_seconds, quartiles};
 use std::hint::black_box;
 
 const BOXES: [usize; 3] = [10_000, 100_000, 1_000_000];

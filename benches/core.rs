@@ -3,12 +3,12 @@
 
 #![allow(clippy::expect_used)]
 
-use albireo_bench_scene::{PICTURE, Scene};
 use albireo_core::detection::Detection;
 use albireo_core::policy::{
     Albireo, AlbireoSettings, ExpectedLoss, ExpectedLossSettings, FrameEvidence, FrameHead,
     Outcome, Policy, Profile, Trigger, decide_at_once,
 };
+use albireo_scene::{PICTURE, Scene};
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use std::time::{Duration, Instant};
 

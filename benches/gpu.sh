@@ -2,8 +2,7 @@
 # Measures what one NVIDIA GPU does for the node and writes docs/gpu.md; `make gpu` calls it. Set by variables:
 #   PROVIDER=cuda|tensorrt|cpu   what runs the models; cpu is a trial of this script, short and marked as such
 #   MODELS="a.onnx b.onnx"       detectors; without it those at hand. Variants are made beside them: float16, an open batch
-#   CAMERA_MODELS="a.onnx"       detectors that cameras are put on; without it the demonstration detector, which has learned
-#                                what is in the pictures
+#   CAMERA_MODELS="a.onnx"       detectors that cameras are put on; without it YOLOX-Nano
 #   RUNS SECONDS_EACH MOST_CAMERAS DEVICE OUT        see cargo bench --bench gpu -- --help
 #   GPU_BENCH=… ALBIREO_BIN=…    the bench and the program, built elsewhere: for a machine without Rust
 # Variants need Python with the packages of benches/gpu/requirements.txt (GPU_PYTHON names one); without them they are left out.
@@ -11,9 +10,8 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 provider=${PROVIDER:-cuda}
-shared=${ALBIREO_SHARED:-../shared}
-read -ra models <<<"${MODELS:-models/detector.onnx $(ls "$shared"/models/yolox_nano_416.onnx 2>/dev/null || true)}"
-read -ra camera_models <<<"${CAMERA_MODELS:-models/detector.onnx}"
+read -ra models <<<"${MODELS:-models/yolox_nano.onnx}"
+read -ra camera_models <<<"${CAMERA_MODELS:-models/yolox_nano.onnx}"
 if [ "$provider" = cpu ]; then
     : "${RUNS:=30}" "${SECONDS_EACH:=3}" "${MOST_CAMERAS:=4}"
 fi

@@ -16,7 +16,7 @@
 
 use albireo::cli::frames::{FrameSender, OutgoingFrame, Pacing, open_session};
 use albireo_core::geometry::PictureSize;
-use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_scene::BoxScene;
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork};
 use albireo_vision::picture::{EncodedPicture, Picture, PictureFormat};
 use albireo_wire::{FrameAttachment, VERSION};
@@ -44,7 +44,10 @@ struct Arguments {
 
 impl Arguments {
     fn read() -> Self {
-        let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models/detector.onnx");
+        let models = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/tests/fixtures/models/boxes.onnx"
+        );
         let mut read = Self {
             programs: Vec::new(),
             cameras: vec![1, 2, 4, 8],
@@ -189,19 +192,10 @@ fn node(
 }
 
 fn pictures() -> Vec<EncodedPicture> {
-    let mut dashcam = Dashcam::new(DashcamSettings {
-        seed: 7,
-        size: SIZE,
-        ..DashcamSettings::default()
-    })
-    .expect("a dashcam");
+    let scene = BoxScene::new(7, SIZE);
     let picture = |index| EncodedPicture {
         format: PictureFormat::Jpeg,
-        bytes: dashcam
-            .frame(index)
-            .encode_jpeg(85)
-            .expect("a JPEG file")
-            .into(),
+        bytes: scene.frame(index).jpeg(85).expect("a JPEG file").into(),
         size: SIZE,
     };
     (0..32).map(picture).collect()

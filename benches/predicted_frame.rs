@@ -73,7 +73,7 @@ impl Answerer {
     fn node(folder: &std::path::Path, audit: f64) -> Self {
         let port = free_port();
         let file = folder.join(format!("node-{audit}.toml"));
-        let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models/detector.onnx");
+        let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models/yolox_nano.onnx");
         let text = format!(
             "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{port}\"]\nlog.level = \"warn\"\n\
              detector.model = \"{models}\"\npower.source = \"none\"\npolicy.name = \"fixed-skip\"\n\

@@ -80,7 +80,7 @@ impl Drop for Node {
 /// A node whose detector runs on one frame of a thousand, and looks at none of the others afterwards.
 fn node(folder: &std::path::Path, port: u16) -> Node {
     let file = folder.join("node.toml");
-    let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models/detector.onnx");
+    let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models/yolox_nano.onnx");
     let text = format!(
         "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{port}\"]\nzenoh.shared_memory = true\nlog.level = \"warn\"\n\
          detector.model = \"{models}\"\npower.source = \"none\"\npolicy.name = \"fixed-skip\"\n\

@@ -25,7 +25,7 @@ cat > "$folder/node.toml" <<- NODE
 	http.listen = "127.0.0.1:18092"
 	zenoh.listen = ["tcp/127.0.0.1:17449"]
 	uplink.connect = ["tcp/127.0.0.1:17448"]
-	detector.model = "$PWD/models/detector.onnx"
+	detector.model = "$PWD/models/yolox_nano.onnx"
 		[[camera]]
 	name = "front"
 NODE
@@ -35,8 +35,7 @@ until curl -sf http://127.0.0.1:18092/readyz > /dev/null; do
     kill -0 $node || { cat "$folder/node.log"; exit 1; }
     sleep 0.2
 done
-(cd "$folder" && "$albireo" synth --out drive --frames 400 > /dev/null)
-"$albireo" replay "$folder/drive" --rate 10 --loop --no-clip --node car-7 --camera front --connect tcp/127.0.0.1:17449 \
+"$albireo" replay demo --rate 10 --loop --no-clip --node car-7 --camera front --connect tcp/127.0.0.1:17449 \
     > /dev/null 2> "$folder/replay.log" &
 
 sent() { ss -tinHO state established "dport = :17448" | grep -o 'bytes_sent:[0-9]*' | cut -d: -f2 | sort -n | tail -n 1; }

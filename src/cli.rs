@@ -33,8 +33,6 @@ mod router;
 #[cfg(feature = "simulate")]
 mod simulate;
 mod size;
-#[cfg(feature = "synth")]
-pub mod synth;
 mod variables;
 
 use albireo_vision::detector::end_all_sessions;
@@ -124,9 +122,6 @@ enum Command {
     #[cfg(feature = "eval")]
     /// Replay recordings through any policy: accuracy against what it saves.
     Eval(eval::EvalArguments),
-    #[cfg(feature = "synth")]
-    /// Write the synthetic dashcam's pictures with their ground truth into a folder.
-    Synth(synth::SynthArguments),
     #[cfg(feature = "simulate")]
     /// Play a fleet of nodes to a hub: load, outages, reactions to what is desired.
     Simulate(Box<simulate::Arguments>),
@@ -195,8 +190,6 @@ impl Arguments {
             }),
             #[cfg(feature = "eval")]
             Command::Eval(arguments) => eval::run(&arguments),
-            #[cfg(feature = "synth")]
-            Command::Synth(arguments) => synth::run(&arguments),
             #[cfg(feature = "simulate")]
             Command::Simulate(arguments) => block_on(simulate::run(*arguments)),
             #[cfg(feature = "eval")]

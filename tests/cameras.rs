@@ -6,7 +6,7 @@ use crate::support::live_camera::{MotionJpegCamera, RtspCamera, Script};
 use crate::support::{Node, PATIENCE, albireo};
 use albireo::cli::replay::open_session;
 use albireo_core::geometry::PictureSize;
-use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_scene::BoxScene;
 use albireo_wire::{FrameAttachment, read};
 use serde_json::Value;
 use std::path::Path;
@@ -22,13 +22,8 @@ const USER: &str = "viewer";
 const PASSWORD: &str = "hid/den@7:x";
 
 fn picture() -> Vec<u8> {
-    let mut dashcam = Dashcam::new(DashcamSettings {
-        seed: 3,
-        size: PictureSize::new(320, 180),
-        ..DashcamSettings::default()
-    })
-    .unwrap();
-    dashcam.frame(0).encode_jpeg(80).unwrap()
+    let scene = BoxScene::new(3, PictureSize::new(320, 180));
+    scene.frame(0).jpeg(80).unwrap()
 }
 
 /// A frame as a subscriber gets it.

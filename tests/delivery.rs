@@ -15,7 +15,7 @@ use tokio::time::timeout;
 /// Settings of a node that answers quickly and tries a hub again quickly.
 fn settings() -> String {
     format!(
-        "detector.model = \"{}/models/detector.onnx\"\ndetector.timeout_ms = 60000\n\
+        "detector.model = \"{}/tests/fixtures/models/boxes.onnx\"\ndetector.timeout_ms = 60000\n\
          policy.name = \"vanilla\"\npower.source = \"none\"\n\
          outbox.retry_min_ms = 50\noutbox.retry_max_ms = 200\noutbox.answer_timeout_ms = 1500\n",
         env!("CARGO_MANIFEST_DIR")

@@ -276,7 +276,7 @@ fn node(folder: &Path, model: &Path) -> PathBuf {
 #[ignore = "needs ONNX Runtime"]
 async fn a_node_feeds_its_watchdog_while_its_detector_works() {
     let folder = tempfile::tempdir().unwrap();
-    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/detector.onnx");
+    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/models/boxes.onnx");
     let file = node(folder.path(), &model);
     let mut manager = Manager::new();
     let arguments = ["node", "--config", file.to_str().unwrap()];

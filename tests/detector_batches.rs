@@ -64,7 +64,7 @@ async fn cameras_share_a_run_and_each_gets_its_own_boxes() {
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_batch_for_a_model_that_takes_one_picture_is_refused_with_what_to_do() {
-    let refused = DetectorHandle::start(&config("demonstration.onnx")).await;
+    let refused = DetectorHandle::start(&config("colours.onnx")).await;
     let error = refused.err().unwrap().to_string();
     for part in ["detector.batch_size", "[1, 3, 32, 64]", "dynamic=True"] {
         assert!(error.contains(part), "{error}");

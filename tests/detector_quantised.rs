@@ -4,14 +4,14 @@
 #![allow(clippy::unwrap_used)]
 
 use albireo_core::detection::Detection;
-use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_eval::footage::{FrameSource, PictureArchive};
 use albireo_vision::detector::{DetectorConfig, DetectorNetwork, HeadName};
-use albireo_vision::picture::{Picture, PixelLayout};
+use albireo_vision::picture::{FrameLimits, Picture, PixelLayout, decode};
 use std::path::Path;
 
-/// Worlds the detector was not trained on, and not calibrated with.
-const WORLDS: std::ops::Range<u64> = 100_001..100_009;
-const FRAMES_OF_A_WORLD: u64 = 4;
+/// A clip of the road that the quantised model was not calibrated with, and how many of its frames are skipped each time.
+const CLIP: &str = "busy";
+const EVERY: usize = 4;
 /// What one of the two is sure of, the other must find.
 const SURE: f64 = 0.6;
 const FOUND: f64 = 0.5;
@@ -68,11 +68,11 @@ fn median(values: &mut [f64]) -> f64 {
 #[ignore = "needs ONNX Runtime"]
 fn a_quantised_export_is_recognised_with_the_classes_of_the_model_it_was_made_from() {
     let [float, quantised] = [
-        "models/detector.onnx",
-        "tests/fixtures/models/detector_int8.onnx",
+        "models/yolox_nano.onnx",
+        "tests/fixtures/models/yolox_nano_int8.onnx",
     ]
     .map(|file| network(file, FOUND));
-    assert_eq!(quantised.head(), HeadName::Demonstration);
+    assert_eq!(quantised.head(), HeadName::Yolox);
     assert_eq!(quantised.signature(), float.signature());
     assert_eq!(quantised.input_format(), float.input_format());
     assert_eq!(quantised.class_names(), float.class_names());
@@ -86,32 +86,25 @@ fn a_quantised_export_is_recognised_with_the_classes_of_the_model_it_was_made_fr
 #[test]
 #[ignore = "needs ONNX Runtime"]
 fn a_quantised_export_finds_what_the_model_it_was_made_from_finds() {
-    let mut float = network("models/detector.onnx", FOUND);
-    let mut quantised = network("tests/fixtures/models/detector_int8.onnx", FOUND);
+    let mut float = network("models/yolox_nano.onnx", FOUND);
+    let mut quantised = network("tests/fixtures/models/yolox_nano_int8.onnx", FOUND);
     let mut agreement = Agreement::default();
     let mut same_to_the_bit = true;
-    for seed in WORLDS {
-        let mut dashcam = Dashcam::new(DashcamSettings {
-            seed,
-            ..DashcamSettings::default()
-        })
-        .unwrap();
-        for number in 0..FRAMES_OF_A_WORLD {
-            let frame = dashcam.frame(31 + 57 * number);
-            let picture = Picture {
-                size: frame.size,
-                source_size: frame.size,
-                layout: PixelLayout::Rgb8,
-                pixels: frame.rgb,
-            };
-            let [first, second] = [&mut float, &mut quantised].map(|network| {
-                let prepared = network.preparation().prepare(&picture).unwrap();
-                network.detect(&prepared).unwrap().detections
-            });
-            agreement.add(&first, &second);
-            agreement.add(&second, &first);
-            same_to_the_bit &= first == second;
-        }
+    let road = Path::new(env!("CARGO_MANIFEST_DIR")).join("demo/road.tar");
+    let clips = PictureArchive::open(&road, 10.0).unwrap().into_clips();
+    let mut clip = clips.into_iter().find(|clip| clip.name() == CLIP).unwrap();
+    let encoded = std::iter::from_fn(|| clip.next().unwrap());
+    for encoded in encoded.step_by(EVERY) {
+        let mut picture = Picture::default();
+        let (limits, layout) = (FrameLimits::default(), PixelLayout::Rgb8);
+        decode(&encoded, &limits, layout, None, &mut picture).unwrap();
+        let [first, second] = [&mut float, &mut quantised].map(|network| {
+            let prepared = network.preparation().prepare(&picture).unwrap();
+            network.detect(&prepared).unwrap().detections
+        });
+        agreement.add(&first, &second);
+        agreement.add(&second, &first);
+        same_to_the_bit &= first == second;
     }
     let asked = agreement.overlaps.len() + agreement.missed.len();
     assert!(asked >= 60, "only {asked} objects to compare");

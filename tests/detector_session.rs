@@ -24,10 +24,10 @@ async fn refusal(config: DetectorConfig) -> String {
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
-    let detector = DetectorHandle::start(&config("demonstration.onnx"))
+    let detector = DetectorHandle::start(&config("colours.onnx"))
         .await
         .unwrap();
-    assert_eq!(detector.model_name(), "demonstration.onnx");
+    assert_eq!(detector.model_name(), "colours.onnx");
     assert_eq!(detector.class_names().len(), 7);
     assert_eq!(detector.provider(), ExecutionProvider::Cpu);
     // Its class scores are the means of the planes: here green, the second.
@@ -73,7 +73,7 @@ async fn a_fitting_model_is_run_on_the_pictures_own_pixels() {
 async fn only_the_classes_to_report_are_reported() {
     let only = |names: &[&str]| DetectorConfig {
         report_classes: Some(names.iter().map(|&name| name.to_owned()).collect()),
-        ..config("demonstration.onnx")
+        ..config("colours.onnx")
     };
     let picture = one_colour([51, 204, 0]);
     for (names, expected) in [(["rider"], 1), (["car"], 0)] {
@@ -101,18 +101,17 @@ async fn a_model_that_no_head_or_not_the_named_one_reads_is_refused_with_what_wa
         "detr:",
         "yolox:",
         "fastestdet:",
-        "demonstration:",
     ] {
         assert!(error.contains(part), "{part} is not in: {error}");
     }
     let error = refusal(DetectorConfig {
         head: HeadName::Yolox,
-        ..config("demonstration.onnx")
+        ..config("colours.onnx")
     })
     .await;
     for part in [
-        "demonstration.onnx",
-        "[1, 1, 11]",
+        "colours.onnx",
+        "[1, 11, 1]",
         "`yolox`",
         "[1, 42, 5 + classes]",
     ] {
@@ -144,7 +143,7 @@ async fn a_missing_provider_is_an_error_unless_the_list_may_fall_back() {
     for (providers, named) in [(vec![Cuda, Cpu], "`cuda`"), (vec![TensorRt], "`tensorrt`")] {
         let error = refusal(DetectorConfig {
             providers,
-            ..config("demonstration.onnx")
+            ..config("colours.onnx")
         })
         .await;
         assert!(
@@ -155,7 +154,7 @@ async fn a_missing_provider_is_an_error_unless_the_list_may_fall_back() {
     let detector = DetectorHandle::start(&DetectorConfig {
         providers: vec![TensorRt, Cuda, Cpu],
         may_fall_back: true,
-        ..config("demonstration.onnx")
+        ..config("colours.onnx")
     })
     .await
     .unwrap();
@@ -168,7 +167,7 @@ async fn a_missing_provider_is_an_error_unless_the_list_may_fall_back() {
     let error = refusal(DetectorConfig {
         providers: vec![TensorRt, Cuda],
         may_fall_back: true,
-        ..config("demonstration.onnx")
+        ..config("colours.onnx")
     })
     .await;
     assert!(error.contains("`cuda`"), "{error}");
@@ -192,7 +191,7 @@ async fn numbers_that_are_none_are_counted_and_reported_as_nothing() {
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
 async fn a_picture_with_too_few_bytes_fails_alone() {
-    let detector = DetectorHandle::start(&config("demonstration.onnx"))
+    let detector = DetectorHandle::start(&config("colours.onnx"))
         .await
         .unwrap();
     let mut short = Arc::unwrap_or_clone(one_colour([51, 204, 0]));
@@ -246,7 +245,7 @@ async fn the_screen_says_empty_as_its_class_and_colour_order_have_it() {
 
 #[tokio::test]
 async fn a_number_that_cannot_be_is_refused_with_its_key() {
-    let good = || config("demonstration.onnx");
+    let good = || config("colours.onnx");
     for (key, config) in [
         (
             "detector.confidence",
@@ -293,7 +292,7 @@ async fn a_number_that_cannot_be_is_refused_with_its_key() {
 #[ignore = "needs ONNX Runtime"]
 async fn a_detector_is_refused_as_a_screen() {
     let config = ScreenConfig {
-        model: Some(model("demonstration.onnx")),
+        model: Some(model("colours.onnx")),
         ..ScreenConfig::default()
     };
     let error = ScreenHandle::start(&config, None)
@@ -301,7 +300,7 @@ async fn a_detector_is_refused_as_a_screen() {
         .err()
         .unwrap()
         .to_string();
-    for part in ["demonstration.onnx", "[1, 1, 11]", "`screen`", "[1, 2]"] {
+    for part in ["colours.onnx", "[1, 11, 1]", "`screen`", "[1, 2]"] {
         assert!(error.contains(part), "{part} is not in: {error}");
     }
 }

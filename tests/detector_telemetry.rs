@@ -7,7 +7,7 @@ use std::process::Command;
 #[ignore = "needs ONNX Runtime"]
 fn onnx_runtime_leaves_nothing_under_the_users_home() {
     let home = tempfile::tempdir().unwrap();
-    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("models/detector.onnx");
+    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/models/boxes.onnx");
     let output = Command::new(env!("CARGO_BIN_EXE_albireo"))
         .arg("detect")
         .arg(model)

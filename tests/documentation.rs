@@ -39,7 +39,7 @@ struct Block {
 /// Every page there is.
 fn pages() -> Vec<&'static str> {
     let mut pages = Vec::new();
-    for folder in [".", "docs", "models", "config", "deploy"] {
+    for folder in [".", "docs", "demo", "models", "config", "deploy"] {
         for entry in std::fs::read_dir(root().join(folder)).unwrap() {
             let name = entry.unwrap().file_name().into_string().unwrap();
             if name.ends_with(".md") {
@@ -74,6 +74,7 @@ fn is_command(line: &str) -> bool {
         "rustup",
         "sudo",
         "systemctl",
+        "tar",
         "yolo",
     ];
     let first = without_settings(line)
@@ -470,7 +471,7 @@ fn a_real_message_has_the_fields_of_the_reference() {
 /// A folder with what the commands want of a checkout: models and pages.
 fn workshop() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
-    for name in ["models", "docs"] {
+    for name in ["demo", "models", "docs"] {
         std::os::unix::fs::symlink(root().join(name), folder.path().join(name)).unwrap();
     }
     let config = "[[camera]]\nname = \"front\"\n";
@@ -583,16 +584,11 @@ async fn the_commands_of_the_pages_run_in_their_order() {
 #[ignore = "needs ONNX Runtime and Python"]
 async fn the_python_examples_publish_and_listen() {
     let folder = workshop();
-    run_line(
-        folder.path(),
-        "albireo synth --out drive --frames 20 --size 640x360",
-        &[],
-    )
-    .await;
+    run_line(folder.path(), "tar -xf demo/road.tar busy", &[]).await;
     let models = root().join("models");
     let node = Node::start(&format!(
         "[detector]\nmodel = \"{}\"\n[[camera]]\nname = \"front\"\n",
-        models.join("detector.onnx").display()
+        models.join("yolox_nano.onnx").display()
     ))
     .await;
     let example = |name: &str| -> PathBuf { root().join("docs/examples").join(name) };
@@ -604,7 +600,7 @@ async fn the_python_examples_publish_and_listen() {
     );
     let listening = shell(folder.path(), &listen, &[]);
     let publish = format!(
-        "{} {} drive albireo/node/front/frame {}",
+        "{} {} busy albireo/node/front/frame {}",
         python(),
         example("publish.py").display(),
         node.zenoh
@@ -614,7 +610,7 @@ async fn the_python_examples_publish_and_listen() {
     while !heard.is_finished() {
         let said = run_line(folder.path(), &publish, &[]).await;
         assert!(
-            said.contains("20 frames sent on albireo/node/front/frame"),
+            said.contains("88 frames sent on albireo/node/front/frame"),
             "{said}"
         );
     }

@@ -22,6 +22,7 @@ use albireo_eval::run::{Settings, run_stored};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, PolicySpec, resolve};
 use albireo_eval::trace;
+use albireo_scene::BoxScene;
 use albireo_vision::detector::{DetectorConfig, HeadName};
 use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::ScreenConfig;
@@ -61,7 +62,7 @@ fn write_pictures(folder: &Path, frames: u32) {
 
 fn fixture_detector() -> DetectorConfig {
     DetectorConfig {
-        model: model("demonstration.onnx"),
+        model: model("colours.onnx"),
         confidence: LOWEST_CONFIDENCE,
         ..DetectorConfig::default()
     }
@@ -179,7 +180,7 @@ fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_a
     let at = |name: &str| folder.path().join(name).display().to_string();
     std::fs::create_dir(at("drive")).unwrap();
     write_pictures(Path::new(&at("drive")), 30);
-    let (detector, screen) = (model("demonstration.onnx"), model("screen.onnx"));
+    let (detector, screen) = (model("colours.onnx"), model("screen.onnx"));
     let policies = ["--policy", "albireo", "--policy", "erd-only"];
     let (drive, saved) = (at("drive"), at("saved"));
     let (first, second) = (at("first"), at("second"));
@@ -223,31 +224,61 @@ fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_a
     }
 }
 
+/// A sequence as MOTChallenge lays it out: pictures of boxes and their exact places.
+fn write_sequence(folder: &Path, frames: u64) {
+    use std::fmt::Write;
+    let size = PictureSize::new(640, 360);
+    let scene = BoxScene::new(5, size);
+    for part in ["img1", "gt"] {
+        std::fs::create_dir_all(folder.join(part)).unwrap();
+    }
+    let mut truth = String::new();
+    for index in 0..frames {
+        let frame = scene.frame(index);
+        let picture = folder.join(format!("img1/{:06}.jpg", index + 1));
+        std::fs::write(picture, frame.jpeg(90).unwrap()).unwrap();
+        for (class, place) in &frame.boxes {
+            let (width, height) = (place.x2 - place.x1, place.y2 - place.y1);
+            let (x, y) = (place.x1 + 1.0, place.y1 + 1.0);
+            writeln!(
+                truth,
+                "{},{class},{x},{y},{width},{height},1,1,1",
+                index + 1
+            )
+            .unwrap();
+        }
+    }
+    std::fs::write(folder.join("gt/gt.txt"), truth).unwrap();
+    let info = format!(
+        "[Sequence]\nname=boxes\nimDir=img1\nframeRate=10\nseqLength={frames}\nimWidth={}\nimHeight={}\nimExt=.jpg\n",
+        size.width, size.height
+    );
+    std::fs::write(folder.join("seqinfo.ini"), info).unwrap();
+}
+
 #[test]
 #[ignore = "needs ONNX Runtime"]
-fn the_dashcam_is_judged_by_its_own_ground_truth() {
-    let detector = model("demonstration.onnx");
-    let output = albireo(&[
-        "eval",
-        "synth",
-        "--seeds",
-        "1-2",
-        "--clip-seconds",
-        "1",
-        "--size",
-        "320x180",
-        "--detector",
-        detector.to_str().unwrap(),
-    ]);
+fn pictures_are_judged_by_their_ground_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    let sequence = folder.path().join("boxes");
+    write_sequence(&sequence, 40);
+    let (pictures, detector) = (sequence.join("img1"), model("boxes.onnx"));
+    let out = folder.path().join("out");
+    let mut arguments = vec!["eval", "video", pictures.to_str().unwrap()];
+    arguments.extend(["--detector", detector.to_str().unwrap()]);
+    arguments.extend(["--truth-format", "motchallenge", "--policy", "fixed-skip:2"]);
+    arguments.extend(["--ground-truth", sequence.to_str().unwrap()]);
+    arguments.extend(["--out", out.to_str().unwrap()]);
+    let output = albireo(&arguments);
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{complaint}");
     let said = String::from_utf8_lossy(&output.stdout);
-    assert!(
-        output.status.success(),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
     assert!(said.contains("Judged by ground truth"), "{said}");
-    assert!(said.contains("over 2 clips"), "{said}");
-    assert!(said.contains("20 frames"), "{said}");
+    let report = std::fs::read(out.join("report.json")).unwrap();
+    let report: serde_json::Value = serde_json::from_slice(&report).unwrap();
+    let ap50 = |policy: usize| report["policies"][policy]["ap50"].as_f64().unwrap();
+    assert!(ap50(0) > 0.99, "the detector finds every box: {}", ap50(0));
+    assert!(ap50(1) < ap50(0), "every second frame is predicted");
 }
 
 /// A clip made by hand: one sure car on every frame, and round times.

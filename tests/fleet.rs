@@ -38,7 +38,7 @@ impl Car {
         let folder = tempfile::tempdir().unwrap();
         let settings = format!(
             "node.name = \"{name}\"\nnode.state_dir = \"{}\"\n\
-             detector.model = \"{}/models/detector.onnx\"\ndetector.timeout_ms = 60000\n\
+             detector.model = \"{}/tests/fixtures/models/boxes.onnx\"\ndetector.timeout_ms = 60000\n\
              policy.name = \"{policy}\"\npower.source = \"none\"\n\
              outbox.retry_min_ms = 50\noutbox.retry_max_ms = 200\noutbox.answer_timeout_ms = 1500\n\
              uplink.connect = [\"{router}\"]\nuplink.retry_max_ms = 500\n",

@@ -1,4 +1,4 @@
-//! A node in this process, with a real Zenoh session, ONNX Runtime and the demonstration detector: what it
+//! A node in this process, with a real Zenoh session, ONNX Runtime and a detector that finds coloured boxes: what it
 //! does with frames good and bad, with thresholds, and at the end.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
@@ -8,7 +8,7 @@ use albireo_core::geometry::PictureSize;
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::state::board::Board;
 use albireo_node::{Node, NodeError, PreparedNode};
-use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_scene::BoxScene;
 use albireo_wire::{ClipReport, DetectionsMessage, FrameAttachment, VERSION};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -33,7 +33,7 @@ pub(crate) fn project(path: &str) -> PathBuf {
 pub(crate) fn configuration() -> NodeConfig {
     let mut config = NodeConfig::default();
     config.zenoh.listen = vec!["tcp/127.0.0.1:0".to_owned()];
-    config.detector.model = project("models/detector.onnx");
+    config.detector.model = project("tests/fixtures/models/boxes.onnx");
     config.detector.timeout_ms = 60_000;
     config.policy.name = "vanilla".to_owned();
     config.cameras = vec![CameraConfig {
@@ -168,16 +168,11 @@ fn frame_key() -> String {
     format!("albireo/node/{CAMERA}/frame")
 }
 
-/// Pictures of the synthetic dashcam, small to be quick.
+/// Pictures of boxes, small to be quick.
 pub(crate) fn pictures(count: u64) -> Vec<Vec<u8>> {
-    let mut dashcam = Dashcam::new(DashcamSettings {
-        seed: 5,
-        size: PictureSize::new(640, 360),
-        ..DashcamSettings::default()
-    })
-    .unwrap();
+    let scene = BoxScene::new(5, PictureSize::new(640, 360));
     (0..count)
-        .map(|index| dashcam.frame(index).encode_jpeg(85).unwrap())
+        .map(|index| scene.frame(index).jpeg(85).unwrap())
         .collect()
 }
 

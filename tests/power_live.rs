@@ -64,7 +64,7 @@ delivery = "every"
 
 async fn replay(node: &Node, clip: &str, frames: &str) {
     let output = albireo()
-        .args(["replay", "synth", "--frames", frames, "--clip", clip])
+        .args(["replay", "demo", "--frames", frames, "--clip", clip])
         .args(["--clip-seconds", "1000", "--every", "--wait-for-subscriber"])
         .args(["--connect", &node.zenoh, "--node", "bench"])
         .stdout(Stdio::piped())

@@ -13,22 +13,21 @@ const MAY_USE: &[(&str, &[&str])] = &[
     ("core", &[]),
     ("wire", &["core"]),
     ("service", &["wire"]),
-    ("synth", &["core"]),
     ("vision", &["core", "service"]),
     ("power", &["service", "wire"]),
     ("node", &["core", "power", "service", "vision", "wire"]),
     ("hub", &["service", "wire"]),
     ("router", &["service", "wire"]),
     ("simulate", &["wire"]),
-    ("eval", &["core", "synth", "vision", "wire"]),
+    ("eval", &["core", "vision", "wire"]),
     (
         "the program",
         &[
-            "core", "eval", "hub", "node", "power", "router", "service", "simulate", "synth",
-            "vision", "wire",
+            "core", "eval", "hub", "node", "power", "router", "service", "simulate", "vision",
+            "wire",
         ],
     ),
-    ("bench-scene", &["core"]),
+    ("scene", &["core"]),
 ];
 
 /// All that the method depends on, with what its dependencies bring. Whoever adds a name here puts it into every program

@@ -11,11 +11,11 @@ pub(crate) struct Arguments {
     /// What runs the models; `cpu` is a trial of this script and marked as such.
     #[arg(long, value_enum, default_value_t = ExecutionProvider::Cuda)]
     pub provider: ExecutionProvider,
-    /// ONNX file of a detector; may be given several times. Without it the demonstration detector.
+    /// ONNX file of a detector; may be given several times. Without it YOLOX-Nano.
     #[arg(long = "model", value_name = "FILE")]
     models: Vec<PathBuf>,
     /// ONNX file of the detector that cameras are put on; may be given several times. It should have learned what is in the
-    /// pictures, or nothing is tracked and nothing can be skipped. Without it the demonstration detector.
+    /// pictures, or nothing is tracked and nothing can be skipped. Without it YOLOX-Nano.
     #[arg(long = "camera-model", value_name = "FILE")]
     camera_models: Vec<PathBuf>,
     /// Which GPU, as CUDA and NVML number them.
@@ -47,12 +47,12 @@ pub(crate) struct Arguments {
 impl Arguments {
     /// The detectors to measure.
     pub(crate) fn models(&self) -> anyhow::Result<Vec<PathBuf>> {
-        or_demonstration(&self.models)
+        or_default(&self.models)
     }
 
     /// The detectors that cameras are put on.
     pub(crate) fn camera_models(&self) -> anyhow::Result<Vec<PathBuf>> {
-        or_demonstration(&self.camera_models)
+        or_default(&self.camera_models)
     }
 
     /// A detector that runs as asked or not at all. What TensorRT cannot run of a model goes to CUDA.
@@ -81,9 +81,9 @@ impl Arguments {
     }
 }
 
-fn or_demonstration(models: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
+fn or_default(models: &[PathBuf]) -> anyhow::Result<Vec<PathBuf>> {
     let models = match models {
-        [] => vec![PathBuf::from("models/detector.onnx")],
+        [] => vec![PathBuf::from("models/yolox_nano.onnx")],
         models => models.to_vec(),
     };
     if let Some(missing) = models.iter().find(|model| !model.is_file()) {

@@ -18,7 +18,7 @@ const TOO_SMALL: u32 = 1;
 /// The rows: what was done, and what was said.
 pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Result<()> {
     eprintln!("refusals");
-    let demonstration = arguments.models()?.swap_remove(0);
+    let model = arguments.models()?.swap_remove(0);
     let mut rows = Vec::new();
     let mut row = |what: String, said: String| rows.push(vec![what, said]);
     for provider in [
@@ -28,14 +28,14 @@ pub(crate) async fn write(page: &mut Page, arguments: &Arguments) -> anyhow::Res
     ] {
         let config = DetectorConfig {
             providers: vec![provider],
-            ..arguments.detector(&demonstration, None)
+            ..arguments.detector(&model, None)
         };
         row(
             format!("`detector.providers = [\"{}\"]`", provider.as_str()),
             opened(&config),
         );
     }
-    let config = arguments.detector(&demonstration, None);
+    let config = arguments.detector(&model, None);
     let too_little = GpuConfig {
         memory_limit_mib: TOO_SMALL,
         ..config.gpu.clone()

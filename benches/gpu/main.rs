@@ -11,7 +11,7 @@ mod stages;
 mod starts;
 mod ways;
 
-use albireo_eval::footage::{FrameSource, Synthetic};
+use albireo_eval::footage::{FrameSource, PictureArchive};
 use albireo_vision::detector::DetectorNetwork;
 use albireo_vision::picture::EncodedPicture;
 use anyhow::{Context, bail};
@@ -19,10 +19,10 @@ use arguments::{Arguments, library, name_of};
 use card::Card;
 use clap::Parser;
 use page::Page;
+use std::path::Path;
 use std::process::ExitCode;
 
-/// World of the synthetic dashcam that is filmed, and how many pictures of it.
-const SEED: u64 = 301;
+/// Pictures of the demonstration's road that are taken.
 const PICTURES: usize = 60;
 
 /// What a page of a trial begins with; nothing else is overwritten by one.
@@ -91,7 +91,7 @@ async fn measure(arguments: &Arguments) -> anyhow::Result<()> {
 
 /// The pictures that are shown to detectors.
 fn frames() -> anyhow::Result<Vec<EncodedPicture>> {
-    let mut source = Synthetic::open(SEED, node::RATE)?;
+    let mut source = PictureArchive::open(Path::new("demo/road.tar"), node::RATE)?;
     let mut frames = Vec::new();
     while frames.len() < PICTURES
         && let Some(frame) = source.next()?

@@ -1,17 +1,20 @@
 //! What the user may choose.
 
-use anyhow::{Context, bail};
+use anyhow::Context;
 use std::path::{Path, PathBuf};
 
 /// Time of each stage between a JPEG picture and published detections, on this machine.
 #[derive(clap::Parser)]
 #[command(name = "cargo bench --bench stages --")]
 pub(crate) struct Arguments {
-    /// ONNX file of a detector; may be given several times. Without it the demonstration detector, and
-    /// `yolox_nano_416.onnx` where $ALBIREO_SHARED (default ../shared) has it.
-    #[arg(long = "model", value_name = "FILE")]
-    models: Vec<PathBuf>,
-    /// Folder of JPEG files; without it the synthetic dashcam at 1280x720.
+    /// ONNX file of a detector; may be given several times.
+    #[arg(
+        long = "model",
+        value_name = "FILE",
+        default_value = "models/yolox_nano.onnx"
+    )]
+    pub models: Vec<PathBuf>,
+    /// Folder of JPEG files; without it the demonstration's road, 640x360.
     #[arg(long, value_name = "FOLDER")]
     pub pictures: Option<PathBuf>,
     /// Pictures of one round.
@@ -32,25 +35,6 @@ pub(crate) struct Arguments {
 }
 
 impl Arguments {
-    /// The detectors to measure.
-    pub(crate) fn models(&self) -> anyhow::Result<Vec<PathBuf>> {
-        if !self.models.is_empty() {
-            return Ok(self.models.clone());
-        }
-        let shared = std::env::var_os("ALBIREO_SHARED").map_or("../shared".into(), PathBuf::from);
-        let models: Vec<_> = [
-            PathBuf::from("models/detector.onnx"),
-            shared.join("models/yolox_nano_416.onnx"),
-        ]
-        .into_iter()
-        .filter(|model| model.is_file())
-        .collect();
-        if models.is_empty() {
-            bail!("models/detector.onnx is not here: name a model with --model");
-        }
-        Ok(models)
-    }
-
     /// Threads of ONNX Runtime, never 0.
     pub(crate) fn threads(&self) -> usize {
         match self.threads {

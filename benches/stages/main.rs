@@ -8,7 +8,7 @@ mod samples;
 mod table;
 mod throughput;
 
-use albireo_eval::footage::{FrameSource, PictureFolder, Synthetic};
+use albireo_eval::footage::{FrameSource, PictureArchive, PictureFolder};
 use albireo_vision::detector::{DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{
     EncodedPicture, FrameLimits, InputFormat, Picture, PixelLayout, decode,
@@ -23,9 +23,6 @@ use samples::Samples;
 use std::path::Path;
 use std::sync::Arc;
 use throughput::Throughput;
-
-/// World of the synthetic dashcam that is filmed.
-const SEED: u64 = 301;
 
 fn main() -> anyhow::Result<()> {
     let arguments = Arguments::parse();
@@ -71,7 +68,10 @@ fn main() -> anyhow::Result<()> {
 fn frames(arguments: &Arguments) -> anyhow::Result<Vec<EncodedPicture>> {
     let mut source: Box<dyn FrameSource> = match &arguments.pictures {
         Some(folder) => Box::new(PictureFolder::open(folder, PictureFolder::RATE)?),
-        None => Box::new(Synthetic::open(SEED, Synthetic::RATE)?),
+        None => Box::new(PictureArchive::open(
+            Path::new("demo/road.tar"),
+            PictureFolder::RATE,
+        )?),
     };
     let mut frames = Vec::new();
     while frames.len() < usize::from(arguments.frames)

@@ -24,7 +24,7 @@ def letterbox(picture, rows, columns, head):
     size = round(width * scale), round(height * scale)
     resized = cv2.resize(picture, size, interpolation=cv2.INTER_LINEAR)
     free = columns - size[0], rows - size[1]
-    left, top = (0, 0) if head in ("yolox", "demonstration") else (free[0] // 2, free[1] // 2)
+    left, top = (0, 0) if head == "yolox" else (free[0] // 2, free[1] // 2)
     edges = top, free[1] - top, left, free[0] - left
     padded = cv2.copyMakeBorder(resized, *edges, cv2.BORDER_CONSTANT, value=GREY)
     planes = padded if head == "yolox" else padded[..., ::-1]
@@ -57,9 +57,7 @@ def read(output, head, grid):
     best = scores.max(1)
     chosen = best >= CONFIDENCE
     boxes, scores, best = output[chosen, :4], scores[chosen], best[chosen]
-    if head == "demonstration":
-        boxes = numpy.hstack([boxes[:, :2], boxes[:, 2:] - boxes[:, :2]])
-    else:
+    if True:
         if head == "yolox":
             stride = grid[chosen, 2:]
             centres, sides = (boxes[:, :2] + grid[chosen, :2]) * stride, numpy.exp(boxes[:, 2:]) * stride
@@ -70,7 +68,7 @@ def read(output, head, grid):
 
 
 def main(model, folder, head, threads):
-    if head not in ("demonstration", "yolox", "yolo", "end-to-end"):
+    if head not in ("yolox", "yolo", "end-to-end"):
         sys.exit(f"python_path.py does not read the head {head}")
     threads = int(threads)
     cv2.setNumThreads(threads)

@@ -37,12 +37,12 @@ and marked so. `albireo power` says which meter works here.
 
 Examples:
   albireo compare
-      vanilla, albireo and expected-loss on the synthetic dashcam, 5 rounds of 20 s: about eight minutes
+      vanilla, albireo and expected-loss on the demonstration's road, 5 rounds of 20 s: about seven minutes
   albireo compare --policy vanilla --policy albireo --u 3e-4 --u 1e-3 --clip drive.mp4
       two thresholds on a recording of one's own (needs ffmpeg)
   albireo compare --config /etc/albireo/node.toml --clip drive.mp4 --out results
       with this board's detector and meter; every run as JSON and CSV
-  albireo compare --detector yolox_nano_416.onnx --head yolox --u 5e-4 --clip drive.mp4
+  albireo compare --detector yolo26n.onnx --u 5e-4 --clip drive.mp4
       another model without a configuration file";
 
 /// Headings of the help.
@@ -62,8 +62,8 @@ pub(super) struct Arguments {
     /// Threshold of the policies that have one; give it again to try several [default: the configuration's]
     #[arg(long, value_name = "U", value_delimiter = ',')]
     u: Vec<f64>,
-    /// A video file, a folder of JPEG and PNG files, or synth:SEED for the synthetic dashcam
-    #[arg(long, value_name = "FILE|synth", default_value = "synth")]
+    /// A video file, a folder of JPEG and PNG files, a tar archive of such folders, or `demo`, which is demo/road.tar
+    #[arg(long, value_name = "FILE", default_value = "demo")]
     clip: SourceName,
     /// Rounds; each plays every policy once
     #[arg(long, help_heading = PLAYING, value_name = "COUNT", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=1000))]
@@ -89,8 +89,7 @@ pub(super) struct Arguments {
     /// Configuration of the node: detector, screen, policy settings and meter are taken from it
     #[arg(long, short, help_heading = NODE, env = "ALBIREO_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
-    /// The detector, an ONNX file [default: the configuration's, else the demonstration model with its
-    /// screen]
+    /// The detector, an ONNX file [default: the configuration's]
     #[arg(long, alias = "model", help_heading = NODE, value_name = "FILE")]
     detector: Option<PathBuf>,
     /// How the detector's output is read
@@ -204,13 +203,12 @@ fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> 
             model.display()
         );
     } else if arguments.config.is_none() {
-        let demonstration = &config.detector.model;
+        let model = &config.detector.model;
         ensure!(
-            demonstration.is_file(),
+            model.is_file(),
             "{} is not there: run it in the project's folder, or name a detector with --detector or --config",
-            demonstration.display()
+            model.display()
         );
-        config.screen.model = Some(demonstration.with_file_name("screen.onnx"));
     }
     if let Some(head) = arguments.head {
         config.detector.head = head;

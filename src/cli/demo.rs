@@ -180,7 +180,7 @@ async fn camera(
         repeat: true,
         frames: None,
         clip: ClipIds::OfSource,
-        clip_seconds: source.clip_seconds(),
+        clip_seconds: None,
         first_sequence: 0,
     };
     let key = config.keys()?.camera(CAMERA)?.frame();

@@ -76,7 +76,7 @@ enum What {
         #[arg(long)]
         detections: PathBuf,
         /// Size of the pictures, which the files do not say.
-        #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = picture_size)]
+        #[arg(long, value_name = "WIDTHxHEIGHT", default_value = "1280x720", value_parser = crate::cli::size::parse_size)]
         size: PictureSize,
         /// Frames a second.
         #[arg(long, default_value_t = bdd100k::BDD100K_FRAME_RATE)]
@@ -98,8 +98,6 @@ enum What {
     Video(pictures::VideoArguments),
     /// Run a real detector once over folders of pictures, then every policy on what it found.
     Pictures(pictures::FolderArguments),
-    /// The same on the synthetic dashcam, with its exact ground truth.
-    Synth(pictures::SynthArguments),
     /// Propose policy, knob and screen for a target, from a recording with your own detector.
     Advise(advise::AdviseArguments),
     /// Test on recordings what a node's audit claims: recall and precision against the detector, beside the truth.
@@ -136,15 +134,6 @@ enum What {
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
     },
-}
-
-/// Reads WIDTHxHEIGHT.
-fn picture_size(text: &str) -> Result<PictureSize, String> {
-    text.split_once('x')
-        .and_then(|(width, height)| Some((width.parse().ok()?, height.parse().ok()?)))
-        .map(|(width, height)| PictureSize::new(width, height))
-        .filter(|size| size.pixels() > 0)
-        .ok_or_else(|| "write the size in pixels as WIDTHxHEIGHT, for instance 1280x720".to_owned())
 }
 
 /// Headings of the help.
@@ -230,7 +219,6 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         } => compare(coco::read(dataset, Some(detections))?, dataset, run),
         What::Video(arguments) => pictures::videos(arguments),
         What::Pictures(arguments) => pictures::folders(arguments),
-        What::Synth(arguments) => pictures::synthetic(arguments),
         What::Advise(arguments) => advise::run(arguments),
         What::Audit(arguments) => audit::run(arguments),
         What::Price(arguments) => audit::run_price(arguments),

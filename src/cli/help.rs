@@ -20,7 +20,7 @@ pub(super) fn fitted(command: Command) -> Command {
 /// The subcommands in groups, each named for what somebody is about to do.
 const GROUPS: [(&str, &[&str]); 5] = [
     ("Node", &["node", "detect", "power"]),
-    ("Cameras", &["publish", "replay", "synth"]),
+    ("Cameras", &["publish", "replay"]),
     ("Fleet", &["hub", "fleet", "diag", "router", "simulate"]),
     ("Evaluation", &["demo", "compare", "eval"]),
     (

@@ -6,7 +6,7 @@ pub use super::frames::{
     DEFAULT_ENDPOINT, FrameSender, OutgoingFrame, Pacing, flush, open_session,
 };
 pub use albireo_eval::footage::{
-    Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Synthetic, Video, VideoEncoding,
+    Ffmpeg, FrameSource, PictureFolder, SourceName, Stopper, Video, VideoEncoding,
 };
 pub use publish::{ClipIds, PublishOptions, Rate, Sent, publish};
 
@@ -23,7 +23,7 @@ const CLIPS: &str = "Clips";
 /// Arguments of `albireo replay`.
 #[derive(Args, Clone, Debug)]
 #[command(
-    about = "Publish a video, a folder of pictures or the synthetic dashcam as a camera",
+    about = "Publish a video, a folder of pictures or the demonstration's road as a camera",
     after_help = "Examples:
   albireo replay drive.mp4 --node car-7 --camera front
       a video at its own speed, to the node on this machine; needs ffmpeg
@@ -31,13 +31,13 @@ const CLIPS: &str = "Clips";
       every frame arrives: wait for the node, and wait when it is slow
   albireo replay pictures/ --rate 5 --loop --clip-seconds 40
       a folder, five pictures a second, for ever, in clips of 40 s
-  albireo replay synth:7 --connect tcp/192.168.0.20:7447
-      the synthetic dashcam with seed 7, to another machine
+  albireo replay demo --connect tcp/192.168.0.20:7447
+      the demonstration's road, to another machine
 
 A live camera is not replayed: the node opens it ([[camera]] source), or `albireo publish` does."
 )]
 pub struct ReplayArguments {
-    /// A video file, a folder of JPEG and PNG files, or synth:SEED
+    /// A video file, a folder of JPEG and PNG files, a tar archive of such folders, or `demo`, which is demo/road.tar
     pub source: SourceName,
 
     /// Where the frames go.
@@ -63,7 +63,7 @@ pub struct ReplayArguments {
     /// Clip id; numbered when there is more than one clip [default: the source's name]
     #[arg(long = "clip-id", alias = "clip", help_heading = CLIPS, value_name = "ID")]
     pub clip: Option<String>,
-    /// Begin a new clip after this many seconds [default: one clip a pass; 20 s for the synthetic dashcam]
+    /// Begin a new clip after this many seconds [default: one clip a pass, or one a folder of an archive]
     #[arg(long, help_heading = CLIPS, value_name = "SECONDS", value_parser = parse_seconds)]
     pub clip_seconds: Option<f64>,
     /// Name no clips: the node cuts by its own time window
@@ -95,7 +95,7 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 
 impl ReplayArguments {
     /// What is sent of `source`.
-    pub fn publish_options(&self, source: &dyn FrameSource) -> PublishOptions {
+    pub fn publish_options(&self) -> PublishOptions {
         let clip = match &self.clip {
             _ if self.no_clip => ClipIds::None,
             Some(name) => ClipIds::Given(name.clone()),
@@ -106,7 +106,7 @@ impl ReplayArguments {
             repeat: self.repeat,
             frames: self.frames,
             clip,
-            clip_seconds: self.clip_seconds.or(source.clip_seconds()),
+            clip_seconds: self.clip_seconds,
             first_sequence: 0,
         }
     }
@@ -126,7 +126,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         _ => None,
     };
     let source = arguments.source.open(rate, arguments.encoding).await?;
-    let options = arguments.publish_options(source.as_ref());
+    let options = arguments.publish_options();
     let patience = Duration::from_secs(arguments.wait_for_subscriber.unwrap_or(0));
     let session = tokio::select! {
         session = open_session(&arguments.target.connect, &arguments.target.listen, patience) => session?,
@@ -248,23 +248,23 @@ mod tests {
     #[test]
     fn the_key_is_the_camera_s_or_the_one_given() {
         let key = |arguments| parse(arguments).unwrap().target.frame_key();
-        assert_eq!(key(&["synth"]).unwrap(), "albireo/node/front/frame");
-        let named = ["synth", "--prefix", "f", "--node", "n", "--camera", "c"];
+        assert_eq!(key(&["demo"]).unwrap(), "albireo/node/front/frame");
+        let named = ["demo", "--prefix", "f", "--node", "n", "--camera", "c"];
         assert_eq!(key(&named).unwrap(), "f/n/c/frame");
-        assert_eq!(key(&["synth", "--key", "a/b"]).unwrap(), "a/b");
-        assert!(key(&["synth", "--camera", "a/b"]).is_err());
-        assert!(parse(&["synth", "--key", "a", "--node", "n"]).is_err());
+        assert_eq!(key(&["demo", "--key", "a/b"]).unwrap(), "a/b");
+        assert!(key(&["demo", "--camera", "a/b"]).is_err());
+        assert!(parse(&["demo", "--key", "a", "--node", "n"]).is_err());
     }
 
     #[test]
     fn rates_that_make_no_sense_are_refused() {
-        let rate = |text| parse(&["synth", "--rate", text]).map(|parsed| parsed.rate);
+        let rate = |text| parse(&["demo", "--rate", text]).map(|parsed| parsed.rate);
         assert_eq!(rate("12.5").unwrap(), Some(Rate::PerSecond(12.5)));
         assert_eq!(rate("max").unwrap(), Some(Rate::Unpaced));
         for text in ["0", "-1", "1e-30", "nan", "inf", "fast"] {
             assert!(rate(text).is_err(), "{text}");
         }
-        assert!(parse(&["synth", "--clip-seconds", "0"]).is_err());
+        assert!(parse(&["demo", "--clip-seconds", "0"]).is_err());
     }
 
     #[test]

@@ -70,7 +70,7 @@ async fn a_node_of_the_camera_page_opens_its_camera_with_user_and_password() {
 async fn the_publisher_of_the_camera_page_sends_a_camera_to_a_node_elsewhere() {
     let camera = RtspCamera::start("h264", &[]).await;
     let folder = workshop();
-    let model = folder.path().join("models/detector.onnx");
+    let model = folder.path().join("models/yolox_nano.onnx");
     let node = Node::start(&format!(
         "node.name = \"car-7\"\n[detector]\nmodel = \"{}\"\n[[camera]]\nname = \"gate\"\n",
         model.display()

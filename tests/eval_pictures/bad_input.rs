@@ -20,7 +20,7 @@ fn refusal(arguments: &[&str]) -> String {
 }
 
 fn on_pictures(folder: &Path, more: &[&str]) -> String {
-    let detector = model("demonstration.onnx");
+    let detector = model("colours.onnx");
     let mut arguments = vec!["eval", "pictures", folder.to_str().unwrap()];
     arguments.extend(["--detector", detector.to_str().unwrap()]);
     arguments.extend(more);
@@ -50,7 +50,7 @@ fn without_ffmpeg_it_says_how_to_get_it() {
     std::fs::write(&video, b"x").unwrap();
     let output = Command::new(env!("CARGO_BIN_EXE_albireo"))
         .args(["eval", "video", video.to_str().unwrap(), "--detector"])
-        .arg(model("demonstration.onnx"))
+        .arg(model("colours.onnx"))
         .env("PATH", folder.path())
         .output()
         .unwrap();

@@ -97,8 +97,7 @@ async fn an_event_stream_that_is_not_read_loses_its_place() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 #[ignore = "needs ONNX Runtime"]
 async fn a_thousand_idle_connections_cost_neither_health_nor_descriptors() {
-    let node =
-        Node::start("[detector]\nmodel = \"tests/fixtures/models/demonstration.onnx\"\n").await;
+    let node = Node::start("[detector]\nmodel = \"tests/fixtures/models/colours.onnx\"\n").await;
     let limited = std::process::Command::new("prlimit")
         .args(["--nofile=1024:1024", "--pid", &node.id().to_string()])
         .status()

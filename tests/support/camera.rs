@@ -2,7 +2,7 @@
 
 use super::{PATIENCE, both_ways};
 use albireo_core::geometry::PictureSize;
-use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_scene::BoxScene;
 use albireo_wire::{ClipReport, FrameAttachment, VERSION, read};
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
@@ -54,17 +54,12 @@ impl Camera {
             .await
             .unwrap();
         both_ways(&session, node, "front").await;
-        let mut dashcam = Dashcam::new(DashcamSettings {
-            seed: 5,
-            size: PictureSize::new(320, 180),
-            ..DashcamSettings::default()
-        })
-        .unwrap();
+        let scene = BoxScene::new(5, PictureSize::new(320, 180));
         Self {
             session,
             frames,
             answers,
-            picture: dashcam.frame(0).encode_jpeg(80).unwrap(),
+            picture: scene.frame(0).jpeg(80).unwrap(),
             seq: 0,
             reported,
         }

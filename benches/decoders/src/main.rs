@@ -5,13 +5,13 @@
 //! cargo run --release --locked --manifest-path benches/decoders/Cargo.toml [-- FILE.jpg …]
 //! ```
 //!
-//! Without files: pictures of the synthetic dashcam at three sizes. Tells the median and the 95 % of the milliseconds a
+//! Without files: pictures of a scene of boxes at three sizes. Tells the median and the 95 % of the milliseconds a
 //! picture takes, and the median beside that of `zune-jpeg` in colour.
 
 #![allow(clippy::expect_used, clippy::panic, clippy::print_stdout)]
 
 use albireo_core::geometry::PictureSize;
-use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_scene::BoxScene;
 use std::hint::black_box;
 use std::time::Instant;
 use turbojpeg::{Decompressor, Image, PixelFormat, ScalingFactor};
@@ -115,21 +115,11 @@ fn files() -> Vec<(String, Vec<Vec<u8>>)> {
         return named.into_iter().map(read).collect();
     }
     let sized = |(width, height)| {
-        let mut dashcam = Dashcam::new(DashcamSettings {
-            seed: 7,
-            size: PictureSize::new(width, height),
-            ..DashcamSettings::default()
-        })
-        .expect("a dashcam");
+        let scene = BoxScene::new(7, PictureSize::new(width, height));
         let files: Vec<_> = (0..4)
-            .map(|index| {
-                dashcam
-                    .frame(index * 20)
-                    .encode_jpeg(85)
-                    .expect("a JPEG file")
-            })
+            .map(|index| scene.frame(index * 20).jpeg(85).expect("a JPEG file"))
             .collect();
-        (format!("{width}x{height}, synthetic dashcam"), files)
+        (format!("{width}x{height}, a scene of boxes"), files)
     };
     [(640, 360), (1280, 720), (1920, 1080)].map(sized).into()
 }

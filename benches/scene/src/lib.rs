@@ -1,5 +1,10 @@
-//! What the benches share: boxes that wander about slowly, with noise and now and then a miss, as a detector would
-//! report them; the clock that is read, and how a figure is drawn from many rounds.
+//! What benches and tests share: boxes that wander about slowly, with noise and now and then a miss, as a detector would
+//! report them; pictures of boxes with their exact places; the clock that is read, and how a figure is drawn from many
+//! rounds.
+
+mod pictures;
+
+pub use pictures::{BoxFrame, BoxScene, CLASSES};
 
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};

@@ -4,7 +4,7 @@
 //!
 //! `make bench-peers`, or `cargo run --release --manifest-path benches/standalone/Cargo.toml`
 
-use albireo_bench_scene::{PICTURE, Scene, processor_seconds, quartiles};
+use albireo_scene::{PICTURE, Scene, processor_seconds, quartiles};
 use albireo_core::detection::Detection;
 use albireo_core::policy::{
     Albireo, AlbireoSettings, Evidence, ExpectedLoss, ExpectedLossSettings, FrameHead, Need,

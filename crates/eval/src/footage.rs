@@ -1,4 +1,4 @@
-//! Footage: a video, a folder of pictures or the synthetic dashcam as a sequence of encoded pictures, the
+//! Footage: a video, a folder or an archive of pictures as a sequence of encoded pictures, the
 //! form in which a camera sends them. `replay` publishes it; `eval` looks at it.
 
 mod archive;
@@ -6,7 +6,6 @@ mod error;
 mod folder;
 mod open;
 mod source;
-mod synthetic;
 mod thinned;
 mod video;
 
@@ -15,6 +14,5 @@ pub use error::FootageError;
 pub use folder::PictureFolder;
 pub use open::SourceName;
 pub use source::{FrameSource, Stopper, clip_name};
-pub use synthetic::Synthetic;
 pub use thinned::{Sieve, Thinned};
 pub use video::{Ffmpeg, Video, VideoEncoding};

@@ -7,7 +7,6 @@
 mod observer;
 mod pass;
 mod replayed;
-mod synthetic;
 mod truth;
 
 pub use observer::ObserveError;
@@ -15,7 +14,6 @@ pub use observer::Observer;
 pub use pass::PassError;
 pub use pass::{PassSettings, PicturedClip, StepTimes, collect};
 pub use replayed::{PixelsAsked, looks_at_pixels, run_pictured};
-pub use synthetic::DashcamClip;
 pub use truth::TruthError;
 pub use truth::{GroundTruth, TruthFormat, against_vanilla};
 

@@ -118,11 +118,12 @@ impl FrameSource for InMemory {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use albireo_eval::footage::Synthetic;
+    use albireo_eval::footage::PictureArchive;
+    use std::path::Path;
 
     #[tokio::test]
     async fn a_clip_is_as_long_as_asked_for_and_plays_again_from_its_start() {
-        let source = Synthetic::open(1, 10.0).unwrap();
+        let source = PictureArchive::open(Path::new("demo/road.tar"), 10.0).unwrap();
         let clip = LoadedClip::read(Box::new(source), 0.3).await.unwrap();
         assert_eq!(clip.frames(), 3);
         let mut played = clip.source();

@@ -1,12 +1,9 @@
-//! `albireo eval video`, `pictures` and `synth`: a real detector's one pass over the pictures, then every
+//! `albireo eval video` and `pictures`: a real detector's one pass over the pictures, then every
 //! policy on what it found.
 
 use super::frontier::print_leave_one_out;
 use super::{LOOKED, RunArguments, listed, policies, print_conclusion, projected_power, settings};
 use crate::cli::rate::parse_rate;
-use crate::cli::size::parse_size;
-use crate::cli::synth::{Seeds, parse_seeds};
-use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{ExpectedLoss, FrameState, Need, PolicyConfig};
 use albireo_eval::data::{Clip, LoadReport, recorded};
 use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Thinned, Video, VideoEncoding};
@@ -15,8 +12,8 @@ use albireo_eval::frontier::{
     write_pixels,
 };
 use albireo_eval::pictures::{
-    DashcamClip, GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsAsked,
-    StepTimes, TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
+    GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsAsked, StepTimes,
+    TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
 };
 use albireo_eval::report::Report;
 use albireo_eval::result::{ClipResult, Spread};
@@ -25,7 +22,6 @@ use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::PolicySpec;
 use albireo_eval::worst::attach_pictures;
 use albireo_eval::{summary, table};
-use albireo_synth::DashcamSettings;
 use albireo_vision::detector::{ClassNames, DetectorConfig, ExecutionProvider, HeadName};
 use albireo_vision::picture::ColorOrder;
 use albireo_vision::screen::ScreenConfig;
@@ -104,32 +100,6 @@ pub(super) struct FolderArguments {
     run: RunArguments,
 }
 
-/// Arguments of `albireo eval synth`.
-#[derive(Debug, Args)]
-pub(super) struct SynthArguments {
-    /// Worlds to film: numbers and ranges, such as `7` or `1-40,90`.
-    #[arg(long, default_value = "1-5", value_parser = parse_seeds)]
-    seeds: Seeds,
-    /// Clips of each world; each has its own road, weather and light.
-    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
-    clips: u64,
-    /// Length of a clip, seconds.
-    #[arg(long, default_value_t = 20.0)]
-    clip_seconds: f64,
-    /// Size of the pictures, columns x rows.
-    #[arg(long, default_value = "1280x720", value_parser = parse_size)]
-    size: PictureSize,
-    /// Frames a second.
-    #[arg(long = "rate", alias = "frame-rate", default_value_t = 10.0, value_parser = parse_rate)]
-    frame_rate: f64,
-    #[command(flatten)]
-    equal: EqualArguments,
-    #[command(flatten)]
-    pass: PassArguments,
-    #[command(flatten)]
-    run: RunArguments,
-}
-
 /// Where ground truth comes from.
 #[derive(Debug, Args)]
 struct TruthArguments {
@@ -146,7 +116,7 @@ struct TruthArguments {
 #[derive(Debug, Args)]
 pub(super) struct PassArguments {
     /// The detector: an ONNX file.
-    #[arg(long, help_heading = LOOKED, value_name = "MODEL", default_value = "models/detector.onnx")]
+    #[arg(long, help_heading = LOOKED, value_name = "MODEL", default_value = "models/yolox_nano.onnx")]
     detector: PathBuf,
     /// How its output is read.
     #[arg(long, help_heading = LOOKED, value_enum, default_value_t = HeadName::Auto)]
@@ -224,31 +194,6 @@ pub(super) fn folders(arguments: &FolderArguments) -> anyhow::Result<()> {
         .map(|folder| folder.display().to_string())
         .collect();
     evaluation.finish(&title("Pictures", &folders))
-}
-
-/// Runs `albireo eval synth`.
-pub(super) fn synthetic(arguments: &SynthArguments) -> anyhow::Result<()> {
-    let no_files = TruthArguments {
-        ground_truth: Vec::new(),
-        truth_format: None,
-    };
-    let mut evaluation = Evaluation::start(&arguments.pass, &arguments.run, &no_files, Vec::new())?;
-    evaluation.compare_at(&arguments.equal, &[])?;
-    for &seed in &arguments.seeds.0 {
-        for number in 0..arguments.clips {
-            let settings = DashcamSettings {
-                seed,
-                size: arguments.size,
-                frame_rate: arguments.frame_rate,
-                clip_seconds: arguments.clip_seconds,
-            };
-            let mut clip = DashcamClip::new(settings, number)?;
-            let mut pictured = evaluation.pass(&mut clip)?;
-            pictured.clip.truth = Some(clip.take_truth());
-            evaluation.run(pictured, &mut clip)?;
-        }
-    }
-    evaluation.finish("Synthetic dashcam")
 }
 
 /// What a report is headed with: every file, or the first of many.

@@ -195,7 +195,7 @@ async function cameraTests(browser) {
   });
 
   await test("a camera that stops is stale within five seconds", async () => {
-    const camera = start(["replay", "synth:3", "--rate", "5", "--connect", `tcp/127.0.0.1:${zenoh}`]);
+    const camera = start(["replay", "demo", "--loop", "--rate", "5", "--connect", `tcp/127.0.0.1:${zenoh}`]);
     const tile = page.locator(".tile").first();
     await tile.getByText("live", { exact: true }).waitFor();
     await until("a few frames", async () => (await frameNumber(page)) > 8);
@@ -215,7 +215,7 @@ async function cameraTests(browser) {
     const model = join(ROOT, "tests/fixtures/models/hanging.onnx");
     node = start(["node"], { ...env, ALBIREO_DETECTOR__MODEL: model, ALBIREO_DETECTOR__TIMEOUT_MS: "300" });
     await until("the node answers", async () => (await fetch(`${address}/healthz`)).ok);
-    const camera = start(["replay", "synth:3", "--rate", "5", "--connect", `tcp/127.0.0.1:${zenoh}`]);
+    const camera = start(["replay", "demo", "--loop", "--rate", "5", "--connect", `tcp/127.0.0.1:${zenoh}`]);
     const broken = await open(browser, address);
     await broken.getByLabel(/Token/).fill("a-token-for-the-tests");
     await broken.keyboard.press("Enter");

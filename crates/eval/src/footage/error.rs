@@ -1,6 +1,5 @@
 //! Why footage cannot be had.
 
-use albireo_synth::SynthError;
 use albireo_vision::picture::{CutError, FrameFault, PictureFileError};
 use std::path::PathBuf;
 
@@ -81,9 +80,6 @@ pub enum FootageError {
     /// A picture of a folder cannot be read.
     #[error(transparent)]
     Picture(#[from] PictureFileError),
-    /// The synthetic dashcam cannot be filmed so.
-    #[error("the synthetic dashcam: {0}")]
-    Synthetic(#[from] SynthError),
     /// Opening it was given up.
     #[error("opening the video: {0}")]
     Task(#[from] tokio::task::JoinError),

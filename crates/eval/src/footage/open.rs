@@ -4,7 +4,6 @@ use super::archive::PictureArchive;
 use super::error::FootageError;
 use super::folder::PictureFolder;
 use super::source::FrameSource;
-use super::synthetic::Synthetic;
 use super::video::{Ffmpeg, Video, VideoEncoding};
 use albireo_vision::picture::is_picture_file;
 use std::path::{Path, PathBuf};
@@ -16,11 +15,6 @@ const ROAD: &str = "demo/road.tar";
 /// What to replay, as it is named on the command line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SourceName {
-    /// `synth` or `synth:SEED`: the synthetic dashcam.
-    Synthetic {
-        /// Seed of the scene.
-        seed: u64,
-    },
     /// A folder of JPEG and PNG files, or one such file.
     Pictures(PathBuf),
     /// A tar archive of such folders; `demo` is the demonstration's.
@@ -33,15 +27,6 @@ impl FromStr for SourceName {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        if text == "synth" {
-            return Ok(Self::Synthetic { seed: 1 });
-        }
-        if let Some(seed) = text.strip_prefix("synth:") {
-            return seed
-                .parse()
-                .map(|seed| Self::Synthetic { seed })
-                .map_err(|_| format!("`{seed}` is not a seed: use a whole number, as in synth:7"));
-        }
         let path = Path::new(if text == "demo" { ROAD } else { text });
         if path.extension().is_some_and(|extension| extension == "tar") {
             return Ok(Self::Archive(path.to_path_buf()));
@@ -64,10 +49,6 @@ impl SourceName {
         encoding: VideoEncoding,
     ) -> Result<Box<dyn FrameSource>, FootageError> {
         match self {
-            Self::Synthetic { seed } => {
-                let source = Synthetic::open(*seed, rate.unwrap_or(Synthetic::RATE))?;
-                Ok(Box::new(source))
-            }
             Self::Pictures(path) => {
                 let folder = PictureFolder::open(path, rate.unwrap_or(PictureFolder::RATE))?;
                 Ok(Box::new(folder))
@@ -98,10 +79,6 @@ mod tests {
 
     #[test]
     fn a_source_is_told_by_its_name() {
-        let synthetic = |seed| Ok(SourceName::Synthetic { seed });
-        assert_eq!("synth".parse(), synthetic(1));
-        assert_eq!("synth:42".parse(), synthetic(42));
-        assert!("synth:x".parse::<SourceName>().is_err());
         assert_eq!(
             "drive.mp4".parse(),
             Ok(SourceName::Video("drive.mp4".to_owned()))

@@ -9,7 +9,7 @@ pub type Stopper = Box<dyn FnOnce() + Send>;
 
 /// A sequence of encoded pictures. It is driven on a thread of its own, so its calls may block.
 pub trait FrameSource: Send {
-    /// A short name, usable as a clip id: a file's stem, `synth-7`.
+    /// A short name, usable as a clip id: a file's stem.
     fn name(&self) -> &str;
 
     /// Frames per second of its own.
@@ -20,11 +20,6 @@ pub trait FrameSource: Send {
 
     /// The clip of the picture that came last, where the source has several: nothing moves on from one to the next.
     fn clip(&self) -> Option<&str> {
-        None
-    }
-
-    /// Length of one of its clips, seconds, where it is cut into clips by itself.
-    fn clip_seconds(&self) -> Option<f64> {
         None
     }
 

@@ -77,10 +77,6 @@ impl FrameSource for Thinned<'_> {
         self.source.clip()
     }
 
-    fn clip_seconds(&self) -> Option<f64> {
-        self.source.clip_seconds()
-    }
-
     fn next(&mut self) -> Result<Option<EncodedPicture>, FootageError> {
         loop {
             let Some(picture) = self.source.next()? else {
@@ -107,7 +103,8 @@ impl FrameSource for Thinned<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::footage::Synthetic;
+    use crate::footage::PictureArchive;
+    use std::path::Path;
 
     fn taken(sieve: Sieve, frames: u64) -> Vec<u64> {
         (0..frames).filter(|index| sieve.takes(*index)).collect()
@@ -134,9 +131,10 @@ mod tests {
 
     #[test]
     fn a_thinned_source_gives_the_pictures_between_which_the_others_lie() {
-        let mut whole = Synthetic::open(3, 10.0).unwrap();
-        let pictures: Vec<_> = (0..5).map(|_| whole.next().unwrap().unwrap()).collect();
-        let mut source = Synthetic::open(3, 10.0).unwrap();
+        let road = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar"));
+        let mut source = PictureArchive::open(road, 10.0).unwrap();
+        let pictures: Vec<_> = (0..5).map(|_| source.next().unwrap().unwrap()).collect();
+        source.rewind().unwrap();
         let mut thinned = Thinned::new(&mut source, 5.0);
         assert_eq!(thinned.rate(), 5.0);
         for _ in 0..2 {

@@ -1,4 +1,4 @@
-//! A camera's loop with the demonstration detector: what it does with frames out of order and late.
+//! A camera's loop with a detector that finds coloured boxes: what it does with frames out of order and late.
 
 use super::*;
 use crate::camera::audit::{AuditConfig, Auditor};
@@ -9,7 +9,7 @@ use crate::state::board::{Board, BoardSetup, Event};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::PolicyConfig;
 use albireo_power::PowerHandle;
-use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_scene::BoxScene;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
 use albireo_vision::picture::{FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
@@ -28,7 +28,7 @@ struct Bench {
     camera: Camera,
     clips: UnboundedReceiver<ClosedClip>,
     auditor: Auditor,
-    dashcam: Dashcam,
+    scene: BoxScene,
 }
 
 impl Bench {
@@ -52,7 +52,8 @@ impl Bench {
         let camera = Arc::clone(board.camera("front").unwrap());
         let drops = Arc::new(DropCounts::new(Arc::clone(&camera)));
         let detector = DetectorHandle::start(&DetectorConfig {
-            model: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/detector.onnx"),
+            model: Path::new(env!("CARGO_MANIFEST_DIR"))
+                .join("../../tests/fixtures/models/boxes.onnx"),
             timeout_ms: 60_000,
             ..DetectorConfig::default()
         })
@@ -74,12 +75,7 @@ impl Bench {
         ));
         let accounts = ClipAccounts::new(tracker, Arc::clone(&drops), Arc::clone(&audit), closed);
         let size = PictureSize::new(640, 360);
-        let mut dashcam = Dashcam::new(DashcamSettings {
-            seed: 5,
-            size,
-            ..DashcamSettings::default()
-        })
-        .unwrap();
+        let scene = BoxScene::new(5, size);
         let pixels = PixelWork::new(detector.preparation().clone(), FrameLimits::default(), 1);
         let auditor = Auditor {
             audit: Arc::clone(&audit),
@@ -110,13 +106,13 @@ impl Bench {
             frames,
             picture: EncodedPicture {
                 format: PictureFormat::Jpeg,
-                bytes: dashcam.frame(0).encode_jpeg(85).unwrap().into(),
+                bytes: scene.frame(0).jpeg(85).unwrap().into(),
                 size,
             },
             camera,
             clips,
             auditor,
-            dashcam,
+            scene,
         }
     }
 
@@ -243,7 +239,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let mut published = Vec::new();
     let mut skipped = 0;
     for index in 0..60 {
-        let picture = bench.dashcam.frame(index).encode_jpeg(85).unwrap();
+        let picture = bench.scene.frame(index).jpeg(85).unwrap();
         let (_, wake) = bench.frames.push(SequencedFrame {
             frame: Frame {
                 sequence: index,

@@ -1,8 +1,8 @@
-//! One camera's evidence with the demonstration detector: what is made ready ahead is used for its own frame.
+//! One camera's evidence with a detector that finds coloured boxes: what is made ready ahead is used for its own frame.
 
 use super::*;
 use albireo_core::geometry::PictureSize;
-use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_scene::BoxScene;
 use albireo_vision::detector::DetectorConfig;
 use albireo_vision::picture::FrameLimits;
 use albireo_vision::screen::ScreenConfig;
@@ -10,25 +10,20 @@ use bytes::Bytes;
 use futures_util::FutureExt;
 use std::path::Path;
 
-/// Pictures of the synthetic dashcam.
+/// Pictures of boxes.
 fn pictures() -> [EncodedPicture; 3] {
     let size = PictureSize::new(640, 360);
-    let mut dashcam = Dashcam::new(DashcamSettings {
-        seed: 5,
-        size,
-        ..DashcamSettings::default()
-    })
-    .unwrap();
+    let scene = BoxScene::new(5, size);
     [0, 10, 30].map(|index| EncodedPicture {
         format: albireo_vision::picture::PictureFormat::Jpeg,
-        bytes: dashcam.frame(index).encode_jpeg(90).unwrap().into(),
+        bytes: scene.frame(index).jpeg(90).unwrap().into(),
         size,
     })
 }
 
 async fn evidence() -> LiveEvidence {
     let config = DetectorConfig {
-        model: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/detector.onnx"),
+        model: Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/models/boxes.onnx"),
         confidence: 0.1,
         timeout_ms: 60_000,
         ..DetectorConfig::default()

@@ -2,19 +2,13 @@
 
 use super::*;
 use crate::picture::{FrameLimits, PictureFormat, decode};
-use albireo_synth::{Dashcam, DashcamSettings};
+use albireo_scene::BoxScene;
 use bytes::Bytes;
 
-fn dashcam(size: PictureSize) -> EncodedPicture {
-    let mut dashcam = Dashcam::new(DashcamSettings {
-        seed: 5,
-        size,
-        ..DashcamSettings::default()
-    })
-    .unwrap();
+fn scene(size: PictureSize) -> EncodedPicture {
     EncodedPicture {
         format: PictureFormat::Jpeg,
-        bytes: dashcam.frame(10).encode_jpeg(90).unwrap().into(),
+        bytes: BoxScene::new(5, size).frame(10).jpeg(90).unwrap().into(),
         size,
     }
 }
@@ -53,7 +47,7 @@ fn scaled_pictures_are_never_smaller_than_what_they_are_for() {
 
 #[test]
 fn scaled_decoding_gives_the_mean_of_the_pixels_it_stands_for() {
-    let picture = dashcam(PictureSize::new(642, 358));
+    let picture = scene(PictureSize::new(642, 358));
     for layout in [PixelLayout::Rgb8, PixelLayout::Gray8] {
         let full = decoded(&picture, layout, None).unwrap();
         let half = decoded(&picture, layout, Some(PictureSize::new(300, 100))).unwrap();
@@ -83,7 +77,7 @@ fn scaled_decoding_gives_the_mean_of_the_pixels_it_stands_for() {
 
 #[test]
 fn scaled_decoding_refuses_a_file_that_is_cut_short_or_damaged() {
-    let picture = dashcam(PictureSize::new(640, 360));
+    let picture = scene(PictureSize::new(640, 360));
     let target = Some(PictureSize::new(320, 180));
     assert!(decoded(&picture, PixelLayout::Rgb8, target).is_ok());
     let half = EncodedPicture {

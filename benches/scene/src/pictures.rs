@@ -1,0 +1,136 @@
+//! Draws coloured boxes that cross a striped background, with their exact places.
+
+use albireo_core::geometry::{Corners, PictureSize};
+use jpeg_encoder::{ColorType, Encoder, SamplingFactor};
+
+/// The names of the boxes' classes, one box each. `tests/fixtures/models/boxes.onnx` finds them by their colours.
+pub const CLASSES: [&str; 6] = ["person", "car", "truck", "bus", "motorcycle", "bicycle"];
+
+/// Red, green, blue, yellow, cyan, magenta.
+const COLOURS: [[f32; 3]; 6] = [
+    [1.0, 0.0, 0.0],
+    [0.0, 1.0, 0.0],
+    [0.0, 0.0, 1.0],
+    [1.0, 1.0, 0.0],
+    [0.0, 1.0, 1.0],
+    [1.0, 0.0, 1.0],
+];
+
+/// Pixels of a stripe of the boxes and of the background, at 360 rows.
+const STRIPE: f32 = 6.0;
+
+/// Frames from one turn of a box to the next, at the least.
+const CROSSING: u64 = 60;
+
+/// A scene that is a function of the frame's number: each box goes to and fro in a lane of its own, so that none hides
+/// another, and is out of sight for a fifth of the time.
+#[derive(Clone, Copy, Debug)]
+pub struct BoxScene {
+    size: PictureSize,
+    seed: u64,
+}
+
+/// One frame of a [`BoxScene`].
+#[derive(Clone, Debug)]
+pub struct BoxFrame {
+    /// Size of the picture.
+    pub size: PictureSize,
+    /// Three bytes a pixel: red, green, blue.
+    pub rgb: Vec<u8>,
+    /// Every box in sight: its class as an index of [`CLASSES`], and its place in pixels.
+    pub boxes: Vec<(usize, Corners)>,
+}
+
+impl BoxScene {
+    /// A scene with pictures of `size`; the seed says how the boxes move.
+    pub const fn new(seed: u64, size: PictureSize) -> Self {
+        Self { size, seed }
+    }
+
+    /// The frame of that number.
+    pub fn frame(&self, index: u64) -> BoxFrame {
+        let (width, height) = (self.size.width as usize, self.size.height as usize);
+        let boxes: Vec<_> = (0..CLASSES.len())
+            .filter_map(|class| Some((class, self.place(class as u64, index)?)))
+            .collect();
+        let stripe = STRIPE * height as f32 / 360.0;
+        let mut rgb = Vec::with_capacity(3 * width * height);
+        for y in 0..height {
+            for x in 0..width {
+                let inside = boxes.iter().find(|(_, place)| {
+                    let within =
+                        |at: usize, low: f64, high: f64| (low..high).contains(&(at as f64 + 0.5));
+                    within(x, place.x1, place.x2) && within(y, place.y1, place.y2)
+                });
+                let pixel = match inside {
+                    // The stripes are the box's own: they move with it.
+                    Some((class, place)) => {
+                        let shade = shade(
+                            x as f32 - place.x1 as f32,
+                            y as f32 - place.y1 as f32,
+                            stripe,
+                        );
+                        COLOURS[*class].map(|plane| plane * (0.85 + 0.15 * shade))
+                    }
+                    None => {
+                        let light = 0.2 + 0.5 * y as f32 / height as f32;
+                        [light + 0.1 * shade(x as f32, y as f32, 2.0 * stripe); 3]
+                    }
+                };
+                rgb.extend(pixel.map(|plane| (255.0 * plane) as u8));
+            }
+        }
+        BoxFrame {
+            size: self.size,
+            rgb,
+            boxes,
+        }
+    }
+
+    /// Where the box of `class` is; `None` while it is out of sight.
+    fn place(&self, class: u64, index: u64) -> Option<Corners> {
+        // Different for each box and seed, and nothing more.
+        let draw = (self.seed * 31 + class * 17) % 97;
+        let (width, lane) = (
+            f64::from(self.size.width),
+            f64::from(self.size.height) / 6.0,
+        );
+        let period = 2 * (CROSSING + draw);
+        let phase = (index + 7 * draw) % period;
+        if phase * 5 >= period * 4 {
+            return None;
+        }
+        let along = phase as f64 / period as f64 * 2.5;
+        let along = if along > 1.0 { 2.0 - along } else { along };
+        let side = lane * (0.5 + 0.3 * draw as f64 / 97.0);
+        let long = side * (1.0 + 0.2 * class as f64);
+        let x1 = along * (width - long);
+        let y1 = lane * class as f64 + (lane - side) * (0.2 + 0.6 * along);
+        Some(Corners {
+            x1,
+            y1,
+            x2: x1 + long,
+            y2: y1 + side,
+        })
+    }
+}
+
+/// 0 or 1, in oblique stripes.
+fn shade(x: f32, y: f32, stripe: f32) -> f32 {
+    (((x + 0.5 * y) / stripe).rem_euclid(2.0)).floor()
+}
+
+impl BoxFrame {
+    /// The picture as a baseline JPEG of `quality` 1 to 100 with halved chroma, as cameras send it.
+    ///
+    /// # Errors
+    /// When a side is above 65,535 pixels.
+    pub fn jpeg(&self, quality: u8) -> Result<Vec<u8>, jpeg_encoder::EncodingError> {
+        let mut bytes = Vec::new();
+        let mut encoder = Encoder::new(&mut bytes, quality);
+        encoder.set_sampling_factor(SamplingFactor::F_2_2);
+        let (width, height) = (self.size.width as u16, self.size.height as u16);
+        encoder.encode(&self.rgb, width, height, ColorType::Rgb)?;
+        Ok(bytes)
+    }
+}
