@@ -22,9 +22,7 @@ import torch
 from torch.nn import functional
 from tqdm import tqdm
 
-from dataset import SCREEN_SIZE
-from evaluate import check_export, session
-from network import Screen, average, export_screen, load_screen
+from screen_network import SCREEN_SIZE, Screen, average, export_screen, load_screen, session
 
 EMPTY, OCCUPIED = 0, 1
 
@@ -113,7 +111,7 @@ def train(training, arguments):
         sys.exit(f"the clips to train on hold {counts[EMPTY]} empty and {counts[OCCUPIED]} occupied frames: both are needed")
     weights = torch.tensor((len(labels) / (2 * counts)).astype(np.float32))
     weights[OCCUPIED] *= arguments.weight
-    screen = Screen() if arguments.from_scratch else load_screen(arguments.start)
+    screen = load_screen(arguments.start) if arguments.start else Screen()
     screen = screen.to(memory_format=torch.channels_last)
     smooth = copy.deepcopy(screen).eval()
     optimiser = torch.optim.AdamW(screen.parameters(), lr=arguments.rate, weight_decay=0.02)
@@ -131,7 +129,7 @@ def train(training, arguments):
         batch = torch.where(mirrored, batch.flip(3), batch).float() / 255
         batch = (batch * torch.from_numpy(random.uniform(0.7, 1.3, (len(chosen), 1, 1, 1))).float()).clamp(0, 1)
         with torch.autocast("cpu", torch.bfloat16):
-            logits = screen.classify(screen.blocks(batch.contiguous(memory_format=torch.channels_last)))
+            logits = screen(batch.contiguous(memory_format=torch.channels_last))
         loss = functional.cross_entropy(logits.float(), torch.from_numpy(labels[chosen]), weights)
         optimiser.zero_grad(set_to_none=True)
         loss.backward()
@@ -151,12 +149,12 @@ def main():
     parser.add_argument("--confidence", type=float, default=0.5, help="a detection counts from here on (default: 0.5)")
     parser.add_argument("--every", type=int, default=2, help="use every n-th frame (default: 2)")
     parser.add_argument("--validation", type=float, default=0.3, help="share of the frames to validate on (default: 0.3)")
+    parser.add_argument("--validate-on", metavar="CLIP", nargs="+", help="names of the clips to validate on, in place of a share")
     parser.add_argument("--weight", type=float, default=3.0, help="a missed object costs so much more than a false alarm (default: 3)")
-    parser.add_argument("--start", default=str(Path(__file__).with_name("screen.onnx")), help="screen to train on from (default: the demonstration's)")
-    parser.add_argument("--from-scratch", action="store_true", help="begin with random weights; takes far more footage")
-    parser.add_argument("--epochs", type=int, default=4)
+    parser.add_argument("--start", help="screen of this script to train on from (default: random weights)")
+    parser.add_argument("--epochs", type=int, default=8)
     parser.add_argument("--batch", type=int, default=16)
-    parser.add_argument("--rate", type=float, default=3e-4)
+    parser.add_argument("--rate", type=float, default=2e-3)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=torch.get_num_threads())
     parser.add_argument("--out", default="screen.onnx")
@@ -176,18 +174,21 @@ def main():
             frames = len(pictures) * arguments.every
             labels = labels_of(folder, Path(video).stem, frames, arguments.confidence)[:: arguments.every]
             clips.append((Path(video).stem, pictures, labels))
-    training, validation = split_by_clip(clips, arguments.validation)
+    if arguments.validate_on:
+        training = [clip for clip in clips if clip[0] not in arguments.validate_on]
+        validation = [clip for clip in clips if clip[0] in arguments.validate_on]
+    else:
+        training, validation = split_by_clip(clips, arguments.validation)
     for name, part in [("train on", training), ("validate on", validation)]:
         for clip, _, labels in part:
             print(f"{name} {clip}: {len(labels)} frames, {(labels == OCCUPIED).sum()} occupied")
 
     screen = train(training, arguments)
     export_screen(copy.deepcopy(screen).to(memory_format=torch.contiguous_format), arguments.out)
-    check_export(screen, arguments.out, SCREEN_SIZE)
     report = {"training": figures(*verdicts_of(arguments.out, training))}
     if validation:
         report["validation"] = figures(*verdicts_of(arguments.out, validation))
-        if not arguments.from_scratch:
+        if arguments.start:
             report["validation, before training"] = figures(*verdicts_of(arguments.start, validation))
     print(json.dumps(report, indent=1))
     print(f"{arguments.out} written: name it in screen.model if the validation is good enough; if not, add clips")

@@ -57,8 +57,8 @@ fn main() -> anyhow::Result<()> {
         .build()?;
     runtime.block_on(async {
         let line = Line::open().await?;
-        for model in arguments.models()? {
-            measure(&arguments, &model, &frames, folder.path(), &line).await?;
+        for model in &arguments.models {
+            measure(&arguments, model, &frames, folder.path(), &line).await?;
         }
         Ok(())
     })

@@ -146,7 +146,6 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
             arguments.rate,
             albireo_eval::footage::VideoEncoding::default(),
         )
-        .await
         .context("--clip")?;
     let clip = LoadedClip::read(source, arguments.seconds).await?;
     let rate = (!arguments.unpaced).then(|| clip.rate() * arguments.speed);

@@ -173,8 +173,7 @@ async fn camera(
 ) -> anyhow::Result<()> {
     let source = arguments
         .clip
-        .open(Some(arguments.rate), VideoEncoding::default())
-        .await?;
+        .open(Some(arguments.rate), VideoEncoding::default())?;
     let options = PublishOptions {
         rate: Rate::PerSecond(arguments.rate),
         repeat: true,

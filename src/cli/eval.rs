@@ -3,7 +3,7 @@
 mod advise;
 mod audit;
 mod frontier;
-mod pictures;
+mod video;
 
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::Profile;
@@ -94,10 +94,9 @@ enum What {
         #[command(flatten)]
         run: RunArguments,
     },
-    /// Run a real detector once over videos, then every policy on what it found.
-    Video(pictures::VideoArguments),
-    /// Run a real detector once over folders of pictures, then every policy on what it found.
-    Pictures(pictures::FolderArguments),
+    /// Run a real detector once over videos or pictures, then every policy on what it found.
+    #[command(alias = "pictures")]
+    Video(video::VideoArguments),
     /// Propose policy, knob and screen for a target, from a recording with your own detector.
     Advise(advise::AdviseArguments),
     /// Test on recordings what a node's audit claims: recall and precision against the detector, beside the truth.
@@ -217,8 +216,7 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
             detections,
             run,
         } => compare(coco::read(dataset, Some(detections))?, dataset, run),
-        What::Video(arguments) => pictures::videos(arguments),
-        What::Pictures(arguments) => pictures::folders(arguments),
+        What::Video(arguments) => video::run(arguments),
         What::Advise(arguments) => advise::run(arguments),
         What::Audit(arguments) => audit::run(arguments),
         What::Price(arguments) => audit::run_price(arguments),

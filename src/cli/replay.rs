@@ -125,7 +125,7 @@ pub async fn run(arguments: ReplayArguments, shutdown: CancellationToken) -> any
         Some(Rate::PerSecond(rate)) => Some(rate),
         _ => None,
     };
-    let source = arguments.source.open(rate, arguments.encoding).await?;
+    let source = arguments.source.open(rate, arguments.encoding)?;
     let options = arguments.publish_options();
     let patience = Duration::from_secs(arguments.wait_for_subscriber.unwrap_or(0));
     let session = tokio::select! {

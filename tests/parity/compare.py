@@ -137,7 +137,7 @@ def main():
     arguments = parser.parse_args()
     torch.set_num_threads(2)
     work = pathlib.Path(arguments.work)
-    files = pictures.sources(arguments.shared, arguments.program, work / "pictures")
+    files = pictures.sources(arguments.shared, work / "pictures")
     boxes, inputs, heads, failed = [], [], [], False
     for network in networks():
         squares = pictures.exact(files, network.side, work / f"pictures_{network.side}")

@@ -1,12 +1,9 @@
 """Points followed by OpenCV's calcOpticalFlowPyrLK, for crates/core/src/flow to be compared with.
 
     python3 -m venv cv && cv/bin/pip install opencv-python-headless==5.0.0.93
-    albireo synth --out pictures --seeds 203,205,208 --first 60 --frames 24 --size 640x360 --quality 92
-    P=pictures/seed; cv/bin/python tests/parity/flow.py --out tests/fixtures/flow --crop 60,56,192,104 --pairs \\
-        $P-208-clip-0-000{60.jpg:$P-208-clip-0-00061,78.jpg:$P-208-clip-0-00079}.jpg \\
-        $P-205-clip-0-00070.jpg:$P-205-clip-0-00072.jpg $P-203-clip-0-00079.jpg:$P-203-clip-0-00080.jpg
+    cv/bin/python tests/parity/flow.py --out tests/fixtures/flow --crop 60,56,192,104 --pairs A.jpg:B.jpg …
 
-writes the fixture. With pictures of any other kind it makes a folder of the same kind, which the test reads when
+writes a fixture; that of tests/fixtures/flow was made of drawn streets. With pictures of any other kind it makes a folder of the same kind, which the test reads when
 ALBIREO_FLOW_FIXTURE names it:
 
     ffmpeg -i clip.mp4 -vf scale=320:-2,format=gray clip-%04d.png

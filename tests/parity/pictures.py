@@ -1,11 +1,13 @@
-"""The pictures of the comparison: frames of real clips, the synthetic dashcam, noise."""
+"""The pictures of the comparison: frames of real clips, one of the demonstration's road, noise."""
 
 import pathlib
 import subprocess
+import tarfile
 
 import cv2
 import numpy
 
+ROAD = pathlib.Path(__file__).resolve().parents[2] / "demo/road.tar"
 CLIPS = [
     ("highway_two_cars.mp4", 60),
     ("highway_busy.mp4", 100),
@@ -26,7 +28,7 @@ def letterboxed(picture, side):
     return square
 
 
-def sources(shared, program, folder):
+def sources(shared, folder):
     """Files of pictures in their own sizes, PNG and JPEG."""
     folder = pathlib.Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -37,11 +39,9 @@ def sources(shared, program, folder):
         command += ["-vf", f"select=eq(n\\,{number})", "-frames:v", "1", file]
         subprocess.run(command, check=True)
         files.append(file)
-    synthetic = folder / "synth"
-    command = [program, "synth", "--seeds", "3", "--first", "40", "--frames", "1", "--out", synthetic]
-    if not any(synthetic.rglob("*.jpg")):
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    files.append(sorted(synthetic.rglob("*.jpg"))[0])
+    with tarfile.open(ROAD) as road:
+        road.extract("busy/0040.jpg", folder, filter="data")
+    files.append(folder / "busy/0040.jpg")
     generator = numpy.random.default_rng(7)
     # Grains of a few pixels: single ones are like nothing a network sees.
     noise = cv2.GaussianBlur(generator.integers(0, 256, (333, 517, 3), numpy.uint8), (0, 0), 2)

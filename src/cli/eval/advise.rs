@@ -1,6 +1,6 @@
 //! `albireo eval advise`: which policy, knob and screen meet a target on a recording.
 
-use super::pictures::{PassArguments, look_at};
+use super::video::{PassArguments, look_at};
 use super::{JUDGED, WRITTEN};
 use crate::cli::rate::parse_rate;
 use albireo_eval::advise::{
@@ -8,6 +8,7 @@ use albireo_eval::advise::{
 };
 use albireo_eval::data::recorded;
 use albireo_eval::energy_model::EnergyModel;
+use albireo_eval::footage::SourceName;
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -121,22 +122,18 @@ pub(super) fn run(arguments: &AdviseArguments) -> anyhow::Result<()> {
 /// Detections that are recorded are read, everything else is looked at.
 fn read(arguments: &AdviseArguments) -> anyhow::Result<Vec<Recording>> {
     let mut recordings = Vec::new();
-    let mut pictures = Vec::new();
+    let mut footage = Vec::new();
     for path in &arguments.recordings {
         if path.join("sequences.json").is_file() {
             let clips = recorded::read(path)?.only_with_detections(path)?;
             recordings.extend(clips.clips.into_iter().map(Recording::from));
         } else {
-            ensure!(
-                path.exists() || path.to_string_lossy().contains("://"),
-                "{}: no such recording",
-                path.display()
-            );
-            pictures.push(path.clone());
+            let name = path.to_string_lossy();
+            footage.push(name.parse::<SourceName>().map_err(anyhow::Error::msg)?);
         }
     }
-    if !pictures.is_empty() {
-        let looked = look_at(&pictures, arguments.rate, &arguments.pass)?;
+    if !footage.is_empty() {
+        let looked = look_at(&footage, arguments.rate, &arguments.pass)?;
         recordings.extend(looked.into_iter().map(Recording::from));
     }
     Ok(recordings)

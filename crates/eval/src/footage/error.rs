@@ -80,7 +80,4 @@ pub enum FootageError {
     /// A picture of a folder cannot be read.
     #[error(transparent)]
     Picture(#[from] PictureFileError),
-    /// Opening it was given up.
-    #[error("opening the video: {0}")]
-    Task(#[from] tokio::task::JoinError),
 }

@@ -3,9 +3,10 @@
 use super::archive::PictureArchive;
 use super::error::FootageError;
 use super::folder::PictureFolder;
-use super::source::FrameSource;
+use super::source::{FrameSource, clip_name};
 use super::video::{Ffmpeg, Video, VideoEncoding};
 use albireo_vision::picture::is_picture_file;
+use std::fmt::{Display, Formatter};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -43,32 +44,68 @@ impl SourceName {
     ///
     /// # Errors
     /// When it does not exist, cannot be read, or needs a program that is not installed.
-    pub async fn open(
+    pub fn open(
         &self,
         rate: Option<f64>,
         encoding: VideoEncoding,
     ) -> Result<Box<dyn FrameSource>, FootageError> {
-        match self {
-            Self::Pictures(path) => {
-                let folder = PictureFolder::open(path, rate.unwrap_or(PictureFolder::RATE))?;
-                Ok(Box::new(folder))
-            }
-            Self::Archive(path) => {
-                let archive = PictureArchive::open(path, rate.unwrap_or(PictureFolder::RATE))?;
-                Ok(Box::new(archive))
-            }
+        let pictures_rate = rate.unwrap_or(PictureFolder::RATE);
+        Ok(match self {
+            Self::Pictures(path) => Box::new(PictureFolder::open(path, pictures_rate)?),
+            Self::Archive(path) => Box::new(PictureArchive::open(path, pictures_rate)?),
             Self::Video(input) => {
                 if !input.contains("://") && !Path::new(input).exists() {
                     return Err(FootageError::Missing(input.clone()));
                 }
-                let input = input.clone();
-                // ffprobe reads the file first.
-                let video = tokio::task::spawn_blocking(move || {
-                    Video::open(&input, rate, encoding, Ffmpeg::default())
-                })
-                .await??;
-                Ok(Box::new(video))
+                Box::new(Video::open(input, rate, encoding, Ffmpeg::default())?)
             }
+        })
+    }
+
+    /// Opens each of its clips as a source: one, unless it is an archive.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn open_clips(
+        &self,
+        rate: Option<f64>,
+        encoding: VideoEncoding,
+    ) -> Result<Vec<Box<dyn FrameSource>>, FootageError> {
+        let Self::Archive(path) = self else {
+            return Ok(vec![self.open(rate, encoding)?]);
+        };
+        let archive = PictureArchive::open(path, rate.unwrap_or(PictureFolder::RATE))?;
+        let clips = archive.into_clips().into_iter();
+        Ok(clips
+            .map(|clip| Box::new(clip) as Box<dyn FrameSource>)
+            .collect())
+    }
+
+    /// The names of its clips, without opening a video.
+    ///
+    /// # Errors
+    /// When it does not exist or is an archive that cannot be read.
+    pub fn clip_names(&self) -> Result<Vec<String>, FootageError> {
+        let path = match self {
+            Self::Archive(path) => {
+                let clips = PictureArchive::open(path, PictureFolder::RATE)?.into_clips();
+                return Ok(clips.iter().map(|clip| clip.name().to_owned()).collect());
+            }
+            Self::Pictures(path) => path,
+            Self::Video(input) => Path::new(input),
+        };
+        if !path.exists() && !path.to_string_lossy().contains("://") {
+            return Err(FootageError::Missing(path.display().to_string()));
+        }
+        Ok(vec![clip_name(path)])
+    }
+}
+
+impl Display for SourceName {
+    fn fmt(&self, formatter: &mut Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Pictures(path) | Self::Archive(path) => path.display().fmt(formatter),
+            Self::Video(input) => input.fmt(formatter),
         }
     }
 }
@@ -97,10 +134,28 @@ mod tests {
         );
     }
 
-    #[tokio::test]
-    async fn a_missing_file_is_named() {
-        let name: SourceName = "no/such/drive.mp4".parse().unwrap();
-        let error = name.open(None, VideoEncoding::Jpeg).await.err().unwrap();
-        assert!(error.to_string().contains("no/such/drive.mp4"));
+    #[test]
+    fn a_missing_file_is_named() {
+        for missing in ["no/such/drive.mp4", "no/such.tar", "no/such.jpg"] {
+            let name: SourceName = missing.parse().unwrap();
+            let error = name.open(None, VideoEncoding::Jpeg).err().unwrap();
+            assert!(error.to_string().contains(missing), "{error}");
+            let error = name.clip_names().unwrap_err();
+            assert!(error.to_string().contains(missing), "{error}");
+        }
+    }
+
+    #[test]
+    fn each_folder_of_the_demonstrations_road_is_a_clip() {
+        let road = concat!(env!("CARGO_MANIFEST_DIR"), "/../../demo/road.tar");
+        let name: SourceName = road.parse().unwrap();
+        let names = ["busy", "sparse", "empty-then-car", "night"];
+        assert_eq!(name.clip_names().unwrap(), names);
+        let clips = name.open_clips(Some(10.0), VideoEncoding::Jpeg).unwrap();
+        let seconds: f64 = (clips.iter())
+            .map(|clip| clip.frames().unwrap() as f64 / clip.rate())
+            .sum();
+        assert!(seconds >= 40.0, "{seconds}");
+        assert!(std::fs::metadata(road).unwrap().len() <= 8_000_000);
     }
 }

@@ -1,16 +1,10 @@
-//! `albireo eval video` and `pictures`: a real detector's one pass over the pictures, then every
-//! policy on what it found.
+//! `albireo eval video`: a real detector's one pass over videos or pictures, then every policy on what it found.
 
-use super::frontier::print_leave_one_out;
 use super::{LOOKED, RunArguments, listed, policies, print_conclusion, projected_power, settings};
 use crate::cli::rate::parse_rate;
-use albireo_core::policy::{ExpectedLoss, FrameState, Need, PolicyConfig};
+use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
-use albireo_eval::footage::{Ffmpeg, FrameSource, PictureFolder, Thinned, Video, VideoEncoding};
-use albireo_eval::frontier::{
-    Judging, SettingValue, Variation, all_at_rate, pixel_steps, pixel_study, render_pixels,
-    write_pixels,
-};
+use albireo_eval::footage::{FrameSource, PictureFolder, SourceName, Thinned, VideoEncoding};
 use albireo_eval::pictures::{
     GroundTruth, LOWEST_CONFIDENCE, Observer, PassSettings, PicturedClip, PixelsAsked, StepTimes,
     TruthFormat, against_vanilla, collect, looks_at_pixels, run_pictured,
@@ -28,7 +22,7 @@ use albireo_vision::screen::ScreenConfig;
 use anyhow::{Context, bail, ensure};
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// One run that takes this long has failed; nobody waits for it as a camera would.
 const TIMEOUT_MS: u64 = 60_000;
@@ -36,62 +30,19 @@ const TIMEOUT_MS: u64 = 60_000;
 /// Arguments of `albireo eval video`.
 #[derive(Debug, Args)]
 pub(super) struct VideoArguments {
-    /// Video files; each is a clip, named after its file. Needs ffmpeg.
-    #[arg(required = true)]
-    files: Vec<String>,
-    /// How frames are encoded on the way from ffmpeg to the detector.
+    /// Video files (these need ffmpeg), folders of JPEG and PNG files, or tar archives of such folders; `demo` is
+    /// demo/road.tar. Each is a clip named after its file; each folder of an archive is one
+    #[arg(required = true, value_name = "CLIP")]
+    clips: Vec<SourceName>,
+    /// Frames a second of pictures.
+    #[arg(long, default_value_t = PictureFolder::RATE, value_parser = parse_rate)]
+    rate: f64,
+    /// Take so many frames a second, as if the camera were slower.
+    #[arg(long, value_name = "FPS", conflicts_with = "ground_truth", value_parser = parse_rate)]
+    fps: Option<f64>,
+    /// How a video's frames are encoded on the way from ffmpeg to the detector.
     #[arg(long, value_enum, default_value_t)]
     encoding: VideoEncoding,
-    #[command(flatten)]
-    truth: TruthArguments,
-    /// Thin the videos to so many frames a second, as if the camera were slower. With --equal-skip it may be given
-    /// several times (0: as recorded), and each is compared
-    #[arg(
-        long,
-        value_name = "FPS",
-        conflicts_with = "ground_truth",
-        value_delimiter = ','
-    )]
-    fps: Vec<f64>,
-    #[command(flatten)]
-    equal: EqualArguments,
-    #[command(flatten)]
-    pass: PassArguments,
-    #[command(flatten)]
-    run: RunArguments,
-}
-
-/// The comparison with and without pixels.
-#[derive(Debug, Args)]
-struct EqualArguments {
-    /// Instead of the policies asked for, compare expected-loss with and without optical flow, evenly spaced calls with
-    /// and without it, and albireo, all turned until they skip this share of the frames
-    #[arg(long, value_name = "SKIP,…", value_delimiter = ',')]
-    equal_skip: Vec<f64>,
-    /// A setting of expected-loss other than its own in that comparison; may be given again
-    #[arg(long, value_name = "SETTING=VALUE", requires = "equal_skip")]
-    setting: Vec<SettingValue>,
-    /// Instead of that comparison, whether a setting of expected-loss with optical flow was fitted to single clips: the
-    /// values to try, for instance flow.detected=0.6,0.8,1. Each clip is judged by AP@75 with the value that is best on
-    /// all others; may be given again
-    #[arg(
-        long,
-        value_name = "SETTING=VALUE,…",
-        requires = "equal_skip",
-        conflicts_with = "setting"
-    )]
-    leave_one_out: Vec<Variation>,
-}
-
-/// Arguments of `albireo eval pictures`.
-#[derive(Debug, Args)]
-pub(super) struct FolderArguments {
-    /// Folders of JPEG and PNG files in order of their names; each is a clip, named after its folder.
-    #[arg(required = true)]
-    folders: Vec<PathBuf>,
-    /// Frames a second.
-    #[arg(long = "rate", alias = "frame-rate", default_value_t = PictureFolder::RATE, value_parser = parse_rate)]
-    frame_rate: f64,
     #[command(flatten)]
     truth: TruthArguments,
     #[command(flatten)]
@@ -145,62 +96,32 @@ pub(super) struct PassArguments {
 }
 
 /// Runs `albireo eval video`.
-pub(super) fn videos(arguments: &VideoArguments) -> anyhow::Result<()> {
-    for file in &arguments.files {
-        ensure!(
-            Path::new(file).is_file(),
-            "{file}: no such video file; `albireo eval pictures` takes folders"
-        );
+pub(super) fn run(arguments: &VideoArguments) -> anyhow::Result<()> {
+    let mut names = Vec::new();
+    for clip in &arguments.clips {
+        names.extend(clip.clip_names()?);
     }
-    let names = arguments
-        .files
-        .iter()
-        .map(|file| albireo_eval::footage::clip_name(Path::new(file)))
-        .collect();
+    let title = title(&names);
     let mut evaluation =
         Evaluation::start(&arguments.pass, &arguments.run, &arguments.truth, names)?;
-    evaluation.compare_at(&arguments.equal, &arguments.fps)?;
-    let thin = arguments.fps.first().filter(|_| evaluation.equal.is_none());
-    for file in &arguments.files {
-        let mut video = Video::open(file, None, arguments.encoding, Ffmpeg::default())?;
-        match thin {
-            Some(&rate) => evaluation.look(&mut Thinned::new(&mut video, rate))?,
-            None => evaluation.look(&mut video)?,
+    for clips in &arguments.clips {
+        for mut clip in clips.open_clips(Some(arguments.rate), arguments.encoding)? {
+            match arguments.fps {
+                Some(rate) => evaluation.look(&mut Thinned::new(clip.as_mut(), rate))?,
+                None => evaluation.look(clip.as_mut())?,
+            }
         }
     }
-    evaluation.finish(&title("Video", &arguments.files))
+    evaluation.finish(&title)
 }
 
-/// Runs `albireo eval pictures`.
-pub(super) fn folders(arguments: &FolderArguments) -> anyhow::Result<()> {
-    let rate = arguments.frame_rate;
-    let mut sources = Vec::new();
-    for folder in &arguments.folders {
-        ensure!(folder.exists(), "{}: no such folder", folder.display());
-        sources.push(PictureFolder::open(folder, rate)?);
-    }
-    let names = sources
-        .iter()
-        .map(|source| source.name().to_owned())
-        .collect();
-    let mut evaluation =
-        Evaluation::start(&arguments.pass, &arguments.run, &arguments.truth, names)?;
-    for source in &mut sources {
-        evaluation.look(source)?;
-    }
-    let folders: Vec<_> = arguments
-        .folders
-        .iter()
-        .map(|folder| folder.display().to_string())
-        .collect();
-    evaluation.finish(&title("Pictures", &folders))
-}
-
-/// What a report is headed with: every file, or the first of many.
-fn title(what: &str, files: &[String]) -> String {
-    match files {
-        [first, second, _, ..] => format!("{what}: {first}, {second} and {} more", files.len() - 2),
-        few => format!("{what}: {}", few.join(", ")),
+/// What a report is headed with: the clips' names, or the first of many.
+fn title(names: &[String]) -> String {
+    match names {
+        [first, second, third, _, ..] => {
+            format!("{first}, {second}, {third} and {} more", names.len() - 3)
+        }
+        few => few.join(", "),
     }
 }
 
@@ -215,25 +136,12 @@ struct Evaluation<'a> {
     clips: usize,
     observer: Observer,
     keep: PixelsAsked,
-    /// The comparison at equal skip rates, if that is what is asked for.
-    equal: Option<EqualSkipRates>,
     report: LoadReport,
     judged: Judged,
     against_vanilla: Judged,
     times: Vec<StepTimes>,
     /// The clips without their pictures, for `--save-detections`.
     kept: Vec<Clip>,
-}
-
-/// What is compared at equal skip rates.
-struct EqualSkipRates {
-    skip_rates: Vec<f64>,
-    settings: Vec<SettingValue>,
-    /// What is tried instead of the comparison.
-    leave_one_out: Vec<Variation>,
-    /// Frames a second; `None` for as recorded.
-    rates: Vec<Option<f64>>,
-    clips: Vec<PicturedClip>,
 }
 
 /// Results that are judged alike, a list of policies for each clip.
@@ -293,7 +201,6 @@ impl<'a> Evaluation<'a> {
         Ok(Self {
             pass,
             keep: looks_at_pixels(&policies)?,
-            equal: None,
             arguments,
             settings,
             policies,
@@ -306,88 +213,6 @@ impl<'a> Evaluation<'a> {
             times: Vec::new(),
             kept: Vec::new(),
         })
-    }
-
-    /// Keeps the clips and compares at equal skip rates in the end, if that is what is asked for.
-    fn compare_at(&mut self, equal: &EqualArguments, rates: &[f64]) -> anyhow::Result<()> {
-        for rate in rates {
-            ensure!(
-                (0.0..=1000.0).contains(rate),
-                "--fps {rate} is not between 0 and 1000"
-            );
-        }
-        if equal.equal_skip.is_empty() {
-            ensure!(
-                rates.len() <= 1,
-                "--fps: give one, or compare with --equal-skip"
-            );
-            ensure!(
-                !rates.contains(&0.0),
-                "--fps 0: leave it out for all frames"
-            );
-            return Ok(());
-        }
-        for skip_rate in &equal.equal_skip {
-            ensure!(
-                *skip_rate > 0.0 && *skip_rate <= 0.95,
-                "--equal-skip {skip_rate} is not above 0 and at most 0.95"
-            );
-        }
-        let mut flow = PolicyConfig::default();
-        flow.select(ExpectedLoss::FLOW_NAME)?;
-        if let Some(Need::SmallGreyPicture { width }) = flow.build()?.pictures() {
-            self.keep.small = Some(width);
-        }
-        let rates = rates
-            .iter()
-            .map(|rate| Some(*rate).filter(|rate| *rate > 0.0));
-        let rates: Vec<_> = rates.collect();
-        self.equal = Some(EqualSkipRates {
-            skip_rates: equal.equal_skip.clone(),
-            settings: equal.setting.clone(),
-            leave_one_out: equal.leave_one_out.clone(),
-            rates: if rates.is_empty() { vec![None] } else { rates },
-            clips: Vec::new(),
-        });
-        Ok(())
-    }
-
-    /// Compares at equal skip rates.
-    fn compare(&self, equal: &EqualSkipRates) -> anyhow::Result<()> {
-        if !equal.leave_one_out.is_empty() {
-            return self.leave_one_out(equal);
-        }
-        let steps = pixel_steps(equal.rates.len(), equal.skip_rates.len());
-        let bar = ProgressBar::new(steps as u64);
-        let confidence = self.settings.confidence;
-        let done = || bar.inc(1);
-        let (rates, skips) = (&equal.rates, &equal.skip_rates);
-        let settings = &equal.settings;
-        let studies = pixel_study(&equal.clips, rates, skips, confidence, settings, &done)?;
-        bar.finish_and_clear();
-        print!("{}", render_pixels(&studies));
-        if let Some(folder) = &self.arguments.out {
-            write_pixels(&studies, folder)?;
-            eprintln!("Written to {}", folder.display());
-        }
-        Ok(())
-    }
-
-    /// Tries settings at every frame rate.
-    fn leave_one_out(&self, equal: &EqualSkipRates) -> anyhow::Result<()> {
-        let judging = Judging::of_flow(equal.skip_rates.clone());
-        for rate in &equal.rates {
-            let viewed = all_at_rate(&equal.clips, *rate, self.settings.confidence);
-            ensure!(
-                viewed.len() > 1,
-                "--leave-one-out takes at least two clips in which something is to be found, and there are {}",
-                viewed.len()
-            );
-            let view = rate.map_or("as recorded".to_owned(), |rate| format!("{rate} frames/s"));
-            let viewed: Vec<_> = viewed.into_iter().flatten().collect();
-            print_leave_one_out(&equal.leave_one_out, &judging, &viewed, &view)?;
-        }
-        Ok(())
     }
 
     /// Looks at a clip, finds its ground truth, and runs every policy over it.
@@ -428,10 +253,6 @@ impl<'a> Evaluation<'a> {
             pictured.clip.truth = Some(truth);
             &mut self.against_vanilla
         };
-        if let Some(equal) = &mut self.equal {
-            equal.clips.push(pictured);
-            return Ok(());
-        }
         let mut results = run_pictured(&pictured, &self.policies, &self.settings, &|| ())?;
         if let Err(error) = attach_pictures(source, &mut results) {
             let name = &pictured.clip.name;
@@ -450,9 +271,6 @@ impl<'a> Evaluation<'a> {
         if let Some(folder) = &self.pass.save_detections {
             recorded::write(folder, &self.kept)?;
             eprintln!("Detections written to {}", folder.display());
-        }
-        if let Some(equal) = &self.equal {
-            self.compare(equal)?;
         }
         let mut settings = listed(&self.arguments);
         settings.extend(self.models());
@@ -627,39 +445,25 @@ fn pass_over(
     Ok(pictured?)
 }
 
-/// The detector's pass over videos and folders of pictures, with what the agnostic screen sees. `rate` is the frames a
-/// second of folders.
+/// The detector's pass over videos and pictures. `rate` is the frames a second of pictures.
 pub(super) fn look_at(
-    paths: &[PathBuf],
+    clips: &[SourceName],
     rate: Option<f64>,
     pass: &PassArguments,
 ) -> anyhow::Result<Vec<PicturedClip>> {
     let mut observer = start_observer(pass)?;
     let settings = PassSettings {
-        keep_grey: false,
-        keep_small: None,
         keep_thumbnails: true,
         most_frames: most_frames(pass),
+        ..PassSettings::default()
     };
     let mut report = LoadReport::default();
     let mut looked = Vec::new();
-    for path in paths {
-        let mut source: Box<dyn FrameSource> = if path.is_dir() {
-            Box::new(PictureFolder::open(
-                path,
-                rate.unwrap_or(PictureFolder::RATE),
-            )?)
-        } else {
-            let file = path.to_string_lossy();
-            let encoding = VideoEncoding::default();
-            Box::new(Video::open(&file, None, encoding, Ffmpeg::default())?)
-        };
-        looked.push(pass_over(
-            source.as_mut(),
-            &mut observer,
-            &settings,
-            &mut report,
-        )?);
+    for clip in clips {
+        for mut source in clip.open_clips(rate, VideoEncoding::default())? {
+            let seen = pass_over(source.as_mut(), &mut observer, &settings, &mut report)?;
+            looked.push(seen);
+        }
     }
     for line in report.lines() {
         eprintln!("{line}");
