@@ -1,4 +1,4 @@
-//! `albireo compare`, as a user runs it: the node's own code with a detector that finds coloured boxes, a clip of a few
+//! `albireo compare`, as a user runs it: the node's own code with YOLOX-Nano, a clip of a few
 //! seconds, and what is told of it.
 
 #![allow(clippy::unwrap_used, clippy::panic)]
@@ -40,9 +40,9 @@ fn text(bytes: &[u8]) -> String {
 /// A configuration whose `[power]` section is `power`.
 fn configuration(folder: &Path, power: &str) -> PathBuf {
     let file = folder.join("node.toml");
-    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/models");
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
     let models = models.display();
-    let settings = format!("[detector]\nmodel = \"{models}/boxes.onnx\"\n[power]\n{power}\n");
+    let settings = format!("[detector]\nmodel = \"{models}/yolox_nano.onnx\"\n[power]\n{power}\n");
     std::fs::write(&file, settings).unwrap();
     file
 }

@@ -76,7 +76,7 @@ pub(super) struct Arguments {
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
         // What is dropped or failed stands in the summary; a warning would tear the table.
-        level: "error".to_owned(),
+        level: "error,tower_http=off".to_owned(),
         ..LogConfig::default()
     })?;
     let shutdown = signals::shutdown().context(signals::CONTEXT)?;

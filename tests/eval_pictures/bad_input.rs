@@ -30,9 +30,12 @@ fn on_pictures(folder: &Path, more: &[&str]) -> String {
 #[test]
 fn a_missing_file_folder_or_model_is_named() {
     let said = refusal(&["eval", "video", "no/such.mp4"]);
-    assert!(said.contains("no/such.mp4: no such video file"), "{said}");
+    assert!(
+        said.contains("no/such.mp4: no such file or folder"),
+        "{said}"
+    );
     let said = on_pictures(Path::new("no/such"), &[]);
-    assert!(said.contains("no/such: no such folder"), "{said}");
+    assert!(said.contains("no/such: no such file or folder"), "{said}");
     let folder = tempfile::tempdir().unwrap();
     let said = on_pictures(folder.path(), &[]);
     assert!(said.contains("no .jpg"), "{said}");

@@ -91,7 +91,10 @@ impl SourceName {
                 let clips = PictureArchive::open(path, PictureFolder::RATE)?.into_clips();
                 return Ok(clips.iter().map(|clip| clip.name().to_owned()).collect());
             }
-            Self::Pictures(path) => path,
+            Self::Pictures(path) => {
+                PictureFolder::open(path, PictureFolder::RATE)?;
+                path
+            }
             Self::Video(input) => Path::new(input),
         };
         if !path.exists() && !path.to_string_lossy().contains("://") {
