@@ -9,9 +9,9 @@ use albireo_vision::detector::{DetectorConfig, DetectorNetwork, HeadName};
 use albireo_vision::picture::{FrameLimits, Picture, PixelLayout, decode};
 use std::path::Path;
 
-/// A clip of the road that the quantised model was not calibrated with, and how many of its frames are skipped each time.
+/// A clip of the road that the quantised model was not calibrated with, and how many frames lie between two that are looked at.
 const CLIP: &str = "busy";
-const EVERY: usize = 4;
+const EVERY: usize = 3;
 /// What one of the two is sure of, the other must find.
 const SURE: f64 = 0.6;
 const FOUND: f64 = 0.5;

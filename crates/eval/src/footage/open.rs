@@ -50,16 +50,25 @@ impl SourceName {
         encoding: VideoEncoding,
     ) -> Result<Box<dyn FrameSource>, FootageError> {
         let pictures_rate = rate.unwrap_or(PictureFolder::RATE);
+        let path = self.existing()?;
         Ok(match self {
-            Self::Pictures(path) => Box::new(PictureFolder::open(path, pictures_rate)?),
-            Self::Archive(path) => Box::new(PictureArchive::open(path, pictures_rate)?),
-            Self::Video(input) => {
-                if !input.contains("://") && !Path::new(input).exists() {
-                    return Err(FootageError::Missing(input.clone()));
-                }
-                Box::new(Video::open(input, rate, encoding, Ffmpeg::default())?)
-            }
+            Self::Pictures(_) => Box::new(PictureFolder::open(path, pictures_rate)?),
+            Self::Archive(_) => Box::new(PictureArchive::open(path, pictures_rate)?),
+            Self::Video(input) => Box::new(Video::open(input, rate, encoding, Ffmpeg::default())?),
         })
+    }
+
+    /// Where it lies, if it does; an address is left to [`Video::open`] to refuse.
+    fn existing(&self) -> Result<&Path, FootageError> {
+        let path = match self {
+            Self::Pictures(path) | Self::Archive(path) => path,
+            Self::Video(input) => Path::new(input),
+        };
+        if path.exists() || path.to_string_lossy().contains("://") {
+            Ok(path)
+        } else {
+            Err(FootageError::Missing(path.display().to_string()))
+        }
     }
 
     /// Opens each of its clips as a source: one, unless it is an archive.
@@ -86,19 +95,15 @@ impl SourceName {
     /// # Errors
     /// When it does not exist or is an archive that cannot be read.
     pub fn clip_names(&self) -> Result<Vec<String>, FootageError> {
-        let path = match self {
-            Self::Archive(path) => {
+        let path = self.existing()?;
+        match self {
+            Self::Archive(_) => {
                 let clips = PictureArchive::open(path, PictureFolder::RATE)?.into_clips();
                 return Ok(clips.iter().map(|clip| clip.name().to_owned()).collect());
             }
-            Self::Pictures(path) => {
-                PictureFolder::open(path, PictureFolder::RATE)?;
-                path
-            }
-            Self::Video(input) => Path::new(input),
-        };
-        if !path.exists() && !path.to_string_lossy().contains("://") {
-            return Err(FootageError::Missing(path.display().to_string()));
+            // To find a folder without pictures before anything else is done.
+            Self::Pictures(_) => drop(PictureFolder::open(path, PictureFolder::RATE)?),
+            Self::Video(_) => {}
         }
         Ok(vec![clip_name(path)])
     }
