@@ -19,7 +19,7 @@ pub struct Detection {
     pub confidence: f64,
 }
 
-/// The seven classes of BDD100K that the paper reports, in the order the demonstration models use.
+/// The seven classes of BDD100K that the paper reports.
 pub const BDD100K_CLASSES: [&str; 7] = [
     "pedestrian",
     "rider",

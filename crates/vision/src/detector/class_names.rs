@@ -1,7 +1,6 @@
 //! The names of a model's classes: given, in its metadata, or the list that belongs to its head.
 
 use super::{ClassNames, HeadName, Metadata, StartError};
-use albireo_core::detection::BDD100K_CLASSES;
 
 /// The 80 classes of the COCO detection task (Lin et al., "Microsoft COCO", 2014), in the order of their
 /// category numbers, which is the order detectors trained on it use.
@@ -167,8 +166,6 @@ pub(super) fn read(
 fn own_list(head: HeadName, classes: Option<usize>) -> Option<Vec<String>> {
     let owned = |names: &[&str]| names.iter().map(|&name| name.to_owned()).collect();
     match (head, classes?) {
-        (HeadName::Demonstration, 7) => Some(owned(&BDD100K_CLASSES)),
-        (HeadName::Demonstration, _) => None,
         (_, 80) => Some(owned(&COCO_CLASSES)),
         (HeadName::Detr, 91) => Some(coco_categories()),
         _ => None,
@@ -206,12 +203,11 @@ mod tests {
 
     #[test]
     fn without_names_the_list_that_belongs_to_the_head_is_taken_if_it_is_as_long() {
-        use HeadName::{Demonstration, Detr, EndToEnd, Yolo, Yolox};
+        use HeadName::{Detr, EndToEnd, Yolo, Yolox};
         let none = Metadata::default();
         let names = |head, classes| read(None, &none, head, classes);
         assert_eq!(names(Yolox, Some(80)).unwrap()[2], "car");
         assert_eq!(names(Yolo, Some(80)).unwrap().len(), 80);
-        assert_eq!(names(Demonstration, Some(7)).unwrap(), BDD100K_CLASSES);
         let categories = names(Detr, Some(91)).unwrap();
         assert_eq!(categories.len(), 91);
         // Category numbers from the annotation files of COCO 2017.
@@ -222,7 +218,7 @@ mod tests {
             (categories[0].as_str(), categories[90].as_str()),
             ("", "toothbrush")
         );
-        for (head, classes) in [(Yolo, Some(79)), (EndToEnd, None), (Demonstration, Some(8))] {
+        for (head, classes) in [(Yolo, Some(79)), (EndToEnd, None)] {
             let error = names(head, classes).unwrap_err().to_string();
             assert!(error.starts_with("detector.class_names"), "{error}");
         }

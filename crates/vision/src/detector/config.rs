@@ -55,7 +55,7 @@ pub struct DetectorConfig {
     /// Columns and rows of the input, for a model that leaves them open; without it those of its metadata.
     pub input_size: Option<[u32; 2]>,
     /// Names of the model's classes. Without them those of its metadata, else the list that belongs to its head
-    /// when it is as long (80: COCO; 91: COCO's category numbers; the demonstration detector: BDD100K).
+    /// when it is as long (80: COCO; 91: COCO's category numbers).
     pub class_names: Option<ClassNames>,
     /// Other names for classes: the model's name to the one reported. Several may have the same new name.
     pub class_map: BTreeMap<String, String>,

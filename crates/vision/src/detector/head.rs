@@ -1,6 +1,5 @@
 //! Heads: pure functions from a model's output tensors to candidates, one file a head.
 
-mod demonstration;
 mod detr;
 mod end_to_end;
 mod fastestdet;
@@ -105,7 +104,6 @@ pub fn bind(name: HeadName, signature: &Signature, input: PictureInput) -> Resul
         HeadName::Detr => detr::bind(signature, input),
         HeadName::Yolox => yolox::bind(signature, input),
         HeadName::FastestDet => fastestdet::bind(signature, input),
-        HeadName::Demonstration => demonstration::bind(signature, input),
     }
 }
 

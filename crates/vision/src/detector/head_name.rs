@@ -30,21 +30,16 @@ pub enum HeadName {
     #[serde(rename = "fastestdet")]
     #[cfg_attr(feature = "cli", value(name = "fastestdet"))]
     FastestDet,
-    /// The demonstration detector of `models/`: `[1, cells, 4 + classes]`, decoded.
-    #[serde(rename = "demonstration")]
-    #[cfg_attr(feature = "cli", value(name = "demonstration"))]
-    Demonstration,
 }
 
 impl HeadName {
     /// What `auto` can find.
-    pub const RECOGNISED: [Self; 6] = [
+    pub const RECOGNISED: [Self; 5] = [
         Self::Yolo,
         Self::EndToEnd,
         Self::Detr,
         Self::Yolox,
         Self::FastestDet,
-        Self::Demonstration,
     ];
 
     /// The name in configuration and messages.
@@ -56,7 +51,6 @@ impl HeadName {
             Self::Detr => "detr",
             Self::Yolox => "yolox",
             Self::FastestDet => "fastestdet",
-            Self::Demonstration => "demonstration",
         }
     }
 
@@ -71,14 +65,6 @@ impl HeadName {
             }
             Self::Yolox => "one output [1, cells of strides 8, 16 and 32, 5 + classes]",
             Self::FastestDet => "one output [1, 5 + classes, rows / 16, columns / 16]",
-            Self::Demonstration => "one output [1, cells, 4 + classes]",
         }
-    }
-
-    /// The head that a model's metadata name, when it is one of ours: others write their own words there.
-    pub fn from_metadata(name: &str) -> Option<Self> {
-        Self::RECOGNISED
-            .into_iter()
-            .find(|head| head.as_str() == name)
     }
 }

@@ -35,9 +35,6 @@ pub fn recognise(signature: &Signature, input: PictureInput) -> Result<HeadName,
             "its metadata say that its task is `{task}`; a model for the task `detect` is needed"
         )));
     }
-    if let Some(head) = metadata.get("head").and_then(HeadName::from_metadata) {
-        return Ok(head);
-    }
     if metadata.is_ultralytics() {
         let head = if metadata.is_end_to_end() {
             HeadName::EndToEnd
@@ -91,9 +88,6 @@ fn fit(head: HeadName, signature: &Signature, input: PictureInput) -> Result<(),
 /// Whether a model without metadata looks like one for `head`. Stricter than binding it, which is for a user
 /// who knows.
 fn looks_like(head: HeadName, signature: &Signature, input: PictureInput) -> Result<(), String> {
-    if head == HeadName::Demonstration {
-        return Err("its metadata do not name it".to_owned());
-    }
     fit(head, signature, input)?;
     let all_cells = || YOLO_STRIDES.map(|strides| cells(input.size, strides));
     let dimension = |place: usize| {

@@ -59,7 +59,6 @@ fn heads() -> Vec<(Head, Shapes)> {
         one(HeadName::EndToEnd, &[1, 5, 6]),
         one(HeadName::Yolox, &[1, 42, 7]),
         one(HeadName::FastestDet, &[1, 7, 2, 4]),
-        one(HeadName::Demonstration, &[1, 3, 6]),
         (
             bound(
                 HeadName::Detr,
@@ -310,27 +309,6 @@ fn yolox_rejects_and_counts_what_is_not_a_number_or_not_possible() {
     let head = bound(HeadName::Yolox, &[1, 3, 32, 64], &[("output", &[1, 42, 7])]);
     let (rejected, found) = read(&head, &[(&[1, 42, 7], &output)]);
     assert_eq!((rejected, found.len()), (8, 1));
-}
-
-#[test]
-fn the_demonstration_head_reads_corners_and_the_best_class() {
-    let head = bound(
-        HeadName::Demonstration,
-        &[1, 3, 192, 320],
-        &[("detections", &[1, 4, 7])],
-    );
-    let output = rows(
-        4,
-        &[
-            (0, [10.0, 20.0, 110.0, 80.0, 0.1, 0.0, 0.8]),
-            (1, [0.0, 0.0, 5.0, 5.0, 0.49, 0.0, 0.0]),
-            (2, [9.0, 9.0, 8.0, 20.0, 0.9, 0.0, 0.0]),
-            (3, [f32::NAN; 7]),
-        ],
-    );
-    let (rejected, found) = read(&head, &[(&[1, 4, 7], &output)]);
-    assert_eq!(rejected, 2);
-    assert_candidates(&found, &[([10.0, 20.0, 110.0, 80.0], 2, 0.8)]);
 }
 
 #[test]

@@ -59,14 +59,11 @@ fn an_input_that_is_no_picture_is_refused_with_what_is_wrong() {
 
 #[test]
 fn a_model_that_does_not_fit_is_refused_with_the_first_difference() {
-    use HeadName::{Demonstration, Detr, EndToEnd, FastestDet, Yolo, Yolox};
+    use HeadName::{Detr, EndToEnd, FastestDet, Yolo, Yolox};
     let input = [1, 3, 416, 416];
     for (name, output, reason) in [
         (Yolox, &[1, 84, 8400][..], "[1, 3549, 5 + classes]"),
         (Yolox, &[1, 3549, 5], "another shape"),
-        (Demonstration, &[1, 2], "another shape"),
-        (Demonstration, &[1, 0, 11], "another shape"),
-        (Demonstration, &[1, -1, 11], "another shape"),
         (Yolo, &[1, 4, 3549], "another shape"),
         (Yolo, &[2, 84, 3549], "another shape"),
         (EndToEnd, &[1, 300, 7], "another shape"),
@@ -121,10 +118,6 @@ fn models_are_recognised_by_what_their_exporters_write() {
         (model(one, &ultralytics), HeadName::Yolo),
         (model(boxes, &end), HeadName::EndToEnd),
         (model(boxes, &nms), HeadName::EndToEnd),
-        (
-            model(&[("o", &[1, 9, 5])], &[("head", "demonstration")]),
-            HeadName::Demonstration,
-        ),
         (model(boxes, &[]), HeadName::EndToEnd),
         (model(&[("output0", &[1, 84, 8400])], &[]), HeadName::Yolo),
         // With a coarser fourth stride, and one that leaves its anchors open.
