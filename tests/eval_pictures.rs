@@ -81,7 +81,6 @@ fn look(
 ) -> PicturedClip {
     let mut observer = Observer::start(detector, screen).unwrap();
     let keep = PassSettings {
-        keep_thumbnails: true,
         keep_grey: true,
         keep_small: None,
         most_frames: None,
@@ -304,7 +303,6 @@ fn by_hand(frames: usize) -> PicturedClip {
             truth: None,
             pictures: Vec::new(),
         },
-        thumbnails: Vec::new(),
         grey: Vec::new(),
         small: Vec::new(),
         small_width: None,

@@ -15,7 +15,7 @@ use albireo_node::LiveEvidence;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameFault, FrameLimits};
 use albireo_vision::pixel_work::PixelWork;
-use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle, ScreenKind};
+use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle};
 use std::future::pending;
 
 const CAMERA: CameraSlot = CameraSlot(0);
@@ -43,7 +43,7 @@ impl Node {
 
     /// A camera's evidence, as its loop in the node has it.
     fn camera(&self) -> LiveEvidence {
-        let screen = CameraScreen::new(&self.screen, self.model.clone(), CAMERA);
+        let screen = CameraScreen::new(&self.screen, self.model.clone());
         let preparation = self.detector.preparation().clone();
         let pixels = PixelWork::new(preparation, FrameLimits::default(), 1);
         LiveEvidence::new(self.detector.clone(), screen, CAMERA, pixels)
@@ -125,7 +125,7 @@ async fn decided(
             .unwrap();
         states.push(outcome.state);
     }
-    (states, camera.screen_counts().forced)
+    (states, camera.screen_overruled())
 }
 
 /// The node's detections on the same pictures are the pass's, and every policy that asks for itself decides
@@ -142,10 +142,9 @@ pub(crate) fn assert_live_alike(
         pictures.push(picture);
     }
     assert_eq!(pictures.len(), pictured.clip.frames);
-    let rule = match screen.kind() {
-        ScreenKind::None => ScreenRule::Nonempty,
-        ScreenKind::Model => ScreenRule::Recorded,
-        ScreenKind::Agnostic => ScreenRule::Agnostic,
+    let rule = match screen.model {
+        None => ScreenRule::Nonempty,
+        Some(_) => ScreenRule::Recorded,
     };
     let mut policies = specs(&NO_PIXELS, rule);
     policies.extend(specs(&["statues:25"], rule).pop());
@@ -228,15 +227,4 @@ fn a_model_is_believed_no_longer_in_the_evaluation_than_in_the_node() {
     // At a high confidence there are few objects, so that the screen is asked on most frames.
     let forced = assert_fixtures_alike(&screen, 0.6);
     assert!(forced > 0, "the limit was never reached");
-}
-
-#[test]
-#[ignore = "needs ONNX Runtime"]
-fn the_agnostic_screen_learns_alike_in_the_evaluation_and_in_the_node() {
-    let screen = ScreenConfig {
-        kind: Some(ScreenKind::Agnostic),
-        longest_empty_run: 3,
-        ..ScreenConfig::default()
-    };
-    assert_fixtures_alike(&screen, 0.6);
 }

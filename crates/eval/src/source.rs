@@ -5,7 +5,7 @@ use crate::run::Settings;
 use albireo_core::detection::Detection;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{GreyPicture, Need};
-use albireo_vision::screen::{ScreenConfig, ScreenJudge, ScreenKind, Thumbnail};
+use albireo_vision::screen::EmptyRun;
 use serde::{Deserialize, Serialize};
 
 /// Evidence about the frames of one clip. Only what the policy needs is asked for, in order of frames.
@@ -57,12 +57,6 @@ pub enum SourceError {
          of pictures"
     )]
     NoPictures,
-    /// The agnostic screen is asked for and there are no pictures.
-    #[error(
-        "the agnostic screen looks at pictures, and stored detections have none: evaluate it with \
-         `albireo eval video`, `pictures` or `synth`"
-    )]
-    AgnosticNeedsPictures,
     /// The screen's verdicts are asked for and there are none.
     #[error(
         "no verdicts of an empty-scene screen are stored with the clip: use another --screen, or store \
@@ -88,9 +82,6 @@ pub enum ScreenRule {
     /// A screen that is always right: "empty" exactly when the frame has no stored detection. Nothing limits how
     /// long it is believed, as in the published code.
     Detections,
-    /// The screen that learns from the detector while it runs; needs pictures. Under the node's limit on empty
-    /// frames in a row.
-    Agnostic,
     /// What a real screen said when the pictures were there: `screen/*.csv` beside the detections.
     /// Under the node's limit on empty frames in a row.
     Recorded,
@@ -102,7 +93,6 @@ impl ScreenRule {
         match self {
             Self::Nonempty => "nonempty",
             Self::Detections => "detections",
-            Self::Agnostic => "agnostic",
             Self::Recorded => "recorded",
         }
     }
@@ -116,9 +106,7 @@ enum Screen<'a> {
     /// "Empty" exactly when the frame has no detection.
     Detections,
     /// What a model said, one verdict a frame, under the limit that holds in the node.
-    Recorded(&'a [Option<bool>], ScreenJudge),
-    /// The agnostic screen at work on what it sees of each frame.
-    Agnostic(&'a [Option<Thumbnail>], ScreenJudge),
+    Recorded(&'a [Option<bool>], EmptyRun),
 }
 
 /// Stored detections of a clip as evidence.
@@ -132,17 +120,12 @@ pub(crate) struct StoredEvidence<'a> {
 }
 
 impl<'a> StoredEvidence<'a> {
-    /// The detections of `clip` as `settings` want them, and their screen. `thumbnails` are what the agnostic screen
-    /// sees of each frame, where there were pictures.
+    /// The detections of `clip` as `settings` want them, and their screen.
     ///
     /// # Errors
     /// [`SourceError::NoDetections`] if the clip has none stored, [`SourceError::NoScreenVerdicts`] if they are
-    /// asked for and the clip has none, [`SourceError::AgnosticNeedsPictures`] if there are no thumbnails.
-    pub(crate) fn new(
-        clip: &'a Clip,
-        thumbnails: Option<&'a [Option<Thumbnail>]>,
-        settings: &Settings,
-    ) -> Result<Self, SourceError> {
+    /// asked for and the clip has none.
+    pub(crate) fn new(clip: &'a Clip, settings: &Settings) -> Result<Self, SourceError> {
         let stored = clip.detections.as_ref().ok_or(SourceError::NoDetections)?;
         let detections = stored
             .iter()
@@ -154,25 +137,13 @@ impl<'a> StoredEvidence<'a> {
                     .collect()
             })
             .collect();
-        let judge = |kind| {
-            let config = ScreenConfig {
-                kind: Some(kind),
-                longest_empty_run: settings.longest_empty_run,
-                ..ScreenConfig::default()
-            };
-            ScreenJudge::new(&config, 0)
-        };
         let screen = match settings.screen {
             ScreenRule::Nonempty => Screen::Nonempty,
             ScreenRule::Detections => Screen::Detections,
             ScreenRule::Recorded => {
                 let verdicts = clip.screen.as_deref();
                 let verdicts = verdicts.ok_or(SourceError::NoScreenVerdicts)?;
-                Screen::Recorded(verdicts, judge(ScreenKind::Model))
-            }
-            ScreenRule::Agnostic => {
-                let thumbnails = thumbnails.ok_or(SourceError::AgnosticNeedsPictures)?;
-                Screen::Agnostic(thumbnails, judge(ScreenKind::Agnostic))
+                Screen::Recorded(verdicts, EmptyRun::new(settings.longest_empty_run))
             }
         };
         Ok(Self {
@@ -194,18 +165,14 @@ impl<'a> StoredEvidence<'a> {
             return;
         }
         self.frame = frame;
-        if let Screen::Recorded(_, judge) | Screen::Agnostic(_, judge) = &mut self.screen {
-            judge.next_frame();
+        if let Screen::Recorded(_, run) = &mut self.screen {
+            run.next_frame();
         }
     }
 }
 
 fn of_frame(detections: &[Vec<Detection>], frame: usize) -> &[Detection] {
     detections.get(frame).map_or(&[], Vec::as_slice)
-}
-
-fn seen(thumbnails: &[Option<Thumbnail>], frame: usize) -> Option<Thumbnail> {
-    thumbnails.get(frame).cloned().flatten()
 }
 
 impl ClipEvidence for StoredEvidence<'_> {
@@ -220,12 +187,8 @@ impl ClipEvidence for StoredEvidence<'_> {
     fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, SourceError> {
         self.turn_to(frame);
         let found = of_frame(&self.detections, frame);
-        match &mut self.screen {
-            Screen::Nonempty | Screen::Detections => {}
-            Screen::Recorded(_, judge) => judge.detected(!found.is_empty(), || None),
-            Screen::Agnostic(thumbnails, judge) => {
-                judge.detected(!found.is_empty(), || seen(thumbnails, frame));
-            }
+        if let Screen::Recorded(_, run) = &mut self.screen {
+            run.detector_ran();
         }
         Ok(Some(found))
     }
@@ -235,12 +198,9 @@ impl ClipEvidence for StoredEvidence<'_> {
         Ok(match &mut self.screen {
             Screen::Nonempty => Some(false),
             Screen::Detections => Some(of_frame(&self.detections, frame).is_empty()),
-            Screen::Recorded(verdicts, judge) => {
+            Screen::Recorded(verdicts, run) => {
                 let said = verdicts.get(frame).copied().flatten();
-                said.map(|empty| judge.model_said(empty))
-            }
-            Screen::Agnostic(thumbnails, judge) => {
-                seen(thumbnails, frame).and_then(|picture| judge.look_at(picture))
+                said.map(|empty| run.limit(empty))
             }
         })
     }

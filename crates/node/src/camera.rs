@@ -170,10 +170,8 @@ impl Camera {
         }
 
         // The policy is told that the scene is not empty; that the screen was overruled is known here.
-        if stream.outcome.cause == Some(CallCause::Screen)
-            && let Some(cause) = self.evidence.overruled()
-        {
-            stream.outcome.cause = Some(cause);
+        if stream.outcome.cause == Some(CallCause::Screen) && self.evidence.screen_is_overruled() {
+            stream.outcome.cause = Some(CallCause::EmptyLimit);
         }
         let times = self.evidence.times();
         let message = detections_message(
@@ -220,7 +218,7 @@ impl Camera {
         if times.looked {
             self.board.record_look();
         }
-        self.board.record_screen(self.evidence.screen_counts());
+        self.board.record_screen(self.evidence.screen_overruled());
         self.board.record_frame(Arc::new(message));
         self.audit(&incoming, stream);
     }

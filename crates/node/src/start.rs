@@ -26,7 +26,7 @@ use albireo_service::session;
 use albireo_service::supervise::{Restarts, Supervisor};
 use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use albireo_vision::pixel_work::PixelWork;
-use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle, ScreenKind};
+use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle};
 use albireo_wire::{CameraKeys, NodeKeys, stream_of_token, stream_tokens};
 use std::fmt;
 use std::sync::Arc;
@@ -712,9 +712,7 @@ impl Parts<'_> {
         let auditor = Arc::new(Auditor {
             audit: Arc::clone(audit),
             detector: self.detector.clone(),
-            screen: (self.screen)
-                .filter(|_| self.config.screen.kind() == ScreenKind::Model)
-                .map(ScreenHandle::input_format),
+            screen: self.screen.map(ScreenHandle::input_format),
             pixels: self.pixels.clone(),
             energy: self.power.camera(name),
         });
@@ -800,7 +798,7 @@ impl CameraMaker {
             policy,
             evidence: LiveEvidence::new(
                 self.detector.clone(),
-                CameraScreen::new(&self.screen_config, self.screen.clone(), self.slot),
+                CameraScreen::new(&self.screen_config, self.screen.clone()),
                 self.slot,
                 self.pixels.clone(),
             )

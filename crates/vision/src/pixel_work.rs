@@ -26,7 +26,7 @@ pub enum Stage {
     SmallGrey(u32),
     /// The decoded picture.
     Picture,
-    /// The detector's input, and the decoded picture with it.
+    /// The detector's input, in the place of the decoded picture.
     Prepared,
 }
 
@@ -54,8 +54,6 @@ pub struct Source {
     pub encoded: EncodedPicture,
     /// It may be decoded to fewer pixels, down to this.
     pub target: PictureSize,
-    /// Whether the decoded picture is needed after the detector's input has been made of it.
-    pub keep: bool,
 }
 
 /// What has been made of one picture so far.
@@ -145,9 +143,7 @@ impl PreparedFrame {
                 self.prepared = Some(prepared.map_err(|error| FrameFault::Undecodable {
                     reason: error.to_string(),
                 })?);
-                if !source.keep {
-                    self.picture = None;
-                }
+                self.picture = None;
             }
         }
         Ok(())
@@ -218,11 +214,7 @@ impl PixelWork {
         encoded: EncodedPicture,
         target: PictureSize,
     ) -> Option<PreparedPicture> {
-        let source = Source {
-            encoded,
-            target,
-            keep: false,
-        };
+        let source = Source { encoded, target };
         let made = self.look(PreparedFrame::default(), source, Stage::Prepared);
         made.await.ok()?.prepared
     }
@@ -318,7 +310,6 @@ mod tests {
                 size,
             },
             target: size,
-            keep: false,
         }
     }
 

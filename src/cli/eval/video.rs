@@ -229,7 +229,6 @@ impl<'a> Evaluation<'a> {
         let settings = PassSettings {
             keep_grey: self.keep.half,
             keep_small: self.keep.small,
-            keep_thumbnails: self.arguments.screen == ScreenRule::Agnostic,
             most_frames: most_frames(self.pass),
         };
         pass_over(source, &mut self.observer, &settings, &mut self.report)
@@ -453,7 +452,6 @@ pub(super) fn look_at(
 ) -> anyhow::Result<Vec<PicturedClip>> {
     let mut observer = start_observer(pass)?;
     let settings = PassSettings {
-        keep_thumbnails: true,
         most_frames: most_frames(pass),
         ..PassSettings::default()
     };

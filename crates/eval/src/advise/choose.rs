@@ -173,9 +173,6 @@ fn candidates(
     if recordings.iter().all(|known| known.clip.screen.is_some()) {
         screens.push(Screen::Model);
     }
-    if recordings.iter().all(|known| !known.thumbnails.is_empty()) {
-        screens.push(Screen::Agnostic);
-    }
     let usual = POLICIES.map(str::to_owned);
     let asked = if policies.is_empty() {
         &usual[..]
@@ -420,7 +417,6 @@ fn node_toml(candidate: &Candidate, value: f64) -> String {
         Screen::Model => {
             text.push_str("[screen]\nmodel = \"the model whose verdicts were recorded\"\n")
         }
-        Screen::Agnostic => text.push_str("[screen]\nkind = \"agnostic\"\n"),
     }
     text
 }

@@ -3,15 +3,12 @@
 use crate::data::Clip;
 use crate::pictures::PicturedClip;
 use crate::statistics::mean;
-use albireo_vision::screen::Thumbnail;
 
 /// A clip with the detector's answer to every frame.
 #[derive(Clone, Debug)]
 pub struct Recording {
     /// The clip; it needs detections and no ground truth.
     pub clip: Clip,
-    /// What the agnostic screen sees of each frame; empty where there were no pictures.
-    pub thumbnails: Vec<Option<Thumbnail>>,
     /// Mean milliseconds of the detector on a frame, where it was timed.
     pub detector_ms: Option<f64>,
 }
@@ -20,7 +17,6 @@ impl From<Clip> for Recording {
     fn from(clip: Clip) -> Self {
         Self {
             clip,
-            thumbnails: Vec::new(),
             detector_ms: None,
         }
     }
@@ -31,7 +27,6 @@ impl From<PicturedClip> for Recording {
         Self {
             detector_ms: mean(pictured.times.iter().map(|times| times.detector)),
             clip: pictured.clip,
-            thumbnails: pictured.thumbnails,
         }
     }
 }

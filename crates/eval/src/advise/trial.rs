@@ -81,17 +81,14 @@ pub enum Screen {
     None,
     /// The model whose verdicts were recorded.
     Model,
-    /// The one that learns from the detector.
-    Agnostic,
 }
 
 impl Screen {
-    /// The name in `screen.kind` of a node.
+    /// Its name in tables.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::None => "none",
             Self::Model => "model",
-            Self::Agnostic => "agnostic",
         }
     }
 }
@@ -202,10 +199,9 @@ impl Trial {
     }
 
     fn cost(&self, costs: &crate::energy_model::Costs) -> Option<Estimate> {
-        // The screen that learns costs next to nothing beside a model's.
         let screen = match self.screen {
             Screen::Model => 1.0,
-            Screen::None | Screen::Agnostic => 0.0,
+            Screen::None => 0.0,
         };
         let parts = self.blocks.iter().map(|block| {
             let work = [
@@ -371,7 +367,6 @@ pub(super) fn try_out(
         screen: match screen {
             Screen::None => ScreenRule::Nonempty,
             Screen::Model => ScreenRule::Recorded,
-            Screen::Agnostic => ScreenRule::Agnostic,
         },
         ..run::Settings::default()
     };
@@ -383,13 +378,12 @@ pub(super) fn try_out(
             clip: recording.clip.name.clone(),
             source,
         };
-        let thumbnails = (!recording.thumbnails.is_empty()).then_some(&recording.thumbnails[..]);
-        let stored = StoredEvidence::new(&recording.clip, thumbnails, &settings).map_err(failed)?;
+        let stored = StoredEvidence::new(&recording.clip, &settings).map_err(failed)?;
         let compared = match screen {
             Screen::None => {
                 against_detector(policy.as_mut(), &mut Unscreened(stored), &clip.detected)
             }
-            Screen::Model | Screen::Agnostic => {
+            Screen::Model => {
                 let mut stored = stored;
                 against_detector(policy.as_mut(), &mut stored, &clip.detected)
             }

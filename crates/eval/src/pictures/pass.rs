@@ -5,7 +5,6 @@ use crate::data::{Clip, LoadReport, StoredDetection};
 use crate::footage::{FootageError, FrameSource};
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_vision::picture::Picture;
-use albireo_vision::screen::Thumbnail;
 use std::sync::Arc;
 
 /// What to keep of the pass.
@@ -15,8 +14,6 @@ pub struct PassSettings {
     pub keep_grey: bool,
     /// Width of the small grey pictures to keep.
     pub keep_small: Option<u32>,
-    /// Whether to keep what the agnostic screen sees of each picture.
-    pub keep_thumbnails: bool,
     /// Look at no more frames than this.
     pub most_frames: Option<usize>,
 }
@@ -48,8 +45,6 @@ pub struct PicturedClip {
     pub small: Vec<Arc<Picture>>,
     /// The width that was asked for when these were made.
     pub small_width: Option<u32>,
-    /// What the agnostic screen sees of each frame; empty when not kept.
-    pub thumbnails: Vec<Option<Thumbnail>>,
     /// The time of each step on each frame.
     pub times: Vec<StepTimes>,
 }
@@ -110,7 +105,7 @@ pub fn collect(
     let mut detections = Vec::new();
     let mut verdicts = Vec::new();
     let (mut grey, mut small) = (Vec::new(), Vec::new());
-    let (mut thumbnails, mut times) = (Vec::new(), Vec::new());
+    let mut times = Vec::new();
     while settings.most_frames.is_none_or(|most| times.len() < most) {
         let next = source.next()?;
         let Some(encoded) = next else { break };
@@ -136,9 +131,6 @@ pub fn collect(
             screen: observed.screen.map_or(0.0, |time| time.as_secs_f64() * 1e3),
             ..StepTimes::default()
         };
-        if settings.keep_thumbnails {
-            thumbnails.push(Thumbnail::of(observer.picture()));
-        }
         if settings.keep_grey {
             let (picture, time) = observer.grey_half(&encoded).map_err(failed)?;
             grey.push(picture);
@@ -180,7 +172,6 @@ pub fn collect(
         grey,
         small,
         small_width: settings.keep_small,
-        thumbnails,
         times,
     })
 }

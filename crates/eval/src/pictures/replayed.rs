@@ -37,7 +37,7 @@ impl<'a> PictureEvidence<'a> {
         settings: &Settings,
     ) -> Result<Self, SourceError> {
         Ok(Self {
-            stored: StoredEvidence::new(&pictured.clip, Some(&pictured.thumbnails), settings)?,
+            stored: StoredEvidence::new(&pictured.clip, settings)?,
             pictured,
             rule: settings.screen,
             asked: vec![Asked::default(); pictured.clip.frames],
@@ -61,9 +61,7 @@ impl<'a> PictureEvidence<'a> {
             .iter()
             .zip(steps)
             .map(|(record, (asked, times))| {
-                // The agnostic screen costs the decoding; its own time is not measured.
-                let real_screen = asked.screen
-                    && matches!(self.rule, ScreenRule::Recorded | ScreenRule::Agnostic);
+                let real_screen = asked.screen && self.rule == ScreenRule::Recorded;
                 let mut time = record.decision.as_secs_f64() * 1e3;
                 for (needed, step) in [
                     (asked.detector || real_screen, times.decode),

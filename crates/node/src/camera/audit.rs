@@ -2,9 +2,7 @@
 //! detector afterwards, when that has nothing else to do, and what was shown is compared with what it finds.
 //!
 //! It changes nothing: a frame is drawn by its number after its answer is out, and what the detector then finds reaches
-//! neither the policy nor the screen. The agnostic screen has an audit of its own ([`albireo_vision::screen`]), and the two stay
-//! apart: that one looks *before* the answer, in order to learn from what it finds and to decide differently. One that
-//! both learns and leaves every decision as it was cannot be.
+//! neither the policy nor the screen.
 
 mod config;
 mod frames;

@@ -5,11 +5,11 @@
 #[cfg(test)]
 mod tests;
 
-use albireo_core::policy::{CallCause, Evidence, GreyPicture, Need};
+use albireo_core::policy::{Evidence, GreyPicture, Need};
 use albireo_vision::detector::{CameraSlot, Detected, DetectorHandle};
 use albireo_vision::picture::{EncodedPicture, FrameFault};
 use albireo_vision::pixel_work::{PixelWork, Prefetch, PreparedFrame, Source, Stage};
-use albireo_vision::screen::{CameraScreen, ScreenCounts};
+use albireo_vision::screen::CameraScreen;
 use std::future::Future;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -243,21 +243,19 @@ impl LiveEvidence {
                 end,
                 used: detected.took / detected.pictures.max(1),
             });
-            let picture = self.frame.picture.as_deref();
-            let found_something = !detected.detections.is_empty();
-            self.screen.detected(picture, found_something);
+            self.screen.detector_ran();
         }
         Ok(answer)
     }
 
-    /// Why the detector looks at the frame in hand although the screen would say "empty".
-    pub(crate) fn overruled(&self) -> Option<CallCause> {
-        self.screen.overruled()
+    /// Whether the detector is asked about this frame although the screen said "empty", too often in a row.
+    pub(crate) fn screen_is_overruled(&self) -> bool {
+        self.screen.is_overruled()
     }
 
-    /// What the screen has counted.
-    pub fn screen_counts(&self) -> ScreenCounts {
-        self.screen.counts()
+    /// Frames of which that was so.
+    pub fn screen_overruled(&self) -> u64 {
+        self.screen.overruled()
     }
 
     /// Makes of the picture what is needed, unless that is done, or nothing is waited for any more. Screen and detector
@@ -292,7 +290,6 @@ fn source(detector: &DetectorHandle, screen: &CameraScreen, encoded: &EncodedPic
     let input = detector.preparation().format();
     Source {
         target: screen.decoding_target(input, encoded.size),
-        keep: screen.keeps_pictures(),
         encoded: encoded.clone(),
     }
 }

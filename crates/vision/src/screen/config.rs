@@ -1,29 +1,14 @@
 //! The `[screen]` section of the configuration.
 
-use super::AgnosticSettings;
 use crate::detector::{LONGEST_TIMEOUT_MS, StartError};
 use crate::picture::ColorOrder;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
-/// Which empty-scene screen is asked when no object is in view.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ScreenKind {
-    /// None: the detector is asked.
-    None,
-    /// The trained model that `model` names.
-    Model,
-    /// One that learns per camera from the detector's own verdicts.
-    Agnostic,
-}
-
 /// The empty-scene screen. It always runs on the CPU.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ScreenConfig {
-    /// Which screen; without it the model if one is named, else none.
-    pub kind: Option<ScreenKind>,
     /// ONNX file of a two-class model with input `[1, 3, height, width]`, values 0 to 1; empty for no
     /// screen: then the detector is asked whenever no object is active.
     pub model: Option<PathBuf>,
@@ -35,33 +20,21 @@ pub struct ScreenConfig {
     pub timeout_ms: u64,
     /// Frames in a row that may be called empty before the detector looks anyway; 0 for any number.
     pub longest_empty_run: u32,
-    /// Settings of the agnostic screen.
-    pub agnostic: AgnosticSettings,
 }
 
 impl Default for ScreenConfig {
     fn default() -> Self {
         Self {
-            kind: None,
             model: None,
             color_order: ColorOrder::Rgb,
             empty_class: 0,
             timeout_ms: 1000,
             longest_empty_run: 100,
-            agnostic: AgnosticSettings::default(),
         }
     }
 }
 
 impl ScreenConfig {
-    /// Which screen is asked.
-    pub fn kind(&self) -> ScreenKind {
-        self.kind.unwrap_or(match self.model {
-            Some(_) => ScreenKind::Model,
-            None => ScreenKind::None,
-        })
-    }
-
     /// Everything that is wrong and can be seen without opening a file: the key within `[screen]`, and what its
     /// value should be.
     pub fn problems(&self) -> Vec<(&'static str, String)> {
@@ -81,10 +54,6 @@ impl ScreenConfig {
                 ),
             ));
         }
-        if self.kind == Some(ScreenKind::Model) && self.model.is_none() {
-            problems.push(("kind", "\"model\" needs a file in screen.model".to_owned()));
-        }
-        problems.extend(self.agnostic.problems());
         problems
     }
 

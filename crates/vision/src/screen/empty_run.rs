@@ -1,13 +1,14 @@
-//! The longest run of empty frames before the detector looks whatever the screen says.
+//! Limits how long a screen is believed.
 
-/// Counts empty verdicts in a row. The paper has no such limit; a screen that is wrong about a scene is
-/// wrong about it for as long as the scene lasts.
+/// Counts a camera's empty verdicts in a row; the detector runs after the longest such run whatever the screen says. The
+/// paper has no such limit; a screen that is wrong about a scene is wrong about it for as long as the scene lasts.
 #[derive(Clone, Copy, Debug)]
 pub struct EmptyRun {
     /// Longest run; 0 for no limit.
     longest: u32,
     run: u32,
-    forced: u64,
+    overruled: u64,
+    is_overruled: bool,
 }
 
 impl EmptyRun {
@@ -16,29 +17,38 @@ impl EmptyRun {
         Self {
             longest,
             run: 0,
-            forced: 0,
+            overruled: 0,
+            is_overruled: false,
         }
     }
 
+    /// A new frame begins.
+    pub fn next_frame(&mut self) {
+        self.is_overruled = false;
+    }
+
     /// What counts of the screen's verdict `empty`: "not empty" when the run would be too long.
-    pub fn judge(&mut self, empty: bool) -> bool {
-        if empty && self.longest != 0 && self.run >= self.longest {
-            self.forced += 1;
-            self.run = 0;
-            return false;
-        }
+    pub fn limit(&mut self, empty: bool) -> bool {
+        self.is_overruled = empty && self.longest != 0 && self.run >= self.longest;
+        self.overruled += u64::from(self.is_overruled);
+        let empty = empty && !self.is_overruled;
         self.run = if empty { self.run.saturating_add(1) } else { 0 };
         empty
     }
 
-    /// The detector looked, for whatever reason: the run is over.
-    pub fn looked(&mut self) {
+    /// The detector ran, for whatever reason: the run is over.
+    pub fn detector_ran(&mut self) {
         self.run = 0;
     }
 
-    /// Frames on which the detector looked although the screen said "empty".
-    pub const fn forced(&self) -> u64 {
-        self.forced
+    /// Whether the detector is asked about this frame although the screen said "empty".
+    pub const fn is_overruled(&self) -> bool {
+        self.is_overruled
+    }
+
+    /// Frames of which that was so.
+    pub const fn overruled(&self) -> u64 {
+        self.overruled
     }
 }
 
@@ -49,23 +59,46 @@ mod tests {
     #[test]
     fn the_detector_looks_after_the_longest_run_and_that_is_counted() {
         let mut run = EmptyRun::new(3);
-        let judged: Vec<_> = (0..9).map(|_| run.judge(true)).collect();
+        let limited: Vec<_> = (0..9).map(|_| run.limit(true)).collect();
         assert_eq!(
-            judged,
+            limited,
             [true, true, true, false, true, true, true, false, true]
         );
-        assert_eq!(run.forced(), 2);
+        assert_eq!(run.overruled(), 2);
+    }
+
+    #[test]
+    fn only_a_verdict_that_does_not_count_is_overruled_and_only_for_its_frame() {
+        let mut run = EmptyRun::new(1);
+        for (empty, is_overruled) in [(true, false), (true, true), (true, false), (false, false)] {
+            run.next_frame();
+            run.limit(empty);
+            assert_eq!(run.is_overruled(), is_overruled);
+        }
+        run.limit(true);
+        run.limit(true);
+        run.next_frame();
+        assert!(!run.is_overruled());
     }
 
     #[test]
     fn a_verdict_of_not_empty_starts_the_run_anew_and_zero_is_no_limit() {
         let mut run = EmptyRun::new(2);
         for _ in 0..10 {
-            assert!(run.judge(true));
-            assert!(!run.judge(false));
+            assert!(run.limit(true));
+            assert!(!run.limit(false));
         }
         let mut unlimited = EmptyRun::new(0);
-        assert!((0..1000).all(|_| unlimited.judge(true)));
-        assert_eq!(unlimited.forced(), 0);
+        assert!((0..1000).all(|_| unlimited.limit(true)));
+        assert_eq!(unlimited.overruled(), 0);
+    }
+
+    #[test]
+    fn a_run_of_the_detector_starts_the_count_anew() {
+        let mut run = EmptyRun::new(2);
+        for _ in 0..10 {
+            assert!(run.limit(true));
+            run.detector_ran();
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! What a camera's loop holds of the screen.
 
 use super::network::ScreenNetwork;
-use super::{Logits, ScreenConfig, ScreenKind};
+use super::{Logits, ScreenConfig};
 use crate::detector::{
     CameraSlot, DetectorStatus, InferenceError, Preparation, PreparedPicture, StartError,
     prepare_off_thread,
@@ -40,11 +40,7 @@ impl ScreenHandle {
         config: &ScreenConfig,
         onnxruntime: Option<&Path>,
     ) -> Result<Option<Self>, StartError> {
-        let Some(model) = config
-            .model
-            .clone()
-            .filter(|_| config.kind() == ScreenKind::Model)
-        else {
+        let Some(model) = config.model.clone() else {
             return Ok(None);
         };
         config.check()?;

@@ -369,8 +369,7 @@ fn frames(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt::
             })
         },
     )?;
-    let help = "Frames the detector looked at against or to check the empty-scene screen: `forced` after \
-                too many empty ones, `audited` by chance, `false_empty` of these with something in view";
+    let help = "Frames that the detector ran on although the empty-scene screen said empty, too often in a row";
     family(
         encoder,
         "screen_overruled",
@@ -378,17 +377,8 @@ fn frames(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt::
         MetricType::Counter,
         |family| {
             cameras.iter().try_for_each(|(camera, snapshot)| {
-                let screen = snapshot.screen;
-                [
-                    ("forced", screen.forced),
-                    ("audited", screen.audited),
-                    ("false_empty", screen.false_empty),
-                ]
-                .into_iter()
-                .try_for_each(|(kind, count)| {
-                    let labels = vec![("camera", camera.name()), ("kind", kind)];
-                    family.counter(labels, count as f64)
-                })
+                let labels = vec![("camera", camera.name())];
+                family.counter(labels, snapshot.screen_overruled as f64)
             })
         },
     )?;

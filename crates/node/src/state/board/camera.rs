@@ -11,7 +11,6 @@ use albireo_core::audit::AuditSums;
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Knob, KnobError, published_threshold, short};
 use albireo_vision::picture::EncodedPicture;
-use albireo_vision::screen::ScreenCounts;
 use albireo_wire::{
     BoxMessage, DetectionsMessage, DetectorCalls, DroppedFrames, FrameStates, KnobSource, KnobValue,
 };
@@ -74,8 +73,8 @@ pub struct CameraSnapshot {
     pub calls: DetectorCalls,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
-    /// What the empty-scene screen has counted.
-    pub screen: ScreenCounts,
+    /// Frames that the detector ran on although the empty-scene screen said "empty".
+    pub screen_overruled: u64,
     /// Frames of which a small grey picture was looked at, to follow boxes by optical flow.
     pub looks: u64,
     /// What the audit has found.
@@ -124,7 +123,7 @@ struct Counts {
     degraded_frames: u64,
     calls: DetectorCalls,
     dropped: DroppedFrames,
-    screen: ScreenCounts,
+    screen_overruled: u64,
     looks: u64,
     audit: AuditCount,
     /// What of it the target has not heard of.
@@ -276,9 +275,9 @@ impl CameraBoard {
         self.audited
     }
 
-    /// Takes over what the empty-scene screen has counted.
-    pub(crate) fn record_screen(&self, screen: ScreenCounts) {
-        self.counts.lock().screen = screen;
+    /// Takes over how often the empty-scene screen was overruled.
+    pub(crate) fn record_screen(&self, overruled: u64) {
+        self.counts.lock().screen_overruled = overruled;
     }
 
     /// Counts a frame of which a grey picture was looked at.
@@ -415,7 +414,7 @@ impl CameraBoard {
             degraded_frames: counts.degraded_frames,
             calls: counts.calls,
             dropped: counts.dropped,
-            screen: counts.screen,
+            screen_overruled: counts.screen_overruled,
             looks: counts.looks,
             audit: counts.audit.clone(),
             audit_joules: counts.audit_joules,
