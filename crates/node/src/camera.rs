@@ -7,9 +7,12 @@ pub mod audit;
 pub mod clip;
 pub mod evidence;
 mod in_place;
+mod published;
 pub(crate) mod publishing;
 
 pub(crate) use in_place::InPlace;
+pub(crate) use published::MinConfidence;
+pub use published::ReportConfig;
 
 use crate::camera::answer::{AnswerContext, detections_message};
 use crate::camera::audit::{CameraAudit, DrawnFrame};
@@ -47,6 +50,8 @@ pub(crate) struct Camera {
     pub evidence: LiveEvidence,
     /// Where detections go.
     pub detections: Arc<Detections>,
+    /// Which boxes are published.
+    pub min_confidence: MinConfidence,
     /// Names of the detector's classes.
     pub class_names: Arc<[String]>,
     /// Where clips are closed and reported.
@@ -173,6 +178,7 @@ impl Camera {
         if stream.outcome.cause == Some(CallCause::Screen) && self.evidence.screen_is_overruled() {
             stream.outcome.cause = Some(CallCause::EmptyLimit);
         }
+        self.min_confidence.select(&mut stream.outcome.boxes);
         let times = self.evidence.times();
         let message = detections_message(
             &stream.outcome,

@@ -4,6 +4,7 @@
 mod machine;
 mod validate;
 
+use crate::camera::ReportConfig;
 use crate::camera::audit::AuditConfig;
 use crate::camera::clip::ClipConfig;
 use crate::delivery::outbox::OutboxConfig;
@@ -44,6 +45,8 @@ pub struct NodeConfig {
     pub policy: PolicyConfig,
     /// What is to be held in the place of the knob's number.
     pub target: TargetConfig,
+    /// Which boxes are published.
+    pub report: ReportConfig,
     /// How many skipped frames are looked at afterwards.
     pub audit: AuditConfig,
     /// When a clip ends.
@@ -74,6 +77,7 @@ impl Default for NodeConfig {
             screen: ScreenConfig::default(),
             policy: PolicyConfig::default(),
             target: TargetConfig::default(),
+            report: ReportConfig::default(),
             audit: AuditConfig::default(),
             clip: ClipConfig::default(),
             frame: FrameLimits::default(),

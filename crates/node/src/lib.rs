@@ -8,7 +8,7 @@ pub mod delivery;
 mod error;
 pub mod input;
 pub mod online;
-mod rate_limit;
+use albireo_service::rate_limit;
 mod run;
 mod start;
 pub mod state;

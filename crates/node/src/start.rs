@@ -7,7 +7,7 @@ use crate::camera::audit::{Auditor, CameraAudit};
 use crate::camera::clip::{ClipConfig, ClipTracker, ClosedClip};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::{self, Detections, PublishingThread};
-use crate::camera::{Camera, InPlace};
+use crate::camera::{Camera, InPlace, MinConfidence};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::{ClipAccounts, Reporter};
 use crate::delivery::uplink::{DesiredKeeper, Uplink, UplinkSetup, Way};
@@ -565,6 +565,10 @@ impl Parts<'_> {
             clip: self.config.clip,
             power: self.power.clone(),
             detections: Arc::new(detections),
+            min_confidence: MinConfidence::new(
+                self.config.report,
+                self.config.detector.confidence,
+            ),
             closed,
             reset_at_clip: config.reset_at_clip,
             hurry: self.hurry.clone(),
@@ -774,6 +778,7 @@ struct CameraMaker {
     power: PowerHandle,
     audit: Arc<CameraAudit>,
     detections: Arc<Detections>,
+    min_confidence: MinConfidence,
     closed: mpsc::UnboundedSender<ClosedClip>,
     reset_at_clip: bool,
     hurry: CancellationToken,
@@ -804,6 +809,7 @@ impl CameraMaker {
             )
             .hurried_by(self.hurry.clone()),
             detections: Arc::clone(&self.detections),
+            min_confidence: self.min_confidence,
             class_names: self.detector.class_names().into(),
             accounts: ClipAccounts::new(
                 tracker,

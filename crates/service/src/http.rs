@@ -8,9 +8,8 @@ mod error;
 mod page;
 mod problem;
 mod serve;
-mod stalled;
 
-pub use auth::{Caller, TokenError, token_file_fault};
+pub use auth::{Caller, TokenError, token_file_fault, wrong_tokens};
 pub use caller::*;
 pub use error::HttpError;
 pub use page::Page;

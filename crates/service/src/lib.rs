@@ -9,6 +9,7 @@ pub mod logging;
 pub mod notify;
 pub mod panics;
 pub mod process;
+pub mod rate_limit;
 pub mod readiness;
 pub mod session;
 pub mod signals;

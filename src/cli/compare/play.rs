@@ -12,7 +12,8 @@ use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::input::Delivery;
 use albireo_node::state::advice::SkipWatch;
 use albireo_node::state::board::{Board, CameraBoard};
-use albireo_service::config::{Configuration, ZenohConfig};
+use albireo_node::state::target::TargetConfig;
+use albireo_service::config::{Configuration, UplinkConfig, ZenohConfig};
 use albireo_wire::{ClipReport, DetectionsMessage, read};
 use anyhow::{Context, anyhow, bail};
 use parking_lot::Mutex;
@@ -100,28 +101,6 @@ impl Player {
         (self.warm_up_s * self.clip.rate()).round() as u64
     }
 
-    /// The node's configuration under `policy`: one camera, an endpoint of its own, nothing kept.
-    fn configuration(&self, policy: &PolicyConfig) -> anyhow::Result<NodeConfig> {
-        let mut config = self.config.clone();
-        config.node.name = NODE.to_owned();
-        config.node.state_dir = None;
-        config.zenoh = ZenohConfig {
-            listen: vec!["tcp/127.0.0.1:0".to_owned()],
-            ..ZenohConfig::default()
-        };
-        config.policy.clone_from(policy);
-        let mut camera = CameraConfig::named(CAMERA);
-        if self.rate.is_none() {
-            camera.delivery = Delivery::Every;
-        }
-        config.cameras = vec![camera];
-        // The clip is ended by its end; a pause of the machine must not end it before.
-        config.clip.silence_s = 3600.0;
-        match config.findings().into_iter().next() {
-            Some(problem) => bail!("{problem}"),
-            None => Ok(config),
-        }
-    }
 
     /// Rests, then plays the clip to a new node under `policy`. `tell` is told the frames sent and what is
     /// being done.
@@ -134,7 +113,11 @@ impl Player {
         tell: impl Fn(u64, &str),
         shutdown: &CancellationToken,
     ) -> anyhow::Result<Played> {
-        let config = self.configuration(policy)?;
+        let delivery = match self.rate {
+            Some(_) => Delivery::Newest,
+            None => Delivery::Every,
+        };
+        let config = configuration(&self.config, policy, delivery)?;
         tell(0, "rest");
         tokio::select! {
             () = tokio::time::sleep(self.cool_down) => {}
@@ -273,6 +256,34 @@ impl Player {
     }
 }
 
+/// The configuration of a run under `policy`: that of `base` with one camera, an endpoint of its own and nothing kept. It
+/// reports to no hub, and nothing but the policy moves the threshold.
+fn configuration(
+    base: &NodeConfig,
+    policy: &PolicyConfig,
+    delivery: Delivery,
+) -> anyhow::Result<NodeConfig> {
+    let mut config = base.clone();
+    config.node.name = NODE.to_owned();
+    config.node.state_dir = None;
+    config.zenoh = ZenohConfig {
+        listen: vec!["tcp/127.0.0.1:0".to_owned()],
+        ..ZenohConfig::default()
+    };
+    config.uplink = UplinkConfig::default();
+    config.target = TargetConfig::default();
+    config.policy.clone_from(policy);
+    let mut camera = CameraConfig::named(CAMERA);
+    camera.delivery = delivery;
+    config.cameras = vec![camera];
+    // The clip is ended by its end; a pause of the machine must not end it before.
+    config.clip.silence_s = 3600.0;
+    match config.findings().into_iter().next() {
+        Some(problem) => bail!("{problem}"),
+        None => Ok(config),
+    }
+}
+
 /// What is known before the node has stopped.
 struct Measured {
     cpu: Duration,
@@ -301,4 +312,28 @@ fn process_cpu() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     let seconds = u64::try_from(time.tv_sec).unwrap_or(0);
     Duration::new(seconds, u32::try_from(time.tv_nsec).unwrap_or(0))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_wire::Target;
+
+    #[test]
+    fn a_comparison_reports_to_no_hub_and_holds_no_target() {
+        let mut base = NodeConfig::default();
+        base.node.state_dir = Some("/var/lib/albireo".into());
+        base.zenoh.connect = vec!["tcp/hub.example:7447".to_owned()];
+        base.uplink.connect = vec!["tls/hub.example:7447".to_owned()];
+        base.target.hold = Some(Target::SkipRate(0.5));
+        for policy in ["albireo", "vanilla"] {
+            let policy = PolicyConfig {
+                name: policy.to_owned(),
+                ..PolicyConfig::default()
+            };
+            let config = configuration(&base, &policy, Delivery::Newest).unwrap();
+            assert!(!config.uplink.is_set() && config.zenoh.connect.is_empty());
+            assert_eq!((config.target.hold, config.node.state_dir), (None, None));
+        }
+    }
 }

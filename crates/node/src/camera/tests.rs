@@ -96,6 +96,7 @@ impl Bench {
                 pixels,
             ),
             detections: Arc::new(Detections::every(silent_publisher().await).0),
+            min_confidence: MinConfidence::new(ReportConfig::default(), 0.5),
             class_names: detector.class_names().into(),
             accounts,
             audit,

@@ -19,7 +19,7 @@ const NO_GPU: &str =
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
         "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "TARGET",
-        "AUDIT", "CLIP", "FRAME", "POWER", "LOG", "TOKEN",
+        "REPORT", "AUDIT", "CLIP", "FRAME", "POWER", "LOG", "TOKEN",
     ];
 
     const REMOVED: &'static [(&'static str, &'static str)] = &[
@@ -109,6 +109,14 @@ impl NodeConfig {
     }
 
     fn check_figures(&self, findings: &mut Findings) {
+        if let Some(confidence) = self.report.confidence
+            && !(0.0..=1.0).contains(&confidence)
+        {
+            findings.add(
+                "report.confidence",
+                format!("must be from 0 to 1, not {confidence}"),
+            );
+        }
         if !(0.0..=1.0).contains(&self.audit.share) {
             let share = self.audit.share;
             findings.add("audit.share", format!("must be from 0 to 1, not {share}"));

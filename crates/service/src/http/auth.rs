@@ -3,9 +3,10 @@
 use super::HttpError;
 use super::Problem;
 use crate::config::{HttpConfig, NamedToken, Role, Token};
+use crate::rate_limit::SharedLimit;
 use axum::extract::{Request, State};
 use axum::http::header::{AUTHORIZATION, HOST, WWW_AUTHENTICATE};
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use parking_lot::RwLock;
@@ -13,6 +14,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use subtle::ConstantTimeEq;
 use tokio::net::TcpListener;
@@ -168,19 +170,15 @@ impl Guard {
     }
 
     /// Who may pass, or the answer to a request that may not.
-    fn admit(
-        &self,
-        method: &Method,
-        uri: &Uri,
-        headers: &HeaderMap,
-    ) -> Result<Caller, Box<Response>> {
+    fn admit(&self, request: &Request) -> Result<Caller, Box<Response>> {
+        let headers = request.headers();
         let anonymous = |role| Caller {
             name: Caller::ANONYMOUS.into(),
             role,
         };
         match &*self.0 {
             Rule::Anybody => Ok(anonymous(Role::Tune)),
-            Rule::ThisMachine if called_by_address(uri, headers) => Ok(anonymous(Role::Tune)),
+            Rule::ThisMachine if called_by_address(request) => Ok(anonymous(Role::Tune)),
             Rule::ThisMachine => Err(Box::new(Problem::new(
                 StatusCode::MISDIRECTED_REQUEST,
                 "without a token this interface answers only when called by address or as `localhost`; \
@@ -193,7 +191,10 @@ impl Guard {
                     .iter()
                     .find(|held| carries(headers, &held.token))
                     .map(|held| held.caller.clone());
-                let looks = matches!(*method, Method::GET | Method::HEAD | Method::OPTIONS);
+                if holder.is_none() && headers.contains_key(AUTHORIZATION) {
+                    count_wrong_token();
+                }
+                let looks = matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
                 match holder {
                     Some(caller) if looks || caller.role == Role::Tune => Ok(caller),
                     Some(caller) => {
@@ -203,12 +204,25 @@ impl Guard {
                         );
                         Err(Box::new(Problem::new(StatusCode::FORBIDDEN, detail).into_response()))
                     }
-                    None if is_open(uri.path()) => Ok(anonymous(Role::Read)),
+                    None if is_open(request.uri().path()) => Ok(anonymous(Role::Read)),
                     None => Err(Box::new(unauthorized())),
                 }
             }
         }
     }
+}
+
+static WRONG_TOKENS: AtomicU64 = AtomicU64::new(0);
+
+/// Requests of this process's interfaces that carried a token which is none of theirs.
+pub fn wrong_tokens() -> u64 {
+    WRONG_TOKENS.load(Ordering::Relaxed)
+}
+
+fn count_wrong_token() {
+    static LOG: SharedLimit = SharedLimit::new();
+    WRONG_TOKENS.fetch_add(1, Ordering::Relaxed);
+    LOG.tell(|held_back| tracing::warn!(held_back, "a request with a wrong token was refused"));
 }
 
 fn unauthorized() -> Response {
@@ -287,21 +301,16 @@ fn carries(headers: &HeaderMap, token: &Token) -> bool {
 
 /// Whether the request names this machine by address or as `localhost`, and nothing else. A name that cannot be read,
 /// or two of them, is another name.
-fn called_by_address(uri: &Uri, headers: &HeaderMap) -> bool {
-    let mut hosts = headers.get_all(HOST).iter();
-    let host = match (uri.authority(), hosts.next()) {
-        (Some(authority), _) => Some(authority.as_str()),
-        (None, Some(host)) => match host.to_str() {
-            Ok(host) => Some(host),
-            Err(_) => return false,
-        },
-        (None, None) => None,
+fn called_by_address(request: &Request) -> bool {
+    let hosts: Vec<_> = request.headers().get_all(HOST).iter().collect();
+    let host_is_right = match hosts[..] {
+        // HTTP/1.0 has no Host; no browser sends that.
+        [] => request.version() <= Version::HTTP_10,
+        [host] => host.to_str().is_ok_and(is_address),
+        _ => false,
     };
-    if hosts.next().is_some() {
-        return false;
-    }
-    // HTTP/1.0 has no Host; no browser sends that.
-    host.is_none_or(is_address)
+    let authority = request.uri().authority();
+    host_is_right && authority.is_none_or(|authority| is_address(authority.as_str()))
 }
 
 fn is_address(host: &str) -> bool {
@@ -323,7 +332,7 @@ pub(super) async fn guard(
     mut request: Request,
     next: Next,
 ) -> Response {
-    match guard.admit(request.method(), request.uri(), request.headers()) {
+    match guard.admit(&request) {
         Ok(caller) => {
             request.extensions_mut().insert(caller);
             next.run(request).await

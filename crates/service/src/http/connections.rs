@@ -6,12 +6,10 @@
 //! new one turned away, with an answer.
 
 use super::problem::{MEDIA_TYPE, Problem};
-use super::stalled::Stalled;
 use axum::Router;
 use axum::body::{Body, HttpBody};
 use axum::extract::Request;
 use axum::http::StatusCode;
-use bytes::Bytes;
 use http_body::{Frame, SizeHint};
 use hyper::server::conn::http1;
 use hyper::service::service_fn;
@@ -21,7 +19,8 @@ use std::collections::BTreeMap;
 use std::convert::Infallible;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::task::{Context, Poll};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll, ready};
 use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
@@ -102,24 +101,28 @@ impl Drop for Place {
     }
 }
 
-/// A request in hand.
+/// A request, counted as in hand once all of it is there: one that is sent by halves holds no place.
 struct Busy {
     number: u64,
     state: Arc<Mutex<State>>,
+    begun: AtomicBool,
 }
 
 impl Busy {
-    fn new(number: u64, state: Arc<Mutex<State>>) -> Self {
-        if let Some(seen) = state.lock().open.get_mut(&number) {
+    fn begin(&self) {
+        if !self.begun.swap(true, Ordering::Relaxed)
+            && let Some(seen) = self.state.lock().open.get_mut(&self.number)
+        {
             seen.busy += 1;
         }
-        Self { number, state }
     }
 }
 
 impl Drop for Busy {
     fn drop(&mut self) {
-        if let Some(seen) = self.state.lock().open.get_mut(&self.number) {
+        if *self.begun.get_mut()
+            && let Some(seen) = self.state.lock().open.get_mut(&self.number)
+        {
             seen.busy -= 1;
             seen.idle_since = Instant::now();
         }
@@ -178,17 +181,24 @@ impl Connections {
         };
         let (number, state) = (place.number, Arc::clone(&place.state));
         let service = service_fn(move |request: Request<hyper::body::Incoming>| {
-            let busy = Busy::new(number, Arc::clone(&state));
+            let busy = Arc::new(Busy {
+                number,
+                state: Arc::clone(&state),
+                begun: AtomicBool::new(false),
+            });
             let mut router = router.clone();
             async move {
-                let response = match router.call(request.map(Body::new)).await {
+                let request = request.map(|body| Body::new(Held::new(body, Arc::clone(&busy))));
+                let response = match router.call(request).await {
                     Ok(response) => response,
                     Err(impossible) => match impossible {},
                 };
-                Ok::<_, Infallible>(response.map(|body| Held { body, _busy: busy }))
+                busy.begin();
+                Ok::<_, Infallible>(response.map(|body| Held { body, busy }))
             }
         });
-        let io = TokioIo::new(Stalled::new(stream, self.limits.stalled));
+        give_up_when_stalled(&stream, self.limits.stalled);
+        let io = TokioIo::new(stream);
         let connection = http1::Builder::new()
             .timer(TokioTimer::new())
             .header_read_timeout(self.limits.head)
@@ -208,21 +218,42 @@ impl Connections {
     }
 }
 
-/// A response's body, with the request counted until it is out.
-struct Held {
-    body: Body,
-    _busy: Busy,
+/// Has the system end a connection whose other side takes nothing of what is sent for so long.
+fn give_up_when_stalled(stream: &TcpStream, limit: Duration) {
+    let limit_ms = u32::try_from(limit.as_millis()).unwrap_or(u32::MAX);
+    if let Err(error) = rustix::net::sockopt::set_tcp_user_timeout(stream, limit_ms) {
+        tracing::debug!(%error, "an HTTP connection has no write limit");
+    }
 }
 
-impl HttpBody for Held {
-    type Data = Bytes;
-    type Error = axum::Error;
+/// A body of a request, which is in hand when the body has ended, or of its response, until that is out.
+struct Held<B> {
+    body: B,
+    busy: Arc<Busy>,
+}
+
+impl<B: HttpBody> Held<B> {
+    fn new(body: B, busy: Arc<Busy>) -> Self {
+        if body.is_end_stream() {
+            busy.begin();
+        }
+        Self { body, busy }
+    }
+}
+
+impl<B: HttpBody + Unpin> HttpBody for Held<B> {
+    type Data = B::Data;
+    type Error = B::Error;
 
     fn poll_frame(
         mut self: Pin<&mut Self>,
         cx: &mut Context<'_>,
-    ) -> Poll<Option<Result<Frame<Bytes>, axum::Error>>> {
-        Pin::new(&mut self.body).poll_frame(cx)
+    ) -> Poll<Option<Result<Frame<B::Data>, B::Error>>> {
+        let frame = ready!(Pin::new(&mut self.body).poll_frame(cx));
+        if frame.is_none() || self.body.is_end_stream() {
+            self.busy.begin();
+        }
+        Poll::Ready(frame)
     }
 
     fn is_end_stream(&self) -> bool {

@@ -1,4 +1,4 @@
-//! Log lines that may come with every frame, thinned out: one a period and kind, the rest counted.
+//! Thins out log lines that may come with every message: one a period, the rest counted.
 
 use parking_lot::Mutex;
 use std::time::Duration;
@@ -6,7 +6,7 @@ use tokio::time::Instant;
 
 /// Lets one event through a period and tells how many it held back.
 #[derive(Debug)]
-pub(crate) struct RateLimit {
+pub struct RateLimit {
     period: Duration,
     last: Option<Instant>,
     held_back: u64,
@@ -14,7 +14,7 @@ pub(crate) struct RateLimit {
 
 impl RateLimit {
     /// Lets at most one event through each `period`.
-    pub(crate) const fn new(period: Duration) -> Self {
+    pub const fn new(period: Duration) -> Self {
         Self {
             period,
             last: None,
@@ -24,7 +24,7 @@ impl RateLimit {
 
     /// Whether the event at `now` may be told: then the number of events held back since the last one
     /// told, else `None`.
-    pub(crate) fn admit(&mut self, now: Instant) -> Option<u64> {
+    pub fn admit(&mut self, now: Instant) -> Option<u64> {
         if self.last.is_some_and(|last| now - last < self.period) {
             self.held_back += 1;
             return None;
@@ -36,18 +36,24 @@ impl RateLimit {
 
 /// A limit for lines that several threads may log, one each ten seconds.
 #[derive(Debug)]
-pub(crate) struct SharedLimit(Mutex<RateLimit>);
+pub struct SharedLimit(Mutex<RateLimit>);
+
+impl Default for SharedLimit {
+    fn default() -> Self {
+        Self::new()
+    }
+}
 
 impl SharedLimit {
     /// A limit that has let nothing through yet.
-    pub(crate) const fn new() -> Self {
+    pub const fn new() -> Self {
         Self(parking_lot::const_mutex(RateLimit::new(
             Duration::from_secs(10),
         )))
     }
 
     /// Calls `tell` with the number of calls since it was last called, unless that was just now.
-    pub(crate) fn tell(&self, tell: impl FnOnce(u64)) {
+    pub fn tell(&self, tell: impl FnOnce(u64)) {
         let admitted = self.0.lock().admit(Instant::now());
         if let Some(held_back) = admitted {
             tell(held_back);

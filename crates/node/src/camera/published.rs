@@ -1,0 +1,123 @@
+//! Selects the boxes of a frame that are published.
+
+use albireo_core::policy::{BoxSource, OutputBox};
+use serde::{Deserialize, Serialize};
+
+/// Of two published boxes of one class that overlap more than this (intersection over union), the surer one stays.
+const MAX_OVERLAP: f64 = 0.7;
+
+/// The `[report]` section of the configuration.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ReportConfig {
+    /// Least confidence of a published box, 0 to 1. By default that of the detector for detected boxes, and half of it for
+    /// the others.
+    pub confidence: Option<f64>,
+}
+
+/// The least confidence of a published box.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct MinConfidence {
+    detected: f64,
+    predicted: f64,
+}
+
+impl MinConfidence {
+    /// As configured, of a detector that drops what is below `detector`.
+    pub(crate) fn new(config: ReportConfig, detector: f64) -> Self {
+        Self {
+            detected: config.confidence.unwrap_or(detector),
+            predicted: config.confidence.unwrap_or(detector / 2.0),
+        }
+    }
+
+    fn of(self, source: BoxSource) -> f64 {
+        match source {
+            BoxSource::Detected => self.detected,
+            BoxSource::Predicted | BoxSource::Followed | BoxSource::Rescued => self.predicted,
+        }
+    }
+
+    /// Leaves the boxes that are published, the surest first. The policy's objects are not touched.
+    pub(crate) fn select(self, boxes: &mut Vec<OutputBox>) {
+        boxes.retain(|one| one.confidence >= self.of(one.source));
+        boxes.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
+        let mut kept = 0;
+        for at in 0..boxes.len() {
+            let (surer, rest) = boxes.split_at_mut(at);
+            let (Some(one), Some(surer)) = (rest.first(), surer.get(..kept)) else {
+                break;
+            };
+            let is_double = surer.iter().any(|other| {
+                other.class == one.class
+                    && other
+                        .bounding_box
+                        .intersection_over_union(one.bounding_box)
+                        > MAX_OVERLAP
+            });
+            if !is_double {
+                boxes.swap(kept, at);
+                kept += 1;
+            }
+        }
+        boxes.truncate(kept);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_core::detection::ClassId;
+    use albireo_core::geometry::BoundingBox;
+
+    fn one(x: f64, class: u16, confidence: f64, source: BoxSource) -> OutputBox {
+        OutputBox {
+            bounding_box: BoundingBox::new(x, 0.5, 0.2, 0.2),
+            class: ClassId(class),
+            confidence,
+            source,
+            object: None,
+            confirmed: true,
+        }
+    }
+
+    fn published(config: ReportConfig, boxes: &[OutputBox]) -> Vec<f64> {
+        let mut boxes = boxes.to_vec();
+        MinConfidence::new(config, 0.3).select(&mut boxes);
+        boxes.iter().map(|one| one.confidence).collect()
+    }
+
+    #[test]
+    fn faint_boxes_are_not_published() {
+        let boxes = [
+            one(0.1, 0, 0.06, BoxSource::Predicted),
+            one(0.3, 0, 0.14, BoxSource::Followed),
+            one(0.5, 0, 0.15, BoxSource::Rescued),
+            one(0.7, 0, 0.29, BoxSource::Detected),
+            one(0.9, 0, 0.3, BoxSource::Detected),
+        ];
+        assert_eq!(published(ReportConfig::default(), &boxes), [0.3, 0.15]);
+        let least = |confidence| ReportConfig {
+            confidence: Some(confidence),
+        };
+        assert_eq!(published(least(0.0), &boxes).len(), 5);
+        assert_eq!(published(least(0.29), &boxes), [0.3, 0.29]);
+        let broken = one(0.5, 0, f64::NAN, BoxSource::Detected);
+        assert!(published(least(0.0), &[broken]).is_empty());
+    }
+
+    #[test]
+    fn one_object_is_published_once() {
+        // Each overlaps the next by about .8, and the second next by .67.
+        let row = [
+            one(0.50, 0, 0.6, BoxSource::Predicted),
+            one(0.52, 0, 0.5, BoxSource::Predicted),
+            one(0.54, 0, 0.4, BoxSource::Predicted),
+            one(0.54, 1, 0.55, BoxSource::Detected),
+        ];
+        let all = ReportConfig::default();
+        assert_eq!(published(all, &row), [0.6, 0.55, 0.4]);
+        let same = [row[2], row[2]];
+        assert_eq!(published(all, &same), [0.4]);
+    }
+}
