@@ -1,17 +1,19 @@
 //! Which frames are drawn.
 
-/// Draws frames at random by a seed and the frame's number, never by what is in it. It remembers nothing: the same frame
-/// is drawn or not whatever else was asked, so that two runs over the same stream draw the same frames.
+/// Draws frames at random by a seed and the frame's number, never by what is in them.
+///
+/// It keeps no state: the same seed draws the same numbers. A stream whose numbers begin at 0 again needs another seed, or
+/// the same numbers are drawn each time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct AuditDraw {
     seed: u64,
-    /// Hashes below it are drawn.
+    /// Hashes below this are drawn.
     below: u64,
     all: bool,
 }
 
 impl AuditDraw {
-    /// Draws the share `share` of all frames, 0 to 1; what is outside counts as the nearest end, and no number as 0.
+    /// Draws the share `share` of all frames, 0 to 1. A share outside that range counts as its nearest end, NaN as 0.
     pub fn new(share: f64, seed: u64) -> Self {
         let share = if share.is_nan() {
             0.0

@@ -1,51 +1,64 @@
-//! A rate with the interval it is known to.
+//! A rate with the interval that contains it.
 
-use super::{BoxCounts, SquareSums};
 use serde::{Deserialize, Serialize};
 
-/// The quantile of the normal distribution for an interval that holds 95 times of 100.
+/// The quantile of the normal distribution for an interval of 95 %.
 const QUANTILE_95: f64 = 1.959_963_984_540_054;
 
-/// A share of boxes, and between what it lies at a confidence of 95 %.
+/// A share of boxes, with its interval at a confidence of 95 %.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AuditRate {
-    /// The share, 0 to 1.
+    /// The share on the compared frames, 0 to 1.
     pub rate: f64,
-    /// Lower end of the Wilson interval.
+    /// Lower end of the interval: the Wilson interval of the sample, with every box of the missed frames counted as a
+    /// failure.
     pub low: f64,
-    /// Upper end of the Wilson interval.
+    /// Upper end of the interval: the same, with every box of the missed frames counted as a success.
     pub high: f64,
-    /// The boxes it is a share of.
+    /// The compared boxes.
     pub boxes: u64,
-    /// As how many independent boxes they count: those of one frame are shown or missed together.
+    /// How many independent boxes they are worth: the boxes of one frame are shown or missed together.
     pub independent: f64,
 }
 
 impl AuditRate {
-    /// The share `counts` of a sample whose boxes count `effect` times less than independent ones. `None` without
+    /// The share `paired` of `boxes`, with the sums over frames of `paired²`, `boxes·paired` and `boxes²`. `None` without
     /// boxes.
-    pub(super) fn new(counts: &BoxCounts, effect: f64) -> Option<Self> {
-        if counts.boxes == 0 {
+    pub(super) fn new([paired, boxes]: [u64; 2], squares: [u64; 3]) -> Option<Self> {
+        if boxes == 0 {
             return None;
         }
-        let boxes = counts.boxes as f64;
-        let independent = (boxes / effect).clamp(1.0, boxes);
-        let rate = (counts.paired as f64 / boxes).min(1.0);
+        let count = boxes as f64;
+        let paired = (paired as f64).min(count);
+        let effect = design_effect(paired, count, squares.map(|sum| sum as f64));
+        let independent = (count / effect).clamp(1.0, count);
+        let rate = paired / count;
         let (low, high) = wilson(rate, independent);
         Some(Self {
             rate,
             low,
             high,
-            boxes: counts.boxes,
+            boxes,
             independent,
         })
+    }
+
+    /// The same with an interval that includes `missed` boxes of which nothing is known: all of them failures at its lower
+    /// end, all successes at its upper end (C. F. Manski, "Nonparametric bounds on treatment effects", 1990).
+    pub(super) fn widened(self, missed: u64) -> Self {
+        let known = self.boxes as f64 / (self.boxes as f64 + missed as f64);
+        Self {
+            low: self.low * known,
+            high: 1.0 - (1.0 - self.high) * known,
+            ..self
+        }
     }
 }
 
 /// The interval of E. B. Wilson, "Probable inference, the law of succession, and statistical inference", Journal of the
 /// American Statistical Association 22, 1927.
-fn wilson(rate: f64, count: f64) -> (f64, f64) {
+pub(super) fn wilson(rate: f64, count: f64) -> (f64, f64) {
     let z2 = QUANTILE_95 * QUANTILE_95;
     let center = (rate + z2 / (2.0 * count)) / (1.0 + z2 / count);
     let reach = QUANTILE_95 / (1.0 + z2 / count)
@@ -56,22 +69,15 @@ fn wilson(rate: f64, count: f64) -> (f64, f64) {
     (low.max(0.0), high.min(1.0))
 }
 
-/// How much less than independent ones the boxes of these frames tell (L. Kish's design effect): frames are drawn, not
-/// boxes, and the boxes of a frame are shown or missed together. The variance is that of a ratio over drawn frames.
+/// The variance of the rate over that of independent boxes (L. Kish's design effect): frames are drawn, not boxes. The
+/// variance is that of a ratio over drawn frames.
 ///
-/// One frame more is assumed, half of it shown: from few frames that all agree no certainty follows.
-pub(super) fn design_effect(counts: &BoxCounts, squares: &SquareSums) -> f64 {
-    let boxes = counts.boxes as f64;
-    if boxes <= 0.0 {
-        return 1.0;
-    }
-    let paired = counts.paired as f64;
-    let crowd = (squares.boxes as f64 / boxes).max(1.0);
+/// One frame more is assumed, half of it shown: a few frames that all agree are no certainty.
+fn design_effect(paired: f64, boxes: f64, [paired_2, product, boxes_2]: [f64; 3]) -> f64 {
+    let crowd = (boxes_2 / boxes).max(1.0);
     let rate = ((paired + crowd / 2.0) / (boxes + crowd)).min(1.0);
     let assumed = crowd * crowd / 2.0 * ((1.0 - rate).powi(2) + rate * rate);
-    let residuals = squares.paired as f64 - 2.0 * rate * squares.product as f64
-        + rate * rate * squares.boxes as f64
-        + assumed;
+    let residuals = paired_2 - 2.0 * rate * product + rate * rate * boxes_2 + assumed;
     let clustered = residuals / (boxes + crowd);
     let independent = rate * (1.0 - rate);
     if independent > 0.0 && clustered.is_finite() {

@@ -67,7 +67,7 @@ impl RecallControl {
         }
         let enough = self
             .lot
-            .recall()
+            .compared_recall()
             .is_some_and(|lot| lot.independent >= ENOUGH);
         if enough {
             self.decide(lever);
@@ -91,7 +91,7 @@ impl RecallControl {
         for (_, lot) in &self.lots {
             all.merge(lot);
         }
-        let Some(recall) = all.recall() else { return };
+        let Some(recall) = all.compared_recall() else { return };
         let off = recall.low - self.wanted;
         // Upward, where accuracy is given away, with half the courage.
         let push = if off > 0.0 { GAIN / 2.0 } else { GAIN } * off;

@@ -1,7 +1,7 @@
 //! A node that is made of a few straight lines, second by second: time is counted and never waited for.
 
 use super::*;
-use crate::audit::{AuditSums, BoxCounts, SquareSums};
+use crate::audit::{AuditSquares, AuditSums};
 use crate::policy::{Albireo, ExpectedLoss, PolicyConfig};
 use proptest::prelude::*;
 
@@ -290,17 +290,14 @@ fn audited(plant: &mut Plant, knob: f64, at_default: f64) -> AuditSums {
     // One frame of five boxes every three seconds.
     if plant.unit() < 1.0 / 3.0 {
         let shown = (0..5).filter(|_| plant.unit() < recall).count() as u64;
-        let tally = &mut sums.by_state.p;
-        tally.frames = 1;
-        tally.detected = BoxCounts {
-            boxes: 5,
-            paired: shown,
-            alone: 0,
-        };
-        sums.spread.detected = SquareSums {
-            boxes: 25,
+        sums.frames = 1;
+        sums.detected = 5;
+        sums.paired = shown;
+        sums.squares = AuditSquares {
+            detected: 25,
             paired: shown * shown,
-            product: 5 * shown,
+            detected_paired: 5 * shown,
+            ..AuditSquares::default()
         };
     }
     sums
