@@ -1,7 +1,6 @@
 //! `albireo eval`: accuracy, skip rate, time and energy of policies on recordings.
 
 mod advise;
-mod audit;
 mod frontier;
 mod video;
 
@@ -99,10 +98,6 @@ enum What {
     Video(video::VideoArguments),
     /// Propose policy, knob and screen for a target, from a recording with your own detector.
     Advise(advise::AdviseArguments),
-    /// Test on recordings what a node's audit claims: recall and precision against the detector, beside the truth.
-    Audit(audit::AuditArguments),
-    /// Compare one price for all cameras with equal budgets, recordings as cameras.
-    Price(audit::PriceArguments),
     /// Compare expected-loss with every other policy at equal skip rates, on recorded detections.
     Frontier(frontier::FrontierArguments),
     /// Judge settings of expected-loss on each recording by values chosen on all others.
@@ -218,8 +213,6 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         } => compare(coco::read(dataset, Some(detections))?, dataset, run),
         What::Video(arguments) => video::run(arguments),
         What::Advise(arguments) => advise::run(arguments),
-        What::Audit(arguments) => audit::run(arguments),
-        What::Price(arguments) => audit::run_price(arguments),
         What::Frontier(arguments) => frontier::run(arguments),
         What::LeaveOneOut(arguments) => frontier::run_leave_one_out(arguments),
         What::Paper { files, json } => recompute(files, json.as_deref()),

@@ -33,9 +33,7 @@ pub fn against_detector(
     detected: &[Vec<Detection>],
 ) -> Result<Vec<ComparedFrame>, SourceError> {
     let mut compared = Vec::with_capacity(source.frames());
-    let mut pause = 0_u32;
     drive(policy, source, &mut |_, played| {
-        pause = pause.saturating_add(played.head.step);
         let outcome = played.outcome;
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
         compared.push(ComparedFrame {
@@ -46,13 +44,10 @@ pub fn against_detector(
             sums: skipped.then(|| {
                 let mut sums = Box::<AuditSums>::default();
                 let found = detected.get(played.frame).map_or(&[][..], Vec::as_slice);
-                sums.add(&outcome.boxes, found, outcome.state, pause);
+                sums.add(&outcome.boxes, found);
                 sums
             }),
         });
-        if played.record.detector {
-            pause = 0;
-        }
     })?;
     Ok(compared)
 }

@@ -5,7 +5,6 @@
 
 pub mod advise;
 pub mod against_detector;
-pub mod audit_study;
 pub mod average_precision;
 pub mod compare;
 pub mod conclusion;
@@ -18,7 +17,6 @@ pub mod paper;
 pub mod paper_text;
 pub mod pareto;
 pub mod pictures;
-pub mod price_study;
 pub mod published;
 pub mod recommendation;
 pub mod replay;

@@ -59,11 +59,14 @@ async fn sums_are_exact(database: &str) {
     assert_eq!(audit["drawn"], 2 * 100 * 5, "{audit}");
     assert_eq!(audit["missed"], 2 * 100);
     assert_eq!(audit["calls"], 2 * 100 * 4);
-    assert_eq!(audit["all"]["detected"], detected);
-    let recall = &audit["all"]["recall"];
+    assert_eq!(audit["detected"], detected);
+    let recall = &audit["recall"];
     assert_eq!(recall["rate"], f64::from(shown) / f64::from(detected));
     assert!(recall["low"].as_f64() < recall["rate"].as_f64());
     assert!(recall["high"].as_f64() > recall["rate"].as_f64());
+    // Three boxes had been shown on each missed frame: all of them count as lost at the lower end.
+    let known = 1000.0 / (1000.0 + 300.0);
+    assert!(recall["low"].as_f64().unwrap() < 0.85 * known);
     let metrics = reqwest::get(format!("{}/metrics", hub.http)).await.unwrap();
     let metrics = metrics.text().await.unwrap();
     for line in [
@@ -81,7 +84,7 @@ async fn sums_are_exact(database: &str) {
         .sum();
     assert!((joules - 100.0).abs() < 1e-6, "{joules}");
     let one = clips.iter().find(|clip| clip["report"] == 2).unwrap();
-    assert_eq!(one["audit"]["all"]["recall"]["rate"], 0.8);
+    assert_eq!(one["audit"]["recall"]["rate"], 0.8);
     let other = clips.iter().find(|clip| clip["report"] == 3).unwrap();
     assert!(other["audit"].is_null());
     let knobs = hub.get("/api/v1/energy?by=knob").await;

@@ -71,8 +71,6 @@ struct Stream {
     newest: Option<(u64, u64)>,
     /// Index of the stream's first frame; the policy counts from there.
     first_index: u64,
-    /// Index of the last frame that the detector looked at.
-    last_seen: Option<u64>,
     clip: Option<Arc<str>>,
     outcome: Outcome,
 }
@@ -86,7 +84,6 @@ impl Camera {
             last_index: None,
             newest: None,
             first_index: 0,
-            last_seen: None,
             clip: None,
             outcome: Outcome::default(),
         };
@@ -145,7 +142,6 @@ impl Camera {
             Some(last) => incoming.index.saturating_sub(last).max(1),
             None => {
                 stream.first_index = incoming.index;
-                stream.last_seen = None;
                 1
             }
         };
@@ -230,23 +226,13 @@ impl Camera {
     }
 
     /// Leaves the frame to be looked at if it is drawn; its answer is out.
-    fn audit(&self, incoming: &SequencedFrame, stream: &mut Stream) {
+    fn audit(&self, incoming: &SequencedFrame, stream: &Stream) {
         let outcome = &stream.outcome;
-        if outcome.degraded {
-            return;
-        }
-        if !outcome.state.is_skipped() {
-            stream.last_seen = Some(incoming.index);
-        } else if self.audit.draws(incoming.index) {
-            let since = stream.last_seen.map_or(
-                incoming.index.saturating_sub(stream.first_index) + 1,
-                |seen| incoming.index.saturating_sub(seen),
-            );
+        let skipped = outcome.state.is_skipped() && !outcome.degraded;
+        if skipped && self.audit.draws(incoming.index) {
             self.audit.offer(DrawnFrame {
                 picture: incoming.frame.picture.clone(),
                 shown: outcome.boxes.clone(),
-                state: outcome.state,
-                pause: u32::try_from(since).unwrap_or(u32::MAX),
             });
         }
     }

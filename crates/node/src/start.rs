@@ -543,7 +543,7 @@ impl Parts<'_> {
             .map_err(refused("clip reports cannot be published"))?;
 
         let audit = Arc::new(CameraAudit::new(
-            self.config.audit.draw(slot.0),
+            self.config.audit.draw(),
             self.config.audit.share,
             self.config.audit.wait(),
             Arc::clone(board),

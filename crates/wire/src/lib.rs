@@ -20,10 +20,10 @@ mod target;
 mod tests;
 mod version;
 
-pub use albireo_core::audit::{AuditRate, AuditSums};
+pub use albireo_core::audit::{AuditRate, AuditSquares, AuditSums};
 pub use albireo_core::policy::{CallCause, Knob, KnobError};
 pub use albireo_core::target::{KnobRange, Standing, Target, TargetError, TargetState};
-pub use audit::{AuditFigures, AuditGroup, AuditReport};
+pub use audit::{AuditFigures, AuditReport};
 pub use clip::{
     BoardState, ClipEnd, ClipEnergy, ClipReport, DomainEnergy, EnergyQuality, FULL_COVERAGE,
     Percentiles,

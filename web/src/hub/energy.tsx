@@ -95,7 +95,7 @@ export function EnergyView() {
     [points],
   );
   const recall = useMemo((): uPlot.AlignedData => {
-    const of = (end: "low" | "rate" | "high") => points.map(({ audit }) => audit?.all.recall?.[end] ?? null);
+    const of = (end: "low" | "rate" | "high") => points.map(({ audit }) => audit?.recall?.[end] ?? null);
     return [times, of("rate"), of("low"), of("high")];
   }, [points]);
   return (
@@ -132,7 +132,7 @@ export function EnergyView() {
           />
         )}
       </Section>
-      {points.some(({ audit }) => audit?.all.recall) && (
+      {points.some(({ audit }) => audit?.recall) && (
         <Section id="recall" title="Recall against the detector over time" wide aside={<span class="quiet">against the detector, not the truth</span>}>
           <Chart
             data={recall}

@@ -233,7 +233,7 @@ export function EnergyTable({ energy }: { energy: Energy | undefined }) {
               <td>{(group.duration_s / 3600).toFixed(1)}</td>
               <td>{percent(group.skip_rate)}</td>
               <td>{count(group.avoided_calls)}</td>
-              <td>{group.audit?.all.recall ? `${percent(group.audit.all.recall.rate)} (${(100 * group.audit.all.recall.low).toFixed(1)} to ${(100 * group.audit.all.recall.high).toFixed(1)})` : "–"}</td>
+              <td>{group.audit?.recall ? `${percent(group.audit.recall.rate)} (${(100 * group.audit.recall.low).toFixed(1)} to ${(100 * group.audit.recall.high).toFixed(1)})` : "–"}</td>
               <td>{joules(group.joules)}</td>
               <td>{joules(group.duration_s ? (group.joules / group.duration_s) * 3600 : undefined)}</td>
               <td>

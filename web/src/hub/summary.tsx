@@ -56,7 +56,7 @@ export function Summary() {
   const groups = byQuality(today.value ?? []);
   const avoided = groups.reduce((sum, group) => sum + group.avoided_calls, 0);
   const calls = groups.reduce((sum, group) => sum + group.detector_calls, 0);
-  const audit = auditToday.value?.all;
+  const audit = auditToday.value;
   const states = ["online", "degraded", "silent", "offline"] as const;
   return (
     <section class="wide headline" aria-label="The fleet in a line">

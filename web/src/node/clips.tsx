@@ -10,18 +10,11 @@ import type { ClipReport } from "./types";
 
 const SHOWN = 50;
 
-type ByState = NonNullable<NonNullable<NonNullable<ClipReport["audit"]>["sums"]>["by_state"]>;
-
-/** Boxes of one side in a clip's audit, and how many of them have a box of the other side as their pair. */
-export function boxes(states: ByState | undefined | null, side: "detected" | "shown"): [number, number] | undefined {
-  if (!states) return undefined;
-  const both = [states.E?.[side], states.P?.[side]];
-  return [both.reduce((sum, one) => sum + (one?.boxes ?? 0), 0), both.reduce((sum, one) => sum + (one?.paired ?? 0), 0)];
-}
-
-function share(states: ByState | undefined | null, side: "detected" | "shown"): number | undefined {
-  const [all, paired] = boxes(states, side) ?? [0, 0];
-  return all > 0 ? paired / all : undefined;
+/** The share of one side's boxes on a clip's audited frames that have a pair on the other side. */
+export function paired(clip: ClipReport, side: "detected" | "shown"): number | undefined {
+  const sums = clip.audit?.sums;
+  const all = sums?.[side] ?? 0;
+  return all > 0 ? (sums?.paired ?? 0) / all : undefined;
 }
 
 function columns(knobName: string, several: boolean): Column<ClipReport>[] {
@@ -47,14 +40,14 @@ function columns(knobName: string, several: boolean): Column<ClipReport>[] {
     { id: "detector_p99", head: "p99", key: (clip) => clip.detector_latency_ms.p99, cell: (clip) => milliseconds(clip.detector_latency_ms.p99), unit: "ms" },
     { id: knobName, head: knobName, key: (clip) => knobValue(clip, knobName), cell: (clip) => small(knobValue(clip, knobName)) },
     {
-      id: "audit_recall", head: "recall*", key: (clip) => share(clip.audit?.sums?.by_state, "detected"),
-      cell: (clip) => percent(share(clip.audit?.sums?.by_state, "detected")),
+      id: "audit_recall", head: "recall*", key: (clip) => paired(clip, "detected"),
+      cell: (clip) => percent(paired(clip, "detected")),
     },
     {
-      id: "audit_precision", head: "precision*", key: (clip) => share(clip.audit?.sums?.by_state, "shown"),
-      cell: (clip) => percent(share(clip.audit?.sums?.by_state, "shown")),
+      id: "audit_precision", head: "precision*", key: (clip) => paired(clip, "shown"),
+      cell: (clip) => percent(paired(clip, "shown")),
     },
-    { id: "audit_boxes", head: "boxes*", key: (clip) => boxes(clip.audit?.sums?.by_state, "detected")?.[0], cell: (clip) => count(boxes(clip.audit?.sums?.by_state, "detected")?.[0]) },
+    { id: "audit_boxes", head: "boxes*", key: (clip) => clip.audit?.sums?.detected, cell: (clip) => count(clip.audit?.sums?.detected) },
     { id: "provider", head: "provider", key: (clip) => clip.provider, cell: (clip) => clip.provider, left: true },
     { id: "celsius", head: "hottest", key: (clip) => clip.board?.hottest_celsius ?? undefined, cell: (clip) => (clip.board?.hottest_celsius ? `${clip.board.hottest_celsius.toFixed(0)} °C` : "–"), unit: "°C" },
     {

@@ -4,10 +4,7 @@ import type { components } from "../api/node";
 
 type Schemas = components["schemas"];
 
-export type AuditFigures = Schemas["AuditFigures"];
-export type AuditGroup = Schemas["AuditGroup"];
 export type AuditRate = Schemas["AuditRate"];
-export type CameraStates = Schemas["CameraStates"];
 export type Target = Schemas["Target"];
 export type TargetReport = Schemas["TargetReport"];
 export type CameraEntry = Schemas["CameraEntry"];

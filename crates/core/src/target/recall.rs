@@ -91,7 +91,9 @@ impl RecallControl {
         for (_, lot) in &self.lots {
             all.merge(lot);
         }
-        let Some(recall) = all.compared_recall() else { return };
+        let Some(recall) = all.compared_recall() else {
+            return;
+        };
         let off = recall.low - self.wanted;
         // Upward, where accuracy is given away, with half the courage.
         let push = if off > 0.0 { GAIN / 2.0 } else { GAIN } * off;

@@ -114,14 +114,13 @@ impl Block {
         self.detector += u32::from(!frame.state.is_skipped());
         self.screened += u32::from(frame.screen);
         if let Some(sums) = &frame.sums {
-            let total = sums.total();
             self.skipped += 1;
-            for (own, more) in [
-                (&mut self.detected, total.detected),
-                (&mut self.shown, total.shown),
+            for (own, boxes) in [
+                (&mut self.detected, sums.detected),
+                (&mut self.shown, sums.shown),
             ] {
-                own[0] += more.boxes;
-                own[1] += more.paired;
+                own[0] += boxes;
+                own[1] += sums.paired;
             }
         }
     }

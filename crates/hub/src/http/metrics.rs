@@ -215,19 +215,19 @@ pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
         &[
             (
                 "{side=\"detected\",result=\"paired\"}",
-                one.audit_recalled as f64,
+                one.audit_paired as f64,
             ),
             (
                 "{side=\"detected\",result=\"unpaired\"}",
-                rest(one.audit_detected, one.audit_recalled),
+                rest(one.audit_detected, one.audit_paired),
             ),
             (
                 "{side=\"shown\",result=\"paired\"}",
-                one.audit_confirmed as f64,
+                one.audit_paired as f64,
             ),
             (
                 "{side=\"shown\",result=\"unpaired\"}",
-                rest(one.audit_shown, one.audit_confirmed),
+                rest(one.audit_shown, one.audit_paired),
             ),
         ],
     );

@@ -167,23 +167,18 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
         details: details(report),
         audit_frames: audit(0),
         audit_missed: audit(1),
-        audit_calls: audit(2),
-        audit_us: audit(3),
+        audit_missed_boxes: audit(2),
+        audit_calls: audit(3),
+        audit_us: audit(4),
         audit_uj,
-        audit_detected: audit(4),
-        audit_recalled: audit(5),
-        audit_appeared: audit(6),
-        audit_shown: audit(7),
-        audit_confirmed: audit(8),
-        audit_gone: audit(9),
-        audit_overlap: audit(10),
-        audit_same_class: audit(11),
-        audit_detected_sq: audit(12),
-        audit_recalled_sq: audit(13),
-        audit_detected_x: audit(14),
-        audit_shown_sq: audit(15),
-        audit_confirmed_sq: audit(16),
-        audit_shown_x: audit(17),
+        audit_detected: audit(5),
+        audit_shown: audit(6),
+        audit_paired: audit(7),
+        audit_detected_sq: audit(8),
+        audit_shown_sq: audit(9),
+        audit_paired_sq: audit(10),
+        audit_detected_x: audit(11),
+        audit_shown_x: audit(12),
     };
     let knob = report.knob;
     let setup = SetupKey {
@@ -199,38 +194,31 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
 }
 
 /// The counts of an audit, in the order of the columns.
-fn audited(audit: &AuditReport) -> Result<[i64; 18], String> {
-    let sums = &audit.sums;
-    let total = sums.total();
+fn audited(audit: &AuditReport) -> Result<[i64; 13], String> {
+    let (sums, squares) = (&audit.sums, &audit.sums.squares);
     let counts = [
-        ("audit_frames", total.frames),
+        ("audit_frames", sums.frames),
         ("audit_missed", sums.missed),
+        ("audit_missed_boxes", sums.missed_boxes),
         ("audit_calls", audit.calls),
         ("audit_us", audit.detector_us),
-        ("audit_detected", total.detected.boxes),
-        ("audit_recalled", total.detected.paired),
-        ("audit_appeared", total.detected.alone),
-        ("audit_shown", total.shown.boxes),
-        ("audit_confirmed", total.shown.paired),
-        ("audit_gone", total.shown.alone),
-        ("audit_overlap", total.overlap_millionths),
-        ("audit_same_class", total.same_class),
-        ("audit_detected_sq", sums.spread.detected.boxes),
-        ("audit_recalled_sq", sums.spread.detected.paired),
-        ("audit_detected_x", sums.spread.detected.product),
-        ("audit_shown_sq", sums.spread.shown.boxes),
-        ("audit_confirmed_sq", sums.spread.shown.paired),
-        ("audit_shown_x", sums.spread.shown.product),
+        ("audit_detected", sums.detected),
+        ("audit_shown", sums.shown),
+        ("audit_paired", sums.paired),
+        ("audit_detected_sq", squares.detected),
+        ("audit_shown_sq", squares.shown),
+        ("audit_paired_sq", squares.paired),
+        ("audit_detected_x", squares.detected_paired),
+        ("audit_shown_x", squares.shown_paired),
     ];
-    let mut checked = [0; 18];
+    let mut checked = [0; 13];
     for (place, (name, count)) in checked.iter_mut().zip(counts) {
         *place = i64::try_from(count)
             .ok()
             .filter(|count| *count <= MOST_AUDITED)
             .ok_or_else(|| format!("{name} is {count}, above {MOST_AUDITED}"))?;
     }
-    let pairs = [&total.detected, &total.shown];
-    if pairs.iter().any(|side| side.paired > side.boxes) {
+    if sums.paired > sums.detected.min(sums.shown) {
         return Err("audit: more pairs than boxes".to_owned());
     }
     Ok(checked)
@@ -247,14 +235,6 @@ fn details(report: &ClipReport) -> Option<String> {
     }
     if dropped_total(report) != Some(0) {
         details.insert("dropped".into(), json!(report.dropped));
-    }
-    if let Some(audit) = report.audit.as_ref().filter(|audit| !audit.sums.is_empty()) {
-        // By state, pause and size; the sums over all have columns.
-        let sums = &audit.sums;
-        let groups = json!({
-            "by_state": sums.by_state, "by_pause": sums.by_pause, "by_size": sums.by_size
-        });
-        details.insert("audit".into(), groups);
     }
     (!details.is_empty()).then(|| text(&serde_json::Value::Object(details).to_string()))
 }

@@ -68,9 +68,8 @@ pub(crate) struct Audited {
     pub(crate) frames: u64,
     pub(crate) missed: u64,
     pub(crate) detected: u64,
-    pub(crate) recalled: u64,
     pub(crate) shown: u64,
-    pub(crate) confirmed: u64,
+    pub(crate) paired: u64,
 }
 
 impl Audited {
@@ -79,9 +78,8 @@ impl Audited {
         self.frames += number(clip.audit_frames);
         self.missed += number(clip.audit_missed);
         self.detected += number(clip.audit_detected);
-        self.recalled += number(clip.audit_recalled);
         self.shown += number(clip.audit_shown);
-        self.confirmed += number(clip.audit_confirmed);
+        self.paired += number(clip.audit_paired);
     }
 }
 

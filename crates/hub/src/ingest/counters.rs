@@ -82,12 +82,10 @@ counters! {
     audit_missed,
     /// Boxes that the detector found in them.
     audit_detected,
-    /// Those of them that had been shown.
-    audit_recalled,
     /// Boxes that had been shown in them.
     audit_shown,
-    /// Those of them that the detector confirmed.
-    audit_confirmed,
+    /// Pairs of both.
+    audit_paired,
     /// Energy of the clips written that have a figure, microjoules.
     energy_uj,
     /// Batches refused because too many wait.

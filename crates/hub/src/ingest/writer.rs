@@ -257,9 +257,8 @@ impl IngestWriter {
         counters.audit_frames(committed.audit.frames);
         counters.audit_missed(committed.audit.missed);
         counters.audit_detected(committed.audit.detected);
-        counters.audit_recalled(committed.audit.recalled);
         counters.audit_shown(committed.audit.shown);
-        counters.audit_confirmed(committed.audit.confirmed);
+        counters.audit_paired(committed.audit.paired);
         counters.energy_uj(committed.energy_uj);
         if committed.events {
             setup.events.tell();

@@ -48,22 +48,17 @@ row! {
         details: Option<String>,
         audit_frames: Option<i64>,
         audit_missed: Option<i64>,
+        audit_missed_boxes: Option<i64>,
         audit_calls: Option<i64>,
         audit_us: Option<i64>,
         audit_uj: Option<i64>,
         audit_detected: Option<i64>,
-        audit_recalled: Option<i64>,
-        audit_appeared: Option<i64>,
         audit_shown: Option<i64>,
-        audit_confirmed: Option<i64>,
-        audit_gone: Option<i64>,
-        audit_overlap: Option<i64>,
-        audit_same_class: Option<i64>,
+        audit_paired: Option<i64>,
         audit_detected_sq: Option<i64>,
-        audit_recalled_sq: Option<i64>,
         audit_detected_x: Option<i64>,
         audit_shown_sq: Option<i64>,
-        audit_confirmed_sq: Option<i64>,
+        audit_paired_sq: Option<i64>,
         audit_shown_x: Option<i64>,
     }
 }
@@ -97,22 +92,17 @@ row! {
         io_mem_uj: i64,
         audit_frames: i64,
         audit_missed: i64,
+        audit_missed_boxes: i64,
         audit_calls: i64,
         audit_us: i64,
         audit_uj: i64,
         audit_detected: i64,
-        audit_recalled: i64,
-        audit_appeared: i64,
         audit_shown: i64,
-        audit_confirmed: i64,
-        audit_gone: i64,
-        audit_overlap: i64,
-        audit_same_class: i64,
+        audit_paired: i64,
         audit_detected_sq: i64,
-        audit_recalled_sq: i64,
         audit_detected_x: i64,
         audit_shown_sq: i64,
-        audit_confirmed_sq: i64,
+        audit_paired_sq: i64,
         audit_shown_x: i64,
     }
 }
@@ -159,22 +149,17 @@ impl SumRow {
             io_mem_uj: clip.io_mem_uj.unwrap_or(0),
             audit_frames: clip.audit_frames.unwrap_or(0),
             audit_missed: clip.audit_missed.unwrap_or(0),
+            audit_missed_boxes: clip.audit_missed_boxes.unwrap_or(0),
             audit_calls: clip.audit_calls.unwrap_or(0),
             audit_us: clip.audit_us.unwrap_or(0),
             audit_uj: clip.audit_uj.unwrap_or(0),
             audit_detected: clip.audit_detected.unwrap_or(0),
-            audit_recalled: clip.audit_recalled.unwrap_or(0),
-            audit_appeared: clip.audit_appeared.unwrap_or(0),
             audit_shown: clip.audit_shown.unwrap_or(0),
-            audit_confirmed: clip.audit_confirmed.unwrap_or(0),
-            audit_gone: clip.audit_gone.unwrap_or(0),
-            audit_overlap: clip.audit_overlap.unwrap_or(0),
-            audit_same_class: clip.audit_same_class.unwrap_or(0),
+            audit_paired: clip.audit_paired.unwrap_or(0),
             audit_detected_sq: clip.audit_detected_sq.unwrap_or(0),
-            audit_recalled_sq: clip.audit_recalled_sq.unwrap_or(0),
             audit_detected_x: clip.audit_detected_x.unwrap_or(0),
             audit_shown_sq: clip.audit_shown_sq.unwrap_or(0),
-            audit_confirmed_sq: clip.audit_confirmed_sq.unwrap_or(0),
+            audit_paired_sq: clip.audit_paired_sq.unwrap_or(0),
             audit_shown_x: clip.audit_shown_x.unwrap_or(0),
         }
     }
@@ -208,22 +193,17 @@ impl SumRow {
         self.io_mem_uj += more.io_mem_uj;
         self.audit_frames += more.audit_frames;
         self.audit_missed += more.audit_missed;
+        self.audit_missed_boxes += more.audit_missed_boxes;
         self.audit_calls += more.audit_calls;
         self.audit_us += more.audit_us;
         self.audit_uj += more.audit_uj;
         self.audit_detected += more.audit_detected;
-        self.audit_recalled += more.audit_recalled;
-        self.audit_appeared += more.audit_appeared;
         self.audit_shown += more.audit_shown;
-        self.audit_confirmed += more.audit_confirmed;
-        self.audit_gone += more.audit_gone;
-        self.audit_overlap += more.audit_overlap;
-        self.audit_same_class += more.audit_same_class;
+        self.audit_paired += more.audit_paired;
         self.audit_detected_sq += more.audit_detected_sq;
-        self.audit_recalled_sq += more.audit_recalled_sq;
         self.audit_detected_x += more.audit_detected_x;
         self.audit_shown_sq += more.audit_shown_sq;
-        self.audit_confirmed_sq += more.audit_confirmed_sq;
+        self.audit_paired_sq += more.audit_paired_sq;
         self.audit_shown_x += more.audit_shown_x;
     }
 }

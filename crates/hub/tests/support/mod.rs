@@ -191,18 +191,14 @@ pub fn now_ns() -> u64 {
 fn audit(number: u64) -> AuditReport {
     let shown = if number.is_multiple_of(4) { 9 } else { 8 };
     let mut sums = AuditSums::default();
-    sums.add_missed();
-    let tally = &mut sums.by_state.p;
-    tally.frames = 4;
-    tally.detected.boxes = 10;
-    tally.detected.paired = shown;
-    tally.detected.alone = 1;
-    tally.shown.boxes = 12;
-    tally.shown.paired = shown;
-    tally.overlap_millionths = shown * 800_000;
-    sums.spread.detected.boxes = 30;
-    sums.spread.detected.paired = 24;
-    sums.spread.detected.product = 26;
+    sums.add_missed(3);
+    sums.frames = 4;
+    sums.detected = 10;
+    sums.shown = 12;
+    sums.paired = shown;
+    sums.squares.detected = 30;
+    sums.squares.paired = 24;
+    sums.squares.detected_paired = 26;
     AuditReport {
         share: 0.02,
         calls: 4,

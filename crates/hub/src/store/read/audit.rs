@@ -1,34 +1,29 @@
 //! The audit of a row of sums or of a clip.
 
 use crate::store::StoreError;
-use albireo_wire::{AuditFigures, AuditSums};
+use albireo_wire::{AuditFigures, AuditSquares, AuditSums};
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
 /// The columns that an audit is summed in.
-pub(super) const COLUMNS: [&str; 19] = [
+pub(super) const COLUMNS: [&str; 14] = [
     "audit_frames",
     "audit_missed",
+    "audit_missed_boxes",
     "audit_calls",
     "audit_us",
     "audit_uj",
     "audit_detected",
-    "audit_recalled",
-    "audit_appeared",
     "audit_shown",
-    "audit_confirmed",
-    "audit_gone",
-    "audit_overlap",
-    "audit_same_class",
+    "audit_paired",
     "audit_detected_sq",
-    "audit_recalled_sq",
-    "audit_detected_x",
     "audit_shown_sq",
-    "audit_confirmed_sq",
+    "audit_paired_sq",
+    "audit_detected_x",
     "audit_shown_x",
 ];
 
-/// What an audit counted, groups aside.
+/// What an audit counted.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct AuditCounts {
     /// What was compared.
@@ -46,28 +41,21 @@ impl AuditCounts {
             let number: Option<i64> = row.try_get(name)?;
             Ok(u64::try_from(number.unwrap_or(0)).unwrap_or(0))
         };
-        let mut sums = AuditSums {
+        let sums = AuditSums {
             missed: number("audit_missed")?,
-            ..AuditSums::default()
+            missed_boxes: number("audit_missed_boxes")?,
+            frames: number("audit_frames")?,
+            detected: number("audit_detected")?,
+            shown: number("audit_shown")?,
+            paired: number("audit_paired")?,
+            squares: AuditSquares {
+                detected: number("audit_detected_sq")?,
+                shown: number("audit_shown_sq")?,
+                paired: number("audit_paired_sq")?,
+                detected_paired: number("audit_detected_x")?,
+                shown_paired: number("audit_shown_x")?,
+            },
         };
-        // Which state it was is not kept apart: together they are the total.
-        let total = &mut sums.by_state.p;
-        total.frames = number("audit_frames")?;
-        total.detected.boxes = number("audit_detected")?;
-        total.detected.paired = number("audit_recalled")?;
-        total.detected.alone = number("audit_appeared")?;
-        total.shown.boxes = number("audit_shown")?;
-        total.shown.paired = number("audit_confirmed")?;
-        total.shown.alone = number("audit_gone")?;
-        total.overlap_millionths = number("audit_overlap")?;
-        total.same_class = number("audit_same_class")?;
-        let spread = &mut sums.spread;
-        spread.detected.boxes = number("audit_detected_sq")?;
-        spread.detected.paired = number("audit_recalled_sq")?;
-        spread.detected.product = number("audit_detected_x")?;
-        spread.shown.boxes = number("audit_shown_sq")?;
-        spread.shown.paired = number("audit_confirmed_sq")?;
-        spread.shown.product = number("audit_shown_x")?;
         Ok(Self {
             sums,
             calls: number("audit_calls")?,

@@ -426,8 +426,8 @@ impl Store {
             "c.edp",
             "CAST(c.latency_p99_us AS DOUBLE PRECISION) / 1000",
             "CAST(c.degraded AS DOUBLE PRECISION) / NULLIF(c.frames, 0)",
-            "CAST(c.audit_recalled AS DOUBLE PRECISION) / NULLIF(c.audit_detected, 0)",
-            "CAST(c.audit_confirmed AS DOUBLE PRECISION) / NULLIF(c.audit_shown, 0)",
+            "CAST(c.audit_paired AS DOUBLE PRECISION) / NULLIF(c.audit_detected, 0)",
+            "CAST(c.audit_paired AS DOUBLE PRECISION) / NULLIF(c.audit_shown, 0)",
         ];
         let sums: Vec<String> = (figures.iter().enumerate())
             .map(|(i, f)| {

@@ -81,7 +81,7 @@ fn of(camera: &CameraBoard) -> CameraStates {
         dropped: snapshot.dropped,
         tau_max: snapshot.latest.and_then(|latest| latest.tau_max),
         knob: camera.knob_value(),
-        audit: (camera.audit_is_on()).then(|| snapshot.audit.figures_with_groups()),
+        audit: (camera.audit_is_on()).then(|| snapshot.audit.figures()),
         last_frame_age_s: snapshot.last_frame_age.map(seconds),
     }
 }
@@ -113,7 +113,7 @@ pub(super) async fn all(State(shared): State<RouteState>) -> Json<NodeStates> {
         skip_rate: significant(states.skip_rate(degraded_frames), 4),
         degraded_frames,
         calls,
-        audit: audited.then(|| audit.figures_with_groups()),
+        audit: audited.then(|| audit.figures()),
         cameras,
     })
 }

@@ -2,6 +2,7 @@
 
 use albireo_core::audit::AuditDraw;
 use serde::{Deserialize, Serialize};
+use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
 /// How many of the skipped frames are looked at afterwards.
@@ -10,8 +11,6 @@ use std::time::Duration;
 pub struct AuditConfig {
     /// Share of the frames answered without the detector; 0 for no audit.
     pub share: f64,
-    /// Decides which frames are drawn.
-    pub seed: u64,
     /// A drawn frame that the detector has had no time for in so long is counted as missed, seconds.
     pub wait_s: f64,
 }
@@ -20,16 +19,19 @@ impl Default for AuditConfig {
     fn default() -> Self {
         Self {
             share: 0.02,
-            seed: 1,
             wait_s: 5.0,
         }
     }
 }
 
 impl AuditConfig {
-    /// The draw of the camera with this number: each camera has one of its own.
-    pub(crate) fn draw(&self, camera: usize) -> AuditDraw {
-        AuditDraw::new(self.share, self.seed.wrapping_add(camera as u64))
+    /// The draw of one camera. Each call gives another one: frames are counted from 0 at every start, and a camera that is
+    /// always started at the same place must not have the same frames drawn each time.
+    pub(crate) fn draw(&self) -> AuditDraw {
+        AuditDraw::new(
+            self.share,
+            RandomState::new().hash_one(self.share.to_bits()),
+        )
     }
 
     /// [`wait_s`](Self::wait_s) as a time.

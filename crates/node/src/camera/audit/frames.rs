@@ -2,7 +2,7 @@
 
 use crate::state::board::CameraBoard;
 use albireo_core::audit::{AuditDraw, AuditSums};
-use albireo_core::policy::{FrameState, OutputBox};
+use albireo_core::policy::OutputBox;
 use albireo_vision::picture::EncodedPicture;
 use albireo_wire::AuditFigures;
 use parking_lot::Mutex;
@@ -33,34 +33,26 @@ impl AuditCount {
         self.detector_us = self.detector_us.saturating_add(more.detector_us);
     }
 
-    /// In figures, without groups.
+    /// In figures.
     pub(crate) fn figures(&self) -> AuditFigures {
         AuditFigures::new(&self.sums, self.calls, self.detector_us)
     }
 
-    /// In figures, with groups.
-    pub(crate) fn figures_with_groups(&self) -> AuditFigures {
-        AuditFigures::with_groups(&self.sums, self.calls, self.detector_us)
-    }
-
-    pub(super) fn missed() -> Self {
+    /// A drawn frame that was missed, with that many boxes shown on it.
+    fn missed(shown: usize) -> Self {
         let mut count = Self::default();
-        count.sums.add_missed();
+        count.sums.add_missed(shown);
         count
     }
 }
 
-/// A frame that was drawn: what was shown, and the picture to look at.
+/// A frame that was drawn, to run the detector on.
 #[derive(Clone, Debug)]
 pub(crate) struct DrawnFrame {
     /// The picture, still encoded.
     pub picture: EncodedPicture,
     /// What was published for it.
     pub shown: Vec<OutputBox>,
-    /// Its state.
-    pub state: FrameState,
-    /// Frames since the detector last looked, this one included.
-    pub pause: u32,
 }
 
 /// One camera's audit, shared between its loop and the task that looks. The loop only leaves frames here.
@@ -78,8 +70,8 @@ pub(crate) struct CameraAudit {
 #[derive(Debug, Default)]
 struct State {
     waiting: VecDeque<DrawnFrame>,
-    /// The frame that is looked at, by its number.
-    in_hand: Option<u64>,
+    /// The frame that is being compared: its number, and how many boxes were shown on it.
+    in_hand: Option<(u64, usize)>,
     taken: u64,
     /// Mostly nothing, and asked for at every frame.
     since_reported: Option<Box<AuditCount>>,
@@ -122,7 +114,7 @@ impl CameraAudit {
     pub(crate) fn offer(&self, frame: DrawnFrame) {
         let mut state = self.state.lock();
         if state.waiting.len() >= MOST_WAITING {
-            return self.count(&mut state, &AuditCount::missed());
+            return self.count(&mut state, &AuditCount::missed(frame.shown.len()));
         }
         state.waiting.push_back(frame);
         drop(state);
@@ -143,7 +135,7 @@ impl CameraAudit {
         let mut state = self.state.lock();
         let frame = state.waiting.pop_front()?;
         state.taken += 1;
-        state.in_hand = Some(state.taken);
+        state.in_hand = Some((state.taken, frame.shown.len()));
         Some((state.taken, frame))
     }
 
@@ -151,20 +143,25 @@ impl CameraAudit {
     /// meanwhile is counted already.
     pub(crate) fn done(&self, frame: u64, found: Option<AuditCount>) {
         let mut state = self.state.lock();
-        if state.in_hand == Some(frame) {
-            state.in_hand = None;
-            self.count(&mut state, &found.unwrap_or_else(AuditCount::missed));
+        if let Some((_, shown)) = state.in_hand.take_if(|(number, _)| *number == frame) {
+            self.count(
+                &mut state,
+                &found.unwrap_or_else(|| AuditCount::missed(shown)),
+            );
         }
     }
 
     /// Gives up what waits and what is in hand: the camera's last clip ends, and all that was drawn must be in it.
     pub(crate) fn give_up(&self) {
         let mut state = self.state.lock();
-        let given_up = state.waiting.len() + usize::from(state.in_hand.is_some());
-        state.waiting.clear();
-        state.in_hand = None;
-        for _ in 0..given_up {
-            self.count(&mut state, &AuditCount::missed());
+        let in_hand = state.in_hand.take().map(|(_, shown)| shown);
+        let waiting: Vec<_> = state
+            .waiting
+            .drain(..)
+            .map(|frame| frame.shown.len())
+            .collect();
+        for shown in in_hand.into_iter().chain(waiting) {
+            self.count(&mut state, &AuditCount::missed(shown));
         }
     }
 

@@ -58,7 +58,7 @@ impl Auditor {
         let detected = answer.ok()?.ok()?;
         self.energy.detector_called(Instant::now(), detected.took);
         let mut sums = AuditSums::default();
-        sums.add(&frame.shown, &detected.detections, frame.state, frame.pause);
+        sums.add(&frame.shown, &detected.detections);
         Some(AuditCount {
             sums,
             calls: 1,

@@ -28,7 +28,7 @@ pub(super) fn audit(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>
         |family| {
             audited().try_for_each(|(camera, snapshot)| {
                 let sums = &snapshot.audit.sums;
-                [("compared", sums.total().frames), ("missed", sums.missed)]
+                [("compared", sums.frames), ("missed", sums.missed)]
                     .into_iter()
                     .try_for_each(|(result, count)| {
                         family.counter(vec![("camera", camera), ("result", result)], count as f64)
@@ -39,37 +39,21 @@ pub(super) fn audit(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>
     family(
         encoder,
         "audit_boxes",
-        "Boxes of audited frames by frame state, by side (detected: the detector's; shown: what had been published) and by \
-         result: paired with one of the other side, off (near one), or alone. Against the detector, not the truth",
+        "Boxes of audited frames by side (detected: the detector's; shown: what had been published) and by result: paired \
+         with one of the other side, or unpaired. Against the detector, not the truth",
         MetricType::Counter,
         |family| {
             audited().try_for_each(|(camera, snapshot)| {
-                let by_state = &snapshot.audit.sums.by_state;
-                [("E", &by_state.e), ("P", &by_state.p)]
+                let sums = &snapshot.audit.sums;
+                [("detected", sums.detected), ("shown", sums.shown)]
                     .into_iter()
-                    .flat_map(|(state, tally)| {
-                        [
-                            (state, "detected", tally.detected),
-                            (state, "shown", tally.shown),
-                        ]
+                    .flat_map(|(side, boxes)| {
+                        let unpaired = boxes.saturating_sub(sums.paired);
+                        [(side, "paired", sums.paired), (side, "unpaired", unpaired)]
                     })
-                    .try_for_each(|(state, side, boxes)| {
-                        let off = boxes.boxes.saturating_sub(boxes.paired + boxes.alone);
-                        [
-                            ("paired", boxes.paired),
-                            ("off", off),
-                            ("alone", boxes.alone),
-                        ]
-                        .into_iter()
-                        .try_for_each(|(result, count)| {
-                            let labels = vec![
-                                ("camera", camera),
-                                ("state", state),
-                                ("side", side),
-                                ("result", result),
-                            ];
-                            family.counter(labels, count as f64)
-                        })
+                    .try_for_each(|(side, result, count)| {
+                        let labels = vec![("camera", camera), ("side", side), ("result", result)];
+                        family.counter(labels, count as f64)
                     })
             })
         },
@@ -78,13 +62,13 @@ pub(super) fn audit(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>
         (
             "audit_recall",
             "Share of the detector's boxes on audited frames that had been shown, since the start, with the ends of its \
-             interval at 95 %",
+             interval at 95 %, missed frames included",
             AuditSums::recall,
         ),
         (
             "audit_precision",
             "Share of the shown boxes on audited frames that the detector confirms, since the start, with the ends of its \
-             interval at 95 %; low where a policy shows objects that the detector misses",
+             interval at 95 %, missed frames included; low where a policy shows objects that the detector misses",
             AuditSums::precision,
         ),
     ];
