@@ -322,7 +322,7 @@ async fn those_with_a_good_certificate_work_and_every_stranger_is_refused_counte
     for key in [
         "albireo/car-8/front/threshold",
         "albireo/car-7/front/threshold",
-        "albireo/@poke/car-8",
+        "albireo/@changed/car-8",
         "albireo/@status/car-8",
     ] {
         let before = fleet.refused("access").await;

@@ -340,12 +340,16 @@ const MESSAGES: [(&str, &str, &str); 14] = [
     ),
     (
         "{prefix}/@status/{node}",
-        "out, at a change and as a sign of life",
+        "out, at a change and as a heartbeat",
         "StatusMessage",
     ),
     ("{prefix}/@pull/{node}", "query to the hub", "PullRequest"),
     ("{prefix}/@pull/{node}", "the hub's answer", "Desired"),
-    ("{prefix}/@poke/{node}", "put by the hub", "Poke"),
+    (
+        "{prefix}/@changed/{node}",
+        "put by the hub",
+        "ConfigChanged",
+    ),
     ("HTTP `/api/v1/events`", "event `frame`", "FrameEvent"),
     (
         "HTTP `/api/v1/events`",
@@ -396,11 +400,6 @@ fn message_reference() -> String {
                 } else {
                     format!("*{field}*")
                 };
-                if schema["additionalProperties"].is_object() && schema["properties"].is_object() {
-                    let said = "The value of the policy's knob, under the knob's own name; absent without one.";
-                    writeln!(text, "| {shown} | number | {said} |").unwrap();
-                    continue;
-                }
                 writeln!(
                     text,
                     "| {shown} | {} | {} |",
@@ -462,7 +461,7 @@ fn a_real_message_has_the_fields_of_the_reference() {
         .iter()
         .map(|(name, ..)| name.trim_matches('`'))
         .collect();
-    for name in sent.keys().filter(|name| *name != "u") {
+    for name in sent.keys() {
         assert!(known.contains(name.as_str()), "{name} is not in {known:?}");
     }
     assert!(known.len() > 9, "{known:?}");

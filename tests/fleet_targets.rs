@@ -56,7 +56,7 @@ async fn a_target_ordered_at_the_hub_is_held_by_the_node_until_somebody_turns_it
     let select = ["--select", "car-*", "--why", "half of it", "--wait", "60s"];
     let order = [&["set-target", "skip_rate=0.5"][..], &select].concat();
     let (said, code) = fleet(&hub, &order).await;
-    assert!(said.contains("change 1: 1 applied, 1 refused"), "{said}");
+    assert!(said.contains("revision 1: 1 applied, 1 refused"), "{said}");
     assert!(said.contains("hold skip_rate 0.5"), "{said}");
     assert_eq!(code, Some(3), "{said}");
     let refused = hub.get("/api/v1/changes/1").await;
@@ -99,7 +99,7 @@ async fn a_target_ordered_at_the_hub_is_held_by_the_node_until_somebody_turns_it
     assert_eq!(turned.status(), 200);
     let drift = hub.until("/api/v1/drift", |drift| drift[0]["node"] == "car-1");
     let drift = drift.await;
-    assert_eq!(drift[0]["why"], "the knob was set by hand", "{drift}");
+    assert_eq!(drift[0]["why"], "the threshold was set by hand", "{drift}");
     let (said, _) = fleet(&hub, &["drift"]).await;
     assert!(
         said.contains("hold skip_rate 0.5") && said.contains("lambda 0.3"),
@@ -128,7 +128,7 @@ async fn a_target_ordered_at_the_hub_is_held_by_the_node_until_somebody_turns_it
     let report = at_node(&car).await;
     assert_eq!(
         (&report["target"], &report["off"]),
-        (&Value::Null, &json!("the knob was set by the hub"))
+        (&Value::Null, &json!("the threshold was set by the hub"))
     );
     let off = ["set-target", "off", "--select", "car-1"];
     let (said, code) = fleet(&hub, &off).await;

@@ -15,7 +15,6 @@ mod deploy_access;
 mod deploy_files;
 mod deploy_systemd;
 #[cfg(feature = "hub")]
-mod deploy_upgrade;
 #[cfg(feature = "hub")]
 mod deploy_watching;
 mod detector_batches;

@@ -293,20 +293,43 @@ async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_a_bad_one_is_refus
     let mut bench = Bench::start(&config).await;
     let picture = pictures(1).remove(0);
     bench.send(picture.clone(), "image/jpeg", 0).await;
-    assert_eq!(bench.answer().await.knob.map(|knob| knob.value), Some(3e-4));
+    assert_eq!(
+        bench
+            .answer()
+            .await
+            .threshold
+            .map(|threshold| threshold.value),
+        Some(3e-4)
+    );
 
     assert_eq!(ask(&bench.session, None).await, Ok(3e-4));
-    assert_eq!(ask(&bench.session, Some(r#"{"u":5e-4}"#)).await, Ok(5e-4));
+    assert_eq!(
+        ask(
+            &bench.session,
+            Some(r#"{"threshold":{"name":"u","value":5e-4}}"#)
+        )
+        .await,
+        Ok(5e-4)
+    );
     bench.send(picture.clone(), "image/jpeg", 1).await;
-    assert_eq!(bench.answer().await.knob.map(|knob| knob.value), Some(5e-4));
+    assert_eq!(
+        bench
+            .answer()
+            .await
+            .threshold
+            .map(|threshold| threshold.value),
+        Some(5e-4)
+    );
 
     for bad in [
-        r#"{"u":-1}"#,
-        r#"{"u":0}"#,
-        r#"{"u":"x"}"#,
+        r#"{"threshold":{"name":"u","value":-1}}"#,
+        r#"{"threshold":{"name":"u","value":0}}"#,
+        r#"{"threshold":{"name":"u","value":"x"}}"#,
+        r#"{"threshold":{"name":"lambda","value":0.3}}"#,
         "{}",
-        r#"{"u":1,"w":2}"#,
-        r#"{"v":9,"u":1}"#,
+        r#"{"u":5e-4}"#,
+        r#"{"threshold":{"name":"u","value":1},"w":2}"#,
+        r#"{"v":9,"threshold":{"name":"u","value":1}}"#,
     ] {
         let reason = ask(&bench.session, Some(bad)).await.expect_err(bad);
         assert!(!reason.is_empty());
@@ -315,13 +338,23 @@ async fn a_threshold_over_zenoh_holds_from_the_next_frame_and_a_bad_one_is_refus
 
     bench
         .session
-        .put("albireo/node/front/threshold", r#"{"u":7e-4}"#)
+        .put(
+            "albireo/node/front/threshold",
+            r#"{"threshold":{"name":"u","value":7e-4}}"#,
+        )
         .await
         .unwrap();
     // On one link a query comes after the put before it.
     assert_eq!(ask(&bench.session, None).await, Ok(7e-4));
     bench.send(picture, "image/jpeg", 2).await;
-    assert_eq!(bench.answer().await.knob.map(|knob| knob.value), Some(7e-4));
+    assert_eq!(
+        bench
+            .answer()
+            .await
+            .threshold
+            .map(|threshold| threshold.value),
+        Some(7e-4)
+    );
     bench.stop().await;
 }
 
@@ -337,7 +370,7 @@ async fn ask(session: &Session, payload: Option<&str>) -> Result<f64, String> {
         Ok(sample) => {
             let message: serde_json::Value =
                 serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-            Ok(message["u"].as_f64().unwrap())
+            Ok(message["threshold"]["value"].as_f64().unwrap())
         }
         Err(error) => Err(error.payload().try_to_string().unwrap().into_owned()),
     }
@@ -553,11 +586,25 @@ async fn a_threshold_survives_a_restart() {
     config.policy.name = "albireo".to_owned();
     config.node.state_dir = Some(state.path().to_owned());
     let bench = Bench::start(&config).await;
-    assert_eq!(ask(&bench.session, Some(r#"{"u":6e-4}"#)).await, Ok(6e-4));
+    assert_eq!(
+        ask(
+            &bench.session,
+            Some(r#"{"threshold":{"name":"u","value":6e-4}}"#)
+        )
+        .await,
+        Ok(6e-4)
+    );
     bench.stop().await;
     let mut bench = Bench::start(&config).await;
     bench.send(pictures(1).remove(0), "image/jpeg", 0).await;
-    assert_eq!(bench.answer().await.knob.map(|knob| knob.value), Some(6e-4));
+    assert_eq!(
+        bench
+            .answer()
+            .await
+            .threshold
+            .map(|threshold| threshold.value),
+        Some(6e-4)
+    );
     bench.stop().await;
 }
 

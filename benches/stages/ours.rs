@@ -142,7 +142,7 @@ impl<'a> OurPath<'a> {
         let context = AnswerContext {
             frame: &frame,
             clip: "bench",
-            knob: None,
+            threshold: None,
             class_names: &self.class_names,
             latency: Latency::default(),
         };

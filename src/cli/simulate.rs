@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 const EXAMPLES: &str = "\
-The nodes are real to a hub: status, reports with their cursors, pulls and pokes go over real Zenoh
+The nodes are real to a hub: status, reports with their cursors, pulls and notices go over real Zenoh
 sessions. Their pictures, energy and latencies are made up, and say so (`simulated`). Only endpoints
 of this machine are connected to. Exit code 1 when a report was not acknowledged in the end.
 
@@ -49,7 +49,7 @@ pub(super) struct Arguments {
     /// How long, seconds, from when all sessions are open.
     #[arg(long, alias = "for", default_value_t = 60.0, value_name = "SECONDS")]
     seconds: f64,
-    /// Seconds between two signs of life.
+    /// Seconds between two heartbeats.
     #[arg(long = "status-seconds", help_heading = REPORTS, alias = "status-s", default_value_t = 30.0)]
     status_s: f64,
     /// Length of a clip, seconds.
@@ -67,9 +67,9 @@ pub(super) struct Arguments {
     /// Give each node a liveliness token (quadratic in the nodes: some 10,000 at most).
     #[arg(long)]
     tokens: bool,
-    /// Nodes do not listen to their poke: they learn of a value from the answer to a report.
+    /// Nodes do not listen to their notice: they learn of a value from the answer to a report.
     #[arg(long)]
-    no_pokes: bool,
+    no_notices: bool,
     /// Cut all nodes off after so many seconds.
     #[arg(long, help_heading = FAULTS, value_name = "SECONDS")]
     outage_after: Option<f64>,
@@ -162,7 +162,7 @@ fn options(arguments: Arguments) -> anyhow::Result<Options> {
         batch: arguments.batch,
         backlog: arguments.backlog,
         tokens: arguments.tokens,
-        pokes: !arguments.no_pokes,
+        notices: !arguments.no_notices,
         outage_after: arguments
             .outage_after
             .map(|after| seconds("outage-after", after))

@@ -60,7 +60,7 @@ async fn a_change_of_the_threshold_is_told_to_who_listens() {
     let node = Served::start().await;
     let mut events = Events::new(node.get("/api/v1/events?types=threshold&camera=rear").await);
     assert_eq!(
-        events.expect("threshold").await["u"],
+        events.expect("threshold").await["threshold"]["value"],
         3e-4,
         "how things stand"
     );
@@ -70,7 +70,8 @@ async fn a_change_of_the_threshold_is_told_to_who_listens() {
     }
     // The change of the other camera alone is not told.
     let told = events.expect("threshold").await;
-    assert_eq!(told, json!({"camera": "rear", "u": 5e-4}));
+    let threshold = json!({"name": "u", "value": 5e-4});
+    assert_eq!(told, json!({"camera": "rear", "threshold": threshold}));
 }
 
 #[tokio::test]

@@ -289,7 +289,10 @@ async fn one_camera_tells_policy_threshold_and_its_newest_detections() {
     let told = node.json("/api/v1/cameras/front").await;
     assert_eq!(told["policy"], "albireo");
     assert_eq!(told["version"], env!("CARGO_PKG_VERSION"));
-    assert_eq!((&told["u"], &told["frames"]), (&json!(3e-4), &json!(2)));
+    assert_eq!(
+        (&told["threshold"]["value"], &told["frames"]),
+        (&json!(3e-4), &json!(2))
+    );
     assert_eq!(told["skip_rate"], 0.5);
     assert_eq!(told["set_by"], "configuration");
     // Pictures of 320x240: the published code counts its noise in pixels.

@@ -44,6 +44,7 @@ async fn filled() -> Served {
         },
         failed_reads: 3,
         hottest: Some(("gpu-thermal".to_owned(), 61.5)),
+        ..PowerSnapshot::default()
     });
     node
 }

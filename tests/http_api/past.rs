@@ -11,6 +11,7 @@ use albireo_wire::{CallCause, EnergyQuality};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::time::Duration;
 
 #[tokio::test]
 async fn the_last_frames_are_told_with_state_and_cause_the_newest_last() {
@@ -109,7 +110,7 @@ async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
     }
     let told = node.json(&format!("{path}?values=1e-4,3e-4,1")).await;
     assert_eq!(
-        (&told["estimated"], &told["u"]),
+        (&told["estimated"], &told["threshold"]["value"]),
         (&json!(true), &json!(3e-4))
     );
     let really = told["skip_rate"].as_f64().unwrap();

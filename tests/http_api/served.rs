@@ -11,7 +11,7 @@ use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     BoxMessage, CallCause, ClipEnd, ClipEnergy, ClipReport, DetectionsMessage, DomainEnergy,
-    DroppedFrames, EnergyQuality, FrameStates, KnobChange, KnobValue, Latency, Percentiles,
+    DroppedFrames, EnergyQuality, FrameStates, Latency, Percentiles, Threshold, ThresholdChange,
 };
 use reqwest::{Client, Method, RequestBuilder, Response, StatusCode};
 use serde_json::Value;
@@ -52,6 +52,7 @@ pub(crate) fn board(
     let camera = |name: &str| CameraSetup {
         name: name.to_owned(),
         key: format!("albireo/car-7/{name}/frame"),
+        source: None,
         knob,
         threshold: None,
         sizeless: true,
@@ -183,7 +184,7 @@ pub(crate) fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
         degraded: false,
         cause: (!state.is_skipped()).then_some(CallCause::Uncertain),
         tau_max: Some(1.5e-4),
-        knob: Some(KnobValue::new(&KNOB, 3e-4)),
+        threshold: Some(Threshold::new(KNOB.name, 3e-4)),
         width: 320,
         height: 240,
         boxes: vec![BoxMessage {
@@ -224,10 +225,10 @@ pub(crate) fn clip(camera: &str, report: u64) -> ClipReport {
         degraded_frames: 0,
         dropped: DroppedFrames::default(),
         policy: "albireo".to_owned(),
-        knob: Some(KnobValue::new(&KNOB, 3e-4)),
-        knob_changes: vec![KnobChange {
+        threshold: Some(Threshold::new(KNOB.name, 3e-4)),
+        threshold_changes: vec![ThresholdChange {
             seq: 0,
-            knob: KnobValue::new(&KNOB, 3e-4),
+            threshold: Threshold::new(KNOB.name, 3e-4),
         }],
         model: "detector.onnx".to_owned(),
         provider: "cpu".to_owned(),

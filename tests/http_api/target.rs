@@ -41,7 +41,7 @@ async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
     assert_eq!(set["target"], json!({"skip_rate": 0.5}));
     assert_eq!(set["source"], "local");
     assert_eq!(set["range"], json!({"least": 1.5e-4, "most": 2e-3}));
-    assert_eq!(set["u"], 3e-4);
+    assert_eq!(set["threshold"], json!({"name": "u", "value": 3e-4}));
     assert_eq!(read(&node).await, set);
     let metrics = || async { node.get("/metrics").await.text().await.unwrap() };
     let wanted = "albireo_target{target=\"skip_rate\"} 0.5";
@@ -53,7 +53,7 @@ async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
     assert_eq!(turned.status(), 200);
     let off = read(&node).await;
     assert_eq!(off["target"], Value::Null);
-    assert_eq!(off["off"], "the knob was set by hand");
+    assert_eq!(off["off"], "the threshold was set by hand");
     assert!(!metrics().await.contains("albireo_target{"));
 
     node.put(PATH, r#"{"target": {"watts": 6.0}}"#).await;

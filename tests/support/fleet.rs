@@ -249,7 +249,7 @@ pub(crate) async fn send(
         .get(format!("albireo/@report/{node}"))
         .payload(
             batch
-                .to_payload(albireo_wire::BatchCompression::Dictionary)
+                .to_payload(albireo_wire::BatchCompression::Best)
                 .expect("a batch that can be written"),
         )
         .timeout(Duration::from_secs(2))
@@ -298,8 +298,8 @@ pub(crate) fn report(node: &str, number: u64, begun_ns: u64) -> ClipReport {
         degraded_frames: 0,
         dropped: DroppedFrames::default(),
         policy: "vanilla".to_owned(),
-        knob: None,
-        knob_changes: Vec::new(),
+        threshold: None,
+        threshold_changes: Vec::new(),
         model: "detector.onnx".to_owned(),
         provider: "cpu".to_owned(),
         total_latency_ms: percentiles,

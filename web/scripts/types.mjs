@@ -4,8 +4,8 @@ import openapiTS, { astToString } from "openapi-typescript";
 import { existsSync, readFileSync, writeFileSync } from "node:fs";
 
 /**
- * A knob's value stands beside other fields under its own name. OpenAPI says so by allowing further numbers; in
- * TypeScript that would ask every field to be a number, so it is left out there and read by `knobValue`.
+ * Where a threshold is read and set, its value has the policy's name for it beside other fields. OpenAPI says so by allowing
+ * further numbers; in TypeScript that would ask every field to be a number, so it is left out there.
  */
 export function withoutFlattenedKnobs(schema) {
   if (Array.isArray(schema)) return schema.map(withoutFlattenedKnobs);

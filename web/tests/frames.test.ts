@@ -2,7 +2,9 @@ import { describe as group, expect, test } from "vitest";
 import { CAUSES, FrameLog, describe, past, percentile, skipped, why, type Seen } from "../src/node/frames";
 import type { CameraHistory, Detections } from "../src/node/types";
 
-function frame(seq: number, state: Detections["state"], more: Partial<Detections> & { u?: number } = {}): Seen {
+const U = { name: "u", value: 3e-4 };
+
+function frame(seq: number, state: Detections["state"], more: Partial<Detections> = {}): Seen {
   return {
     v: 1, seq, at: seq / 10, t_ns: seq * 1e8, clip: "c", state, width: 640, height: 480, boxes: [],
     latency_ms: { total: 1, waiting: 0, policy: 0 }, ...more,
@@ -11,24 +13,24 @@ function frame(seq: number, state: Detections["state"], more: Partial<Detections
 
 group("why the detector ran", () => {
   test("is what the node says, with the figures where they tell more", () => {
-    expect(why(frame(1, "I", { cause: "uncertain", tau_max: 5e-4, u: 3e-4 }), "u")).toBe("an object became too uncertain: τ 5.0×10⁻⁴ ≥ u 3.0×10⁻⁴");
-    expect(why(frame(1, "I", { cause: "periodic_cap", tau_max: 1e-4, u: 3e-4 }), "u")).toBe(CAUSES.periodic_cap.meaning);
-    expect(why(frame(1, "E+I", { cause: "audit", u: 3e-4 }), "u")).toContain("checks the screen");
-    expect(why(frame(1, "I", { cause: "expected_loss", tau_max: 5e-4 }), "lambda")).toBe(CAUSES.expected_loss.meaning);
+    expect(why(frame(1, "I", { cause: "uncertain", tau_max: 5e-4, threshold: U }))).toBe("an object became too uncertain: τ 5.0×10⁻⁴ ≥ u 3.0×10⁻⁴");
+    expect(why(frame(1, "I", { cause: "periodic_cap", tau_max: 1e-4, threshold: U }))).toBe(CAUSES.periodic_cap.meaning);
+    expect(why(frame(1, "E+I", { cause: "audit", threshold: U }))).toContain("checks the screen");
+    expect(why(frame(1, "I", { cause: "expected_loss", tau_max: 5e-4, threshold: { name: "lambda", value: 0.3 } }))).toBe(CAUSES.expected_loss.meaning);
   });
 
   test("is not made up for a node that does not say it, nor for frames that skipped it", () => {
-    expect(why(frame(1, "I", { tau_max: 5e-4, u: 3e-4 }), "u")).toBe("the policy asked for it");
-    expect(why(frame(1, "P", { tau_max: 1e-4, u: 3e-4 }), "u")).toBe("");
-    expect(why(frame(1, "I", { cause: "of_a_later_version" as never }), "u")).toBe("of_a_later_version");
+    expect(why(frame(1, "I", { tau_max: 5e-4, threshold: U }))).toBe("the policy asked for it");
+    expect(why(frame(1, "P", { tau_max: 1e-4, threshold: U }))).toBe("");
+    expect(why(frame(1, "I", { cause: "of_a_later_version" as never }))).toBe("of_a_later_version");
   });
 
   test("a degraded frame is no skipped one, and keeps its cause", () => {
-    const degraded = frame(1, "P", { degraded: true, cause: "new_object", tau_max: 5e-4, u: 3e-4 });
+    const degraded = frame(1, "P", { degraded: true, cause: "new_object", tau_max: 5e-4, threshold: U });
     expect(skipped(degraded)).toBe(false);
     expect(skipped(frame(1, "P"))).toBe(true);
-    expect(why(degraded, "u")).toContain("could not be had: a new object");
-    expect(describe(degraded, "u", 1)).toContain("P, degraded");
+    expect(why(degraded)).toContain("could not be had: a new object");
+    expect(describe(degraded, 1)).toContain("P, degraded");
   });
 });
 
@@ -37,15 +39,15 @@ group("the past", () => {
     camera: "front", now_ms: 0, slot_s: 10, slots: [],
     frames: {
       seq: [7, 8, 9], age_ms: [3000, 2000, 1000], state: ["I", "P", "P"], cause: ["uncertain", null, "uncertain"],
-      degraded: [false, false, true], boxes: [2, 1, 0], tau_max: [5e-4, null, 4e-4], knob: [3e-4, 3e-4, 3e-4],
+      degraded: [false, false, true], boxes: [2, 1, 0], tau_max: [5e-4, null, 4e-4], threshold: [3e-4, 3e-4, 3e-4],
       detector_ms: [20, null, null], total_ms: [22, 0.3, 0.4],
     },
   } as CameraHistory;
 
   test("is told as frames of the same kind, with boxes that are counted and not shown", () => {
     const [first, second, third] = past(history, "u", 100);
-    expect(describe(first!, "u", 100)).toBe("frame 7 · 3.0 s ago · I, detector · an object became too uncertain: τ 5.0×10⁻⁴ ≥ u 3.0×10⁻⁴ · 2 boxes · 22.0 ms");
-    expect(describe(second!, "u", 100)).toBe("frame 8 · 2.0 s ago · P, predicted · 1 box · 0.3 ms");
+    expect(describe(first!, 100)).toBe("frame 7 · 3.0 s ago · I, detector · an object became too uncertain: τ 5.0×10⁻⁴ ≥ u 3.0×10⁻⁴ · 2 boxes · 22.0 ms");
+    expect(describe(second!, 100)).toBe("frame 8 · 2.0 s ago · P, predicted · 1 box · 0.3 ms");
     expect(second!.tau_max).toBeUndefined();
     expect(second!.latency_ms.detector).toBeUndefined();
     expect(skipped(third!)).toBe(false);

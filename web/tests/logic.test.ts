@@ -14,7 +14,6 @@ vi.stubGlobal("addEventListener", () => {});
 vi.stubGlobal("document", { hidden: false });
 
 const { EventParser, follow } = await import("../src/shared/api");
-const { knobValue } = await import("../src/shared/knob");
 const { frameAt, placeOf } = await import("../src/node/ribbon");
 const { estimated, fromSlider, toSlider, usefulRange } = await import("../src/node/knob");
 const { graver } = await import("../src/node/log");
@@ -23,7 +22,7 @@ const { href, parseRoute } = await import("../src/hub/route");
 const { Rows, PAGE, path } = await import("../src/hub/rows");
 const { LineParser, countOutcomes, ordered, terms } = await import("../src/hub/tune");
 const { settingText } = await import("../src/hub/parts");
-const { knobOf } = await import("../src/hub/fleet");
+const { thresholdOf } = await import("../src/hub/fleet");
 const { beginnings } = await import("../src/hub/energy");
 
 describe("event streams", () => {
@@ -67,12 +66,6 @@ describe("event streams", () => {
       expect(got).toEqual([1, 3, 4]);
     });
   });
-});
-
-test("a knob's value is found beside other fields", () => {
-  expect(knobValue({ camera: "front", u: 3e-4 }, "u")).toBe(3e-4);
-  expect(knobValue({ u: "3" }, "u")).toBeUndefined();
-  expect(knobValue(undefined, "u")).toBeUndefined();
 });
 
 describe("the ribbon", () => {
@@ -195,20 +188,21 @@ describe("what is ordered", () => {
   });
 
   test("is told as a value or as a target", () => {
-    expect(settingText({ lambda: 0.5 })).toBe("lambda = 0.5");
+    expect(settingText({ threshold: { name: "lambda", value: 0.5 } })).toBe("lambda = 0.5");
     expect(settingText({ target: { skip_rate: 0.5 } })).toBe("hold skip_rate = 0.5");
     expect(settingText({ target: null })).toBe("hold nothing");
+    expect(settingText({ name: "u", value: 0.5 })).toBe("u = 0.5");
     expect(settingText(null)).toBe("–");
   });
 });
 
-test("a node's knob is what its cameras have beside their own fields", () => {
-  const camera = (values: object) => ({ name: "front", state: "live", knob_source: "hub", ...values });
+test("a node's threshold is what its cameras have", () => {
+  const camera = (value?: number) => ({ name: "front", state: "live", threshold: value && { name: "u", value }, threshold_source: "hub" });
   const node = (...cameras: object[]) => ({ status: { cameras } }) as never;
-  expect(knobOf(node(camera({ u: 1e-4 }), camera({ u: 1e-4 })))).toEqual({ name: "u", values: [1e-4] });
-  expect(knobOf(node(camera({ u: 1e-4 }), camera({ u: 2e-4 })))?.values).toHaveLength(2);
-  expect(knobOf(node(camera({})))).toBeUndefined();
-  expect(knobOf(node())).toBeUndefined();
+  expect(thresholdOf(node(camera(1e-4), camera(1e-4)))).toEqual({ name: "u", values: [1e-4] });
+  expect(thresholdOf(node(camera(1e-4), camera(2e-4)))?.values).toHaveLength(2);
+  expect(thresholdOf(node(camera()))).toBeUndefined();
+  expect(thresholdOf(node())).toBeUndefined();
 });
 
 test("points of a chart begin where the hub's sums do and are over", () => {

@@ -67,7 +67,7 @@ pub use albireo::Albireo;
 pub use albireo_settings::{AlbireoSettings, Profile};
 pub use albireo_settings::{DetectorFrameBoxes, PeriodicCap, ReportedConfidence};
 pub use cause::CallCause;
-pub use config::{KNOB_NAMES, PolicyConfig, PolicyConfigError};
+pub use config::{PolicyConfig, PolicyConfigError};
 pub use ctd::Ctd;
 pub use ctd::CtdSettings;
 pub use decide::{EvidenceAtHand, EvidenceSource, FrameEvidence, decide, decide_at_once};

@@ -231,7 +231,7 @@ pub struct Measured {
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Standing {
+pub enum TargetStatus {
     /// Too little has been measured yet.
     Measuring,
     /// The target is not reached yet: the knob moves.
@@ -250,7 +250,7 @@ pub enum Standing {
     NoAudit,
 }
 
-impl Standing {
+impl TargetStatus {
     /// All of them.
     pub const ALL: [Self; 8] = [
         Self::Measuring,
@@ -302,7 +302,7 @@ pub struct TargetState {
     /// The knob's value in force.
     pub knob: f64,
     /// Why it stands there.
-    pub standing: Standing,
+    pub status: TargetStatus,
     /// Seconds in which the target could not be met inside the range.
     pub unmet_s: f64,
     /// How often that began.
@@ -365,7 +365,7 @@ impl Lever {
 #[derive(Clone, Copy, Debug)]
 struct Verdict {
     actual: Option<f64>,
-    standing: Standing,
+    status: TargetStatus,
     boxes: Option<u64>,
 }
 
@@ -427,7 +427,7 @@ impl TargetController {
             Control::Load(load) => load.step(measured, seconds, &mut self.lever),
             Control::Recall(recall) => recall.step(measured, &mut self.lever),
         };
-        let cannot = verdict.standing == Standing::CannotBeMet;
+        let cannot = verdict.status == TargetStatus::CannotBeMet;
         if cannot {
             self.unmet_s += seconds;
             self.unmet += u64::from(self.could_be_met);
@@ -436,7 +436,7 @@ impl TargetController {
         TargetState {
             actual: verdict.actual,
             knob: self.knob(),
-            standing: verdict.standing,
+            status: verdict.status,
             unmet_s: self.unmet_s,
             unmet: self.unmet,
             boxes: verdict.boxes,

@@ -106,7 +106,7 @@ pub fn run_stored(
     steps.sort_by_key(|&(_, clip)| std::cmp::Reverse(clips[clip].frames));
     in_parallel(&steps, settings.threads, done, &|(policy, clip)| {
         let (clip, policy) = (&clips[clip], &policies[policy]);
-        let mut source = StoredEvidence::new(clip, None, settings)
+        let mut source = StoredEvidence::new(clip, settings)
             .map_err(|source| no_evidence(clip, policy, source))?;
         run_policy(clip, policy, settings, &mut source).map(|(result, _)| result)
     })

@@ -1,8 +1,7 @@
 //! What a node is answered when it asks what is desired: from memory.
 
-use crate::setting::Setting;
 use crate::tuning::desired::DesiredValues;
-use albireo_wire::{Desired, REPORT_DICTIONARY};
+use albireo_wire::Desired;
 use parking_lot::RwLock;
 use std::collections::HashMap;
 use std::time::{Duration, Instant};
@@ -19,25 +18,15 @@ impl Desires {
     /// What is desired of `node`.
     pub fn of(&self, node: &str) -> Desired {
         let value = self.values.get(node);
-        let (knob, target, hold_nothing) = match value.map(|value| value.setting) {
-            Some(Setting::Knob(knob)) => (Some(knob), None, false),
-            Some(Setting::Hold(target)) => (None, Some(target), false),
-            Some(Setting::HoldNothing) => (None, None, true),
-            None => (None, None, false),
-        };
         let until = self.watched.read().get(node).copied();
         let watched = until
             .map(|until| until.saturating_duration_since(Instant::now()))
             .filter(|left| !left.is_zero());
         Desired {
-            generation: value.map_or(0, |value| value.generation),
-            knob,
-            target,
-            hold_nothing,
+            revision: value.map_or(0, |value| value.revision),
+            setting: value.map(|value| value.setting),
             watched_for_s: watched
                 .map(|left| u32::try_from(left.as_secs() + 1).unwrap_or(u32::MAX)),
-            signs_of_life: true,
-            report_dictionary: Some(REPORT_DICTIONARY),
             ..Desired::nothing()
         }
     }

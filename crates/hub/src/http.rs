@@ -20,7 +20,7 @@ use crate::config::HubConfig;
 use crate::desired::Desires;
 use crate::events::Events;
 use crate::ingest::IngestCounters;
-use crate::presence::{Fleet, ListenCounters, Pokes};
+use crate::presence::{Fleet, ListenCounters, Notifier};
 use crate::readiness::Readiness;
 use crate::store::{EnergyBy, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
@@ -107,10 +107,10 @@ impl HubView {
         let _ = self.tuner.set(tuner);
     }
 
-    /// Gives the routes the Zenoh session and the way to poke nodes, once there are.
-    pub(crate) fn attach_session(&self, session: Session, pokes: Pokes) {
+    /// Gives the routes the Zenoh session and the way to notify nodes, once there are.
+    pub(crate) fn attach_session(&self, session: Session, notifier: Notifier) {
         // It is opened once.
-        let _ = self.reach.set(live::Reach { session, pokes });
+        let _ = self.reach.set(live::Reach { session, notifier });
     }
 
     /// The way to the nodes.

@@ -13,7 +13,7 @@ mod today;
 pub(crate) use fleet::Remembered;
 pub use fleet::{Fleet, FleetTallies, NodeView, Order};
 pub use listen::ListenCounters;
-pub(crate) use listen::{ListenSetup, Pokes, listen};
+pub(crate) use listen::{ListenSetup, Notifier, listen};
 pub use state::{Facts, Limits, PresenceState, Token, judge};
 pub use today::TodaysEnergy;
 pub(crate) use today::{Used, day_of};

@@ -200,7 +200,7 @@ async fn parts(
     })
     .await?;
     tasks.essential("presence", Span::none(), hearing);
-    view.attach_session(session.clone(), listening.pokes.clone());
+    view.attach_session(session.clone(), listening.notifier.clone());
     let reports = session
         .declare_queryable(config.keys()?.report())
         .complete(true)
@@ -213,7 +213,7 @@ async fn parts(
             store.clone(),
             view.fleet.clone(),
             Arc::clone(&view.desires),
-            listening.pokes.clone(),
+            listening.notifier.clone(),
             config.tuning.clone(),
             session.zid().to_string(),
         );
@@ -238,8 +238,8 @@ async fn parts(
     // Who was known tells where it stands now, and not at its next period.
     for node in view.fleet.names() {
         listening
-            .pokes
-            .poke(&node, view.desires.of(&node).generation);
+            .notifier
+            .notify(&node, view.desires.of(&node).revision);
     }
     readiness.release("zenoh");
     let zenoh: Vec<String> = session

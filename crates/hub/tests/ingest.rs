@@ -4,8 +4,7 @@ use crate::support::postgres::Postgres;
 use crate::support::{
     Hub, Said, batch, config, deliver, instance, now_ns, report, send, sqlite, uplink,
 };
-use albireo_wire::RefusalReason;
-use std::io::Write as _;
+use albireo_wire::{BatchCompression, RefusalReason};
 
 async fn taken_once(database: &str) {
     let hub = Hub::start(config(database)).await;
@@ -93,9 +92,8 @@ async fn a_report_that_cannot_be_read_is_set_aside_with_its_cause_and_acknowledg
     wrong.reports[1].energy.joules = Some(-1.0);
     let mut json = serde_json::to_value(&wrong).unwrap();
     json["reports"][2] = serde_json::json!({"v": 1, "report": 2, "hello": "\u{0}"});
-    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::default());
-    gzip.write_all(json.to_string().as_bytes()).unwrap();
-    let payload = gzip.finish().unwrap();
+    let json = json.to_string();
+    let payload = BatchCompression::Quick.compress(json.as_bytes()).unwrap();
     assert_eq!(
         send(&session, "car-3", payload.clone()).await,
         Said::Stored(2)

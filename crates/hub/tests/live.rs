@@ -12,7 +12,7 @@ fn counters() -> Value {
     json!({
         "v": 1, "t_ns": 1, "camera": "front", "frames": 7,
         "states": {"E": 1, "P": 2, "E+I": 0, "I": 4, "AI": 0}, "skip_rate": 0.43, "degraded_frames": 0,
-        "calls": {"uncertain": 4}, "dropped": {}, "u": 3e-4, "watts": [], "power_quality": "unavailable"
+        "calls": {"uncertain": 4}, "dropped": {}, "threshold": {"name": "u", "value": 3e-4}, "watts": [], "power_quality": "unavailable"
     })
 }
 
@@ -23,11 +23,11 @@ async fn a_node_hears_that_it_is_watched_and_what_it_sends_then_reaches_who_watc
     let unknown = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http)).await;
     assert_eq!(unknown.unwrap().status(), 404);
     let node = uplink(&hub.zenoh).await;
-    let (poked, mut pokes) = tokio::sync::mpsc::unbounded_channel();
-    let _poke = node
-        .declare_subscriber("albireo/@poke/car-7")
+    let (notified, mut notices) = tokio::sync::mpsc::unbounded_channel();
+    let _notice = node
+        .declare_subscriber("albireo/@changed/car-7")
         .callback(move |_| {
-            let _ = poked.send(());
+            let _ = notified.send(());
         })
         .await
         .unwrap();
@@ -42,13 +42,13 @@ async fn a_node_hears_that_it_is_watched_and_what_it_sends_then_reaches_who_watc
         pull(&node, "car-7", &instance('a')).await.watched_for_s,
         None
     );
-    while pokes.try_recv().is_ok() {}
+    while notices.try_recv().is_ok() {}
 
     let mut live = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http))
         .await
         .unwrap();
     assert_eq!(live.status(), 200);
-    timeout(PATIENCE, pokes.recv()).await.unwrap().unwrap();
+    timeout(PATIENCE, notices.recv()).await.unwrap().unwrap();
     let lease = pull(&node, "car-7", &instance('a'))
         .await
         .watched_for_s

@@ -1,7 +1,7 @@
 //! Which nodes are there and how they are.
 
 use crate::support::{Hub, config, full_status, instance, pull, say, sqlite, status, uplink};
-use albireo_wire::Poke;
+use albireo_wire::ConfigChanged;
 use std::time::Duration;
 
 #[tokio::test(flavor = "multi_thread")]
@@ -46,8 +46,8 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let session = uplink(&hub.zenoh).await;
-    let pokes = session
-        .declare_subscriber("albireo/@poke/car-2")
+    let notices = session
+        .declare_subscriber("albireo/@changed/car-2")
         .await
         .unwrap();
     let one = instance('b');
@@ -56,9 +56,9 @@ async fn a_gap_in_the_numbers_makes_the_hub_ask_for_the_full_status() {
         .await;
     assert!(!pull(&session, "car-2", &one).await.send_full_status);
     say(&session, "car-2", &status(&one, 5)).await;
-    let poke = tokio::time::timeout(Duration::from_secs(30), pokes.recv_async()).await;
-    let poke = poke.unwrap().unwrap();
-    albireo_wire::read::<Poke>(&poke.payload().to_bytes()).unwrap();
+    let notice = tokio::time::timeout(Duration::from_secs(30), notices.recv_async()).await;
+    let notice = notice.unwrap().unwrap();
+    albireo_wire::read::<ConfigChanged>(&notice.payload().to_bytes()).unwrap();
     assert!(pull(&session, "car-2", &one).await.send_full_status);
     say(
         &session,
@@ -103,7 +103,7 @@ async fn two_nodes_of_one_name_are_named() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_restarted_hub_knows_what_it_knew_and_pokes() {
+async fn a_restarted_hub_knows_what_it_knew_and_notifies() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let session = uplink(&hub.zenoh).await;

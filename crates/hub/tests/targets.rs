@@ -1,12 +1,11 @@
 //! Targets reach nodes as values do, and take their place; what a node cannot hold is refused in words.
 
 use crate::support::postgres::Postgres;
-use crate::support::{
-    Hub, Said, batch, config, deliver, full_status, instance, now_ns, pull, say, sqlite, uplink,
-};
+use crate::support::{Hub, config, full_status, instance, now_ns, say, sqlite, uplink};
 use crate::tuning::{Played, fleet, post, put, put_at, values};
 use albireo_wire::{
-    CameraState, CameraStatus, KnobSource, KnobValue, Standing, StatusMessage, Target, TargetStatus,
+    CameraState, CameraStatus, NodeTarget, SettingSource, StatusMessage, Target, TargetStatus,
+    Threshold,
 };
 use reqwest::StatusCode;
 use serde_json::{Value, json};
@@ -52,14 +51,14 @@ async fn targets_reach_nodes(database: &str) {
     );
     let status = &nodes["nodes"][0]["status"]["target"];
     assert_eq!(
-        (&status["standing"], &status["source"]),
+        (&status["status"], &status["source"]),
         (&json!("held"), &json!("hub"))
     );
     assert!(
         values(&nodes)[0] > 3e-4 && values(&nodes)[2] == 3e-4,
         "{nodes}"
     );
-    let change = answer["change"].as_u64().unwrap();
+    let change = answer["revision"].as_u64().unwrap();
     let changes = hub.get("/api/v1/changes?node=sim-000004").await;
     let first = &changes["changes"][0];
     assert_eq!(
@@ -68,16 +67,20 @@ async fn targets_reach_nodes(database: &str) {
         "{changes}"
     );
     assert_eq!(
-        (&first["change"], &first["why"]),
+        (&first["revision"], &first["why"]),
         (&json!(change), &json!("a test"))
     );
     let detail = hub.get(&format!("/api/v1/changes/{change}")).await;
-    assert_eq!(detail["nodes"][0]["from"], json!({"u": 3e-4}), "{detail}");
+    assert_eq!(
+        detail["nodes"][0]["from"],
+        json!({"threshold": {"name": "u", "value": 3e-4}}),
+        "{detail}"
+    );
     let metrics = reqwest::get(format!("{}/metrics", hub.http)).await.unwrap();
     let metrics = metrics.text().await.unwrap();
     for line in [
-        "albireo_hub_targets{standing=\"held\"} 3",
-        "albireo_hub_targets{standing=\"cannot_be_met\"} 0",
+        "albireo_hub_targets{status=\"held\"} 3",
+        "albireo_hub_targets{status=\"cannot_be_met\"} 0",
     ] {
         assert!(metrics.contains(line), "{line}: {metrics}");
     }
@@ -85,16 +88,16 @@ async fn targets_reach_nodes(database: &str) {
     // The same again changes nobody. A node that takes part in nothing can be told otherwise.
     let answer = hold(&hub, wanted.clone(), "sim-000001").await;
     assert_eq!(answer["counts"], json!({"unchanged": 1}));
-    assert_eq!(answer["change"], Value::Null);
+    assert_eq!(answer["revision"], Value::Null);
     let answer = hold(&hub, json!({"skip_rate": 0.95}), "sim-000002").await;
     assert_eq!(answer["counts"], json!({"applied": 1}), "{answer}");
     let node = hub.get("/api/v1/nodes/sim-000002").await;
     assert_eq!(
-        node["status"]["target"]["standing"], "cannot_be_met",
+        node["status"]["target"]["status"], "cannot_be_met",
         "{node}"
     );
 
-    // A value takes the target's place, and a target the value's, by one and the same generation.
+    // A value takes the target's place, and a target the value's, by one and the same revision.
     let (_, answer) = put(&hub, json!({"u": 5e-4, "select": "sim-000000"})).await;
     assert_eq!(answer["counts"], json!({"applied": 1}), "{answer}");
     assert_eq!(
@@ -104,12 +107,16 @@ async fn targets_reach_nodes(database: &str) {
     );
     let nodes = hub.get("/api/v1/nodes").await;
     assert_eq!((&held(&nodes)[0], values(&nodes)[0]), (off, 5e-4));
-    let value = answer["change"].as_u64().unwrap();
+    let value = answer["revision"].as_u64().unwrap();
     assert!(value > change);
     let answer = hold(&hub, json!({"skip_rate": 0.5}), "sim-000000").await;
     assert_eq!(answer["counts"], json!({"applied": 1}), "{answer}");
-    assert_eq!(answer["nodes"][0]["from"], json!({"u": 5e-4}), "{answer}");
-    assert!(answer["change"].as_u64().unwrap() > value);
+    assert_eq!(
+        answer["nodes"][0]["from"],
+        json!({"threshold": {"name": "u", "value": 5e-4}}),
+        "{answer}"
+    );
+    assert!(answer["revision"].as_u64().unwrap() > value);
 
     // Who holds something holds nothing any more, and the knob stays; of the others nothing is ordered.
     let before = values(&hub.get("/api/v1/nodes").await);
@@ -158,80 +165,18 @@ async fn postgres_a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_v
 }
 
 /// A full status of a node with one camera at that `u`.
-fn told(one: &str, seq: u64, generation: u64, u: f64) -> StatusMessage {
+fn told(one: &str, seq: u64, revision: u64, u: f64) -> StatusMessage {
     let mut status = StatusMessage {
-        generation,
+        revision,
         ..full_status(one, seq, &[])
     };
     status.full.as_mut().unwrap().cameras = vec![CameraStatus {
         name: "front".into(),
         state: CameraState::Live,
-        knob: Some(KnobValue {
-            name: "u",
-            value: u,
-        }),
-        knob_source: KnobSource::Hub,
+        threshold: Some(Threshold::new("u", u)),
+        threshold_source: SettingSource::Hub,
     }];
     status
-}
-
-/// The same of the version before, which says nothing of targets.
-fn of_old(one: &str, seq: u64, generation: u64, u: f64) -> StatusMessage {
-    let mut status = told(one, seq, generation, u);
-    let full = status.full.as_mut().unwrap();
-    full.takes_targets = false;
-    status
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_node_that_passes_over_targets_refuses_in_words_and_keeps_its_value() {
-    let folder = tempfile::tempdir().unwrap();
-    let hub = Hub::start(config(&sqlite(folder.path()))).await;
-    let session = uplink(&hub.zenoh).await;
-    let one = instance('a');
-    say(&session, "car-1", &of_old(&one, 0, 0, 3e-4)).await;
-    hub.until("/api/v1/nodes/car-1", |node| node["state"] == "online")
-        .await;
-    let (_, answer) = put(&hub, json!({"u": 5e-4, "select": "car-1", "wait_s": 0})).await;
-    let first = answer["change"].as_u64().unwrap();
-    say(&session, "car-1", &of_old(&one, 1, first, 5e-4)).await;
-    hub.until("/api/v1/nodes/car-1", |node| node["generation"] == first)
-        .await;
-    let answer = hold(&hub, json!({"skip_rate": 0.5}), "car-1").await;
-    assert_eq!(answer["counts"], json!({"refused": 1}), "{answer}");
-    let words = answer["nodes"][0]["detail"].as_str().unwrap();
-    assert!(words.contains("version 0.1.0, takes no target"), "{words}");
-    let desired = pull(&session, "car-1", &one).await;
-    let value = Some(KnobValue {
-        name: "u",
-        value: 5e-4,
-    });
-    assert_eq!((desired.generation, desired.knob), (first, value));
-    assert_eq!((desired.target, desired.hold_nothing), (None, false));
-
-    // One that was never heard before it was ordered: it takes the generation and passes over the rest, and says so by what
-    // it does not say.
-    let sent = batch("car-2", &one, 1..=1, now_ns() - 60_000_000_000);
-    assert_eq!(deliver(&session, &sent).await, Said::Stored(1));
-    hub.until("/api/v1/nodes/car-2", |node| node["state"] == "silent")
-        .await;
-    let answer = hold(&hub, json!({"skip_rate": 0.5}), "car-2").await;
-    assert_eq!(answer["counts"], json!({"waiting": 1}), "{answer}");
-    let second = answer["change"].as_u64().unwrap();
-    assert_eq!(
-        pull(&session, "car-2", &one).await.target,
-        Some(Target::SkipRate(0.5))
-    );
-    say(&session, "car-2", &of_old(&one, 0, second, 3e-4)).await;
-    let change = hub
-        .until(&format!("/api/v1/changes/{second}"), |change| {
-            change["nodes"][0]["outcome"] == "refused"
-        })
-        .await;
-    let words = change["nodes"][0]["detail"].as_str().unwrap();
-    assert!(words.contains("brought up to date"), "{change}");
-    session.close().await.unwrap();
-    hub.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -245,12 +190,12 @@ async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
         .await;
     let body = json!({"target": {"recall": 0.9}, "select": "car-1", "wait_s": 0});
     let (_, answer) = put_at(&hub, "/api/v1/target", body).await;
-    let change = answer["change"].as_u64().unwrap();
+    let change = answer["revision"].as_u64().unwrap();
     let mut holds = told(&one, 1, change, 3e-4);
-    holds.full.as_mut().unwrap().target = Some(TargetStatus {
+    holds.full.as_mut().unwrap().target = Some(NodeTarget {
         target: Target::Recall(0.9),
-        source: KnobSource::Hub,
-        standing: Some(Standing::Measuring),
+        source: SettingSource::Hub,
+        status: Some(TargetStatus::Measuring),
         actual: None,
     });
     say(&session, "car-1", &holds).await;
@@ -260,7 +205,7 @@ async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
     .await;
     assert_eq!(hub.get("/api/v1/drift").await, json!([]));
     let mut turned = told(&one, 2, change, 7e-4);
-    let off = "the knob was set by hand";
+    let off = "the threshold was set by hand";
     turned.full.as_mut().unwrap().target_off = Some(off.to_owned());
     say(&session, "car-1", &turned).await;
     let drift = hub
@@ -268,7 +213,11 @@ async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
         .await;
     let found = &drift[0];
     assert_eq!(found["desired"], json!({"target": {"recall": 0.9}}));
-    assert_eq!(found["in_force"], json!({"u": 7e-4}), "{drift}");
+    assert_eq!(
+        found["in_force"],
+        json!({"threshold": {"name": "u", "value": 7e-4}}),
+        "{drift}"
+    );
     assert_eq!(found["why"], off);
     session.close().await.unwrap();
     hub.stop().await;

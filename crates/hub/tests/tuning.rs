@@ -41,7 +41,7 @@ impl Played {
         let count = options.nodes as u64;
         let task = tokio::spawn(albireo_simulate::run(options, stop.clone(), |_| {}));
         hub.until("/api/v1/nodes?limit=1000", |answer| {
-            let known = |node: &&Value| node["status"]["cameras"][0]["u"].is_f64();
+            let known = |node: &&Value| node["status"]["cameras"][0]["threshold"]["value"].is_f64();
             let nodes = answer["nodes"].as_array().into_iter().flatten();
             nodes.filter(known).count() as u64 == count
         })
@@ -92,7 +92,11 @@ pub(crate) async fn post(hub: &Hub, path: &str, body: Value) -> (StatusCode, Val
 pub(crate) fn values(nodes: &Value) -> Vec<f64> {
     let nodes = nodes["nodes"].as_array().unwrap().iter();
     nodes
-        .map(|node| node["status"]["cameras"][0]["u"].as_f64().unwrap())
+        .map(|node| {
+            node["status"]["cameras"][0]["threshold"]["value"]
+                .as_f64()
+                .unwrap()
+        })
         .collect()
 }
 
@@ -119,25 +123,31 @@ async fn values_reach_nodes(database: &str) {
     );
     let mut found = values(&hub.get("/api/v1/nodes").await);
     assert_eq!(found, [5e-4, 5e-4, 3e-4, 3e-4, 5e-4, 3e-4]);
-    let change = answer["change"].as_u64().unwrap();
+    let change = answer["revision"].as_u64().unwrap();
     let changes = hub.get("/api/v1/changes?node=sim-000004").await;
     let first = &changes["changes"][0];
     assert_eq!(
-        (&first["change"], &first["why"], &first["u"]),
+        (&first["revision"], &first["why"], &first["threshold"]),
         (&json!(change), &json!("a test"), &Value::Null)
     );
     assert_eq!(
         (&first["to"], &first["who"]),
-        (&json!({"u": 5e-4}), &json!("anonymous"))
+        (
+            &json!({"threshold": {"name": "u", "value": 5e-4}}),
+            &json!("anonymous")
+        )
     );
     let detail = hub.get(&format!("/api/v1/changes/{change}")).await;
-    assert_eq!(detail["nodes"][0]["from"], json!({"u": 3e-4}));
+    assert_eq!(
+        detail["nodes"][0]["from"],
+        json!({"threshold": {"name": "u", "value": 3e-4}})
+    );
     assert_eq!(detail["nodes"][0]["outcome"], "applied");
 
     // The same again changes nobody; a value out of range is refused by the nodes, in their words.
     let (_, answer) = put(&hub, json!({"u": 5e-4, "select": ["sim-000001"]})).await;
     assert_eq!(
-        (&answer["counts"], &answer["change"]),
+        (&answer["counts"], &answer["revision"]),
         (&json!({"unchanged": 1}), &Value::Null)
     );
     let (_, answer) = put(&hub, json!({"u": 7.0, "select": ["sim-000001"]})).await;
@@ -151,13 +161,16 @@ async fn values_reach_nodes(database: &str) {
     played.end().await;
     hub.stop().await;
 
-    // What was desired is desired after a restart of the hub, and the generations go on.
+    // What was desired is desired after a restart of the hub, and the revisions go on.
     let hub = Hub::start(config(database)).await;
     let played = Played::begin(&hub, fleet(6)).await;
     hub.until("/api/v1/nodes", |nodes| values(nodes)[..2] == [5e-4, 5e-4])
         .await;
     let (_, answer) = put(&hub, json!({"u": 1e-4, "select": "all"})).await;
-    assert!(answer["change"].as_u64().unwrap() > change + 1, "{answer}");
+    assert!(
+        answer["revision"].as_u64().unwrap() > change + 1,
+        "{answer}"
+    );
     found = values(&hub.get("/api/v1/nodes").await);
     assert_eq!(found, [1e-4; 6]);
     played.end().await;
@@ -464,7 +477,7 @@ async fn a_request_that_makes_no_sense_is_refused_with_what_would_do() {
             json!({"u": 1e-4, "select": ["all"], "soke_s": 5}),
             "soke_s",
         ),
-        ("/api/v1/rollouts", json!({"select": ["all"]}), "knob"),
+        ("/api/v1/rollouts", json!({"select": ["all"]}), "threshold"),
         (
             "/api/v1/rollouts",
             json!({"u": 1e-4, "select": ["all"]}),
@@ -492,7 +505,7 @@ async fn a_request_that_makes_no_sense_is_refused_with_what_would_do() {
         "/api/v1/target",
         "/api/v1/rollouts/{id}",
         "/api/v1/trials",
-        "/api/v1/changes/{change}",
+        "/api/v1/changes/{revision}",
     ] {
         assert!(openapi["paths"][path].is_object(), "{path}");
     }

@@ -28,7 +28,7 @@ use albireo_core::policy::{
 };
 use albireo_service::clock::milliseconds;
 use albireo_vision::picture::{EncodedPicture, FrameFault};
-use albireo_wire::{KnobValue, Latency};
+use albireo_wire::{Latency, Threshold};
 use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -181,11 +181,11 @@ impl Camera {
             &AnswerContext {
                 frame,
                 clip: &clip,
-                knob: self
+                threshold: self
                     .board
                     .knob()
                     .zip(self.policy.knob_value())
-                    .map(|(knob, value)| KnobValue::new(&knob, value)),
+                    .map(|(knob, value)| Threshold::new(knob.name, value)),
                 class_names: &self.class_names,
                 latency: Latency {
                     total: milliseconds(frame.received.elapsed()),
@@ -215,7 +215,7 @@ impl Camera {
             degraded: message.degraded,
             total: frame.received.elapsed(),
             detector: times.detector(),
-            knob: message.knob,
+            threshold: message.threshold,
         });
         if times.looked {
             self.board.record_look();

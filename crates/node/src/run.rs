@@ -117,7 +117,7 @@ fn tell_start(config: &NodeConfig, board: &Board, node: &Node, http: SocketAddr,
         .map(|camera| camera.source().unwrap_or_else(|| camera.key()))
         .collect();
     let knobs: BTreeSet<_> = (board.cameras().iter())
-        .filter_map(|camera| Some(camera.knob_value()?.to_string()))
+        .filter_map(|camera| Some(camera.threshold_in_force()?.to_string()))
         .collect();
     tracing::info!(
         version = env!("CARGO_PKG_VERSION"),

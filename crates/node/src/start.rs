@@ -565,10 +565,7 @@ impl Parts<'_> {
             clip: self.config.clip,
             power: self.power.clone(),
             detections: Arc::new(detections),
-            min_confidence: MinConfidence::new(
-                self.config.report,
-                self.config.detector.confidence,
-            ),
+            min_confidence: MinConfidence::new(self.config.report, self.config.detector.confidence),
             closed,
             reset_at_clip: config.reset_at_clip,
             hurry: self.hurry.clone(),

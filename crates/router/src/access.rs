@@ -1,8 +1,8 @@
 //! Access control for the router, generated from the certificates: Zenoh's rules know no templates, so each node gets
 //! rules of its own.
 //!
-//! What is not allowed is denied. A node may write its own status and counters, ask under its own name, hear pokes for
-//! itself and declare its own token; a hub may hear all nodes, answer them and poke them. A router hands on everything.
+//! What is not allowed is denied. A node may write its own status and counters, ask under its own name, hear notices for
+//! itself and declare its own token; a hub may hear all nodes, answer them and notice them. A router hands on everything.
 //! What a session is sent is bounded by what it may declare and ask, so the rules for that direction go by role.
 
 use crate::authority::{AuthorityError, Entry, Role, subject};
@@ -70,7 +70,7 @@ fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
         all.report(),
         all.pull(),
         all.status(),
-        all.poke(),
+        all.changed(),
         all.alive(),
         format!("{prefix}/**"),
     ];
@@ -83,7 +83,7 @@ fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
     };
 
     let to_nodes = [
-        rule("to nodes", "egress", &["put"], &[all.poke()]),
+        rule("to nodes", "egress", &["put"], &[all.changed()]),
         rule(
             "answers to nodes",
             "egress",
@@ -99,7 +99,7 @@ fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
         ),
     ];
     let hubs = vec![
-        rule("hub pokes", "ingress", &["put"], &[all.poke()]),
+        rule("hub notices", "ingress", &["put"], &[all.changed()]),
         rule(
             "hub answers",
             "ingress",
@@ -134,7 +134,7 @@ fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
             "declarations to hubs",
             "egress",
             &["declare_subscriber", "liveliness_token"],
-            &[all.poke(), all.alive()],
+            &[all.changed(), all.alive()],
         ),
     ];
     let everything = [
@@ -177,7 +177,7 @@ fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
                         &format!("{name} hears"),
                         "ingress",
                         &["declare_subscriber"],
-                        &[keys.poke()],
+                        &[keys.changed()],
                     ),
                     rule(
                         &format!("{name} lives"),

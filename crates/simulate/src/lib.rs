@@ -108,7 +108,7 @@ pub async fn run(
         batches: read(&totals.batches),
         batch_bytes: read(&totals.bytes),
         pulls: read(&totals.pulls),
-        pokes: read(&totals.pokes),
+        notices: read(&totals.notices),
         busy: read(&totals.busy),
         refused: read(&totals.refused),
         no_reply: read(&totals.no_reply),

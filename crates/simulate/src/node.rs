@@ -2,10 +2,10 @@
 
 use super::options::{Behaviour, Options};
 use albireo_wire::{
-    BatchCompression, CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired,
-    DomainEnergy, DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, KnobSource,
-    KnobValue, NodeStatus, OutboxStatus, Percentiles, RefusedDesired, ReportAnswer, ReportBatch,
-    SignOfLife, Standing, StatusMessage, Target, TargetStatus, VERSION,
+    CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired, DesiredSetting,
+    DomainEnergy, DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, Heartbeat,
+    NodeStatus, NodeTarget, OutboxStatus, Percentiles, RefusedDesired, ReportAnswer, ReportBatch,
+    SettingSource, StatusMessage, Target, TargetStatus, Threshold, VERSION,
 };
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
@@ -46,21 +46,17 @@ pub(crate) struct SimNode {
     /// Reports made, and those that a hub has acknowledged.
     pub(crate) made: u64,
     pub(crate) acknowledged: u64,
-    generation: u64,
+    revision: u64,
     /// From which report on which value held, in order.
     values: Vec<(u64, f64)>,
-    source: KnobSource,
+    source: SettingSource,
     refused: Option<RefusedDesired>,
     /// What it holds, and where that stands.
-    target: Option<TargetStatus>,
+    target: Option<NodeTarget>,
     refuses: bool,
     seq: u64,
     full_due: bool,
-    /// The hub reads signs of life.
-    signs_of_life: bool,
-    /// How it sends its reports to this hub.
-    pub(crate) compression: BatchCompression,
-    told_generation: Option<u64>,
+    told_revision: Option<u64>,
 }
 
 impl SimNode {
@@ -85,17 +81,15 @@ impl SimNode {
             clip_s: options.clip_s,
             made: options.backlog,
             acknowledged: 0,
-            generation: 0,
+            revision: 0,
             values: vec![(0, FIRST_U)],
-            source: KnobSource::Configuration,
+            source: SettingSource::Configuration,
             refused: None,
             target: None,
             refuses: share(4) < options.refusing_share,
             seq: 0,
             full_due: true,
-            signs_of_life: false,
-            compression: BatchCompression::default(),
-            told_generation: None,
+            told_revision: None,
             seed,
         }
     }
@@ -109,9 +103,9 @@ impl SimNode {
         self.started_ns = self.started_ns.saturating_sub(clips_ns);
     }
 
-    /// Instance and generation, for a pull.
+    /// Instance and revision, for a pull.
     pub(crate) fn identity(&self) -> (&str, u64) {
-        (&self.instance, self.generation)
+        (&self.instance, self.revision)
     }
 
     /// Reports that wait.
@@ -149,44 +143,36 @@ impl SimNode {
     /// Takes what is desired. Returns whether the status has to be told at once.
     pub(crate) fn take(&mut self, desired: &Desired) -> bool {
         self.full_due |= desired.send_full_status;
-        self.signs_of_life = desired.signs_of_life;
-        // What a batch costs its sender is multiplied by all the nodes that are played here.
-        self.compression = match BatchCompression::for_hub(desired.report_dictionary) {
-            BatchCompression::Dictionary => BatchCompression::QuickDictionary,
-            other => other,
-        };
-        let seen = self
-            .refused
-            .as_ref()
-            .map_or(0, |refused| refused.generation);
-        if desired.generation <= self.generation.max(seen) {
+        let seen = self.refused.as_ref().map_or(0, |refused| refused.revision);
+        if desired.revision <= self.revision.max(seen) {
             return desired.send_full_status;
         }
-        if desired.target.is_some() || desired.hold_nothing {
-            self.hold(desired.target, desired.generation);
-            return true;
-        }
-        let Some(knob) = desired.knob else {
-            return desired.send_full_status;
+        let threshold = match desired.setting {
+            Some(DesiredSetting::Threshold(threshold)) => threshold,
+            Some(DesiredSetting::Target(target)) => {
+                self.hold(target, desired.revision);
+                return true;
+            }
+            None => return desired.send_full_status,
         };
         let refuse = |reason: &str| {
             Some(RefusedDesired {
-                generation: desired.generation,
+                revision: desired.revision,
                 reason: reason.to_owned(),
             })
         };
-        if knob.name != "u" {
-            self.refused = refuse("the policy in use is turned by `u`");
-        } else if !RANGE.contains(&knob.value) {
+        if threshold.name.as_str() != "u" {
+            self.refused = refuse("the threshold of the policy in use is `u`");
+        } else if !RANGE.contains(&threshold.value) {
             self.refused = refuse("`u` must be a number from 1e-9 to 1");
         } else if self.refuses {
             self.refused = refuse("this simulated node takes no value");
         } else {
             self.refused = None;
-            self.generation = desired.generation;
-            self.source = KnobSource::Hub;
+            self.revision = desired.revision;
+            self.source = SettingSource::Hub;
             self.target = None;
-            self.values.push((self.made, knob.value));
+            self.values.push((self.made, threshold.value));
         }
         self.full_due = true;
         true
@@ -194,38 +180,35 @@ impl SimNode {
 
     /// Holds a target, or nothing. Its street has a skip rate for each `u`, so that it stands at once where a controller
     /// would come to; of power, time and recall it has no figures.
-    fn hold(&mut self, target: Option<Target>, generation: u64) {
+    fn hold(&mut self, target: Option<Target>, revision: u64) {
         self.full_due = true;
         if self.refuses {
             let reason = "this simulated node takes no target".to_owned();
-            self.refused = Some(RefusedDesired { generation, reason });
+            self.refused = Some(RefusedDesired { revision, reason });
             return;
         }
         self.refused = None;
-        self.generation = generation;
+        self.revision = revision;
         self.target = target.map(|target| {
-            let (standing, actual) = match target {
+            let (status, actual) = match target {
                 Target::SkipRate(wanted) => {
                     let (least, most) = HELD_WITHIN;
                     let u = FIRST_U * 10_f64.powf((wanted - SKIP.0) / SKIP.1);
                     self.values.push((self.made, u.clamp(least, most)));
-                    let standing = match u {
-                        u if u > most => Standing::CannotBeMet,
-                        u if u < least => Standing::MoreThanKept,
-                        _ => Standing::Held,
+                    let status = match u {
+                        u if u > most => TargetStatus::CannotBeMet,
+                        u if u < least => TargetStatus::MoreThanKept,
+                        _ => TargetStatus::Held,
                     };
-                    (
-                        standing,
-                        Some(SKIP.0 + SKIP.1 * (self.u() / FIRST_U).log10()),
-                    )
+                    (status, Some(SKIP.0 + SKIP.1 * (self.u() / FIRST_U).log10()))
                 }
-                Target::Recall(_) => (Standing::NoAudit, None),
-                _ => (Standing::NoPower, None),
+                Target::Recall(_) => (TargetStatus::NoAudit, None),
+                _ => (TargetStatus::NoPower, None),
             };
-            TargetStatus {
+            NodeTarget {
                 target,
-                source: KnobSource::Hub,
-                standing: Some(standing),
+                source: SettingSource::Hub,
+                status: Some(status),
                 actual,
             }
         });
@@ -236,15 +219,15 @@ impl SimNode {
         self.values.last().map_or(FIRST_U, |(_, u)| *u)
     }
 
-    /// The payload of the next status; a sign of life where the hub reads those and nothing changed.
+    /// The payload of the next status; a heartbeat where nothing changed.
     pub(crate) fn status_payload(&mut self, now_ns: u64) -> Result<Vec<u8>, serde_json::Error> {
-        let told = self.told_generation.replace(self.generation) == Some(self.generation);
+        let told = self.told_revision.replace(self.revision) == Some(self.revision);
         let message = self.status(now_ns);
-        if !self.signs_of_life || message.full.is_some() || !told {
+        if message.full.is_some() || !told {
             return serde_json::to_vec(&message);
         }
         let (run, seq, waiting) = (message.run(), message.seq, message.waiting);
-        SignOfLife { run, seq, waiting }.to_payload()
+        Heartbeat { run, seq, waiting }.to_payload()
     }
 
     /// The next status; in full at the first, after a change, and when it was asked for.
@@ -261,7 +244,7 @@ impl SimNode {
             t_ns: now_ns + self.clock_error_ns,
             health: HealthState::Ready,
             waiting: self.waiting(),
-            generation: self.generation,
+            revision: self.revision,
             full,
         }
     }
@@ -273,11 +256,8 @@ impl SimNode {
             cameras: vec![CameraStatus {
                 name: CAMERA.to_owned(),
                 state: CameraState::Live,
-                knob: Some(KnobValue {
-                    name: "u",
-                    value: self.u(),
-                }),
-                knob_source: self.source,
+                threshold: Some(Threshold::new("u", self.u())),
+                threshold_source: self.source,
             }],
             policy: "albireo".to_owned(),
             model: "simulated".to_owned(),
@@ -296,7 +276,6 @@ impl SimNode {
             refused: self.refused.clone(),
             target: self.target,
             target_off: None,
-            takes_targets: true,
         }
     }
 
@@ -365,16 +344,10 @@ impl SimNode {
             degraded_frames: 0,
             dropped: DroppedFrames::default(),
             policy: "albireo".to_owned(),
-            knob: Some(KnobValue {
-                name: "u",
-                value: u,
-            }),
-            knob_changes: vec![albireo_wire::KnobChange {
+            threshold: Some(Threshold::new("u", u)),
+            threshold_changes: vec![albireo_wire::ThresholdChange {
                 seq: number * frames as u64,
-                knob: KnobValue {
-                    name: "u",
-                    value: u,
-                },
+                threshold: Threshold::new("u", u),
             }],
             model: "simulated".to_owned(),
             provider: "simulated".to_owned(),
@@ -431,24 +404,24 @@ mod tests {
         SimNode::new(3, &options, 1_000_000_000_000_000_000)
     }
 
-    fn desired(generation: u64, value: f64) -> Desired {
+    fn desired(revision: u64, value: f64) -> Desired {
         Desired {
-            generation,
-            knob: Some(KnobValue { name: "u", value }),
+            revision,
+            setting: Some(DesiredSetting::Threshold(Threshold::new("u", value))),
             ..Desired::nothing()
         }
     }
 
     #[test]
-    fn a_lower_generation_never_replaces_a_higher_and_a_refusal_is_said_once() {
+    fn a_lower_revision_never_replaces_a_higher_and_a_refusal_is_said_once() {
         let mut node = node(Options::default());
         assert!(node.take(&desired(5, 1e-3)));
         assert!(!node.take(&desired(5, 1e-3)) && !node.take(&desired(4, 1e-4)));
-        assert_eq!((node.u(), node.generation), (1e-3, 5));
+        assert_eq!((node.u(), node.revision), (1e-3, 5));
         assert!(node.take(&desired(6, 7.0)));
-        assert_eq!((node.u(), node.generation), (1e-3, 5));
+        assert_eq!((node.u(), node.revision), (1e-3, 5));
         let full = node.status(0).full.unwrap();
-        assert_eq!(full.refused.unwrap().generation, 6);
+        assert_eq!(full.refused.unwrap().revision, 6);
         assert!(!node.take(&desired(6, 7.0)));
         assert_eq!(node.status(0).full, None, "nothing has changed since");
         assert!(node.take(&desired(7, 2e-3)));
@@ -458,21 +431,20 @@ mod tests {
     #[test]
     fn a_target_moves_the_value_and_a_value_ends_the_target() {
         let mut node = node(Options::default());
-        let hold = |generation, target| Desired {
-            generation,
-            target,
-            hold_nothing: target.is_none(),
+        let hold = |revision, target| Desired {
+            revision,
+            setting: Some(DesiredSetting::Target(target)),
             ..Desired::nothing()
         };
         assert!(node.take(&hold(1, Some(Target::SkipRate(0.6)))));
         let held = node.status(0).full.unwrap().target.unwrap();
-        assert_eq!(held.standing, Some(Standing::Held));
+        assert_eq!(held.status, Some(TargetStatus::Held));
         assert!((held.actual.unwrap() - 0.6).abs() < 1e-9 && node.u() > FIRST_U);
         assert!(node.take(&hold(2, Some(Target::SkipRate(0.99)))));
         let held = node.status(0).full.unwrap().target.unwrap();
         assert_eq!(
-            (held.standing, node.u()),
-            (Some(Standing::CannotBeMet), 2e-3)
+            (held.status, node.u()),
+            (Some(TargetStatus::CannotBeMet), 2e-3)
         );
         assert!(node.take(&desired(3, 1e-3)));
         assert_eq!(
@@ -481,7 +453,7 @@ mod tests {
         );
         assert!(node.take(&hold(4, Some(Target::Watts(3.0)))));
         assert!(node.take(&hold(5, None)) && !node.take(&hold(4, Some(Target::Watts(3.0)))));
-        assert_eq!((node.target, node.generation, node.u()), (None, 5, 1e-3));
+        assert_eq!((node.target, node.revision, node.u()), (None, 5, 1e-3));
     }
 
     #[test]
@@ -496,7 +468,7 @@ mod tests {
         let values: Vec<_> = batch
             .reports
             .iter()
-            .map(|r| r.knob.unwrap().value)
+            .map(|r| r.threshold.unwrap().value)
             .collect();
         assert_eq!(values, [FIRST_U, FIRST_U, FIRST_U, 1e-2, 1e-2]);
         assert!(batch.reports.iter().all(|r| r.states.frames() == r.frames));

@@ -50,7 +50,7 @@ pub struct Options {
     pub name: String,
     /// How long, once all sessions are open.
     pub duration: Duration,
-    /// Time between two signs of life, seconds.
+    /// Time between two heartbeats, seconds.
     pub status_s: f64,
     /// Length of a clip, seconds.
     pub clip_s: f64,
@@ -62,8 +62,8 @@ pub struct Options {
     pub backlog: u64,
     /// Whether each node has a liveliness token.
     pub tokens: bool,
-    /// Whether each node listens to its poke.
-    pub pokes: bool,
+    /// Whether each node listens to its notice.
+    pub notices: bool,
     /// When an outage begins, after the start: nothing is sent or heard, clips go on being made.
     pub outage_after: Option<Duration>,
     /// How long it lasts.
@@ -100,7 +100,7 @@ impl Default for Options {
             batch: 90,
             backlog: 0,
             tokens: false,
-            pokes: true,
+            notices: true,
             outage_after: None,
             outage_for: Duration::ZERO,
             wrong_clock_share: 0.0,

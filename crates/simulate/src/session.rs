@@ -5,7 +5,8 @@ use super::node::{SimNode, mix, unit};
 use super::options::Options;
 use super::totals::{Totals, count};
 use albireo_wire::{
-    Desired, FleetKeys, Poke, PullRequest, RefusalReason, ReportAnswer, ReportRefusal, VERSION,
+    BatchCompression, ConfigChanged, Desired, FleetKeys, PullRequest, RefusalReason, ReportAnswer,
+    ReportRefusal, VERSION,
 };
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -40,7 +41,7 @@ enum Due {
 
 /// What came for a node.
 enum Heard {
-    Poke(usize, u64),
+    ConfigChanged(usize, u64),
     Desired(usize, Desired),
     Acknowledged(usize, ReportAnswer, Duration),
     /// Not acknowledged; when to try again, if the hub said so.
@@ -74,7 +75,7 @@ pub(crate) struct Player {
     ending: bool,
     /// From when on nothing is left of everybody's beginning at once.
     settled: Instant,
-    _pokes: Vec<Subscriber<()>>,
+    _notices: Vec<Subscriber<()>>,
     _tokens: Vec<LivelinessToken>,
 }
 
@@ -146,23 +147,25 @@ impl Player {
         totals: Arc<Totals>,
     ) -> Result<Self, SimulateError> {
         let (tell, heard) = mpsc::channel(HEARD);
-        let (mut places, mut pokes, mut tokens) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut places, mut notices, mut tokens) = (Vec::new(), Vec::new(), Vec::new());
         for (index, node) in nodes.into_iter().enumerate() {
             let keys = FleetKeys::new(&options.prefix, &node.name)?;
-            if options.pokes {
+            if options.notices {
                 let tell = tell.clone();
-                let poked = session
-                    .declare_subscriber(keys.poke())
+                let notified = session
+                    .declare_subscriber(keys.changed())
                     .callback(move |sample| {
-                        if let Ok(poke) = albireo_wire::read::<Poke>(&sample.payload().to_bytes()) {
+                        if let Ok(notice) =
+                            albireo_wire::read::<ConfigChanged>(&sample.payload().to_bytes())
+                        {
                             // Too many at once: the answer to the next report tells the same.
-                            let _ = tell.try_send(Heard::Poke(index, poke.generation));
+                            let _ = tell.try_send(Heard::ConfigChanged(index, notice.revision));
                         }
                     });
-                pokes.push(
-                    poked
+                notices.push(
+                    notified
                         .await
-                        .map_err(|error| refused("poke", &node, &error))?,
+                        .map_err(|error| refused("notice", &node, &error))?,
                 );
             }
             if options.tokens {
@@ -186,7 +189,7 @@ impl Player {
             tell,
             ending: false,
             settled: Instant::now(),
-            _pokes: pokes,
+            _notices: notices,
             _tokens: tokens,
         })
     }
@@ -289,9 +292,9 @@ impl Player {
 
     fn handle(&mut self, heard: Heard) {
         match heard {
-            Heard::Poke(index, generation) => {
-                count(&self.totals.pokes, 1);
-                self.totals.heard_of(generation);
+            Heard::ConfigChanged(index, revision) => {
+                count(&self.totals.notices, 1);
+                self.totals.heard_of(revision);
                 self.pull(index);
             }
             Heard::Desired(index, desired) => self.take(index, &desired),
@@ -347,8 +350,8 @@ impl Player {
             return;
         }
         let taken = node.identity().1 > before;
-        if taken || desired.generation > before {
-            self.totals.decided(desired.generation, taken);
+        if taken || desired.revision > before {
+            self.totals.decided(desired.revision, taken);
         }
         // A change is told at once.
         self.due
@@ -383,13 +386,12 @@ impl Player {
         let Some(batch) = place.node.batch(self.options.batch) else {
             return;
         };
-        let compression = place.node.compression;
         place.sending = true;
         let (session, key, tell) = (self.session.clone(), place.keys.report(), self.tell.clone());
         let totals = Arc::clone(&self.totals);
         tokio::spawn(async move {
             let began = Instant::now();
-            let heard = match report(&session, key, &batch, compression, &totals).await {
+            let heard = match report(&session, key, &batch, &totals).await {
                 Some(Ok(answer)) => Heard::Acknowledged(index, answer, began.elapsed()),
                 Some(Err(refusal)) => Heard::Refused(
                     index,
@@ -405,11 +407,11 @@ impl Player {
 
     fn pull(&self, index: usize) {
         let place = &self.places[index];
-        let (instance, generation) = place.node.identity();
+        let (instance, revision) = place.node.identity();
         let request = PullRequest {
             v: VERSION,
             instance: instance.to_owned(),
-            generation,
+            revision,
         };
         let Ok(payload) = serde_json::to_vec(&request) else {
             return;
@@ -431,10 +433,10 @@ async fn report(
     session: &Session,
     key: String,
     batch: &albireo_wire::ReportBatch,
-    compression: albireo_wire::BatchCompression,
     totals: &Totals,
 ) -> Option<Result<ReportAnswer, ReportRefusal>> {
-    let payload = batch.to_payload(compression).ok()?;
+    // What a batch costs its sender is multiplied by all the nodes that are played here.
+    let payload = batch.to_payload(BatchCompression::Quick).ok()?;
     count(&totals.batches, 1);
     count(&totals.bytes, payload.len() as u64);
     let answer = ask(session, key, payload, Encoding::APPLICATION_JSON).await?;

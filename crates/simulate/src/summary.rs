@@ -30,8 +30,8 @@ pub struct Summary {
     pub batch_bytes: u64,
     /// Pulls sent.
     pub pulls: u64,
-    /// Pokes heard.
-    pub pokes: u64,
+    /// Notifier heard.
+    pub notices: u64,
     /// Batches that the hub was too busy for.
     pub busy: u64,
     /// Batches that the hub refused for another reason.
@@ -108,8 +108,8 @@ impl fmt::Display for Summary {
         for spread in &self.spreads {
             writeln!(
                 f,
-                "generation {:<5} taken by {} nodes, refused by {}, within {:.2} s of the first",
-                spread.generation, spread.taken, spread.refused, spread.seconds
+                "revision {:<5} taken by {} nodes, refused by {}, within {:.2} s of the first",
+                spread.revision, spread.taken, spread.refused, spread.seconds
             )?;
         }
         let mut table = format!(

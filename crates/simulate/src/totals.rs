@@ -81,13 +81,13 @@ struct Spread {
 /// How a desired value spread among the nodes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SpreadSummary {
-    /// Its generation.
-    pub generation: u64,
+    /// Its revision.
+    pub revision: u64,
     /// Nodes that took it.
     pub taken: u64,
     /// Nodes that refused it.
     pub refused: u64,
-    /// From the first poke or answer that any node had of it to the last node's taking it, seconds.
+    /// From the first notice or answer that any node had of it to the last node's taking it, seconds.
     pub seconds: f64,
 }
 
@@ -96,7 +96,7 @@ pub struct SpreadSummary {
 pub(crate) struct Totals {
     pub(crate) statuses: AtomicU64,
     pub(crate) pulls: AtomicU64,
-    pub(crate) pokes: AtomicU64,
+    pub(crate) notices: AtomicU64,
     pub(crate) made: AtomicU64,
     pub(crate) batches: AtomicU64,
     pub(crate) bytes: AtomicU64,
@@ -107,7 +107,7 @@ pub(crate) struct Totals {
     pub(crate) answers: Delays,
     /// Those between the floods of the beginning and of the end.
     pub(crate) settled: Delays,
-    generations: Mutex<BTreeMap<u64, Spread>>,
+    revisions: Mutex<BTreeMap<u64, Spread>>,
 }
 
 pub(crate) fn count(counter: &AtomicU64, more: u64) {
@@ -119,10 +119,10 @@ pub(crate) fn read(counter: &AtomicU64) -> u64 {
 }
 
 impl Totals {
-    /// A node has heard of a generation.
-    pub(crate) fn heard_of(&self, generation: u64) {
+    /// A node has heard of a revision.
+    pub(crate) fn heard_of(&self, revision: u64) {
         let now = Instant::now();
-        self.generations.lock().entry(generation).or_insert(Spread {
+        self.revisions.lock().entry(revision).or_insert(Spread {
             first: now,
             last: now,
             taken: 0,
@@ -131,9 +131,9 @@ impl Totals {
     }
 
     /// A node has taken it or refused it.
-    pub(crate) fn decided(&self, generation: u64, taken: bool) {
-        self.heard_of(generation);
-        if let Some(spread) = self.generations.lock().get_mut(&generation) {
+    pub(crate) fn decided(&self, revision: u64, taken: bool) {
+        self.heard_of(revision);
+        if let Some(spread) = self.revisions.lock().get_mut(&revision) {
             spread.last = Instant::now();
             if taken {
                 spread.taken += 1;
@@ -143,15 +143,15 @@ impl Totals {
         }
     }
 
-    /// Every generation that nodes heard of.
+    /// Every revision that nodes heard of.
     pub(crate) fn spreads(&self) -> Vec<SpreadSummary> {
-        let summary = |(generation, spread): (&u64, &Spread)| SpreadSummary {
-            generation: *generation,
+        let summary = |(revision, spread): (&u64, &Spread)| SpreadSummary {
+            revision: *revision,
             taken: spread.taken,
             refused: spread.refused,
             seconds: (spread.last - spread.first).as_secs_f64(),
         };
-        self.generations.lock().iter().map(summary).collect()
+        self.revisions.lock().iter().map(summary).collect()
     }
 }
 

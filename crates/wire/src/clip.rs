@@ -1,6 +1,6 @@
 //! The report of one clip: frames, latencies, energy.
 
-use crate::{AuditReport, DroppedFrames, FrameStates, KnobChange, KnobValue};
+use crate::{AuditReport, DroppedFrames, FrameStates, Threshold, ThresholdChange};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -148,16 +148,11 @@ pub struct ClipReport {
     pub dropped: DroppedFrames,
     /// Policy.
     pub policy: String,
-    /// Threshold at the end of the clip, under the knob's name; absent when the policy has none.
-    #[serde(
-        flatten,
-        deserialize_with = "crate::knob::optional",
-        skip_serializing_if = "Option::is_none"
-    )]
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    pub knob: Option<KnobValue>,
+    /// Threshold at the end of the clip; absent when the policy has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub threshold: Option<Threshold>,
     /// Every value in force during the clip, in order: the one at the start, then the changes.
-    pub knob_changes: Vec<KnobChange>,
+    pub threshold_changes: Vec<ThresholdChange>,
     /// Detector model: file name.
     pub model: String,
     /// Execution provider that really ran it.

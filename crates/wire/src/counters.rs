@@ -1,7 +1,7 @@
 //! Where a camera stands, once a second.
 
 use crate::TargetReport;
-use crate::{AuditFigures, DetectorCalls, DroppedFrames, EnergyQuality, FrameStates, KnobValue};
+use crate::{AuditFigures, DetectorCalls, DroppedFrames, EnergyQuality, FrameStates, Threshold};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -28,19 +28,14 @@ pub struct CountersMessage {
     pub calls: DetectorCalls,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
-    /// Threshold in force, under the knob's name; absent when the policy has none.
-    #[serde(
-        flatten,
-        deserialize_with = "crate::knob::optional",
-        skip_serializing_if = "Option::is_none"
-    )]
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    pub knob: Option<KnobValue>,
+    /// Threshold in force; absent when the policy has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub threshold: Option<Threshold>,
     /// Power now by domain, watts; empty without a source.
     pub watts: Vec<DomainWatts>,
     /// How far to trust the watts.
     pub power_quality: EnergyQuality,
-    /// What the node holds in the place of the knob's number; absent when it holds nothing.
+    /// What the node holds instead of a fixed threshold; absent when it holds nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
     /// What the audit has found since the node started, without its groups; absent without an audit.

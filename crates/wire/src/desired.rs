@@ -1,18 +1,45 @@
-//! What a hub desires of a node. A node pulls it (`{prefix}/@pull/{node}`) after a poke (`{prefix}/@poke/{node}`), when it
-//! starts, and finds it in the answer to every batch of reports: so a lost poke costs one period.
+//! What a hub wants a node to hold. A node asks for it (`{prefix}/@pull/{node}`) when it starts and after a notice
+//! (`{prefix}/@changed/{node}`), and finds it in the answer to every batch of reports: a lost notice costs one period.
 
 use crate::version::VERSION;
-use crate::{KnobValue, Target};
+use crate::{Target, Threshold};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
+/// What a node can be told to hold. A node has one, so that each kind replaces the other.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum DesiredSetting {
+    /// A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. A target is switched off.
+    Threshold(Threshold),
+    /// A target: `{"target": {"skip_rate": 0.5}}`; `{"target": null}` switches it off, and the threshold stays where it is.
+    Target(Option<Target>),
+}
+
+impl From<Threshold> for DesiredSetting {
+    fn from(threshold: Threshold) -> Self {
+        Self::Threshold(threshold)
+    }
+}
+
+impl std::fmt::Display for DesiredSetting {
+    /// `u 3e-4`, `target skip_rate 0.5`, `no target`.
+    fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Threshold(threshold) => threshold.fmt(formatter),
+            Self::Target(Some(target)) => write!(formatter, "target {target}"),
+            Self::Target(None) => formatter.write_str("no target"),
+        }
+    }
+}
+
 /// Says that there is something to pull.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct Poke {
+pub struct ConfigChanged {
     /// Version.
     pub v: u32,
-    /// Generation of what is desired.
-    pub generation: u64,
+    /// Revision of the desired setting.
+    pub revision: u64,
 }
 
 /// A node asks what is desired.
@@ -22,8 +49,8 @@ pub struct PullRequest {
     pub v: u32,
     /// Instance of the node.
     pub instance: String,
-    /// Generation it has, 0 for none.
-    pub generation: u64,
+    /// Revision it has, 0 for none.
+    pub revision: u64,
 }
 
 /// What is desired of a node.
@@ -31,33 +58,18 @@ pub struct PullRequest {
 pub struct Desired {
     /// Version.
     pub v: u32,
-    /// Number of this desired value; a lower one never replaces a higher. 0 when nothing was ever desired.
-    pub generation: u64,
-    /// The knob's value; absent when nothing is desired of it.
+    /// Number of the desired setting; a lower one never replaces a higher. 0 when there never was one.
+    pub revision: u64,
+    /// The setting; absent when none is desired.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = Option<std::collections::BTreeMap<String, f64>>)]
-    pub knob: Option<KnobValue>,
-    /// What is to be held in the place of the knob's number; absent when nothing is desired of it. Never beside `knob`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub target: Option<Target>,
-    /// Nothing is to be held in the place of the knob's number: what is held is switched off, and the knob stays where it
-    /// is. Never beside `knob` or `target`.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub hold_nothing: bool,
-    /// How much longer somebody watches the node, seconds: so long it sends counters at 1 Hz. Absent when nobody
+    pub setting: Option<DesiredSetting>,
+    /// How much longer somebody watches the node, seconds: until then it sends counters once a second. Absent when nobody
     /// does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub watched_for_s: Option<u32>,
     /// The hub missed a status: send the full one.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub send_full_status: bool,
-    /// The hub reads signs of life in their short form.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub signs_of_life: bool,
-    /// The hub reads reports that are compressed against dictionaries up to this number; absent where it reads gzip
-    /// alone.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub report_dictionary: Option<u8>,
 }
 
 impl Desired {
@@ -65,14 +77,10 @@ impl Desired {
     pub const fn nothing() -> Self {
         Self {
             v: VERSION,
-            generation: 0,
-            knob: None,
-            target: None,
-            hold_nothing: false,
+            revision: 0,
+            setting: None,
             watched_for_s: None,
             send_full_status: false,
-            signs_of_life: false,
-            report_dictionary: None,
         }
     }
 }

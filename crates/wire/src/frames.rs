@@ -1,6 +1,6 @@
 //! What goes with a frame: the attachment that comes in, the detections that go out.
 
-use crate::KnobValue;
+use crate::Threshold;
 use albireo_core::detection::ObjectId;
 use albireo_core::policy::{BoxSource, CallCause, FrameState};
 use serde::{Deserialize, Serialize};
@@ -105,14 +105,9 @@ pub struct DetectionsMessage {
     /// Largest uncertainty τ before the decision; absent without objects.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tau_max: Option<f64>,
-    /// Threshold `u` in force, or the policy's own knob under its own name; absent when the policy has none.
-    #[serde(
-        flatten,
-        deserialize_with = "crate::knob::optional",
-        skip_serializing_if = "Option::is_none"
-    )]
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    pub knob: Option<KnobValue>,
+    /// Threshold in force; absent when the policy has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub threshold: Option<Threshold>,
     /// Columns of the picture.
     pub width: u32,
     /// Rows of the picture.

@@ -137,9 +137,9 @@ impl FleetKeys {
         self.key("@pull")
     }
 
-    /// [`Poke`](super::Poke)s of the hub.
-    pub fn poke(&self) -> String {
-        self.key("@poke")
+    /// [`ConfigChanged`](super::ConfigChanged)s of the hub.
+    pub fn changed(&self) -> String {
+        self.key("@changed")
     }
 
     /// The liveliness token: there while the node lives.

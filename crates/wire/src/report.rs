@@ -20,9 +20,8 @@ use utoipa::ToSchema;
 /// a time; the bound is what a hub is willing to hold of one that is not a node.
 pub const LARGEST_BATCH_BYTES: u64 = 4 << 20;
 
-/// Reports of one node, in the order of their numbers. On the wire it is JSON compressed with gzip; for a hub that says
-/// that it reads it (`report_dictionary`), with Zstandard against an example batch, `crates/wire/src/report/dictionary-1.json`,
-/// behind a byte with that example's number.
+/// Reports of one node, in the order of their numbers. On the wire it is JSON compressed with Zstandard against an example
+/// batch, `crates/wire/src/report/dictionary-1.json`, behind a byte with that example's number.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct ReportBatch {
     /// Version.
@@ -79,7 +78,7 @@ pub enum BatchError {
     #[error("cannot be decompressed: {0}")]
     Compression(#[from] std::io::Error),
     /// It was compressed against a dictionary that this program does not have.
-    #[error("compressed with dictionary {0}; this program has those up to {REPORT_DICTIONARY}")]
+    #[error("compressed with dictionary {0}; this program has dictionary {REPORT_DICTIONARY}")]
     UnknownDictionary(u8),
     /// It is larger than anybody may send.
     #[error("more than {LARGEST_BATCH_BYTES} bytes when decompressed")]
@@ -138,7 +137,7 @@ pub struct ReportAnswer {
     /// one where the rest must be sent again. Numbers begin at 1, so that 0 says that nothing is stored. Above the
     /// node's own last number it says that the node's state went back in time.
     pub stored: u64,
-    /// What the hub desires of the node, so that a lost poke costs one report.
+    /// What the hub desires of the node, so that a lost notice costs one report.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub desired: Option<Desired>,
 }

@@ -1,14 +1,14 @@
-//! How a node is, `{prefix}/@status/{node}`: in full when something changed, otherwise a short sign of life every
+//! How a node is, `{prefix}/@status/{node}`: in full when something changed, otherwise a short heartbeat every
 //! 30 seconds.
 
 use crate::version::{MessageError, VERSION};
-use crate::{EnergyQuality, KnobValue, TargetStatus};
+use crate::{EnergyQuality, NodeTarget, Threshold};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
-/// A sign of life, with the full status when it changed or was asked for. To a hub that reads it, the array
-/// `[v, run, seq, waiting]` goes in its place where nothing else has changed.
+/// How a node is, with the full status when it changed or was asked for. Where nothing but the number of waiting reports has
+/// changed, a [`Heartbeat`] is sent instead.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StatusMessage {
     /// Version.
@@ -28,8 +28,8 @@ pub struct StatusMessage {
     pub health: HealthState,
     /// Reports that wait in the outbox.
     pub waiting: u64,
-    /// Generation of the desired value that is in force; 0 when none is.
-    pub generation: u64,
+    /// Revision of the desired value that is in force; 0 when none is.
+    pub revision: u64,
     /// All of it, when something in it changed since the last message.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full: Option<Box<NodeStatus>>,
@@ -42,21 +42,19 @@ impl StatusMessage {
     }
 }
 
-/// A sign of life of a run in which nothing has changed since its last status but the number of reports that wait: some
-/// twenty bytes in the place of two hundred, twice a minute for as long as a node lives. On the wire the array
-/// `[v, run, seq, waiting]`, on the key of the status. Sent where the hub has said that it reads them
-/// ([`Desired::signs_of_life`](crate::Desired::signs_of_life)).
+/// Says that a node lives and that nothing has changed since its last status but the number of waiting reports: on the key of
+/// the status, the array `[v, run, seq, waiting]`, some twenty bytes instead of two hundred, twice a minute.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SignOfLife {
+pub struct Heartbeat {
     /// The run whose last status still holds.
     pub run: u32,
-    /// Number of this message within the run; statuses and signs of life are counted together.
+    /// Number of this message within the run; statuses and heartbeats are counted together.
     pub seq: u64,
     /// Reports that wait in the outbox.
     pub waiting: u64,
 }
 
-impl SignOfLife {
+impl Heartbeat {
     /// The bytes that are sent.
     ///
     /// # Errors
@@ -149,23 +147,20 @@ pub struct NodeStatus {
     /// The desired value that the node did not take, until it takes a later one; absent when it refused none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<RefusedDesired>,
-    /// What it holds in the place of the knob's number; absent when it holds nothing.
+    /// What it holds instead of a fixed threshold; absent when it holds nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub target: Option<TargetStatus>,
+    pub target: Option<NodeTarget>,
     /// Why it holds nothing any more, in words, where it did since its start.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target_off: Option<String>,
-    /// The program takes targets from the hub; one that does not say so is of a version that passes over them.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub takes_targets: bool,
 }
 
 /// A desired value that a node did not take.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct RefusedDesired {
-    /// Its generation: greater than the one in force.
-    pub generation: u64,
-    /// Why, in words: the policy has another knob, or the value is outside of its range.
+    /// Its revision: greater than the one in force.
+    pub revision: u64,
+    /// Why, in words: the policy has another threshold, or the value is outside of its range.
     pub reason: String,
 }
 
@@ -181,15 +176,15 @@ pub enum CameraState {
     NeverSeen,
 }
 
-/// Who set the knob's value in force.
+/// Who set a threshold or a target.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
-pub enum KnobSource {
+pub enum SettingSource {
     /// The configuration.
     Configuration,
     /// Somebody at the node, by HTTP or Zenoh.
     Local,
-    /// The hub, with the generation of the status.
+    /// The hub, with the revision of the status.
     Hub,
 }
 
@@ -200,16 +195,11 @@ pub struct CameraStatus {
     pub name: String,
     /// Whether frames come.
     pub state: CameraState,
-    /// Knob in force, under its own name; absent when the policy has none.
-    #[serde(
-        flatten,
-        deserialize_with = "crate::knob::optional",
-        skip_serializing_if = "Option::is_none"
-    )]
-    #[schema(value_type = BTreeMap<String, f64>)]
-    pub knob: Option<KnobValue>,
+    /// Threshold in force; absent when the policy has none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub threshold: Option<Threshold>,
     /// Who set it.
-    pub knob_source: KnobSource,
+    pub threshold_source: SettingSource,
 }
 
 /// The outbox of a [`NodeStatus`].
@@ -228,8 +218,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sign_of_life_is_an_array_of_four_numbers_and_no_status() {
-        let sign = SignOfLife {
+    fn a_heartbeat_is_an_array_of_four_numbers_and_no_status() {
+        let beat = Heartbeat {
             run: run_number(
                 "0123456789abcdef0123456789abcdef",
                 Some("01234567"),
@@ -238,13 +228,13 @@ mod tests {
             seq: 33,
             waiting: 3,
         };
-        let payload = sign.to_payload().unwrap();
+        let payload = beat.to_payload().unwrap();
         assert_eq!(payload, b"[1,509983003,33,3]");
-        assert!(SignOfLife::is_one(&payload));
-        assert_eq!(SignOfLife::read(&payload).unwrap(), sign);
-        assert!(!SignOfLife::is_one(b"{\"v\":1}"));
+        assert!(Heartbeat::is_one(&payload));
+        assert_eq!(Heartbeat::read(&payload).unwrap(), beat);
+        assert!(!Heartbeat::is_one(b"{\"v\":1}"));
         for wrong in [&b"[2,1,33,3]"[..], b"[1,1,33]", b"[1,-1,33,3]", b"[]", b"["] {
-            assert!(SignOfLife::read(wrong).is_err());
+            assert!(Heartbeat::read(wrong).is_err());
         }
     }
 }

@@ -1,8 +1,8 @@
 //! The target of a node: what is to be held in the place of a number, and where that stands.
 
 use crate::version::current_version;
-use crate::{KnobSource, KnobValue};
-use albireo_core::target::{KnobRange, Standing, Target, TargetState};
+use crate::{SettingSource, Threshold};
+use albireo_core::target::{KnobRange, Target, TargetState, TargetStatus};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -14,7 +14,7 @@ pub struct TargetMessage {
     /// Version; may be left out on the way in.
     #[serde(default = "current_version")]
     pub v: u32,
-    /// What is to be held; null for nothing, the knob then stays where it is.
+    /// What is to be held; null for nothing, the threshold then stays where it is.
     #[serde(deserialize_with = "required")]
     pub target: Option<Target>,
 }
@@ -32,22 +32,17 @@ pub struct TargetReport {
     /// What is to be held; null for nothing.
     pub target: Option<Target>,
     /// Who set it, or switched it off.
-    pub source: KnobSource,
+    pub source: SettingSource,
     /// Why there is none, in words, where there was one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub off: Option<String>,
-    /// Between which values the knob is moved; absent without a target.
+    /// The values between which the threshold is moved; absent without a target.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub range: Option<KnobRange>,
-    /// The knob's value in force, under its own name; absent without a target.
-    #[serde(
-        flatten,
-        deserialize_with = "crate::knob::optional",
-        skip_serializing_if = "Option::is_none"
-    )]
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    pub knob: Option<KnobValue>,
-    /// What is measured and why the knob stands where it stands; absent without a target and before the first second.
+    /// The threshold in force; absent without a target.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub threshold: Option<Threshold>,
+    /// What is measured and why the threshold has its value; absent without a target and before the first second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub state: Option<TargetState>,
     /// The same in words.
@@ -57,14 +52,14 @@ pub struct TargetReport {
 
 /// The target in a node's status: as much of it as does not move by itself.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct TargetStatus {
+pub struct NodeTarget {
     /// What is to be held.
     pub target: Target,
     /// Who set it.
-    pub source: KnobSource,
-    /// Why the knob stands where it stands; absent before the first second.
+    pub source: SettingSource,
+    /// Why the threshold has its value; absent before the first second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub standing: Option<Standing>,
+    pub status: Option<TargetStatus>,
     /// What was measured of it when the status was made.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub actual: Option<f64>,
@@ -72,11 +67,11 @@ pub struct TargetStatus {
 
 impl TargetReport {
     /// For the status; `None` without a target.
-    pub fn status(&self) -> Option<TargetStatus> {
-        Some(TargetStatus {
+    pub fn status(&self) -> Option<NodeTarget> {
+        Some(NodeTarget {
             target: self.target?,
             source: self.source,
-            standing: self.state.map(|state| state.standing),
+            status: self.state.map(|state| state.status),
             actual: self.state.and_then(|state| state.actual),
         })
     }

@@ -101,7 +101,6 @@ impl Player {
         (self.warm_up_s * self.clip.rate()).round() as u64
     }
 
-
     /// Rests, then plays the clip to a new node under `policy`. `tell` is told the frames sent and what is
     /// being done.
     ///

@@ -160,7 +160,7 @@ fn live_line(board: &Board, message: &DetectionsMessage) -> String {
         .cameras()
         .first()
         .map_or(0.0, |camera| camera.snapshot().skip_rate());
-    let knob = (message.knob).map_or_else(String::new, |knob| format!("  {knob}"));
+    let knob = (message.threshold).map_or_else(String::new, |knob| format!("  {knob}"));
     let line = format!(
         "frame {:>5}  {:<3} {:>5.1} ms{knob}  skip {:>4.1} %  {}",
         message.seq,

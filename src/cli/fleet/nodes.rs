@@ -2,7 +2,7 @@
 
 use super::client::Failure;
 use super::table::{Table, WIDTH, cut};
-use super::units::{ago, figure, knob, now_ms, seconds, setting, target_words};
+use super::units::{ago, figure, now_ms, seconds, setting, target_words, threshold};
 use super::{Context, Ended};
 use anyhow::anyhow;
 use serde_json::{Value, json};
@@ -119,7 +119,13 @@ fn value(node: &Value) -> String {
         .unwrap_or_default();
     match cameras {
         [] => "-".to_owned(),
-        [first, rest @ ..] if rest.iter().all(|camera| knob(camera) == knob(first)) => knob(first),
+        [first, rest @ ..]
+            if rest
+                .iter()
+                .all(|camera| threshold(camera) == threshold(first)) =>
+        {
+            threshold(first)
+        }
         _ => "differ".to_owned(),
     }
 }
@@ -145,7 +151,7 @@ fn table(nodes: &[Value]) -> String {
             value(node),
             node["status"]["policy"].as_str().unwrap_or("-").to_owned(),
             node["waiting"].to_string(),
-            node["generation"].to_string(),
+            node["revision"].to_string(),
             cut(&labels(node), 30),
             node["why"].as_str().unwrap_or_default().to_owned(),
         ]);
@@ -203,14 +209,14 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<
                 said(&status["power_quality"])
             ),
         );
-        line("change", node["generation"].to_string());
+        line("revision", node["revision"].to_string());
         line("waiting", format!("{} reports", node["waiting"]));
         if let Some(refused) = status["refused"].as_object() {
             line(
                 "refused",
                 format!(
-                    "change {}: {}",
-                    refused["generation"],
+                    "revision {}: {}",
+                    refused["revision"],
                     said(&refused["reason"])
                 ),
             );
@@ -219,7 +225,7 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<
         for camera in status["cameras"].as_array().into_iter().flatten() {
             let source = match status["target"].is_object() {
                 true => "moved by the target".to_owned(),
-                false => format!("from {}", said(&camera["knob_source"])),
+                false => format!("from {}", said(&camera["threshold_source"])),
             };
             line(
                 "camera",
@@ -227,7 +233,7 @@ pub(super) async fn show(context: &Context, arguments: ShowArguments) -> Result<
                     "{}: {}, {} ({source})",
                     said(&camera["name"]),
                     said(&camera["state"]),
-                    knob(camera)
+                    threshold(camera)
                 ),
             );
         }
@@ -248,9 +254,9 @@ fn target(status: &Value) -> String {
                 "{}{}, {} (from {})",
                 target_words(&held["target"]),
                 actual.unwrap_or_default(),
-                held["standing"]
+                held["status"]
                     .as_str()
-                    .map_or("begins".to_owned(), |_| said(&held["standing"])),
+                    .map_or("begins".to_owned(), |_| said(&held["status"])),
                 said(&held["source"]),
             )
         }

@@ -2,7 +2,7 @@
 
 use super::client::Failure;
 use super::table::{Table, WIDTH, cut, wrapped};
-use super::units::{ago, figure, knob, seconds, span};
+use super::units::{ago, figure, seconds, span, threshold};
 use super::{Context, Ended};
 use serde_json::{Value, json};
 use std::fmt::Write;
@@ -243,7 +243,7 @@ fn headline(rollout: &Value) -> String {
     let mut text = format!(
         "rollout {} to {}: {}, stage {} of {stages}",
         rollout["id"],
-        knob(&rollout["to"]),
+        threshold(&rollout["to"]),
         state(rollout),
         rollout["stage"],
     );
@@ -268,7 +268,7 @@ fn list(rollouts: &Value) -> String {
             .sum();
         table.row([
             rollout["id"].to_string(),
-            knob(&rollout["to"]),
+            threshold(&rollout["to"]),
             state(rollout),
             format!("{}/{}", rollout["stage"], stages.len()),
             nodes.to_string(),

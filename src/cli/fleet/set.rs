@@ -73,13 +73,13 @@ async fn order(
         "wait_s": order.wait,
     });
     body[name] = value;
-    let (mut counts, mut change, mut shown) = (Value::Null, Value::Null, 0);
+    let (mut counts, mut revision, mut shown) = (Value::Null, Value::Null, 0);
     let lines = context.client.put_lines(path, &body, |line| {
         if context.json {
             println!("{line}");
         }
         if let Some(last) = line.get("counts") {
-            (counts, change) = (last.clone(), line["change"].clone());
+            (counts, revision) = (last.clone(), line["revision"].clone());
         } else if !context.json {
             println!("{}", outcome(&line));
             shown += 1;
@@ -94,9 +94,9 @@ async fn order(
             .flatten()
             .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
             .collect();
-        let number = change
+        let number = revision
             .as_u64()
-            .map(|n| format!("change {n}: "))
+            .map(|n| format!("revision {n}: "))
             .unwrap_or_default();
         println!("{number}{}", counted.join(", "));
     }
@@ -131,8 +131,8 @@ fn judge(counts: &Value) -> Ended {
 /// Arguments of `albireo fleet changes`.
 #[derive(Debug, clap::Args)]
 pub(super) struct ChangesArguments {
-    /// One change, with every node.
-    number: Option<u64>,
+    /// The change of this revision, with every node.
+    revision: Option<u64>,
     /// Only those of this node.
     #[arg(long)]
     node: Option<String>,
@@ -145,10 +145,10 @@ pub(super) async fn changes(
     context: &Context,
     arguments: ChangesArguments,
 ) -> Result<Ended, Failure> {
-    if let Some(number) = arguments.number {
+    if let Some(revision) = arguments.revision {
         let change = context
             .client
-            .get(&format!("/api/v1/changes/{number}"), &[])
+            .get(&format!("/api/v1/changes/{revision}"), &[])
             .await?;
         context.print(&change, |change| {
             let mut table = Table::new(&["node", "outcome", ">from", "when", "detail"]);
@@ -173,14 +173,14 @@ pub(super) async fn changes(
 }
 
 fn list(changes: &Value) -> String {
-    let mut table = Table::new(&[">change", "when", "who", "by", ">to", "outcome", "why"]);
+    let mut table = Table::new(&[">revision", "when", "who", "by", ">to", "outcome", "why"]);
     for change in changes["changes"].as_array().into_iter().flatten() {
         let counts = change["counts"].as_object().into_iter().flatten();
         let counts: Vec<String> = counts
             .map(|(name, n)| format!("{n} {}", name.replace('_', " ")))
             .collect();
         table.row([
-            change["change"].to_string(),
+            change["revision"].to_string(),
             format!("{} ago", ago(change["at_ms"].as_i64().unwrap_or(0))),
             change["who"].as_str().unwrap_or("?").to_owned(),
             change["origin"].as_str().unwrap_or("?").to_owned(),

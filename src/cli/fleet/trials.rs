@@ -2,7 +2,7 @@
 
 use super::client::Failure;
 use super::table::Table;
-use super::units::{ago, figure, knob, seconds};
+use super::units::{ago, figure, seconds, threshold};
 use super::{Context, Ended};
 use serde_json::{Value, json};
 
@@ -91,7 +91,7 @@ pub(super) async fn run(context: &Context, command: Command) -> Result<Ended, Fa
 
 fn values(trial: &Value) -> String {
     let values = trial["plan"]["values"].as_array().into_iter().flatten();
-    values.map(knob).collect::<Vec<_>>().join(", ")
+    values.map(threshold).collect::<Vec<_>>().join(", ")
 }
 
 fn list(trials: &Value) -> String {
@@ -168,7 +168,7 @@ fn whole(trial: &Value) -> String {
             };
             table.row([
                 name.to_owned(),
-                knob(&arm["value"]),
+                threshold(&arm["value"]),
                 found["nodes"].to_string(),
                 found["clips"].to_string(),
                 figure(found["mean"].as_f64().unwrap_or(0.0)),

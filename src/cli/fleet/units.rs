@@ -1,5 +1,6 @@
 //! Times and numbers as people write and read them.
 
+use albireo_core::policy::short;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 /// Reads `90`, `90s`, `30m`, `2h`, `7d` as seconds.
@@ -58,41 +59,24 @@ fn rounded(number: f64) -> f64 {
     format!("{number:.5e}").parse().unwrap_or(number)
 }
 
-/// A knob's value: the one field of the object that is a number. `5e-4`, with its name unless it is `u`.
-pub(super) fn knob(value: &serde_json::Value) -> String {
-    const NAMES: [&str; 7] = [
-        "u",
-        "lambda",
-        "n",
-        "threshold",
-        "component_size",
-        "skip_rate",
-        "drift",
-    ];
-    let found = NAMES
-        .iter()
-        .find_map(|name| Some((*name, rounded(value.get(name)?.as_f64()?))));
-    match found {
-        Some((name, number)) => {
-            let number = if (0.001..1e6).contains(&number.abs()) || number == 0.0 {
-                number.to_string()
-            } else {
-                format!("{number:e}")
-            };
-            if name == "u" {
-                number
-            } else {
-                format!("{name} {number}")
-            }
-        }
-        None => "-".to_owned(),
+/// A threshold, `{"name": "u", "value": 5e-4}` or an object that has one: `5e-4`, with its name unless it is `u`.
+pub(super) fn threshold(value: &serde_json::Value) -> String {
+    let threshold = value.get("threshold").unwrap_or(value);
+    let (Some(name), Some(number)) = (threshold["name"].as_str(), threshold["value"].as_f64())
+    else {
+        return "-".to_owned();
+    };
+    let number = short(rounded(number));
+    match name {
+        "u" => number,
+        name => format!("{name} {number}"),
     }
 }
 
-/// What was ordered of a node, or what it has: a knob's value as [`knob`] writes it, `hold skip_rate 0.5` for a target.
+/// What was ordered of a node, or what it has: a threshold as [`threshold`] writes it, `hold skip_rate 0.5` for a target.
 pub(super) fn setting(value: &serde_json::Value) -> String {
     match value.get("target") {
-        None => knob(value),
+        None => threshold(value),
         Some(serde_json::Value::Null) => "hold nothing".to_owned(),
         Some(target) => format!("hold {}", target_words(target)),
     }
@@ -159,10 +143,17 @@ mod tests {
         ] {
             assert_eq!(figure(value), expected);
         }
-        assert_eq!(knob(&serde_json::json!({"node": "n", "u": 5e-4})), "5e-4");
-        assert_eq!(knob(&serde_json::json!({"lambda": 0.3})), "lambda 0.3");
-        let moved = serde_json::json!({"lambda": 0.2901719359159484});
-        assert_eq!(knob(&moved), "lambda 0.290172");
+        let told = |name: &str, value: f64| {
+            threshold(&serde_json::json!({"threshold": {"name": name, "value": value}}))
+        };
+        assert_eq!(told("u", 5e-4), "5e-4");
+        assert_eq!(told("lambda", 0.3), "lambda 0.3");
+        assert_eq!(told("lambda", 0.2901719359159484), "lambda 0.290172");
+        assert_eq!(
+            threshold(&serde_json::json!({"name": "u", "value": 5e-4})),
+            "5e-4"
+        );
+        assert_eq!(threshold(&serde_json::Value::Null), "-");
     }
 
     #[test]
@@ -187,6 +178,9 @@ mod tests {
             "hold skip_rate 0.5"
         );
         assert_eq!(setting(&json!({"target": null})), "hold nothing");
-        assert_eq!(setting(&json!({"u": 5e-4})), "5e-4");
+        assert_eq!(
+            setting(&json!({"threshold": {"name": "u", "value": 5e-4}})),
+            "5e-4"
+        );
     }
 }

@@ -93,7 +93,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/changes/{change}": {
+    "/api/v1/changes/{revision}": {
         parameters: {
             query?: never;
             header?: never;
@@ -107,7 +107,7 @@ export interface paths {
                 header?: never;
                 path: {
                     /** @description Its number. */
-                    change: number;
+                    revision: number;
                 };
                 cookie?: never;
             };
@@ -830,7 +830,7 @@ export interface paths {
         put?: never;
         /**
          * Begins a rollout
-         * @description The body is its plan with the new value under its knob's name beside it:
+         * @description The body is its plan with the new threshold beside it:
          *     `{"u": 5e-4, "select": ["cam-*"], "stages": ["1", "10%", "50%", "100%"], "soak_s": 1800, "gates": ["joules<=+5%"]}`.
          */
         post: {
@@ -1489,9 +1489,7 @@ export interface components {
             /** @description Nodes of the group. */
             nodes: number;
             /** @description The value. */
-            value: {
-                [key: string]: number;
-            };
+            value: components["schemas"]["Threshold"];
         };
         /** @description A page of reports that could not be read, the latest first. */
         AsidePage: {
@@ -1618,12 +1616,13 @@ export interface components {
         CameraState: "live" | "stale" | "never_seen";
         /** @description One camera of a [`NodeStatus`]. */
         CameraStatus: {
-            /** @description Who set it. */
-            knob_source: components["schemas"]["KnobSource"];
             /** @description Its name. */
             name: string;
             /** @description Whether frames come. */
             state: components["schemas"]["CameraState"];
+            threshold?: components["schemas"]["Threshold"] | null;
+            /** @description Who set it. */
+            threshold_source: components["schemas"]["SettingSource"];
         };
         /** @description One order with its nodes. */
         ChangeDetail: components["schemas"]["ChangeView"] & {
@@ -1637,10 +1636,7 @@ export interface components {
              */
             at_ms: number;
             detail?: string;
-            /** @description What it had before: a value under its knob's name, or a target. */
-            from?: {
-                [key: string]: unknown;
-            } | null;
+            from?: components["schemas"]["DesiredSetting"] | null;
             node: string;
             outcome: string;
         };
@@ -1651,23 +1647,21 @@ export interface components {
              * @description When, milliseconds since the Unix epoch.
              */
             at_ms: number;
-            /**
-             * Format: int64
-             * @description Its number: the generation of what was ordered.
-             */
-            change: number;
             /** @description How many nodes have which outcome. */
             counts: {
                 [key: string]: number;
             };
             /** @description `hand`, `rollout 3`, `trial 4`, `drift`. */
             origin: string;
+            /**
+             * Format: int64
+             * @description Its number, which nodes tell as the revision of what they have.
+             */
+            revision: number;
             /** @description Who was selected; empty where a rollout or trial chose. */
             select: string;
-            /** @description What was ordered: a value under its knob's name, or `target` with a target or null. */
-            to: {
-                [key: string]: unknown;
-            };
+            /** @description What was ordered: a threshold, or a target (null switches it off). */
+            to: components["schemas"]["DesiredSetting"];
             /** @description Who: the name of the token. */
             who: string;
             /** @description Why. */
@@ -1732,6 +1726,7 @@ export interface components {
              */
             t_ns: number;
             target?: components["schemas"]["TargetReport"] | null;
+            threshold?: components["schemas"]["Threshold"] | null;
             /**
              * Format: int32
              * @description Version.
@@ -1751,6 +1746,13 @@ export interface components {
             /** Format: int64 */
             silent: number;
         };
+        /** @description What a node can be told to hold. A node has one, so that each kind replaces the other. */
+        DesiredSetting: {
+            /** @description A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. A target is switched off. */
+            threshold: components["schemas"]["Threshold"];
+        } | {
+            target: components["schemas"]["Target"] | null;
+        };
         /** @description Power of one domain now. */
         DomainWatts: {
             /** @description `total`, `gpu`, `cpu`, `io_mem`. */
@@ -1763,14 +1765,9 @@ export interface components {
         };
         /** @description A node that has not what is desired of it, although it had taken it. */
         Drift: {
-            /** @description What is desired: a value under its knob's name, or a target. */
-            desired: {
-                [key: string]: unknown;
-            };
-            /** @description What it has; absent where the cameras differ. */
-            in_force?: {
-                [key: string]: unknown;
-            } | null;
+            /** @description What is desired: a threshold or a target. */
+            desired: components["schemas"]["DesiredSetting"];
+            in_force?: components["schemas"]["DesiredSetting"] | null;
             /** @description The node. */
             node: string;
             /**
@@ -2180,11 +2177,6 @@ export interface components {
              */
             most: number;
         };
-        /**
-         * @description Who set the knob's value in force.
-         * @enum {string}
-         */
-        KnobSource: "configuration" | "local" | "hub";
         /** @description A node that was selected and takes no part, and why. */
         LeftOut: {
             /** @description The node. */
@@ -2199,18 +2191,16 @@ export interface components {
             /** @description When it was asked. */
             asked_ms: components["schemas"]["i64"];
             /** @description The value it had at the beginning. */
-            before: {
-                [key: string]: number;
-            };
-            /**
-             * Format: int64
-             * @description Generation of that.
-             */
-            generation: number;
+            before: components["schemas"]["Threshold"];
             /** @description Its stage or group, from 0. */
             group: number;
             /** @description Its name. */
             node: string;
+            /**
+             * Format: int64
+             * @description Revision of that.
+             */
+            revision: number;
             /** @description What it is to have. */
             target: components["schemas"]["MemberTarget"];
         };
@@ -2258,21 +2248,27 @@ export interface components {
             /** @description Execution provider that really runs it; absent until the model is loaded. */
             provider?: string | null;
             refused?: components["schemas"]["RefusedDesired"] | null;
-            /** @description The program takes targets from the hub; one that does not say so is of a version that passes over them. */
-            takes_targets?: boolean;
-            target?: components["schemas"]["TargetStatus"] | null;
+            target?: components["schemas"]["NodeTarget"] | null;
             /** @description Why it holds nothing any more, in words, where it did since its start. */
             target_off?: string | null;
             /** @description Version of the program. */
             version: string;
         };
+        /** @description The target in a node's status: as much of it as does not move by itself. */
+        NodeTarget: {
+            /**
+             * Format: double
+             * @description What was measured of it when the status was made.
+             */
+            actual?: number | null;
+            /** @description Who set it. */
+            source: components["schemas"]["SettingSource"];
+            status?: components["schemas"]["TargetStatus"] | null;
+            /** @description What is to be held. */
+            target: components["schemas"]["Target"];
+        };
         /** @description A node as it is shown. */
         NodeView: {
-            /**
-             * Format: int64
-             * @description Generation of the desired value in force.
-             */
-            generation: number;
             /**
              * Format: int64
              * @description When the last status came, milliseconds since the Unix epoch.
@@ -2282,6 +2278,11 @@ export interface components {
             instance?: string | null;
             /** @description Its name. */
             node: string;
+            /**
+             * Format: int64
+             * @description Revision of the desired value in force.
+             */
+            revision: number;
             /**
              * Format: int64
              * @description Since when, milliseconds since the Unix epoch.
@@ -2307,11 +2308,6 @@ export interface components {
         OnFailure: "return" | "hold";
         /** @description What an order came to. */
         OrderAnswer: {
-            /**
-             * Format: int64
-             * @description Number of the order: `/api/v1/changes/{change}` tells how it went on. Absent in a dry run, and when nobody was to change.
-             */
-            change?: number | null;
             /** @description How many nodes have which outcome. */
             counts: {
                 [key: string]: number;
@@ -2320,6 +2316,11 @@ export interface components {
             dry_run: boolean;
             /** @description Each node. */
             nodes: components["schemas"]["OutcomeLine"][];
+            /**
+             * Format: int64
+             * @description Revision of the order: `/api/v1/changes/{revision}` tells how it went on. Absent in a dry run, and when nobody was to change.
+             */
+            revision?: number | null;
         };
         /** @description The outbox of a [`NodeStatus`]. */
         OutboxStatus: {
@@ -2367,10 +2368,7 @@ export interface components {
         OutcomeLine: {
             /** @description Why, where there is something to say. */
             detail?: string;
-            /** @description What it had before, if that was known: a value under its knob's name, or a target. */
-            from?: {
-                [key: string]: unknown;
-            } | null;
+            from?: components["schemas"]["DesiredSetting"] | null;
             /** @description The node. */
             node: string;
             /**
@@ -2378,10 +2376,8 @@ export interface components {
              *     has the value already, `would_change` in a dry run.
              */
             outcome: string;
-            /** @description What was ordered: a value under its knob's name, or a target. */
-            to: {
-                [key: string]: unknown;
-            };
+            /** @description What was ordered: a threshold or a target. */
+            to: components["schemas"]["DesiredSetting"];
         };
         /** @description Where a rollout is. */
         Phase: {
@@ -2452,13 +2448,13 @@ export interface components {
         };
         /** @description A desired value that a node did not take. */
         RefusedDesired: {
+            /** @description Why, in words: the policy has another threshold, or the value is outside of its range. */
+            reason: string;
             /**
              * Format: int64
-             * @description Its generation: greater than the one in force.
+             * @description Its revision: greater than the one in force.
              */
-            generation: number;
-            /** @description Why, in words: the policy has another knob, or the value is outside of its range. */
-            reason: string;
+            revision: number;
         };
         /**
          * @description How long the spans are that the sums were made from.
@@ -2597,9 +2593,7 @@ export interface components {
             /** @description Its stages. */
             stages: components["schemas"]["StageView"][];
             /** @description The new value. */
-            to: {
-                [key: string]: number;
-            };
+            to: components["schemas"]["Threshold"];
             /** @description Who began it. */
             who: string;
         };
@@ -2612,6 +2606,11 @@ export interface components {
             next?: number | null;
             rollouts: components["schemas"]["RolloutView"][];
         };
+        /**
+         * @description Who set a threshold or a target.
+         * @enum {string}
+         */
+        SettingSource: "configuration" | "local" | "hub";
         /**
          * @description Which group comes first.
          * @enum {string}
@@ -2626,11 +2625,6 @@ export interface components {
             /** @description Nodes that are new in it. */
             nodes: number;
         };
-        /**
-         * @description Why the knob stands where it stands.
-         * @enum {string}
-         */
-        Standing: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
         /** @description A clip. */
         StoredClip: {
             /**
@@ -2839,9 +2833,10 @@ export interface components {
             off?: string | null;
             range?: components["schemas"]["KnobRange"] | null;
             /** @description Who set it, or switched it off. */
-            source: components["schemas"]["KnobSource"];
+            source: components["schemas"]["SettingSource"];
             state?: components["schemas"]["TargetState"] | null;
             target?: components["schemas"]["Target"] | null;
+            threshold?: components["schemas"]["Threshold"] | null;
             /**
              * Format: int32
              * @description Version.
@@ -2883,7 +2878,7 @@ export interface components {
              */
             knob: number;
             /** @description Why it stands there. */
-            standing: components["schemas"]["Standing"];
+            status: components["schemas"]["TargetStatus"];
             /**
              * Format: int64
              * @description How often that began.
@@ -2895,20 +2890,25 @@ export interface components {
              */
             unmet_s: number;
         };
-        /** @description The target in a node's status: as much of it as does not move by itself. */
-        TargetStatus: {
+        /**
+         * @description Why the knob stands where it stands.
+         * @enum {string}
+         */
+        TargetStatus: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
+        /**
+         * @description The value of a policy's threshold, with the name that the policy gives it: `{"name": "u", "value": 3e-4}`, or `lambda`
+         *     under expected-loss. So nobody takes one policy's value for another's.
+         */
+        Threshold: {
+            /** @description The threshold's name. */
+            name: string;
             /**
              * Format: double
-             * @description What was measured of it when the status was made.
+             * @description The value.
              */
-            actual?: number | null;
-            /** @description Who set it. */
-            source: components["schemas"]["KnobSource"];
-            standing?: components["schemas"]["Standing"] | null;
-            /** @description What is to be held. */
-            target: components["schemas"]["Target"];
+            value: number;
         };
-        /** @description A value for selected nodes. Beside these fields stands the value under its knob's name: `"u": 5e-4`. */
+        /** @description A value for selected nodes. The value stands beside these fields under the policy's name for it: `"u": 5e-4`. */
         ThresholdRequest: {
             /** @description Only say who would change. */
             dry_run?: boolean;
@@ -2998,9 +2998,7 @@ export interface components {
              * @description The values, two or more of one knob.
              * @default []
              */
-            values: {
-                [key: string]: number;
-            }[];
+            values: components["schemas"]["Threshold"][];
             /**
              * @description Why.
              * @default

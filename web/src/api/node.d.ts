@@ -493,7 +493,7 @@ export interface paths {
             };
             requestBody: {
                 content: {
-                    "application/json": components["schemas"]["ThresholdMessage"];
+                    "application/json": components["schemas"]["NewThreshold"];
                 };
             };
             responses: {
@@ -978,7 +978,7 @@ export interface paths {
             };
             requestBody: {
                 content: {
-                    "application/json": components["schemas"]["ThresholdMessage"];
+                    "application/json": components["schemas"]["NewThreshold"];
                 };
             };
             responses: {
@@ -1568,7 +1568,7 @@ export interface components {
             knob?: components["schemas"]["Knob"] | null;
             /** @description The policy that decides its frames. */
             policy: string;
-            set_by?: components["schemas"]["KnobSource"] | null;
+            set_by?: components["schemas"]["SettingSource"] | null;
             /**
              * Format: double
              * @description Share of frames that skipped the detector: state E or P and not degraded.
@@ -1576,6 +1576,7 @@ export interface components {
             skip_rate: number;
             /** @description How many frames had each state; they add up to `frames`. */
             states: components["schemas"]["FrameStates"];
+            threshold?: components["schemas"]["Threshold"] | null;
             /** @description The program's version. */
             version: string;
         };
@@ -1718,15 +1719,17 @@ export interface components {
              * @description Largest uncertainty of the newest frame; absent without objects.
              */
             tau_max?: number | null;
+            threshold?: components["schemas"]["Threshold"] | null;
         };
         /** @description One camera of a [`NodeStatus`]. */
         CameraStatus: {
-            /** @description Who set it. */
-            knob_source: components["schemas"]["KnobSource"];
             /** @description Its name. */
             name: string;
             /** @description Whether frames come. */
             state: components["schemas"]["CameraState"];
+            threshold?: components["schemas"]["Threshold"] | null;
+            /** @description Who set it. */
+            threshold_source: components["schemas"]["SettingSource"];
         };
         /** @description One camera's threshold. */
         CameraThreshold: {
@@ -1823,8 +1826,6 @@ export interface components {
              * @description Frames processed; the five states add up to it.
              */
             frames: number;
-            /** @description Every value in force during the clip, in order: the one at the start, then the changes. */
-            knob_changes: components["schemas"]["KnobChange"][];
             /** @description Detector model: file name. */
             model: string;
             /** @description Node. */
@@ -1851,6 +1852,9 @@ export interface components {
             started_ns: number;
             /** @description Frame states. */
             states: components["schemas"]["FrameStates"];
+            threshold?: components["schemas"]["Threshold"] | null;
+            /** @description Every value in force during the clip, in order: the one at the start, then the changes. */
+            threshold_changes: components["schemas"]["ThresholdChange"][];
             /** @description Latency from reception until the answer is handed over to be put; the way through Zenoh is not in it. */
             total_latency_ms: components["schemas"]["Percentiles"];
             /**
@@ -1868,6 +1872,19 @@ export interface components {
              * @description To be given as `before` for the clips before these; absent when there are none in memory.
              */
             next?: number | null;
+        };
+        /** @description Says that there is something to pull. */
+        ConfigChanged: {
+            /**
+             * Format: int64
+             * @description Revision of the desired setting.
+             */
+            revision: number;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
         };
         /** @description Where a camera stands, once a second. */
         CountersMessage: {
@@ -1905,6 +1922,7 @@ export interface components {
              */
             t_ns: number;
             target?: components["schemas"]["TargetReport"] | null;
+            threshold?: components["schemas"]["Threshold"] | null;
             /**
              * Format: int32
              * @description Version.
@@ -1917,29 +1935,12 @@ export interface components {
         Desired: {
             /**
              * Format: int64
-             * @description Number of this desired value; a lower one never replaces a higher. 0 when nothing was ever desired.
+             * @description Number of the desired setting; a lower one never replaces a higher. 0 when there never was one.
              */
-            generation: number;
-            /**
-             * @description Nothing is to be held in the place of the knob's number: what is held is switched off, and the knob stays where it
-             *     is. Never beside `knob` or `target`.
-             */
-            hold_nothing?: boolean;
-            /** @description The knob's value; absent when nothing is desired of it. */
-            knob?: {
-                [key: string]: number;
-            } | null;
-            /**
-             * Format: int32
-             * @description The hub reads reports that are compressed against dictionaries up to this number; absent where it reads gzip
-             *     alone.
-             */
-            report_dictionary?: number | null;
+            revision: number;
             /** @description The hub missed a status: send the full one. */
             send_full_status?: boolean;
-            /** @description The hub reads signs of life in their short form. */
-            signs_of_life?: boolean;
-            target?: components["schemas"]["Target"] | null;
+            setting?: components["schemas"]["DesiredSetting"] | null;
             /**
              * Format: int32
              * @description Version.
@@ -1947,10 +1948,17 @@ export interface components {
             v: number;
             /**
              * Format: int32
-             * @description How much longer somebody watches the node, seconds: so long it sends counters at 1 Hz. Absent when nobody
+             * @description How much longer somebody watches the node, seconds: until then it sends counters once a second. Absent when nobody
              *     does.
              */
             watched_for_s?: number | null;
+        };
+        /** @description What a node can be told to hold. A node has one, so that each kind replaces the other. */
+        DesiredSetting: {
+            /** @description A threshold: `{"threshold": {"name": "u", "value": 3e-4}}`. A target is switched off. */
+            threshold: components["schemas"]["Threshold"];
+        } | {
+            target: components["schemas"]["Target"] | null;
         };
         /** @description What was found in one frame. */
         DetectionsMessage: {
@@ -1985,6 +1993,7 @@ export interface components {
              * @description Largest uncertainty τ before the decision; absent without objects.
              */
             tau_max?: number | null;
+            threshold?: components["schemas"]["Threshold"] | null;
             /**
              * Format: int32
              * @description Version.
@@ -2270,14 +2279,6 @@ export interface components {
              */
             useful_minimum: number;
         };
-        /** @description A change of the knob during a clip. */
-        KnobChange: {
-            /**
-             * Format: int64
-             * @description First frame it held for.
-             */
-            seq: number;
-        };
         /** @description Between which values a controller moves a knob. */
         KnobRange: {
             /**
@@ -2291,11 +2292,6 @@ export interface components {
              */
             most: number;
         };
-        /**
-         * @description Who set the knob's value in force.
-         * @enum {string}
-         */
-        KnobSource: "configuration" | "local" | "hub";
         /** @description Where the time of one frame went, milliseconds. A step that did not happen is absent. */
         Latency: {
             /**
@@ -2353,6 +2349,14 @@ export interface components {
             target: string;
             /** @description What it says, with what it says of it and where. */
             text: string;
+        };
+        /** @description A new threshold: `{"u": 3e-4}`, or `{"lambda": 0.3}` under expected-loss. */
+        NewThreshold: {
+            /**
+             * Format: int32
+             * @description Version of the message; may be left out.
+             */
+            v?: number | null;
         };
         /** @description A node: how it is, since when it runs, and what it has used since. */
         NodeOverview: components["schemas"]["Readiness"] & {
@@ -2429,13 +2433,24 @@ export interface components {
             /** @description Execution provider that really runs it; absent until the model is loaded. */
             provider?: string | null;
             refused?: components["schemas"]["RefusedDesired"] | null;
-            /** @description The program takes targets from the hub; one that does not say so is of a version that passes over them. */
-            takes_targets?: boolean;
-            target?: components["schemas"]["TargetStatus"] | null;
+            target?: components["schemas"]["NodeTarget"] | null;
             /** @description Why it holds nothing any more, in words, where it did since its start. */
             target_off?: string | null;
             /** @description Version of the program. */
             version: string;
+        };
+        /** @description The target in a node's status: as much of it as does not move by itself. */
+        NodeTarget: {
+            /**
+             * Format: double
+             * @description What was measured of it when the status was made.
+             */
+            actual?: number | null;
+            /** @description Who set it. */
+            source: components["schemas"]["SettingSource"];
+            status?: components["schemas"]["TargetStatus"] | null;
+            /** @description What is to be held. */
+            target: components["schemas"]["Target"];
         };
         /** @description [`Readiness`] as a problem document. */
         NotReady: components["schemas"]["Problem"] & components["schemas"]["Readiness"];
@@ -2476,14 +2491,14 @@ export interface components {
             degraded: boolean[];
             /** @description Milliseconds of the detector; null where it did not run. */
             detector_ms: (number | null)[];
-            /** @description Threshold in force; null where the policy has none. */
-            knob: (number | null)[];
             /** @description Sequence number. */
             seq: number[];
             /** @description Frame state. */
             state: components["schemas"]["FrameState"][];
             /** @description Largest uncertainty before the decision; null without objects. */
             tau_max: (number | null)[];
+            /** @description Threshold in force; null where the policy has none. */
+            threshold: (number | null)[];
             /** @description Milliseconds from reception to publication. */
             total_ms: (number | null)[];
         };
@@ -2514,19 +2529,6 @@ export interface components {
              * @description 99th percentile.
              */
             p99: number;
-        };
-        /** @description Says that there is something to pull. */
-        Poke: {
-            /**
-             * Format: int64
-             * @description Generation of what is desired.
-             */
-            generation: number;
-            /**
-             * Format: int32
-             * @description Version.
-             */
-            v: number;
         };
         /** @description Power over the last hour. */
         PowerHistory: {
@@ -2571,13 +2573,13 @@ export interface components {
         };
         /** @description A node asks what is desired. */
         PullRequest: {
-            /**
-             * Format: int64
-             * @description Generation it has, 0 for none.
-             */
-            generation: number;
             /** @description Instance of the node. */
             instance: string;
+            /**
+             * Format: int64
+             * @description Revision it has, 0 for none.
+             */
+            revision: number;
             /**
              * Format: int32
              * @description Version.
@@ -2621,13 +2623,13 @@ export interface components {
         };
         /** @description A desired value that a node did not take. */
         RefusedDesired: {
+            /** @description Why, in words: the policy has another threshold, or the value is outside of its range. */
+            reason: string;
             /**
              * Format: int64
-             * @description Its generation: greater than the one in force.
+             * @description Its revision: greater than the one in force.
              */
-            generation: number;
-            /** @description Why, in words: the policy has another knob, or the value is outside of its range. */
-            reason: string;
+            revision: number;
         };
         /** @description The acknowledgement of a batch, sent after the hub's commit. */
         ReportAnswer: {
@@ -2646,9 +2648,8 @@ export interface components {
             v: number;
         };
         /**
-         * @description Reports of one node, in the order of their numbers. On the wire it is JSON compressed with gzip; for a hub that says
-         *     that it reads it (`report_dictionary`), with Zstandard against an example batch, `crates/wire/src/report/dictionary-1.json`,
-         *     behind a byte with that example's number.
+         * @description Reports of one node, in the order of their numbers. On the wire it is JSON compressed with Zstandard against an example
+         *     batch, `crates/wire/src/report/dictionary-1.json`, behind a byte with that example's number.
          */
         ReportBatch: {
             /**
@@ -2727,6 +2728,11 @@ export interface components {
              */
             vanilla_joules_estimated: number;
         };
+        /**
+         * @description Who set a threshold or a target.
+         * @enum {string}
+         */
+        SettingSource: "configuration" | "local" | "hub";
         /** @description What other thresholds would have skipped over the last minutes. */
         SkipEstimates: {
             /** @description Camera. */
@@ -2750,6 +2756,8 @@ export interface components {
             skip_rate: number;
             /** @description Frames that really were answered without the detector. */
             skipped: number;
+            /** @description The threshold in force. */
+            threshold: components["schemas"]["Threshold"];
             /** @description What each value would have skipped, in the order asked for. */
             values: components["schemas"]["ValueEstimate"][];
         };
@@ -2775,27 +2783,22 @@ export interface components {
             product: number;
         };
         /**
-         * @description Why the knob stands where it stands.
-         * @enum {string}
-         */
-        Standing: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
-        /**
-         * @description A sign of life, with the full status when it changed or was asked for. To a hub that reads it, the array
-         *     `[v, run, seq, waiting]` goes in its place where nothing else has changed.
+         * @description How a node is, with the full status when it changed or was asked for. Where nothing but the number of waiting reports has
+         *     changed, a [`Heartbeat`] is sent instead.
          */
         StatusMessage: {
             full?: components["schemas"]["NodeStatus"] | null;
-            /**
-             * Format: int64
-             * @description Generation of the desired value that is in force; 0 when none is.
-             */
-            generation: number;
             /** @description Whether it works as it should. */
             health: components["schemas"]["HealthState"];
             /** @description Instance of the node. */
             instance: string;
             /** @description A short digest of the machine's identity; absent where the machine has none. */
             machine?: string | null;
+            /**
+             * Format: int64
+             * @description Revision of the desired value that is in force; 0 when none is.
+             */
+            revision: number;
             /**
              * Format: int64
              * @description Number of this message within the run, from 0; a gap makes the hub ask for the full status.
@@ -2872,9 +2875,10 @@ export interface components {
             off?: string | null;
             range?: components["schemas"]["KnobRange"] | null;
             /** @description Who set it, or switched it off. */
-            source: components["schemas"]["KnobSource"];
+            source: components["schemas"]["SettingSource"];
             state?: components["schemas"]["TargetState"] | null;
             target?: components["schemas"]["Target"] | null;
+            threshold?: components["schemas"]["Threshold"] | null;
             /**
              * Format: int32
              * @description Version.
@@ -2901,7 +2905,7 @@ export interface components {
              */
             knob: number;
             /** @description Why it stands there. */
-            standing: components["schemas"]["Standing"];
+            status: components["schemas"]["TargetStatus"];
             /**
              * Format: int64
              * @description How often that began.
@@ -2913,34 +2917,50 @@ export interface components {
              */
             unmet_s: number;
         };
-        /** @description The target in a node's status: as much of it as does not move by itself. */
-        TargetStatus: {
+        /**
+         * @description Why the knob stands where it stands.
+         * @enum {string}
+         */
+        TargetStatus: "measuring" | "moving" | "held" | "more_than_kept" | "cannot_be_met" | "no_frames" | "no_power" | "no_audit";
+        /**
+         * @description The value of a policy's threshold, with the name that the policy gives it: `{"name": "u", "value": 3e-4}`, or `lambda`
+         *     under expected-loss. So nobody takes one policy's value for another's.
+         */
+        Threshold: {
+            /** @description The threshold's name. */
+            name: string;
             /**
              * Format: double
-             * @description What was measured of it when the status was made.
+             * @description The value.
              */
-            actual?: number | null;
-            /** @description Who set it. */
-            source: components["schemas"]["KnobSource"];
-            standing?: components["schemas"]["Standing"] | null;
-            /** @description What is to be held. */
-            target: components["schemas"]["Target"];
+            value: number;
+        };
+        /** @description A change of the threshold during a clip. */
+        ThresholdChange: {
+            /**
+             * Format: int64
+             * @description First frame it held for.
+             */
+            seq: number;
+            /** @description The new value. */
+            threshold: components["schemas"]["Threshold"];
         };
         /** @description A threshold changed; it holds from the camera's next frame. */
         ThresholdEvent: {
             /** @description Camera. */
             camera: string;
+            /** @description The threshold now. */
+            threshold: components["schemas"]["Threshold"];
         };
-        /**
-         * @description The threshold, in a put, in a query's payload and in its reply: `{"u": 3e-4}`, or the policy's own
-         *     knob under its own name.
-         */
+        /** @description The threshold of a camera, on its `threshold` key: in a put, in a query's payload and in the reply. */
         ThresholdMessage: {
+            /** @description The threshold. */
+            threshold: components["schemas"]["Threshold"];
             /**
              * Format: int32
              * @description Version; may be left out on the way in.
              */
-            v: number;
+            v?: number;
         };
         /** @description The thresholds of a node. */
         Thresholds: {

@@ -4,7 +4,7 @@ import { useState } from "preact/hooks";
 import { json } from "../shared/api";
 import { count, dateTime, plural } from "../shared/format";
 import { Section } from "../shared/parts";
-import { Fault, Knob, Outcomes, outcomeWords, settingText, useLoaded } from "./parts";
+import { Fault, Setting, Outcomes, outcomeWords, settingText, useLoaded } from "./parts";
 import { href } from "./route";
 import type { ChangeDetail, ChangeView, Drift, SetAside } from "./types";
 
@@ -32,8 +32,8 @@ export function Changes() {
           <ul class="events">
             {drift.value.slice(0, 100).map((one) => (
               <li key={one.node}>
-                <a href={href(["nodes", one.node])}>{one.node}</a> desired <Knob value={one.desired} />, in force{" "}
-                {one.in_force ? <Knob value={one.in_force} /> : "not the same on all cameras"}, since {dateTime(one.since_ms)}
+                <a href={href(["nodes", one.node])}>{one.node}</a> desired <Setting value={one.desired} />, in force{" "}
+                {one.in_force ? <Setting value={one.in_force} /> : "not the same on all cameras"}, since {dateTime(one.since_ms)}
                 {one.why ? `: ${one.why}` : ""}
                 {one.set_back ? `, set back ${one.set_back} times` : ""}
               </li>
@@ -49,18 +49,18 @@ export function Changes() {
             <table>
               <thead>
                 <tr>
-                  {["change", "when", "who", "value", "for", "by way of", "why", "outcome"].map((head) => (
+                  {["revision", "when", "who", "value", "for", "by way of", "why", "outcome"].map((head) => (
                     <th key={head} scope="col" class="left">{head}</th>
                   ))}
                 </tr>
               </thead>
               <tbody>
                 {changes.map((change) => (
-                  <tr key={change.change}>
-                    <td class="left"><a href={href(["changes", String(change.change)])}>{change.change}</a></td>
+                  <tr key={change.revision}>
+                    <td class="left"><a href={href(["changes", String(change.revision)])}>{change.revision}</a></td>
                     <td class="left">{dateTime(change.at_ms)}</td>
                     <td class="left">{change.who}</td>
-                    <td class="left"><Knob value={change.to} /></td>
+                    <td class="left"><Setting value={change.to} /></td>
                     <td class="left clip-text" title={change.select}>{change.select}</td>
                     <td class="left">{change.origin}</td>
                     <td class="left clip-text" title={change.why}>{change.why}</td>
@@ -83,12 +83,12 @@ export function Change({ id }: { id: string }) {
   const order = ["refused", "timed_out", "waiting", "pending", "superseded", "applied", "unchanged"];
   const nodes = [...(change?.nodes ?? [])].sort((a, b) => order.indexOf(a.outcome) - order.indexOf(b.outcome) || a.node.localeCompare(b.node));
   return (
-    <Section id="change" title={`Change ${id}`} wide aside={<a href={href(["changes"])}>all changes</a>}>
+    <Section id="change" title={`Revision ${id}`} wide aside={<a href={href(["changes"])}>all changes</a>}>
       <Fault text={found.fault} />
       {change && (
         <>
           <p class="message">
-            <Knob value={change.to} /> for {change.select || change.origin} · {dateTime(change.at_ms)} by {change.who} ({change.origin})
+            <Setting value={change.to} /> for {change.select || change.origin} · {dateTime(change.at_ms)} by {change.who} ({change.origin})
             {change.why ? `: ${change.why}` : ""}
           </p>
           <p class="message"><Outcomes counts={change.counts} /></p>

@@ -19,19 +19,12 @@ const MOST_SELECTED = 1000;
 
 export const selected = signal<ReadonlySet<string>>(new Set());
 
-/** Name of the knob that a node's first camera has, with the values of all. */
-export function knobOf(node: NodeView): { name: string; values: number[] } | undefined {
-  const own = new Set(["name", "state", "knob_source"]);
-  let name: string | undefined;
-  const values = new Set<number>();
-  for (const camera of node.status?.cameras ?? []) {
-    for (const [key, value] of Object.entries(camera as Record<string, unknown>)) {
-      if (own.has(key) || typeof value !== "number") continue;
-      name ??= key;
-      if (key === name) values.add(value);
-    }
-  }
-  return name === undefined ? undefined : { name, values: [...values] };
+/** Name of the threshold of a node's first camera, with the values of all cameras. */
+export function thresholdOf(node: NodeView): { name: string; values: number[] } | undefined {
+  const all = (node.status?.cameras ?? []).flatMap(({ threshold }) => threshold ?? []);
+  const name = all[0]?.name;
+  if (name === undefined) return undefined;
+  return { name, values: [...new Set(all.filter((one) => one.name === name).map((one) => one.value))] };
 }
 
 const COLUMNS: { id: string; head: string; sort?: string; class: string }[] = [
@@ -187,8 +180,8 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
       </div>
     );
   }
-  const knob = knobOf(node);
-  const value = knob ? (knob.values.length === 1 ? `${knob.name} = ${small(knob.values[0])}` : `${knob.name}: ${knob.values.length} values`) : "–";
+  const threshold = thresholdOf(node);
+  const value = threshold ? (threshold.values.length === 1 ? `${threshold.name} = ${small(threshold.values[0])}` : `${threshold.name}: ${threshold.values.length} values`) : "–";
   const held = nameAndValue(node.status?.target?.target);
   const heard = node.heard_ms ? (Date.now() - node.heard_ms) / 1000 : undefined;
   const since = Math.max(0, (Date.now() - node.since_ms) / 1000);

@@ -3,7 +3,7 @@
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
 import { Pill, Quality, Section } from "../shared/parts";
 import { heldText } from "../shared/target";
-import { Download, Fault, Knob, Outcomes, Presence, Saved, useLoaded } from "./parts";
+import { Download, Fault, Setting, Outcomes, Presence, Saved, useLoaded } from "./parts";
 import { Live } from "./live";
 import { href } from "./route";
 import { selected } from "./fleet";
@@ -13,8 +13,8 @@ import type { ChangeView, Energy, NodeDetail, StoredClip, TargetStatus } from ".
 
 const WEEK_MS = 7 * 86_400_000;
 
-/** Why the knob stands where it stands. */
-const STANDING: Record<NonNullable<TargetStatus["standing"]>, string> = {
+/** Why the threshold has its value. */
+const TARGET_STATUS: Record<TargetStatus, string> = {
   measuring: "too little has been measured yet",
   moving: "on the way to the target",
   held: "the target is held",
@@ -96,22 +96,22 @@ export function Node({ name }: { name: string }) {
               <p class="message" id="held">
                 Holds <b>{heldText(status.target.target)}</b>
                 {typeof status.target.actual === "number" && <>, <b>{small(status.target.actual)}</b> when it told</>}:{" "}
-                {status.target.standing ? STANDING[status.target.standing] : "it begins"}; set by {setBy(status.target.source)}.
+                {status.target.status ? TARGET_STATUS[status.target.status] : "it begins"}; set by {setBy(status.target.source)}.
               </p>
             )}
             {status?.target_off && <p class="message wait" id="held">Holds no target any more: {status.target_off}.</p>}
             <h3>Cameras</h3>
             <ul class="tiles">
               {(status?.cameras ?? []).map((camera) => {
-                const { name: camera_name, state, knob_source, ...knob } = camera as Record<string, unknown>;
+                const { name: camera_name, state, threshold, threshold_source } = camera;
                 return (
                   <li class="tile padded" key={String(camera_name)}>
                     <b>{String(camera_name)}</b>{" "}
                     <Pill mood={state === "live" ? "good" : state === "stale" ? "bad" : "wait"}>{String(state).replace("_", " ")}</Pill>
                     <br />
                     <span class="quiet">
-                      <Knob value={knob} />
-                      {status?.target ? ", moved by its target" : `, set by ${setBy(String(knob_source))}`}
+                      <Setting value={threshold} />
+                      {status?.target ? ", moved by its target" : `, set by ${setBy(threshold_source)}`}
                     </span>
                   </li>
                 );
@@ -198,9 +198,9 @@ export function Node({ name }: { name: string }) {
         {changes.value?.changes.length === 0 && <p class="message quiet">None was ordered by this hub.</p>}
         <ul class="events">
           {(changes.value?.changes ?? []).map((change) => (
-            <li key={change.change}>
-              <time class="quiet">{dateTime(change.at_ms)}</time> <a href={href(["changes", String(change.change)])}>change {change.change}</a>{" "}
-              <Knob value={change.to} /> by {change.who} ({change.origin}){change.why ? `: ${change.why}` : ""} · <Outcomes counts={change.counts} />
+            <li key={change.revision}>
+              <time class="quiet">{dateTime(change.at_ms)}</time> <a href={href(["changes", String(change.revision)])}>revision {change.revision}</a>{" "}
+              <Setting value={change.to} /> by {change.who} ({change.origin}){change.why ? `: ${change.why}` : ""} · <Outcomes counts={change.counts} />
             </li>
           ))}
         </ul>

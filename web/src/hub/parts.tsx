@@ -9,7 +9,7 @@ import { nameAndValue } from "../shared/target";
 
 export { Download, Fault } from "../shared/parts";
 import { changedSlowly } from "./store";
-import type { EnergyGroup, Interval, PresenceState } from "./types";
+import type { DesiredSetting, EnergyGroup, Interval, PresenceState, Threshold } from "./types";
 
 const MOODS: Record<PresenceState, Mood> = { online: "good", degraded: "bad", silent: "wait", offline: "bad" };
 
@@ -51,17 +51,16 @@ export function Outcomes({ counts }: { counts: Record<string, number> }) {
   );
 }
 
-/** `u = 3.0×10⁻⁴` of `{"u": 3e-4}`. */
-export function Knob({ value }: { value: object | null | undefined }) {
+export function Setting({ value }: { value: DesiredSetting | Threshold | null | undefined }) {
   return <span class="nowrap">{settingText(value)}</span>;
 }
 
-/** What was ordered of a node, or what it has: `u = 3.0×10⁻⁴`, `hold skip_rate = 0.5` of `{"target": {"skip_rate": 0.5}}`. */
-export function settingText(value: object | null | undefined): string {
-  const [name, found] = Object.entries(value ?? {})[0] ?? [];
-  if (name === undefined) return "–";
-  if (name !== "target") return `${name} = ${small(found as number)}`;
-  const held = nameAndValue(found as object | null);
+/** A threshold or a desired setting: `u = 3.0×10⁻⁴`, `hold skip_rate = 0.5`. */
+export function settingText(value: DesiredSetting | Threshold | null | undefined): string {
+  if (!value) return "–";
+  if ("threshold" in value) return settingText(value.threshold);
+  if ("name" in value) return `${value.name} = ${small(value.value)}`;
+  const held = nameAndValue(value.target);
   return held ? `hold ${held[0]} = ${small(held[1])}` : "hold nothing";
 }
 

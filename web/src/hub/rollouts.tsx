@@ -4,7 +4,7 @@ import { useState } from "preact/hooks";
 import { send } from "../shared/api";
 import { count, dateTime, parsed, percent, small } from "../shared/format";
 import { Pill, Section, whyNot, type Mood } from "../shared/parts";
-import { Fault, Field, IntervalBar, Knob, Outcomes, outcomeWords, useLoaded } from "./parts";
+import { Fault, Field, IntervalBar, Setting, Outcomes, outcomeWords, useLoaded } from "./parts";
 import { href } from "./route";
 import { terms } from "./tune";
 import type { GateResult, RolloutView } from "./types";
@@ -151,7 +151,7 @@ export function Rollout({ id }: { id: string }) {
       {rollout && (
         <>
           <p class="message">
-            <Knob value={rollout.to} /> for {rollout.plan.select?.join(", ")} · begun {dateTime(rollout.begun_ms)} by {rollout.who}
+            <Setting value={rollout.to} /> for {rollout.plan.select?.join(", ")} · begun {dateTime(rollout.begun_ms)} by {rollout.who}
             {rollout.plan.why ? `: ${rollout.plan.why}` : ""}
           </p>
           <p class="message">
@@ -213,7 +213,7 @@ export function Rollouts() {
               <a href={href(["rollouts", String(rollout.id)])}>
                 <b>Rollout {rollout.id}</b>
               </a>{" "}
-              <Knob value={rollout.to} /> for {rollout.plan.select?.join(", ")} · {dateTime(rollout.begun_ms)} by {rollout.who}{" "}
+              <Setting value={rollout.to} /> for {rollout.plan.select?.join(", ")} · {dateTime(rollout.begun_ms)} by {rollout.who}{" "}
               <Phase rollout={rollout} />
             </p>
             <Stages rollout={rollout} />

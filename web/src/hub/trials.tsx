@@ -4,7 +4,7 @@ import { useState } from "preact/hooks";
 import { send } from "../shared/api";
 import { count, dateTime, duration, parsed, percent, small } from "../shared/format";
 import { Pill, Section, whyNot, type Mood } from "../shared/parts";
-import { Fault, Field, IntervalBar, Knob, Outcomes, useLoaded } from "./parts";
+import { Fault, Field, IntervalBar, Setting, Outcomes, useLoaded } from "./parts";
 import { figureWords, plainFigure, signed } from "./rollouts";
 import { href } from "./route";
 import { terms } from "./tune";
@@ -23,7 +23,7 @@ function Phase({ trial }: { trial: TrialView }) {
 }
 
 function Values({ trial }: { trial: TrialView }) {
-  return <>{(trial.plan.values ?? []).map((value, index) => <span key={index}>{index ? " against " : ""}<Knob value={value} /></span>)}</>;
+  return <>{(trial.plan.values ?? []).map((value, index) => <span key={index}>{index ? " against " : ""}<Setting value={value} /></span>)}</>;
 }
 
 export function Trial({ id }: { id: string }) {
@@ -77,7 +77,7 @@ export function Trial({ id }: { id: string }) {
                   {trial.result.values.flatMap((arm, index) =>
                     arm.figures.map((figure) => (
                       <tr key={`${index} ${figure.figure}`}>
-                        <td class="left"><Knob value={arm.value} /></td>
+                        <td class="left"><Setting value={arm.value} /></td>
                         <td class="left">{figureWords(figure.figure)}</td>
                         <td class="left">
                           {plainFigure(figure.mean)}

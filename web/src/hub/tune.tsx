@@ -18,7 +18,7 @@ const SHOWN = 100;
 const FOLLOW_S = 120;
 
 /** What was ordered last, so that it stays while the page shows something else. */
-const order = signal<{ counts: Record<string, number>; lines: OutcomeLine[]; dry: boolean; running: boolean; change?: number } | undefined>(undefined);
+const order = signal<{ counts: Record<string, number>; lines: OutcomeLine[]; dry: boolean; running: boolean; revision?: number } | undefined>(undefined);
 
 /** The terms of what is written: names, globs and labels between commas. */
 export function terms(text: string): string[] {
@@ -105,9 +105,9 @@ export function Tune() {
         body: JSON.stringify({ ...body, wait_s: FOLLOW_S }),
       });
       const byNode = new Map<string, OutcomeLine>();
-      const show = (running: boolean, change?: number) => {
+      const show = (running: boolean, revision?: number) => {
         const lines = [...byNode.values()];
-        order.value = { counts: countOutcomes(lines), lines, dry: false, running, change };
+        order.value = { counts: countOutcomes(lines), lines, dry: false, running, revision };
       };
       show(true);
       const reader = response.body!.pipeThrough(new TextDecoderStream()).getReader();
@@ -117,9 +117,9 @@ export function Tune() {
         const { done, value } = await reader.read();
         if (done) break;
         for (const line of parser.take(value)) {
-          const last = line as { change?: number | null; counts?: object };
+          const last = line as { revision?: number | null; counts?: object };
           // The last line has the sums.
-          if (last.counts !== undefined) show(false, last.change ?? undefined);
+          if (last.counts !== undefined) show(false, last.revision ?? undefined);
           else byNode.set((line as OutcomeLine).node, line as OutcomeLine);
         }
         // Thousands come at once.
@@ -196,10 +196,10 @@ export function Tune() {
           <p class="message">
             {said.dry ? "Nothing was changed: " : said.running ? "Waiting for the nodes: " : "Ordered: "}
             <Outcomes counts={said.counts} />
-            {said.change !== undefined && (
+            {said.revision !== undefined && (
               <>
                 {" · "}
-                <a href={href(["changes", String(said.change)])}>change {said.change}</a>
+                <a href={href(["changes", String(said.revision)])}>revision {said.revision}</a>
               </>
             )}
           </p>

@@ -2,7 +2,6 @@
 
 import { useMemo } from "preact/hooks";
 import type uPlot from "uplot";
-import { knobValue } from "../shared/knob";
 import { Chart } from "../shared/chart";
 import { milliseconds, percent, small, watts } from "../shared/format";
 import { Quality, Section } from "../shared/parts";
@@ -23,7 +22,7 @@ export function Uncertainty() {
   const frames = useMemo(() => log.last(FRAMES), [now, opened.value]);
   const data = useMemo((): uPlot.AlignedData => {
     const taus: Column = frames.map((frame) => (frame.tau_max && frame.tau_max > 0 ? frame.tau_max : null));
-    const limits: Column = frames.map((frame) => knobValue(frame, name) ?? null);
+    const limits: Column = frames.map((frame) => frame.threshold?.value ?? null);
     return [frames.map((frame) => frame.at), taus, limits];
   }, [frames]);
   // Another policy's knob is no bound on uncertainty.

@@ -2,7 +2,6 @@
 
 import { useState } from "preact/hooks";
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small } from "../shared/format";
-import { knobValue } from "../shared/knob";
 import { Quality, Section } from "../shared/parts";
 import { csv, type Column, sorted } from "../shared/table";
 import { cameras, clips, knob, overview } from "./store";
@@ -38,7 +37,7 @@ function columns(knobName: string, several: boolean): Column<ClipReport>[] {
     { id: "latency_p99", head: "p99", key: (clip) => clip.total_latency_ms.p99, cell: (clip) => milliseconds(clip.total_latency_ms.p99), unit: "ms" },
     { id: "detector_p50", head: "detector p50", key: (clip) => clip.detector_latency_ms.p50, cell: (clip) => milliseconds(clip.detector_latency_ms.p50), unit: "ms" },
     { id: "detector_p99", head: "p99", key: (clip) => clip.detector_latency_ms.p99, cell: (clip) => milliseconds(clip.detector_latency_ms.p99), unit: "ms" },
-    { id: knobName, head: knobName, key: (clip) => knobValue(clip, knobName), cell: (clip) => small(knobValue(clip, knobName)) },
+    { id: knobName, head: knobName, key: (clip) => clip.threshold?.value, cell: (clip) => small(clip.threshold?.value) },
     {
       id: "audit_recall", head: "recall*", key: (clip) => paired(clip, "detected"),
       cell: (clip) => percent(paired(clip, "detected")),

@@ -1,6 +1,5 @@
 // Frames: what their states mean, why the detector ran, and the last ones of a camera.
 
-import { knobValue } from "../shared/knob";
 import { small } from "../shared/format";
 import type { CallCause, CameraHistory, Detections, FrameState } from "./types";
 
@@ -66,12 +65,12 @@ export const CAUSES: Record<CallCause, CauseWords> = {
 };
 
 /** Why the detector was called on a frame, as its node says; empty when it was not. */
-export function why(frame: Detections, knob: string): string {
+export function why(frame: Detections): string {
   // A node of an older version says nothing of it.
   const cause = frame.cause ? (CAUSES[frame.cause]?.meaning ?? frame.cause) : words(frame.state).ran ? "the policy asked for it" : "";
   if (frame.degraded) return `the detector was needed and could not be had${cause ? `: ${cause}` : ""}`;
   if (!cause) return "";
-  const limit = knob === "u" ? knobValue(frame, knob) : undefined;
+  const limit = frame.threshold?.name === "u" ? frame.threshold.value : undefined;
   const tau = frame.tau_max;
   const of_tau = frame.cause === "uncertain" || frame.cause === "new_object";
   return of_tau && limit !== undefined && tau !== undefined && tau !== null
@@ -80,7 +79,7 @@ export function why(frame: Detections, knob: string): string {
 }
 
 /** The past of a camera as frames, oldest first. */
-export function past(history: CameraHistory, knob: string | undefined, now: number): Seen[] {
+export function past(history: CameraHistory, name: string | undefined, now: number): Seen[] {
   const columns = history.frames;
   return columns.seq.map((seq, index) => {
     const detector = columns.detector_ms[index];
@@ -94,16 +93,17 @@ export function past(history: CameraHistory, knob: string | undefined, now: numb
       pastBoxes: columns.boxes[index]!,
       latency_ms: { total: columns.total_ms[index] ?? 0, waiting: 0, policy: 0, ...(typeof detector === "number" ? { detector } : {}) },
     };
-    if (knob !== undefined && typeof columns.knob[index] === "number") frame[knob] = columns.knob[index];
+    const value = columns.threshold[index];
+    if (name !== undefined && typeof value === "number") frame.threshold = { name, value };
     return frame as unknown as Seen;
   });
 }
 
 /** One line about a frame. */
-export function describe(frame: Seen, knob: string, now: number): string {
+export function describe(frame: Seen, now: number): string {
   const { state, name } = words(frame.state);
   const age = Math.max(0, now - frame.at);
-  const reason = why(frame, knob);
+  const reason = why(frame);
   const boxes = frame.pastBoxes ?? frame.boxes.length;
   const parts = [
     `frame ${frame.seq}`,

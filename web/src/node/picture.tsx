@@ -5,7 +5,7 @@ import { pause, Refused } from "../shared/api";
 import { percent } from "../shared/format";
 import { Section } from "../shared/parts";
 import { describe, type Seen } from "./frames";
-import { counters, frameListeners, knob, log, opened, picture, pointed, tick } from "./store";
+import { counters, frameListeners, log, opened, picture, pointed, tick } from "./store";
 import type { BoxSource } from "./types";
 
 const LINES: Record<BoxSource, { colour: string; dash: number[] }> = {
@@ -36,7 +36,7 @@ export function Picture() {
     const place = canvas.current;
     if (!place || (!frame && !picture)) return;
     draw(place, frame, picture?.bitmap);
-    const words = frame ? describe(frame, knob.value?.name ?? "", Date.now() / 1000) : `frame ${picture!.seq}`;
+    const words = frame ? describe(frame, Date.now() / 1000) : `frame ${picture!.seq}`;
     setNote(picture ? words : `${words} · this page has no picture of it`);
     const boxes = frame?.boxes.map((box) => `${box.class} ${percent(box.confidence, 0)} (${box.source})`).join(", ");
     place.setAttribute("aria-label", `Picture of camera ${opened.value}, ${words}${boxes ? `: ${boxes}` : ""}`);

@@ -4,7 +4,7 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import { plural } from "../shared/format";
 import { Section } from "../shared/parts";
 import { STATES, describe, words } from "./frames";
-import { knob, log, pointed, tick } from "./store";
+import { log, pointed, tick } from "./store";
 
 /** Most rows; the first comes before the second is begun. */
 const MOST_ROWS = 4;
@@ -87,7 +87,7 @@ export function Ribbon() {
         aria-valuemin={0}
         aria-valuemax={Math.max(0, log.length - 1)}
         aria-valuenow={named ? log.indexOf(named.seq) : Math.max(0, log.length - 1)}
-        aria-valuetext={looked ? describe(looked, knob.value?.name ?? "", Date.now() / 1000) : "newest frame"}
+        aria-valuetext={looked ? describe(looked, Date.now() / 1000) : "newest frame"}
         onMouseMove={(event) => setHover(at(event))}
         onMouseLeave={() => setHover(undefined)}
         onClick={(event) => {
@@ -98,7 +98,7 @@ export function Ribbon() {
       />
       <p class="hovered">
         {looked
-          ? describe(looked, knob.value?.name ?? "", Date.now() / 1000)
+          ? describe(looked, Date.now() / 1000)
           : "Point at a pixel to see the frame and why the detector ran; click to hold it."}
       </p>
       <ul class="legend">

@@ -2,7 +2,6 @@
 
 import { computed, signal } from "@preact/signals";
 import { answer, caller, every, follow, json } from "../shared/api";
-import { knobValue } from "../shared/knob";
 import { FrameLog, past } from "./frames";
 import type {
   CameraEntry, CameraHistory, CameraSlot, ClipReport, Counters, DetectorEvent, Frame, Overview, PowerHistory, Threshold,
@@ -70,7 +69,7 @@ export const knob = computed(() => {
 });
 export const knobInForce = computed(() => {
   const mine = thresholds.value?.cameras.find((camera) => camera.camera === opened.value);
-  return mine?.knob ? knobValue(mine, mine.knob.name) : undefined;
+  return mine?.knob ? (mine as Record<string, unknown>)[mine.knob.name] as number | undefined : undefined;
 });
 
 let dirty = false;
@@ -123,7 +122,7 @@ function takeThreshold(message: Threshold): void {
   if (!known) return;
   thresholds.value = {
     ...known,
-    cameras: known.cameras.map((entry) => (entry.camera === message.camera ? { ...entry, ...message } : entry)),
+    cameras: known.cameras.map((entry) => (entry.camera === message.camera ? { ...entry, [message.threshold.name]: message.threshold.value } : entry)),
   };
 }
 

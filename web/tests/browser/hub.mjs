@@ -122,7 +122,7 @@ token = "a-token-that-may-look"
       const [applied, refused] = [Number(text.match(/(\d+) in force/)?.[1] ?? 0), Number(text.match(/(\d+) refused/)?.[1] ?? 0)];
       return text.startsWith("Ordered") && applied + refused === 100 && applied > 90;
     });
-    await page.getByRole("link", { name: /change \d+/ }).click();
+    await page.getByRole("link", { name: /revision \d+/ }).click();
     await page.getByText("a test of the page").waitFor();
     quiet(page);
   });

@@ -151,17 +151,6 @@ const POLICIES: &[Entry] = &[
     entry(ExpectedLoss::EVEN_SKIP_FLOW_NAME, |c| ExpectedLoss::even_skip(&c.with_flow()), Some(|c| &mut c.in_tracker.skip_rate)),
 ];
 
-/// The names of the policies' knobs, as each declares its own.
-pub const KNOB_NAMES: &[&str] = &[
-    "u",
-    "lambda",
-    "n",
-    "threshold",
-    "component_size",
-    "skip_rate",
-    "drift",
-];
-
 /// The names that [`PolicyConfig::name`] can have.
 pub(crate) fn known_policies() -> impl Iterator<Item = &'static str> {
     POLICIES.iter().map(|entry| entry.name)

@@ -4,7 +4,7 @@
 //! on the scene: where a share `d` of frames takes the detector, a knob larger by a factor e takes about 0.22 off `d` (the
 //! recorded sequences, `u` and `lambda` alike).
 
-use super::{DAY_S, Lever, Measured, Standing, Target, Verdict};
+use super::{DAY_S, Lever, Measured, Target, TargetStatus, Verdict};
 use std::collections::VecDeque;
 
 /// Seconds over which the load is measured for the controller; longer where frames are few.
@@ -68,17 +68,17 @@ impl LoadControl {
                 window.add(measured);
             }
         }
-        let standing = |standing| Verdict {
+        let status = |status| Verdict {
             actual: None,
-            standing,
+            status,
             boxes: None,
         };
         let lately = self.window.load();
         let Some(share) = lately.share else {
-            return standing(if lately.seconds < WINDOW_S {
-                Standing::Measuring
+            return status(if lately.seconds < WINDOW_S {
+                TargetStatus::Measuring
             } else {
-                Standing::NoFrames
+                TargetStatus::NoFrames
             });
         };
         if let Some(watts) = lately.watts {
@@ -86,12 +86,12 @@ impl LoadControl {
         }
         let told = self.told.load().of(self.target);
         let Some((actual, (wanted, error))) = told.zip(self.error(&lately)) else {
-            return standing(Standing::NoPower);
+            return status(TargetStatus::NoPower);
         };
         if lately.seconds < WINDOW_S {
             return Verdict {
                 actual: Some(actual),
-                ..standing(Standing::Measuring)
+                ..status(TargetStatus::Measuring)
             };
         }
         let error = error.clamp(-LARGEST_ERROR, LARGEST_ERROR);
@@ -108,16 +108,16 @@ impl LoadControl {
             !held && ((error > 0.0 && lever.is_at_most()) || (error < 0.0 && lever.is_at_least()));
         self.beyond_s = if beyond { self.beyond_s + seconds } else { 0.0 };
         let end = if error > 0.0 {
-            Standing::CannotBeMet
+            TargetStatus::CannotBeMet
         } else {
-            Standing::MoreThanKept
+            TargetStatus::MoreThanKept
         };
         Verdict {
             actual: Some(actual),
-            standing: match held {
-                true => Standing::Held,
+            status: match held {
+                true => TargetStatus::Held,
                 false if self.beyond_s > WINDOW_S => end,
-                false => Standing::Moving,
+                false => TargetStatus::Moving,
             },
             boxes: None,
         }

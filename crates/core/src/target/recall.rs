@@ -4,7 +4,7 @@
 //! [`ENOUGH`] independent boxes have been compared since it moved last. At 2 % of the skipped frames of 10 a second with
 //! five boxes each that is every minute or two.
 
-use super::{Lever, Measured, Standing, Verdict};
+use super::{Lever, Measured, TargetStatus, Verdict};
 use crate::audit::AuditSums;
 use std::collections::VecDeque;
 
@@ -49,7 +49,7 @@ impl RecallControl {
             lots: VecDeque::new(),
             verdict: Verdict {
                 actual: None,
-                standing: Standing::Measuring,
+                status: TargetStatus::Measuring,
                 boxes: None,
             },
             without_audit_s: 0.0,
@@ -73,7 +73,7 @@ impl RecallControl {
             self.decide(lever);
         } else if self.without_audit_s > LONG {
             return Verdict {
-                standing: Standing::NoAudit,
+                status: TargetStatus::NoAudit,
                 ..self.verdict
             };
         }
@@ -103,14 +103,14 @@ impl RecallControl {
         self.verdict = Verdict {
             actual: Some(recall.low),
             boxes: Some(recall.boxes),
-            standing: if off.abs() <= HELD {
-                Standing::Held
+            status: if off.abs() <= HELD {
+                TargetStatus::Held
             } else if off < 0.0 && lever.is_at_least() {
-                Standing::CannotBeMet
+                TargetStatus::CannotBeMet
             } else if off > 0.0 && lever.is_at_most() {
-                Standing::MoreThanKept
+                TargetStatus::MoreThanKept
             } else {
-                Standing::Moving
+                TargetStatus::Moving
             },
         };
     }

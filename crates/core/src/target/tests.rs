@@ -105,7 +105,7 @@ fn settles(controller: &mut TargetController, plant: &mut Plant, what: &str) {
     }
     let mean = states.iter().filter_map(|state| state.actual).sum::<f64>() / 240.0;
     assert!((mean / wanted - 1.0).abs() < 0.03, "{what}: mean {mean}");
-    let held = (states.iter()).filter(|state| state.standing == Standing::Held);
+    let held = (states.iter()).filter(|state| state.status == TargetStatus::Held);
     assert!(held.count() > 180, "{what}");
 }
 
@@ -215,7 +215,7 @@ fn an_overload_is_said_and_counted_and_left_within_a_minute_of_its_end() {
         plant.busy = 1.0;
         let states = run(&mut controller, &mut plant, 600);
         let last = states.last().unwrap();
-        assert_eq!(last.standing, Standing::CannotBeMet, "{target}: {last:?}");
+        assert_eq!(last.status, TargetStatus::CannotBeMet, "{target}: {last:?}");
         assert!((last.knob - RANGE.most).abs() < 1e-9);
         assert_eq!(last.unmet, 1);
         assert!((450.0..600.0).contains(&last.unmet_s), "{last:?}");
@@ -235,7 +235,7 @@ fn a_load_below_the_target_at_the_accurate_end_is_more_than_kept() {
     let target = Target::DetectorMsPerS(280.0);
     let mut controller = TargetController::new(target, RANGE, 0.3).unwrap();
     let last = *run(&mut controller, &mut plant, 120).last().unwrap();
-    assert_eq!(last.standing, Standing::MoreThanKept, "{last:?}");
+    assert_eq!(last.status, TargetStatus::MoreThanKept, "{last:?}");
     assert!((last.knob - RANGE.least).abs() < 1e-9);
     assert_eq!((last.unmet, last.unmet_s), (0, 0.0));
 }
@@ -248,7 +248,7 @@ fn a_restart_with_the_kept_value_goes_on_where_it_was() {
         settles(&mut controller, &mut plant, "before");
         let mut after = TargetController::new(target, RANGE, controller.knob()).unwrap();
         let states = run(&mut after, &mut plant, 120);
-        assert_eq!(states[0].standing, Standing::Measuring);
+        assert_eq!(states[0].status, TargetStatus::Measuring);
         for state in states.iter().skip(5) {
             let off = state.actual.unwrap() / target.value() - 1.0;
             assert!(off.abs() <= 0.10, "{target}: {state:?}");
@@ -265,7 +265,7 @@ fn without_frames_or_power_the_knob_rests_and_the_reason_is_said() {
             watts: None,
             ..plant.second(0.3)
         };
-        assert_eq!(controller.step(&measured).standing, Standing::NoPower);
+        assert_eq!(controller.step(&measured).status, TargetStatus::NoPower);
     }
     let silence = Measured {
         seconds: 1.0,
@@ -278,7 +278,7 @@ fn without_frames_or_power_the_knob_rests_and_the_reason_is_said() {
     }
     let knob = controller.knob();
     for _ in 0..30 {
-        assert_eq!(controller.step(&silence).standing, Standing::NoFrames);
+        assert_eq!(controller.step(&silence).status, TargetStatus::NoFrames);
     }
     assert!((controller.knob() - knob).abs() < 1e-9);
 }
@@ -332,7 +332,7 @@ fn the_lower_end_of_recall_is_held_as_fast_as_boxes_come_and_an_impossible_one_i
 
     let states = hours(&mut controller, &mut plant, 0.70);
     let last = states.last().unwrap();
-    assert_eq!(last.standing, Standing::CannotBeMet, "{last:?}");
+    assert_eq!(last.status, TargetStatus::CannotBeMet, "{last:?}");
     assert!((last.knob - RANGE.least).abs() < 1e-9 && last.unmet_s > 3600.0);
 
     // Nothing is drawn any more: it is said, and the knob stays.
@@ -342,7 +342,7 @@ fn the_lower_end_of_recall_is_held_as_fast_as_boxes_come_and_an_impossible_one_i
         controller.step(&measured);
     }
     let measured = plant.second(controller.knob());
-    assert_eq!(controller.step(&measured).standing, Standing::NoAudit);
+    assert_eq!(controller.step(&measured).status, TargetStatus::NoAudit);
 }
 
 #[test]

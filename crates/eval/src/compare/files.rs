@@ -108,7 +108,7 @@ fn row(comparison: &Comparison, run: &Run) -> [String; 26] {
             .get(run.variant)
             .cloned()
             .unwrap_or_default(),
-        number(report.knob.map(|knob| knob.value)),
+        number(report.threshold.map(|threshold| threshold.value)),
         report.frames.to_string(),
         figure(Figure::Dropped),
         report.duration_s.to_string(),

@@ -161,8 +161,7 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
         screen: None,
         pictures: Vec::new(),
     };
-    let mut source =
-        StoredEvidence::new(&clip, None, &Settings::default()).expect("it has detections");
+    let mut source = StoredEvidence::new(&clip, &Settings::default()).expect("it has detections");
     let error = replay(&mut policy, &mut source, Scoring::Paper, 3e-4, false);
     assert_eq!(error, Err(SourceError::NoPictures));
 }

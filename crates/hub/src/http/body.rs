@@ -1,10 +1,11 @@
-//! Reads the bodies of tuning requests: a knob's value under its own name beside other fields.
+//! Reads the bodies of tuning requests: a threshold as users write it beside other fields.
 
 use albireo_service::http::{BODY_LIMIT, Problem};
-use albireo_wire::KnobValue;
+use albireo_wire::Threshold;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
 use axum::http::StatusCode;
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
@@ -35,19 +36,43 @@ pub(super) fn object(body: Result<Bytes, BytesRejection>) -> Result<Map<String, 
     Ok(object)
 }
 
-/// Takes the knob's value out of an object.
-pub(super) fn knob(object: &mut Map<String, Value>) -> Result<KnobValue, Problem> {
-    let knob: KnobValue =
-        serde_json::from_value(Value::Object(object.clone())).map_err(|error| {
-            unusable(format!(
-                "the body must have the value of one knob, such as \"u\": 5e-4: {error}"
-            ))
-        })?;
-    object.remove(knob.name);
-    if !knob.value.is_finite() {
-        return Err(unusable(format!("`{}` must be a finite number", knob.name)));
+/// A request with a threshold as users write it beside its own fields: `"u": 5e-4`.
+#[derive(Deserialize)]
+struct WithThreshold<T> {
+    #[serde(flatten)]
+    request: T,
+    #[serde(flatten)]
+    others: Map<String, Value>,
+}
+
+/// Reads a request that has a threshold beside its own fields.
+pub(super) fn with_threshold<T: DeserializeOwned>(
+    object: Map<String, Value>,
+) -> Result<(Threshold, T), Problem> {
+    let WithThreshold { request, others } = rest(object)?;
+    let mut others = others.into_iter();
+    match (others.next(), others.next()) {
+        (Some((name, value)), None) => match value.as_f64().filter(|value| value.is_finite()) {
+            Some(value) => Ok((Threshold::new(&name, value), request)),
+            None => Err(unusable(format!("`{name}` must be a finite number"))),
+        },
+        (None, _) => Err(unusable(
+            "the body must have a threshold, such as \"u\": 5e-4",
+        )),
+        (Some((one, _)), Some((other, _))) => Err(unusable(format!(
+            "`{one}` and `{other}`: there must be one threshold and nothing else that is not known here"
+        ))),
     }
-    Ok(knob)
+}
+
+/// Replaces a threshold as users write it, `{"u": 3e-4}`, by its message.
+pub(super) fn name_threshold(written: &mut Value) -> Result<(), Problem> {
+    let fault = || unusable(r#"values: each must be one threshold, such as {"u": 3e-4}"#);
+    let fields = written.as_object().filter(|fields| fields.len() == 1);
+    let (name, value) = (fields.and_then(|fields| fields.iter().next())).ok_or_else(fault)?;
+    let value = value.as_f64().ok_or_else(fault)?;
+    *written = serde_json::json!({ "name": name, "value": value });
+    Ok(())
 }
 
 /// Reads what is left of an object.

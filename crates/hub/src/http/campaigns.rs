@@ -9,13 +9,14 @@ use crate::tuning::members::Member;
 use crate::tuning::rollout::{Command, Entry, Phase, Rollout, RolloutPlan, RolloutRequest};
 use crate::tuning::trial::{Trial, TrialPhase, TrialPlan, TrialResult};
 use albireo_service::http::{Caller, Problem};
-use albireo_wire::KnobValue;
+use albireo_wire::Threshold;
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
 use axum::extract::{Extension, Path, Query, State};
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::collections::BTreeMap;
 use utoipa::{IntoParams, ToSchema};
 
@@ -67,8 +68,7 @@ pub(super) struct RolloutView {
     /// When it ended.
     ended_ms: Option<i64>,
     /// The new value.
-    #[schema(value_type = BTreeMap<String, f64>)]
-    to: KnobValue,
+    to: Threshold,
     /// Where it is.
     #[serde(flatten)]
     phase: Phase,
@@ -254,7 +254,7 @@ async fn rollout(view: &HubView, id: i64) -> Result<RolloutView, Problem> {
 
 /// Begins a rollout
 ///
-/// The body is its plan with the new value under its knob's name beside it:
+/// The body is its plan with the new threshold beside it:
 /// `{"u": 5e-4, "select": ["cam-*"], "stages": ["1", "10%", "50%", "100%"], "soak_s": 1800, "gates": ["joules<=+5%"]}`.
 #[utoipa::path(
     post, operation_id = "begin_rollout", path = "/api/v1/rollouts", tag = "tuning", request_body = RolloutPlan,
@@ -269,9 +269,7 @@ pub(super) async fn begin_rollout(
     Extension(caller): Extension<Caller>,
     bytes: Result<Bytes, BytesRejection>,
 ) -> Result<(StatusCode, Json<RolloutView>), Problem> {
-    let mut object = body::object(bytes)?;
-    let knob = body::knob(&mut object)?;
-    let plan: RolloutPlan = body::rest(object)?;
+    let (knob, plan): (_, RolloutPlan) = body::with_threshold(body::object(bytes)?)?;
     let begun = view
         .tuner()?
         .begin_rollout(RolloutRequest { knob, plan }, &caller.name)
@@ -365,7 +363,11 @@ pub(super) async fn begin_trial(
     Extension(caller): Extension<Caller>,
     bytes: Result<Bytes, BytesRejection>,
 ) -> Result<(StatusCode, Json<TrialView>), Problem> {
-    let plan: TrialPlan = body::rest(body::object(bytes)?)?;
+    let mut object = body::object(bytes)?;
+    if let Some(values) = object.get_mut("values").and_then(Value::as_array_mut) {
+        values.iter_mut().try_for_each(body::name_threshold)?;
+    }
+    let plan: TrialPlan = body::rest(object)?;
     let (id, trial, left_out) = view.tuner()?.begin_trial(plan, &caller.name).await?;
     let mut view = TrialView::new(fresh(id, &caller.name), trial, true);
     view.left_out = left_out;

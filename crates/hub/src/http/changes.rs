@@ -2,10 +2,10 @@
 
 use super::HubView;
 use super::order::of_store;
-use crate::setting::Setting;
 use crate::store::{OrderNodeRow, OrderRow, StoreError};
 use crate::tuning::tuner::Drift;
 use albireo_service::http::Problem;
+use albireo_wire::DesiredSetting;
 use axum::Json;
 use axum::extract::{Path, Query, State};
 use axum::http::StatusCode;
@@ -19,8 +19,8 @@ const MOST_ORDERS: i64 = 500;
 /// One order of the history.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct ChangeView {
-    /// Its number: the generation of what was ordered.
-    change: i64,
+    /// Its number, which nodes tell as the revision of what they have.
+    revision: i64,
     /// When, milliseconds since the Unix epoch.
     at_ms: i64,
     /// Who: the name of the token.
@@ -31,9 +31,8 @@ pub(super) struct ChangeView {
     origin: String,
     /// Who was selected; empty where a rollout or trial chose.
     select: String,
-    /// What was ordered: a value under its knob's name, or `target` with a target or null.
-    #[schema(value_type = BTreeMap<String, serde_json::Value>)]
-    to: Setting,
+    /// What was ordered: a threshold, or a target (null switches it off).
+    to: DesiredSetting,
     /// How many nodes have which outcome.
     counts: BTreeMap<String, i64>,
 }
@@ -45,9 +44,8 @@ pub(super) struct ChangeNode {
     outcome: String,
     /// When that was known, milliseconds since the Unix epoch.
     at_ms: i64,
-    /// What it had before: a value under its knob's name, or a target.
-    #[schema(value_type = Option<BTreeMap<String, serde_json::Value>>)]
-    from: Option<Setting>,
+    /// What it had before: a threshold or a target.
+    from: Option<DesiredSetting>,
     #[serde(skip_serializing_if = "String::is_empty")]
     detail: String,
 }
@@ -108,11 +106,11 @@ pub(super) async fn changes(
     let next = orders
         .last()
         .filter(|_| orders.len() as i64 == limit)
-        .map(|order| order.generation);
+        .map(|order| order.revision);
     let span = orders
         .last()
         .zip(orders.first())
-        .map(|(last, first)| (last.generation, first.generation));
+        .map(|(last, first)| (last.revision, first.revision));
     let counted = match span {
         Some((from, to)) => store
             .outcome_counts(from, to)
@@ -133,9 +131,9 @@ pub(super) async fn changes(
 fn change_view(order: OrderRow, counted: &[(i64, String, i64)]) -> Result<ChangeView, StoreError> {
     let counts = counted
         .iter()
-        .filter(|(generation, ..)| *generation == order.generation);
+        .filter(|(revision, ..)| *revision == order.revision);
     Ok(ChangeView {
-        change: order.generation,
+        revision: order.revision,
         at_ms: order.at_ms,
         to: order.setting()?,
         who: order.who,
@@ -150,8 +148,8 @@ fn change_view(order: OrderRow, counted: &[(i64, String, i64)]) -> Result<Change
 
 /// One change with every node
 #[utoipa::path(
-    get, operation_id = "change", path = "/api/v1/changes/{change}", tag = "tuning",
-    params(("change" = i64, Path, description = "Its number.")),
+    get, operation_id = "change", path = "/api/v1/changes/{revision}", tag = "tuning",
+    params(("revision" = i64, Path, description = "Its number.")),
     responses(
         (status = 200, body = ChangeDetail),
         (status = 404, body = Problem, content_type = "application/problem+json"),
@@ -167,7 +165,7 @@ pub(super) async fn change(
         .orders(number.saturating_add(1), None, 1)
         .await
         .map_err(failed)?;
-    let order = orders.into_iter().find(|order| order.generation == number);
+    let order = orders.into_iter().find(|order| order.revision == number);
     let order = order.ok_or_else(|| {
         Problem::new(
             StatusCode::NOT_FOUND,

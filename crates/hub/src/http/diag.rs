@@ -106,7 +106,7 @@ async fn changes(store: &Store) -> Result<Value, StoreError> {
     let orders = store.orders(i64::MAX, None, MOST_CHANGES).await?;
     let orders = orders.into_iter().map(|order| {
         json!({
-            "change": order.generation, "at_ms": order.at_ms, "who": order.who, "why": order.why,
+            "revision": order.revision, "at_ms": order.at_ms, "who": order.who, "why": order.why,
             "by": order.origin, "select": order.selector, "to": order.setting().ok(),
         })
     });

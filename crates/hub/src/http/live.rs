@@ -2,7 +2,7 @@
 //! by itself, so that a page that was closed, a browser that died and a hub that stopped cost no node anything for long.
 
 use super::HubView;
-use crate::presence::Pokes;
+use crate::presence::Notifier;
 use albireo_service::http::Problem;
 use albireo_wire::{CountersMessage, FleetKeys, check_segment};
 use axum::extract::{Path, State};
@@ -33,18 +33,18 @@ const WAITING: usize = 64;
 /// Which frame a picture is of.
 const FRAME: HeaderName = HeaderName::from_static("albireo-frame");
 
-/// Session and pokes, once the hub has them.
+/// Session and notices, once the hub has them.
 #[derive(Clone, Debug)]
 pub(crate) struct Reach {
     pub(crate) session: Session,
-    pub(crate) pokes: Pokes,
+    pub(crate) notifier: Notifier,
 }
 
 impl HubView {
     /// Lets the node send for a while, and tells it.
     fn watch(&self, reach: &Reach, node: &str) {
         self.desires.watch(node, LEASE);
-        reach.pokes.poke(node, self.desires.of(node).generation);
+        reach.notifier.notify(node, self.desires.of(node).revision);
     }
 }
 

@@ -2,7 +2,7 @@
 
 use super::HubView;
 use crate::presence::PresenceState;
-use albireo_wire::Standing;
+use albireo_wire::TargetStatus;
 use axum::extract::State;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
@@ -55,7 +55,7 @@ pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
             family(figure.name, "gauge", figure.help, &[("", figure.value)]);
         }
     }
-    let tallies = view.fleet.tallies(|node| view.desires.of(node).generation);
+    let tallies = view.fleet.tallies(|node| view.desires.of(node).revision);
     let drifted = view.tuner().map_or(0, |tuner| tuner.drift().len());
     for (name, help, value) in [
         (
@@ -96,11 +96,11 @@ pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
         .map(|(labels, nodes)| (labels.as_str(), *nodes))
         .collect();
     family("albireo_hub_nodes", "gauge", "Nodes by state", &states);
-    let targets: Vec<(String, f64)> = Standing::ALL
+    let targets: Vec<(String, f64)> = TargetStatus::ALL
         .into_iter()
         .zip(tallies.targets)
-        .map(|(standing, nodes)| {
-            let labels = format!("{{standing=\"{}\"}}", standing.name());
+        .map(|(status, nodes)| {
+            let labels = format!("{{status=\"{}\"}}", status.name());
             (labels, nodes as f64)
         })
         .collect();

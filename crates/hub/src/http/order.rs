@@ -28,9 +28,9 @@ const LONGEST_STREAM_S: f64 = 3_600.0;
 /// What an order came to.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct OrderAnswer {
-    /// Number of the order: `/api/v1/changes/{change}` tells how it went on. Absent in a dry run, and when nobody was to change.
+    /// Revision of the order: `/api/v1/changes/{revision}` tells how it went on. Absent in a dry run, and when nobody was to change.
     #[serde(skip_serializing_if = "Option::is_none")]
-    change: Option<u64>,
+    revision: Option<u64>,
     /// Whether nothing was done.
     dry_run: bool,
     /// How many nodes have which outcome.
@@ -42,7 +42,7 @@ pub(super) struct OrderAnswer {
 /// The last line of a stream.
 #[derive(Debug, Serialize, ToSchema)]
 struct LastLine {
-    change: Option<u64>,
+    revision: Option<u64>,
     counts: BTreeMap<String, usize>,
 }
 
@@ -102,7 +102,7 @@ pub(super) async fn carry_out(
                 Some(line) => (serde_json::to_string(&line), Some(following)),
                 None => {
                     let last = LastLine {
-                        change: following.change.generation,
+                        revision: following.change.revision,
                         counts: following.counts(),
                     };
                     (serde_json::to_string(&last), None)
@@ -115,7 +115,7 @@ pub(super) async fn carry_out(
     }
     while following.next().await.is_some() {}
     let answer = OrderAnswer {
-        change: following.change.generation,
+        revision: following.change.revision,
         dry_run,
         counts: following.counts(),
         nodes: following.last.into_values().collect(),

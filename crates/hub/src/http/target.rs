@@ -3,10 +3,10 @@
 use super::HubView;
 use super::body;
 use super::order::{OrderAnswer, carry_out};
-use crate::setting::Setting;
 use crate::tuning::change::ChangeRequest;
 use crate::tuning::selector::Selector;
 use albireo_service::http::{Caller, Problem};
+use albireo_wire::DesiredSetting;
 use albireo_wire::Target;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
@@ -73,8 +73,10 @@ pub(super) async fn put(
         .map_err(|error| names(format!("target: {error}")))?;
     let request: TargetRequest = body::rest(object)?;
     let setting = match request.target {
-        Some(target) => Setting::Hold(target.check().map_err(|error| names(error.to_string()))?),
-        None => Setting::HoldNothing,
+        Some(target) => DesiredSetting::Target(Some(
+            target.check().map_err(|error| names(error.to_string()))?,
+        )),
+        None => DesiredSetting::Target(None),
     };
     let change = ChangeRequest {
         setting,

@@ -6,6 +6,7 @@ use super::order::{OrderAnswer, carry_out};
 use crate::tuning::change::ChangeRequest;
 use crate::tuning::selector::Selector;
 use albireo_service::http::{Caller, Problem};
+use albireo_wire::DesiredSetting;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
 use axum::extract::{Extension, State};
@@ -14,9 +15,8 @@ use axum::response::Response;
 use serde::Deserialize;
 use utoipa::ToSchema;
 
-/// A value for selected nodes. Beside these fields stands the value under its knob's name: `"u": 5e-4`.
+/// A value for selected nodes. The value stands beside these fields under the policy's name for it: `"u": 5e-4`.
 #[derive(Debug, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
 pub(super) struct ThresholdRequest {
     /// Which nodes: names, globs, labels, `all`.
     #[schema(value_type = Vec<String>, examples(json!(["cam-*", "region=north"])))]
@@ -52,11 +52,10 @@ pub(super) async fn put(
     headers: HeaderMap,
     bytes: Result<Bytes, BytesRejection>,
 ) -> Result<Response, Problem> {
-    let mut object = body::object(bytes)?;
-    let knob = body::knob(&mut object)?;
-    let request: ThresholdRequest = body::rest(object)?;
+    let object = body::object(bytes)?;
+    let (threshold, request): (_, ThresholdRequest) = body::with_threshold(object)?;
     let change = ChangeRequest {
-        setting: knob.into(),
+        setting: DesiredSetting::Threshold(threshold),
         select: request.select,
         dry_run: request.dry_run,
         why: request.why,

@@ -180,11 +180,15 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
         audit_detected_x: audit(11),
         audit_shown_x: audit(12),
     };
-    let knob = report.knob;
+    let threshold = report.threshold;
     let setup = SetupKey {
         policy: text(&report.policy),
-        knob: knob.map(|knob| knob.name.to_owned()).unwrap_or_default(),
-        value: knob.map(|knob| knob.value.to_string()).unwrap_or_default(),
+        knob: threshold
+            .map(|threshold| threshold.name.to_string())
+            .unwrap_or_default(),
+        value: threshold
+            .map(|threshold| threshold.value.to_string())
+            .unwrap_or_default(),
         model: text(&report.model),
         provider: text(&report.provider),
         power_source: text(&energy.source),
@@ -227,8 +231,8 @@ fn audited(audit: &AuditReport) -> Result<[i64; 13], String> {
 /// What is not summed: changes of the knob within the clip, the board, frames that were dropped by kind.
 fn details(report: &ClipReport) -> Option<String> {
     let mut details = serde_json::Map::new();
-    if report.knob_changes.len() > 1 {
-        details.insert("knob_changes".into(), json!(report.knob_changes));
+    if report.threshold_changes.len() > 1 {
+        details.insert("threshold_changes".into(), json!(report.threshold_changes));
     }
     if let Some(board) = &report.board {
         details.insert("board".into(), json!(board));

@@ -6,16 +6,13 @@ use super::plan::Outcome;
 use crate::config::{DatabaseConfig, HistoryConfig};
 use crate::store::Store;
 use albireo_wire::{
-    ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates, Percentiles,
-    VERSION,
+    BatchCompression, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates,
+    Percentiles, VERSION,
 };
-use flate2::Compression;
-use flate2::write::GzEncoder;
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, HashSet};
-use std::io::Write as _;
 
 /// Batches of one run. More by hand: `ALBIREO_BATCHES=100000`.
 fn batches() -> u64 {
@@ -68,8 +65,8 @@ fn report(number: u64) -> Value {
         degraded_frames: 0,
         dropped: DroppedFrames::default(),
         policy: "albireo".into(),
-        knob: None,
-        knob_changes: Vec::new(),
+        threshold: None,
+        threshold_changes: Vec::new(),
         model: "m".into(),
         provider: "cpu".into(),
         total_latency_ms: latency,
@@ -106,7 +103,7 @@ fn hostile(random: &mut Pcg64Mcg) -> Value {
         7 => json!("\u{0}\u{7f}'; DROP TABLE clips; --"),
         8 => json!("x".repeat(2000)),
         9 => json!([]),
-        10 => json!({ "u": "NaN" }),
+        10 => json!({ "threshold": { "name": "u", "value": "NaN" } }),
         11 => json!(true),
         12 => json!("../../*/**"),
         _ => json!(random.next_u64() % 50),
@@ -166,9 +163,7 @@ fn payload(random: &mut Pcg64Mcg) -> Vec<u8> {
         let place = random.next_u64() as usize % text.len();
         text[place] = random.next_u64() as u8;
     }
-    let mut packed = GzEncoder::new(Vec::new(), Compression::fast());
-    packed.write_all(&text).unwrap();
-    let mut packed = packed.finish().unwrap();
+    let mut packed = BatchCompression::Quick.compress(&text).unwrap();
     match random.next_u64() % 24 {
         0 => packed.truncate(random.next_u64() as usize % packed.len()),
         1 => {

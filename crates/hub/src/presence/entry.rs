@@ -5,13 +5,13 @@ use super::news::NodeNews;
 use super::state::{PresenceState, Token};
 use super::today::Today;
 use albireo_wire::{
-    HealthState, NodeStatus, SignOfLife, Standing, StatusMessage, VERSION, run_number,
+    HealthState, Heartbeat, NodeStatus, StatusMessage, TargetStatus, VERSION, run_number,
 };
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// A node is not poked more often.
-const POKE_EVERY: Duration = Duration::from_secs(5);
+/// A node is not notified more often.
+const NOTIFY_EVERY: Duration = Duration::from_secs(5);
 
 /// One run of a node's process.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -30,8 +30,8 @@ impl Run {
         }
     }
 
-    /// What a sign of life of this run says, with what its last status said; nothing when it is of another run.
-    fn alive(&self, sign: SignOfLife) -> Option<StatusMessage> {
+    /// What a heartbeat of this run says, with what its last status said; nothing when it is of another run.
+    fn alive(&self, sign: Heartbeat) -> Option<StatusMessage> {
         let Self {
             instance,
             machine,
@@ -46,7 +46,7 @@ impl Run {
             t_ns: 0,
             health: HealthState::Ready,
             waiting: sign.waiting,
-            generation: 0,
+            revision: 0,
             full: None,
         })
     }
@@ -70,14 +70,14 @@ pub(super) struct Entry {
     pub(super) health: HealthState,
     pub(super) reasons: String,
     pub(super) waiting: u64,
-    pub(super) generation: u64,
+    pub(super) revision: u64,
     /// Where its target stands, if it holds one.
-    pub(super) holds: Option<Standing>,
+    pub(super) holds: Option<TargetStatus>,
     pub(super) today: Today,
     /// The last full status as JSON: a third of the size of the same in fields.
     status: Option<Arc<str>>,
     pub(super) needs_full: bool,
-    pub(super) poked: Option<Instant>,
+    pub(super) notified: Option<Instant>,
     /// It is on the list of those to be written.
     pub(super) dirty: bool,
     /// Its full status is to be written too.
@@ -101,12 +101,12 @@ impl Entry {
             health: HealthState::Ready,
             reasons: String::new(),
             waiting: 0,
-            generation: 0,
+            revision: 0,
             holds: None,
             today: Today::default(),
             status: None,
             needs_full: true,
-            poked: None,
+            notified: None,
             dirty: false,
             status_dirty: false,
         }
@@ -124,7 +124,7 @@ impl Entry {
             machine: node.machine,
             started_ns: node.started_ns.map_or(0, i64::unsigned_abs),
         });
-        entry.generation = node.generation.unsigned_abs();
+        entry.revision = node.revision.unsigned_abs();
         if let Some(text) = node.status
             && let Ok(status) = serde_json::from_str::<NodeStatus>(&text)
         {
@@ -135,22 +135,22 @@ impl Entry {
         entry
     }
 
-    /// Whether the node is to be poked to tell all: it is missing, and the last poke was a while ago.
+    /// Whether the node is to be notified to tell all: it is missing, and the last notice was a while ago.
     pub(super) fn ask_for_all(&mut self, now: Instant) -> bool {
-        let due = |poked: Instant| now.saturating_duration_since(poked) >= POKE_EVERY;
-        let poke = self.needs_full && self.poked.is_none_or(due);
-        if poke {
-            self.poked = Some(now);
+        let due = |notified: Instant| now.saturating_duration_since(notified) >= NOTIFY_EVERY;
+        let notice = self.needs_full && self.notified.is_none_or(due);
+        if notice {
+            self.notified = Some(now);
         }
-        poke
+        notice
     }
 
-    /// A sign of life as the status it stands for: all but its numbers is as before. Nothing when it is of a run that is
+    /// A heartbeat as the status it stands for: all but its numbers is as before. Nothing when it is of a run that is
     /// not known.
-    pub(super) fn alive(&self, sign: SignOfLife) -> Option<StatusMessage> {
+    pub(super) fn alive(&self, sign: Heartbeat) -> Option<StatusMessage> {
         Some(StatusMessage {
             health: self.health,
-            generation: self.generation,
+            revision: self.revision,
             ..self.run.as_ref()?.alive(sign)?
         })
     }
@@ -194,7 +194,7 @@ impl Entry {
             .map(|(part, reason)| format!("{part}: {reason}"))
             .collect();
         self.reasons = reasons.join("; ");
-        self.holds = (status.target).map(|held| held.standing.unwrap_or(Standing::Measuring));
+        self.holds = (status.target).map(|held| held.status.unwrap_or(TargetStatus::Measuring));
         let text = serde_json::to_string(status).unwrap_or_default();
         if self.status.as_deref() == Some(&text) {
             return false;
@@ -218,7 +218,7 @@ impl Entry {
             instance: run.map(|run| run.instance.clone()),
             machine: run.and_then(|run| run.machine.clone()),
             started_ns: run.and_then(|run| i64::try_from(run.started_ns).ok()),
-            generation: i64::try_from(self.generation).unwrap_or(i64::MAX),
+            revision: i64::try_from(self.revision).unwrap_or(i64::MAX),
             status,
         }
     }
@@ -238,7 +238,7 @@ impl Entry {
             heard_ms: self.heard_ms,
             instance: self.run.as_ref().map(|run| run.instance.clone()),
             waiting: self.waiting,
-            generation: self.generation,
+            revision: self.revision,
             today: self.today.energy(day),
             status: self
                 .status

@@ -6,7 +6,7 @@ use super::state::{Facts, Limits, PresenceState, Token, judge};
 use super::today::{TodaysEnergy, Used, day_of};
 use crate::config::PresenceConfig;
 use albireo_service::clock::unix_milliseconds;
-use albireo_wire::{NodeStatus, SignOfLife, Standing, StatusMessage};
+use albireo_wire::{Heartbeat, NodeStatus, StatusMessage, TargetStatus};
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
@@ -40,8 +40,8 @@ pub struct NodeView {
     pub instance: Option<String>,
     /// Reports that wait in its outbox.
     pub waiting: u64,
-    /// Generation of the desired value in force.
-    pub generation: u64,
+    /// Revision of the desired value in force.
+    pub revision: u64,
     /// Energy of its clips of today (UTC).
     pub today: TodaysEnergy,
     /// The last full status.
@@ -75,7 +75,7 @@ pub(crate) struct Remembered {
     pub(crate) instance: Option<String>,
     pub(crate) machine: Option<String>,
     pub(crate) started_ns: Option<i64>,
-    pub(crate) generation: i64,
+    pub(crate) revision: i64,
     pub(crate) status: Option<String>,
 }
 
@@ -118,8 +118,8 @@ pub struct FleetTallies {
     pub behind: u64,
     /// Reports that wait in their outboxes, as far as they have told.
     pub waiting: u64,
-    /// Nodes that are heard and hold a target, by where it stands, in the order of [`Standing::ALL`].
-    pub targets: [u64; Standing::ALL.len()],
+    /// Nodes that are heard and hold a target, by where it stands, in the order of [`TargetStatus::ALL`].
+    pub targets: [u64; TargetStatus::ALL.len()],
 }
 
 /// All nodes.
@@ -161,7 +161,7 @@ impl Fleet {
         }
     }
 
-    /// Takes a status; whether the node should be poked to tell all.
+    /// Takes a status; whether the node should be notified to tell all.
     pub(crate) fn heard(
         &self,
         node: &str,
@@ -188,7 +188,7 @@ impl Fleet {
         if !same {
             entry.another_run(run, now, self.limits.silent);
         }
-        let mut changed = entry.generation != message.generation;
+        let mut changed = entry.revision != message.revision;
         entry.heard = Some(now);
         entry.heard_ms = Some(now_ms);
         if entry.token == Token::Gone {
@@ -196,7 +196,7 @@ impl Fleet {
         }
         entry.seq = message.seq;
         entry.waiting = message.waiting;
-        entry.generation = message.generation;
+        entry.revision = message.revision;
         match &message.full {
             Some(full) => {
                 entry.needs_full = false;
@@ -213,8 +213,8 @@ impl Fleet {
         entry.ask_for_all(now)
     }
 
-    /// Takes a sign of life; whether the node should be poked to tell all.
-    pub(crate) fn alive(&self, node: &str, sign: SignOfLife, now: Instant, now_ms: i64) -> bool {
+    /// Takes a heartbeat; whether the node should be notified to tell all.
+    pub(crate) fn alive(&self, node: &str, sign: Heartbeat, now: Instant, now_ms: i64) -> bool {
         let known = self
             .nodes
             .read()
@@ -397,17 +397,17 @@ impl Fleet {
         counts
     }
 
-    /// Counts the nodes; `desired` is the generation desired of one.
+    /// Counts the nodes; `desired` is the revision desired of one.
     pub fn tallies(&self, desired: impl Fn(&str) -> u64) -> FleetTallies {
         let (now, mut tallies) = (Instant::now(), FleetTallies::default());
         for (name, entry) in self.nodes.read().iter() {
             let heard = matches!(entry.state, PresenceState::Online | PresenceState::Degraded);
             let two = (entry.identity.as_ref()).is_some_and(|(_, until)| *until > now);
             tallies.twins += u64::from(two);
-            tallies.behind += u64::from(heard && entry.generation < desired(name));
+            tallies.behind += u64::from(heard && entry.revision < desired(name));
             tallies.waiting += entry.waiting;
             let stands = (entry.holds.filter(|_| heard))
-                .and_then(|at| Standing::ALL.iter().position(|one| *one == at));
+                .and_then(|at| TargetStatus::ALL.iter().position(|one| *one == at));
             if let Some(count) = stands.and_then(|at| tallies.targets.get_mut(at)) {
                 *count += 1;
             }

@@ -1,4 +1,4 @@
-//! Hears status messages and tokens, answers pulls, pokes.
+//! Hears status messages and tokens, answers pulls, notifies nodes.
 //!
 //! Zenoh's threads only hand over to bounded queues. A status that finds its queue full is dropped: the next one shows a
 //! gap in the numbers, and the hub asks for all.
@@ -9,7 +9,7 @@ use crate::error::HubError;
 use crate::ingest::{Replies, refusal};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{
-    FleetKeys, Poke, PullRequest, RefusalReason, SignOfLife, StatusMessage, VERSION,
+    ConfigChanged, FleetKeys, Heartbeat, PullRequest, RefusalReason, StatusMessage, VERSION,
 };
 use bytes::Bytes;
 use std::sync::Arc;
@@ -26,13 +26,13 @@ use zenoh::{Session, Wait};
 
 /// Messages that may wait.
 const QUEUE: usize = 65_536;
-/// Pokes that may wait; one more is not sent, and the next status finds out anyway.
-const POKES: usize = 65_536;
+/// Notices that may wait; one more is not sent, and the next status finds out anyway.
+const NOTICES: usize = 65_536;
 /// Time between two looks at a tenth of the nodes.
 const SWEEP: Duration = Duration::from_millis(500);
-/// Pause after so many pokes: thousands of nodes that ask at once are a storm of the hub's own making.
-const POKES_AT_ONCE: usize = 50;
-const POKE_PAUSE: Duration = Duration::from_millis(10);
+/// Pause after so many notices: thousands of nodes that ask at once are a storm of the hub's own making.
+const NOTICES_AT_ONCE: usize = 50;
+const NOTICE_PAUSE: Duration = Duration::from_millis(10);
 
 enum Heard {
     Status { node: String, payload: Bytes },
@@ -45,18 +45,18 @@ pub(crate) struct Listening {
     _tokens: Option<Subscriber<()>>,
     _pulls: Queryable<()>,
     /// Says which node should ask now what is desired.
-    pub(crate) pokes: Pokes,
+    pub(crate) notifier: Notifier,
 }
 
-/// Where pokes go.
+/// Where notices go.
 #[derive(Clone, Debug)]
-pub(crate) struct Pokes(SyncSender<(String, u64)>);
+pub(crate) struct Notifier(SyncSender<(String, u64)>);
 
-impl Pokes {
-    /// Pokes `node` about `generation`. Never waits.
-    pub(crate) fn poke(&self, node: &str, generation: u64) {
+impl Notifier {
+    /// Tells `node` that there is something to pull. Never waits.
+    pub(crate) fn notify(&self, node: &str, revision: u64) {
         // The next status or report finds out without it.
-        let _ = self.0.try_send((node.to_owned(), generation));
+        let _ = self.0.try_send((node.to_owned(), revision));
     }
 }
 
@@ -100,12 +100,12 @@ pub(crate) async fn listen(
     } = setup;
     let keys = FleetKeys::all(prefix)?;
     let (sender, heard) = mpsc::channel(QUEUE);
-    let pokes = poker(session.clone(), prefix.to_owned())
-        .map_err(HubError::system("the thread of pokes cannot be started"))?;
+    let notifier = start_notifier(session.clone(), prefix.to_owned())
+        .map_err(HubError::system("the thread of notices cannot be started"))?;
     let hearing = take(
         heard,
         Arc::clone(&fleet),
-        pokes.clone(),
+        notifier.clone(),
         Arc::clone(&counters),
         shutdown,
     );
@@ -179,41 +179,41 @@ pub(crate) async fn listen(
         _status: status,
         _tokens: tokens,
         _pulls: pulls,
-        pokes,
+        notifier,
     };
     Ok((listening, hearing))
 }
 
-/// A thread that sends pokes, since a put may block; it ends when the last sender is gone.
-fn poker(session: Session, prefix: String) -> std::io::Result<Pokes> {
-    let (sender, pokes) = sync_channel::<(String, u64)>(POKES);
+/// A thread that sends notices, since a put may block; it ends when the last sender is gone.
+fn start_notifier(session: Session, prefix: String) -> std::io::Result<Notifier> {
+    let (sender, notices) = sync_channel::<(String, u64)>(NOTICES);
     std::thread::Builder::new()
-        .name("pokes".to_owned())
+        .name("notices".to_owned())
         .spawn(move || {
             let mut sent = 0_usize;
-            while let Ok((node, generation)) = pokes.recv() {
+            while let Ok((node, revision)) = notices.recv() {
                 let Ok(keys) = FleetKeys::new(&prefix, &node) else {
                     continue;
                 };
-                let poke = Poke {
+                let notice = ConfigChanged {
                     v: VERSION,
-                    generation,
+                    revision,
                 };
-                let payload = serde_json::to_vec(&poke).unwrap_or_default();
+                let payload = serde_json::to_vec(&notice).unwrap_or_default();
                 let put = session
-                    .put(keys.poke(), payload)
+                    .put(keys.changed(), payload)
                     .congestion_control(CongestionControl::Drop)
                     .wait();
                 if let Err(error) = put {
-                    tracing::debug!(%error, node, "a poke was not sent");
+                    tracing::debug!(%error, node, "a notice was not sent");
                 }
                 sent += 1;
-                if sent.is_multiple_of(POKES_AT_ONCE) {
-                    std::thread::sleep(POKE_PAUSE);
+                if sent.is_multiple_of(NOTICES_AT_ONCE) {
+                    std::thread::sleep(NOTICE_PAUSE);
                 }
             }
         })?;
-    Ok(Pokes(sender))
+    Ok(Notifier(sender))
 }
 
 /// Most messages taken at once.
@@ -224,7 +224,7 @@ const TAKEN_EVERY: Duration = Duration::from_millis(5);
 async fn take(
     mut heard: mpsc::Receiver<Heard>,
     fleet: Arc<Fleet>,
-    pokes: Pokes,
+    notifier: Notifier,
     counters: Arc<ListenCounters>,
     shutdown: CancellationToken,
 ) {
@@ -243,7 +243,7 @@ async fn take(
         }
         let all = several.len() < TAKEN_AT_ONCE;
         for one in several.drain(..) {
-            take_one(one, &fleet, &pokes, &counters);
+            take_one(one, &fleet, &notifier, &counters);
         }
         if all {
             tokio::time::sleep(TAKEN_EVERY).await;
@@ -251,19 +251,19 @@ async fn take(
     }
 }
 
-fn take_one(one: Heard, fleet: &Fleet, pokes: &Pokes, counters: &ListenCounters) {
+fn take_one(one: Heard, fleet: &Fleet, notifier: &Notifier, counters: &ListenCounters) {
     let (now, now_ms) = (Instant::now(), unix_milliseconds());
     match one {
         Heard::Token { node, present } => fleet.token(&node, present, now, now_ms),
         Heard::Status { node, payload } => {
-            let heard = if SignOfLife::is_one(&payload) {
-                SignOfLife::read(&payload).map(|sign| fleet.alive(&node, sign, now, now_ms))
+            let heard = if Heartbeat::is_one(&payload) {
+                Heartbeat::read(&payload).map(|sign| fleet.alive(&node, sign, now, now_ms))
             } else {
                 albireo_wire::read::<StatusMessage>(&payload)
                     .map(|message| fleet.heard(&node, &message, now, now_ms))
             };
             match heard {
-                Ok(true) => pokes.poke(&node, 0),
+                Ok(true) => notifier.notify(&node, 0),
                 Ok(false) => {}
                 Err(error) => {
                     counters.unreadable.fetch_add(1, Ordering::Relaxed);

@@ -18,7 +18,7 @@ pub(crate) struct NodeNews {
     pub(super) instance: Option<String>,
     pub(super) machine: Option<String>,
     pub(super) started_ns: Option<i64>,
-    pub(super) generation: i64,
+    pub(super) revision: i64,
     /// The full status; absent when it did not change.
     pub(super) status: Option<String>,
 }
@@ -75,7 +75,7 @@ impl News {
                 instance: kept(&node.instance),
                 machine: kept(&node.machine),
                 started_ns: node.started_ns,
-                generation: node.generation,
+                revision: node.revision,
                 status: kept(&node.status),
             });
         }

@@ -3,7 +3,7 @@
 use super::fleet::Remembered;
 use super::*;
 use crate::config::PresenceConfig;
-use albireo_wire::{HealthState, SignOfLife, StatusMessage, VERSION};
+use albireo_wire::{HealthState, Heartbeat, StatusMessage, VERSION};
 use std::time::{Duration, Instant};
 
 const LIMITS: Limits = Limits {
@@ -141,7 +141,7 @@ fn life(seq: u64) -> StatusMessage {
         t_ns: 0,
         health: HealthState::Ready,
         waiting: 0,
-        generation: 0,
+        revision: 0,
         full: None,
     }
 }
@@ -179,7 +179,7 @@ fn a_node_that_was_silent_when_the_hub_stopped_gets_offline_after_its_time() {
         instance: None,
         machine: None,
         started_ns: None,
-        generation: 0,
+        revision: 0,
         status: None,
     };
     let start = Instant::now();
@@ -192,7 +192,7 @@ fn a_node_that_was_silent_when_the_hub_stopped_gets_offline_after_its_time() {
 }
 
 #[test]
-fn a_poke_for_a_lost_status_comes_at_most_every_few_seconds() {
+fn a_notice_for_a_lost_status_comes_at_most_every_few_seconds() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
     assert!(fleet.heard("a", &life(0), start, 0));
@@ -213,13 +213,13 @@ fn a_sign_of_life_stands_for_the_last_status_of_its_run_and_one_of_another_run_a
     });
     let first = StatusMessage {
         health: HealthState::Degraded,
-        generation: 7,
+        revision: 7,
         full: Some(serde_json::from_value(full).unwrap()),
         ..life(0)
     };
     assert!(!fleet.heard("a", &first, at(0), 0));
     let (run, waiting) = (first.run(), 3);
-    let sign = |seq| SignOfLife { run, seq, waiting };
+    let sign = |seq| Heartbeat { run, seq, waiting };
     assert!(!fleet.alive("a", sign(1), at(90), 90_000));
     fleet.sweep(at(180), 180_000);
     let view = fleet.view("a").unwrap();
@@ -228,12 +228,12 @@ fn a_sign_of_life_stands_for_the_last_status_of_its_run_and_one_of_another_run_a
         PresenceState::Degraded,
         "heard 90 s ago, as it was"
     );
-    assert_eq!((view.waiting, view.generation), (3, 7));
+    assert_eq!((view.waiting, view.revision), (3, 7));
     // One was lost, and what it said with it.
     assert!(fleet.alive("a", sign(3), at(181), 181_000));
     assert!(fleet.needs_full_status("a"));
     // Of another run nothing is known: it is not taken for this one.
-    let other = SignOfLife {
+    let other = Heartbeat {
         run: run + 1,
         seq: 0,
         waiting: 0,

@@ -41,7 +41,7 @@ impl Store {
                     instance: row.try_get("instance")?,
                     machine: row.try_get("machine")?,
                     started_ns: row.try_get("started_ns")?,
-                    generation: row.try_get("generation")?,
+                    revision: row.try_get("revision")?,
                     status: row.try_get("status")?,
                 })
             })

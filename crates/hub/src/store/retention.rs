@@ -37,13 +37,13 @@ impl Writing<'_> {
             ),
             // What is desired stays: a node that returns after years still finds it.
             (
-                "DELETE FROM order_nodes WHERE (generation, node) IN (SELECT n.generation, n.node FROM order_nodes n \
-                 JOIN orders o ON o.generation = n.generation WHERE o.at_ms < $1 ORDER BY 1, 2 LIMIT $2)",
+                "DELETE FROM order_nodes WHERE (revision, node) IN (SELECT n.revision, n.node FROM order_nodes n \
+                 JOIN orders o ON o.revision = n.revision WHERE o.at_ms < $1 ORDER BY 1, 2 LIMIT $2)",
                 before(history.events_days),
             ),
             (
-                "DELETE FROM orders WHERE generation IN (SELECT o.generation FROM orders o WHERE o.at_ms < $1 \
-                 AND NOT EXISTS (SELECT 1 FROM order_nodes n WHERE n.generation = o.generation) LIMIT $2)",
+                "DELETE FROM orders WHERE revision IN (SELECT o.revision FROM orders o WHERE o.at_ms < $1 \
+                 AND NOT EXISTS (SELECT 1 FROM order_nodes n WHERE n.revision = o.revision) LIMIT $2)",
                 before(history.events_days),
             ),
             (

@@ -268,7 +268,7 @@ row! {
         instance: Option<String>,
         machine: Option<String>,
         started_ns: Option<i64>,
-        generation: i64,
+        revision: i64,
         status: Option<String>,
     }
 }

@@ -12,7 +12,7 @@ use super::trial::{Trial, TrialPhase, TrialPlan, TrialWindow};
 use super::tuner::{NewOrder, Tuner, text};
 use crate::store::{CampaignRow, ClipSums, ClipWindow, Key, StoreError};
 use albireo_service::clock::unix_milliseconds;
-use albireo_wire::KnobValue;
+use albireo_wire::{DesiredSetting, Threshold, ThresholdName};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 
@@ -94,10 +94,10 @@ impl Campaign {
         }
     }
 
-    fn asked(&mut self, order: &Order, generation: u64, now: Millis) {
+    fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
         match self {
-            Self::Rollout(rollout) => rollout.asked(order, generation, now),
-            Self::Trial(trial) => trial.asked(order, generation, now),
+            Self::Rollout(rollout) => rollout.asked(order, revision, now),
+            Self::Trial(trial) => trial.asked(order, revision, now),
         }
     }
 
@@ -184,7 +184,7 @@ impl Tuner {
         let mut campaigns = self.campaigns.lock().await;
         let taken = Self::taken(&campaigns);
         let (candidates, mut left_out) =
-            self.candidates(&request.plan.select, request.knob.name, &taken);
+            self.candidates(&request.plan.select, &request.knob.name, &taken);
         let (has_it, candidates): (Vec<_>, Vec<_>) = candidates
             .into_iter()
             .partition(|c| c.before == request.knob);
@@ -210,8 +210,11 @@ impl Tuner {
         plan.check()?;
         let mut campaigns = self.campaigns.lock().await;
         let taken = Self::taken(&campaigns);
-        let knob = plan.values.first().map_or("u", |value| value.name);
-        let (candidates, left_out) = self.candidates(&plan.select, knob, &taken);
+        let knob = plan
+            .values
+            .first()
+            .map_or(ThresholdName::new(), |value| value.name);
+        let (candidates, left_out) = self.candidates(&plan.select, &knob, &taken);
         let now = unix_milliseconds();
         let seed = plan.seed.unwrap_or(now.unsigned_abs());
         let trial = Trial::begin(plan, candidates, seed, now)?;
@@ -452,7 +455,7 @@ impl Tuner {
                 )
             });
             let new = NewOrder {
-                setting: order.knob.into(),
+                setting: DesiredSetting::Threshold(order.knob),
                 nodes: nodes.collect(),
                 who: driven.who.clone(),
                 why: if order.is_return {
@@ -463,8 +466,8 @@ impl Tuner {
                 origin: format!("{} {id}", driven.campaign.kind()),
                 selector: String::new(),
             };
-            let generation = self.order(new, None).await?;
-            driven.campaign.asked(&order, generation, now);
+            let revision = self.order(new, None).await?;
+            driven.campaign.asked(&order, revision, now);
             changed = true;
         }
         let look = |node: &str| self.fleet.node(node).map(|facts| facts.seen());
@@ -504,7 +507,7 @@ impl Tuner {
 
     async fn measure_rollout(
         &self,
-        new: KnobValue,
+        new: Threshold,
         nodes: &[Window],
         now: Millis,
     ) -> Result<Vec<BeforeAfter>, StoreError> {
@@ -544,7 +547,7 @@ fn able(
     facts: &NodeFacts,
     knob: &str,
     taken: &HashMap<String, String>,
-) -> Result<KnobValue, String> {
+) -> Result<Threshold, String> {
     if let Some(other) = taken.get(&facts.name) {
         return Err(format!("takes part in {other}"));
     }
@@ -555,17 +558,19 @@ fn able(
     }
     match facts.knob_name() {
         None => Err("has not told its value yet, or its policy has none".to_owned()),
-        Some(name) if name != knob => Err(format!("its policy is turned by `{name}`")),
+        Some(name) if name.as_str() != knob => {
+            Err(format!("the threshold of its policy is `{name}`"))
+        }
         Some(_) => facts
             .knob()
             .ok_or_else(|| "its cameras have different values".to_owned()),
     }
 }
 
-fn window(node: &str, knob: KnobValue, from: Millis, until: Millis) -> ClipWindow {
+fn window(node: &str, knob: Threshold, from: Millis, until: Millis) -> ClipWindow {
     Key([
         node.into(),
-        knob.name.into(),
+        knob.name.as_str().into(),
         text(knob).as_str().into(),
         from.into(),
         until.into(),

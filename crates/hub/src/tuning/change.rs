@@ -4,15 +4,16 @@ use super::desired::DesiredValue;
 use super::fleet::NodeFacts;
 use super::selector::Selector;
 use super::tuner::{NewOrder, OutcomeLine, Tuner};
-use crate::setting::Setting;
+use crate::setting::is_applied;
 use crate::store::StoreError;
+use albireo_wire::DesiredSetting;
 use std::collections::HashSet;
 use tokio::sync::mpsc;
 
 /// A value or a target for selected nodes.
 #[derive(Clone, Debug)]
 pub(crate) struct ChangeRequest {
-    pub(crate) setting: Setting,
+    pub(crate) setting: DesiredSetting,
     pub(crate) select: Selector,
     pub(crate) dry_run: bool,
     pub(crate) why: String,
@@ -22,9 +23,9 @@ pub(crate) struct ChangeRequest {
 #[derive(Debug)]
 pub(crate) struct Change {
     /// What was ordered.
-    pub(crate) setting: Setting,
-    /// Its generation; absent in a dry run, and where nobody was to change.
-    pub(crate) generation: Option<u64>,
+    pub(crate) setting: DesiredSetting,
+    /// Its revision; absent in a dry run, and where nobody was to change.
+    pub(crate) revision: Option<u64>,
     /// What is known at once.
     pub(crate) lines: Vec<OutcomeLine>,
     /// Nodes whose answer is awaited.
@@ -90,7 +91,7 @@ impl Tuner {
         lines.sort_by(|a, b| a.node.cmp(&b.node));
         let awaited = nodes.iter().map(|(node, _)| node.clone()).collect();
         let (tell, follow) = mpsc::unbounded_channel();
-        let generation = if nodes.is_empty() {
+        let revision = if nodes.is_empty() {
             None
         } else {
             let order = NewOrder {
@@ -105,7 +106,7 @@ impl Tuner {
         };
         Ok(Change {
             setting,
-            generation,
+            revision,
             lines,
             awaited,
             follow,
@@ -114,25 +115,28 @@ impl Tuner {
 }
 
 /// Why the node cannot have that, as far as its status tells.
-fn unable(facts: &NodeFacts, setting: Setting) -> Option<String> {
+fn unable(facts: &NodeFacts, setting: DesiredSetting) -> Option<String> {
     match setting {
-        Setting::Knob(knob) => {
+        DesiredSetting::Threshold(knob) => {
             let name = facts.knob_name().filter(|name| *name != knob.name)?;
-            let words = format!("its policy is turned by `{name}`, not by `{}`", knob.name);
+            let words = format!(
+                "the threshold of its policy is `{name}`, not `{}`",
+                knob.name
+            );
             Some(words)
         }
-        Setting::Hold(_) => facts.cannot_hold(),
-        Setting::HoldNothing => None,
+        DesiredSetting::Target(Some(_)) => facts.cannot_hold(),
+        DesiredSetting::Target(None) => None,
     }
 }
 
 /// Whether the node has it, and nothing else is desired that would take it away. Where nothing is to be held, whatever
 /// else is desired stands.
-fn has_it(facts: &NodeFacts, desired: Option<DesiredValue>, setting: Setting) -> bool {
+fn has_it(facts: &NodeFacts, desired: Option<DesiredValue>, setting: DesiredSetting) -> bool {
     let desired = desired.map(|desired| desired.setting);
     let wanted = match setting {
-        Setting::HoldNothing => !matches!(desired, Some(Setting::Hold(_))),
+        DesiredSetting::Target(None) => !matches!(desired, Some(DesiredSetting::Target(Some(_)))),
         _ => desired == Some(setting),
     };
-    wanted && facts.status.is_some() && setting.is_had(facts.knob(), facts.target())
+    wanted && facts.status.is_some() && is_applied(setting, facts.knob(), facts.target())
 }

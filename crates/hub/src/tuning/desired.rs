@@ -1,6 +1,6 @@
 //! What is desired of each node, in memory, as the database has it.
 
-use crate::setting::Setting;
+use albireo_wire::DesiredSetting;
 use parking_lot::RwLock;
 use std::collections::HashMap;
 
@@ -8,9 +8,9 @@ use std::collections::HashMap;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DesiredValue {
     /// Its number.
-    pub generation: u64,
+    pub revision: u64,
     /// The value or the target.
-    pub setting: Setting,
+    pub setting: DesiredSetting,
 }
 
 /// The desired values by node.
@@ -18,11 +18,11 @@ pub struct DesiredValue {
 pub struct DesiredValues(RwLock<HashMap<String, DesiredValue>>);
 
 impl DesiredValues {
-    /// Takes a value; one of a lower or the same generation changes nothing. Returns whether it was taken.
+    /// Takes a value; one of a lower or the same revision changes nothing. Returns whether it was taken.
     pub fn set(&self, node: &str, value: DesiredValue) -> bool {
         let mut values = self.0.write();
         match values.get_mut(node) {
-            Some(present) if present.generation >= value.generation => false,
+            Some(present) if present.revision >= value.revision => false,
             Some(present) => {
                 *present = value;
                 true
@@ -52,25 +52,25 @@ impl DesiredValues {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use albireo_wire::{KnobValue, Target};
+    use albireo_wire::{Target, Threshold};
     use proptest::prelude::*;
 
     proptest! {
         #[test]
-        fn a_lower_generation_never_replaces_a_higher(generations in prop::collection::vec(0u64..20, 1..30)) {
+        fn a_lower_revision_never_replaces_a_higher(revisions in prop::collection::vec(0u64..20, 1..30)) {
             let values = DesiredValues::default();
             let mut highest = None;
-            for generation in generations {
-                let value = generation as f64;
-                // A value of the knob and a target take turns: there is one generation for both.
-                let setting = match generation % 2 {
-                    0 => Setting::Knob(KnobValue { name: "u", value }),
-                    _ => Setting::Hold(Target::Watts(value)),
+            for revision in revisions {
+                let value = revision as f64;
+                // A value of the knob and a target take turns: there is one revision for both.
+                let setting = match revision % 2 {
+                    0 => DesiredSetting::Threshold(Threshold::new("u", value)),
+                    _ => DesiredSetting::Target(Some(Target::Watts(value))),
                 };
-                let taken = values.set("n", DesiredValue { generation, setting });
-                prop_assert_eq!(taken, highest.is_none_or(|highest| generation > highest));
-                highest = highest.max(Some(generation));
-                prop_assert_eq!(values.get("n").map(|v| v.generation), highest);
+                let taken = values.set("n", DesiredValue { revision, setting });
+                prop_assert_eq!(taken, highest.is_none_or(|highest| revision > highest));
+                highest = highest.max(Some(revision));
+                prop_assert_eq!(values.get("n").map(|v| v.revision), highest);
             }
             prop_assert_eq!(values.get("other"), None);
         }

@@ -2,8 +2,7 @@
 
 use super::members::Seen;
 use crate::presence::{self, NodeView, PresenceState};
-use crate::setting::Setting;
-use albireo_wire::{KnobSource, KnobValue, NodeStatus, Target, TargetError};
+use albireo_wire::{DesiredSetting, NodeStatus, SettingSource, Target, Threshold, ThresholdName};
 use std::collections::BTreeMap;
 
 /// What the hub knows of a node.
@@ -13,8 +12,8 @@ pub struct NodeFacts {
     pub name: String,
     /// Whether it is in reach: online or degraded.
     pub reachable: bool,
-    /// Generation in force that it reported last.
-    pub generation: u64,
+    /// Revision in force that it reported last.
+    pub revision: u64,
     /// Its last full status, if it ever sent one.
     pub status: Option<NodeStatus>,
 }
@@ -43,7 +42,7 @@ impl From<NodeView> for NodeFacts {
         Self {
             reachable: matches!(view.state, PresenceState::Online | PresenceState::Degraded),
             name: view.node,
-            generation: view.generation,
+            revision: view.revision,
             status: view
                 .status
                 .and_then(|status| serde_json::from_value(status).ok()),
@@ -59,20 +58,20 @@ impl NodeFacts {
     }
 
     /// The value in force on all of its cameras; `None` when they differ, have none, or nothing is known.
-    pub fn knob(&self) -> Option<KnobValue> {
+    pub fn knob(&self) -> Option<Threshold> {
         let cameras = &self.status.as_ref()?.cameras;
-        let first = cameras.first()?.knob;
-        first.filter(|_| cameras.iter().all(|camera| camera.knob == first))
+        let first = cameras.first()?.threshold;
+        first.filter(|_| cameras.iter().all(|camera| camera.threshold == first))
     }
 
     /// Name of its policy's knob, when a camera tells.
-    pub fn knob_name(&self) -> Option<&'static str> {
+    pub fn knob_name(&self) -> Option<ThresholdName> {
         let status = self.status.as_ref()?;
         status
             .cameras
             .iter()
-            .find_map(|camera| camera.knob)
-            .map(|knob| knob.name)
+            .find_map(|camera| camera.threshold)
+            .map(|threshold| threshold.name)
     }
 
     /// What it holds in the place of its knob's number.
@@ -81,8 +80,11 @@ impl NodeFacts {
     }
 
     /// What it has: its target, or its knob's value where it holds none.
-    pub fn setting(&self) -> Option<Setting> {
-        (self.target().map(Setting::Hold)).or_else(|| self.knob().map(Setting::Knob))
+    pub fn setting(&self) -> Option<DesiredSetting> {
+        (self
+            .target()
+            .map(|target| DesiredSetting::Target(Some(target))))
+        .or_else(|| self.knob().map(DesiredSetting::Threshold))
     }
 
     /// Why it holds no target any more, in its own words.
@@ -93,23 +95,12 @@ impl NodeFacts {
     /// Why no target can be ordered of it, as far as its status tells.
     pub fn cannot_hold(&self) -> Option<String> {
         let status = self.status.as_ref()?;
-        if !status.takes_targets {
-            return Some(format!(
-                "its program, version {}, takes no target from a hub: it has to be brought up to date first",
-                status.version
-            ));
-        }
-        match self.knob_name() {
-            // Before its cameras have told, the node itself knows.
-            None | Some("u" | "lambda") => None,
-            knob => Some(
-                TargetError::Policy {
-                    policy: status.policy.clone(),
-                    knob,
-                }
-                .to_string(),
-            ),
-        }
+        // Before its cameras have told, the node itself knows.
+        let name = self.knob_name()?;
+        (!matches!(name.as_str(), "u" | "lambda")).then(|| {
+            let policy = &status.policy;
+            format!("a target moves `u` or `lambda`, and policy `{policy}` has `{name}`")
+        })
     }
 
     /// Whether somebody at the node has set a value of a camera.
@@ -119,7 +110,7 @@ impl NodeFacts {
             status
                 .cameras
                 .iter()
-                .any(|c| c.knob_source == KnobSource::Local)
+                .any(|c| c.threshold_source == SettingSource::Local)
         })
     }
 
@@ -131,11 +122,11 @@ impl NodeFacts {
             .and_then(|status| status.refused.as_ref());
         Seen {
             reachable: self.reachable,
-            generation: self.generation,
+            revision: self.revision,
             knob: self.knob(),
             target: self.target(),
             cannot_hold: self.cannot_hold(),
-            refused: refused.map(|refused| (refused.generation, refused.reason.clone())),
+            refused: refused.map(|refused| (refused.revision, refused.reason.clone())),
         }
     }
 }

@@ -1,7 +1,8 @@
 //! The nodes of a rollout or a trial: what each is to have, and what it has said.
 
-use crate::setting::Setting;
-use albireo_wire::KnobValue;
+use crate::setting::is_applied;
+use albireo_wire::DesiredSetting;
+use albireo_wire::Threshold;
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
@@ -58,24 +59,24 @@ impl Outcome {
         !matches!(self, Self::Pending)
     }
 
-    /// What follows from what is `seen` of a node that was asked, at `asked_ms`, for `wanted` with that generation. A node that was
+    /// What follows from what is `seen` of a node that was asked, at `asked_ms`, for `wanted` with that revision. A node that was
     /// away has its time anew from its return.
     pub(crate) fn next(
         &self,
         seen: &Seen,
-        wanted: Setting,
-        generation: u64,
+        wanted: DesiredSetting,
+        revision: u64,
         asked_ms: &mut Millis,
         patience_ms: Millis,
         now: Millis,
     ) -> Self {
         use Outcome::{Applied, Missed, Pending, Refused, TimedOut, Untouched, Waiting};
-        let has_it = seen.generation >= generation && wanted.is_had(seen.knob, seen.target);
-        // A program that knows no targets takes the generation, and passes over what stands beside it.
+        let has_it = seen.revision >= revision && is_applied(wanted, seen.knob, seen.target);
+        // A program that knows no targets takes the revision, and passes over what stands beside it.
         let unable = (seen.cannot_hold.as_ref())
-            .filter(|_| seen.reachable && matches!(wanted, Setting::Hold(_)));
+            .filter(|_| seen.reachable && matches!(wanted, DesiredSetting::Target(Some(_))));
         let refused = (seen.refused.as_ref())
-            .filter(|(refused, _)| *refused == generation)
+            .filter(|(refused, _)| *refused == revision)
             .map(|(_, reason)| reason);
         match (self, unable.or(refused)) {
             (Applied { .. } | Untouched | Missed, _) => self.clone(),
@@ -127,15 +128,15 @@ impl Outcome {
 pub struct Seen {
     /// Whether it is in reach.
     pub reachable: bool,
-    /// Generation in force that it reported last.
-    pub generation: u64,
+    /// Revision in force that it reported last.
+    pub revision: u64,
     /// Value in force on all of its cameras that it reported last; `None` when they differ or have none.
-    pub knob: Option<KnobValue>,
+    pub knob: Option<Threshold>,
     /// What it holds in the place of the knob's number.
     pub target: Option<albireo_wire::Target>,
     /// Why it cannot hold any target, as far as it told.
     pub cannot_hold: Option<String>,
-    /// The desired value it reported last as refused: generation and reason.
+    /// The desired value it reported last as refused: revision and reason.
     pub refused: Option<(u64, String)>,
 }
 
@@ -147,14 +148,13 @@ pub struct Member {
     /// Its stage or group, from 0.
     pub group: usize,
     /// The value it had at the beginning.
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    pub before: KnobValue,
+    pub before: Threshold,
     /// What it is to have.
     pub target: Target,
     /// The target that it was last asked for.
     pub asked: Target,
-    /// Generation of that.
-    pub generation: u64,
+    /// Revision of that.
+    pub revision: u64,
     /// When it was asked.
     pub asked_ms: Millis,
     /// What it said.
@@ -164,14 +164,14 @@ pub struct Member {
 
 impl Member {
     /// A node that nothing is asked of.
-    pub fn new(node: impl Into<String>, group: usize, before: KnobValue) -> Self {
+    pub fn new(node: impl Into<String>, group: usize, before: Threshold) -> Self {
         Self {
             node: node.into(),
             group,
             before,
             target: Target::Untouched,
             asked: Target::Untouched,
-            generation: 0,
+            revision: 0,
             asked_ms: 0,
             outcome: Outcome::Untouched,
         }
@@ -191,9 +191,9 @@ impl Member {
     }
 
     /// Notes that it was asked for its target.
-    pub fn asked(&mut self, generation: u64, now: Millis) {
+    pub fn asked(&mut self, revision: u64, now: Millis) {
         self.asked = self.target;
-        self.generation = generation;
+        self.revision = revision;
         self.asked_ms = now;
         // A node whose value was withdrawn stays named as one that missed it.
         if !(self.outcome == Outcome::Missed && self.target == Target::Old) {
@@ -205,7 +205,7 @@ impl Member {
     pub fn observe(
         &mut self,
         seen: &Seen,
-        new: KnobValue,
+        new: Threshold,
         patience_ms: Millis,
         now: Millis,
     ) -> bool {
@@ -220,7 +220,7 @@ impl Member {
         let next = self.outcome.next(
             seen,
             wanted.into(),
-            self.generation,
+            self.revision,
             &mut self.asked_ms,
             patience_ms,
             now,
@@ -248,17 +248,22 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const NEW: KnobValue = u(5e-4);
-    const OLD: KnobValue = u(3e-4);
-
-    const fn u(value: f64) -> KnobValue {
-        KnobValue { name: "u", value }
+    fn new() -> Threshold {
+        u(5e-4)
     }
 
-    fn seen(reachable: bool, generation: u64, knob: KnobValue) -> Seen {
+    fn old() -> Threshold {
+        u(3e-4)
+    }
+
+    fn u(value: f64) -> Threshold {
+        Threshold::new("u", value)
+    }
+
+    fn seen(reachable: bool, revision: u64, knob: Threshold) -> Seen {
         Seen {
             reachable,
-            generation,
+            revision,
             knob: Some(knob),
             target: None,
             cannot_hold: None,
@@ -267,7 +272,7 @@ mod tests {
     }
 
     fn asked() -> Member {
-        let mut member = Member::new("n", 0, OLD);
+        let mut member = Member::new("n", 0, old());
         member.aim(Target::New);
         assert!(member.is_due());
         member.asked(7, 0);
@@ -276,36 +281,36 @@ mod tests {
 
     #[test]
     fn applied_is_what_the_node_reports() {
-        let refused = |generation| Seen {
-            refused: Some((generation, "range".to_owned())),
-            ..seen(true, 6, OLD)
+        let refused = |revision| Seen {
+            refused: Some((revision, "range".to_owned())),
+            ..seen(true, 6, old())
         };
         for (what, seen, at, expected) in [
-            ("nothing yet", seen(true, 6, OLD), 10, "pending"),
-            ("the value", seen(true, 7, NEW), 10, "applied"),
+            ("nothing yet", seen(true, 6, old()), 10, "pending"),
+            ("the value", seen(true, 7, new()), 10, "applied"),
             (
-                "a later generation's same value",
-                seen(true, 8, NEW),
+                "a later revision's same value",
+                seen(true, 8, new()),
                 10,
                 "applied",
             ),
             (
-                "its generation, but another value",
-                seen(true, 7, OLD),
+                "its revision, but another value",
+                seen(true, 7, old()),
                 10,
                 "pending",
             ),
             (
                 "the value by accident, before it was asked",
-                seen(true, 6, NEW),
+                seen(true, 6, new()),
                 10,
                 "pending",
             ),
-            ("no answer in time", seen(true, 6, OLD), 100, "timed_out"),
-            ("away", seen(false, 6, OLD), 100, "waiting"),
+            ("no answer in time", seen(true, 6, old()), 100, "timed_out"),
+            ("away", seen(false, 6, old()), 100, "waiting"),
             (
                 "applied and away since",
-                seen(false, 7, NEW),
+                seen(false, 7, new()),
                 100,
                 "applied",
             ),
@@ -313,7 +318,7 @@ mod tests {
             ("an earlier one refused", refused(6), 10, "pending"),
         ] {
             let mut member = asked();
-            member.observe(&seen, NEW, 100, at);
+            member.observe(&seen, new(), 100, at);
             assert_eq!(member.outcome.name(), expected, "{what}");
         }
     }
@@ -327,23 +332,23 @@ mod tests {
             (true, 5_099, "pending"),
             (true, 5_100, "timed_out"),
         ] {
-            member.observe(&seen(reachable, 6, OLD), NEW, 100, at);
+            member.observe(&seen(reachable, 6, old()), new(), 100, at);
             assert_eq!(member.outcome.name(), expected, "{at}");
         }
-        member.observe(&seen(true, 7, NEW), NEW, 100, 9_000);
+        member.observe(&seen(true, 7, new()), new(), 100, 9_000);
         assert_eq!(member.outcome, Outcome::Applied { at_ms: 9_000 });
     }
 
     #[test]
     fn one_that_was_never_asked_has_nothing_to_go_back_from() {
-        let mut member = Member::new("n", 0, OLD);
+        let mut member = Member::new("n", 0, old());
         member.aim(Target::Old);
         assert!(!member.is_due());
         let mut member = asked();
         member.aim(Target::Old);
         assert!(member.is_due());
         member.asked(9, 1);
-        member.observe(&seen(true, 9, OLD), NEW, 100, 2);
+        member.observe(&seen(true, 9, old()), new(), 100, 2);
         assert_eq!(member.outcome, Outcome::Applied { at_ms: 2 });
     }
 

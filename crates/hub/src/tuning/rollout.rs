@@ -18,7 +18,7 @@ pub use plan::{OnFailure, PlanError, RolloutPlan, RolloutRequest, StageSize};
 pub use record::{Entry, What};
 
 use super::members::{Member, Millis, Outcome, Seen, Target, shuffled};
-use albireo_wire::KnobValue;
+use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -97,7 +97,7 @@ impl Phase {
 #[derive(Clone, Debug, PartialEq)]
 pub struct Order {
     /// The value.
-    pub knob: KnobValue,
+    pub knob: Threshold,
     /// The nodes.
     pub nodes: Vec<String>,
     /// Whether it is the old value that returns.
@@ -108,7 +108,7 @@ pub struct Order {
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeasurementRequest {
     /// The new value.
-    pub knob: KnobValue,
+    pub knob: Threshold,
     /// The nodes.
     pub nodes: Vec<Window>,
 }
@@ -119,7 +119,7 @@ pub struct Window {
     /// The node.
     pub node: String,
     /// The value before.
-    pub old: KnobValue,
+    pub old: Threshold,
     /// When the window before begins.
     pub from_ms: Millis,
     /// When it ends: the node was asked.
@@ -132,7 +132,7 @@ pub struct Window {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rollout {
     /// The new value.
-    pub knob: KnobValue,
+    pub knob: Threshold,
     /// How.
     pub plan: RolloutPlan,
     /// The seed that drew the order of the nodes.
@@ -160,7 +160,7 @@ pub struct Candidate {
     /// Its name.
     pub node: String,
     /// The value in force.
-    pub before: KnobValue,
+    pub before: Threshold,
     /// Whether it is in reach.
     pub reachable: bool,
 }
@@ -241,8 +241,8 @@ impl Rollout {
         orders
     }
 
-    /// Notes that the nodes of `order` were asked, with that generation.
-    pub fn asked(&mut self, order: &Order, generation: u64, now: Millis) {
+    /// Notes that the nodes of `order` were asked, with that revision.
+    pub fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
         let named: std::collections::HashSet<&str> =
             order.nodes.iter().map(String::as_str).collect();
         for member in self
@@ -250,7 +250,7 @@ impl Rollout {
             .iter_mut()
             .filter(|m| m.is_due() && named.contains(m.node.as_str()))
         {
-            member.asked(generation, now);
+            member.asked(revision, now);
         }
     }
 

@@ -12,7 +12,7 @@ use super::metric::{Figure, Figures};
 use super::rollout::{Candidate, Order, PlanError, check_why};
 use super::selector::Selector;
 use super::statistics::{Interval, Moments, difference};
-use albireo_wire::KnobValue;
+use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
@@ -27,8 +27,7 @@ const FEWEST_NODES: usize = 2;
 #[serde(deny_unknown_fields, default)]
 pub struct TrialPlan {
     /// The values, two or more of one knob.
-    #[schema(value_type = Vec<std::collections::BTreeMap<String, f64>>)]
-    pub values: Vec<KnobValue>,
+    pub values: Vec<Threshold>,
     /// Which nodes.
     #[schema(value_type = Vec<String>)]
     pub select: Selector,
@@ -156,8 +155,7 @@ pub struct ArmFigure {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ArmResult {
     /// The value.
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    pub value: KnobValue,
+    pub value: Threshold,
     /// Nodes of the group.
     pub nodes: usize,
     /// Of them, those that reported the value.
@@ -183,7 +181,7 @@ pub struct TrialResult {
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrialWindow {
     /// Nodes that have their value, with it.
-    pub nodes: Vec<(String, KnobValue)>,
+    pub nodes: Vec<(String, Threshold)>,
     /// Begin.
     pub from_ms: Millis,
     /// End.
@@ -275,8 +273,8 @@ impl Trial {
         orders
     }
 
-    /// Notes that the nodes of `order` were asked, with that generation.
-    pub fn asked(&mut self, order: &Order, generation: u64, now: Millis) {
+    /// Notes that the nodes of `order` were asked, with that revision.
+    pub fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
         let named: std::collections::HashSet<&str> =
             order.nodes.iter().map(String::as_str).collect();
         for member in self
@@ -284,7 +282,7 @@ impl Trial {
             .iter_mut()
             .filter(|m| m.is_due() && named.contains(m.node.as_str()))
         {
-            member.asked(generation, now);
+            member.asked(revision, now);
         }
     }
 
@@ -389,7 +387,7 @@ impl Trial {
             }
             (means, clips)
         };
-        let arm = |(arm, value): (usize, &KnobValue)| {
+        let arm = |(arm, value): (usize, &Threshold)| {
             let figures = Figure::ALL.into_iter().filter_map(|figure| {
                 let (means, clips) = group(arm, figure);
                 (means.count > 0).then(|| ArmFigure {

@@ -1,16 +1,17 @@
-//! Carries orders out: keeps them in the database, pokes the nodes, and follows what the nodes report.
+//! Carries orders out: keeps them in the database, notifies the nodes, and follows what the nodes report.
 
 use super::desired::DesiredValue;
 use super::fleet::{Fleet, NodeFacts};
 use super::members::{Millis, Outcome};
 use crate::config::TuningConfig;
 use crate::desired::Desires;
-use crate::presence::Pokes;
-use crate::setting::Setting;
+use crate::presence::Notifier;
+use crate::setting::is_applied;
 use crate::store::tables::EventRow;
 use crate::store::{OrderNodeRow, OrderRow, Store, StoreError, Writer, columns};
 use albireo_service::clock::unix_milliseconds;
-use albireo_wire::KnobValue;
+use albireo_wire::DesiredSetting;
+use albireo_wire::Threshold;
 use parking_lot::Mutex;
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
@@ -19,11 +20,11 @@ use std::sync::atomic::{AtomicI64, Ordering};
 use tokio::sync::mpsc;
 use utoipa::ToSchema;
 
-/// How long after a poke that was not followed a node is poked again.
-const POKE_AGAIN_MS: Millis = 5_000;
+/// How long after a notice that was not followed a node is notified again.
+const NOTIFY_AGAIN_MS: Millis = 5_000;
 
 /// What is desired, and the nodes that are to have it again with what each had in its place.
-type SetBack = (Setting, Vec<(String, Option<Setting>)>);
+type SetBack = (DesiredSetting, Vec<(String, Option<DesiredSetting>)>);
 
 /// What an order came to at one node.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
@@ -33,12 +34,10 @@ pub struct OutcomeLine {
     /// `applied`, `refused`, `waiting` (out of reach: applied on its return), `timed_out`, `pending`, `superseded`; `unchanged` where it
     /// has the value already, `would_change` in a dry run.
     pub outcome: &'static str,
-    /// What it had before, if that was known: a value under its knob's name, or a target.
-    #[schema(value_type = Option<BTreeMap<String, serde_json::Value>>)]
-    pub from: Option<Setting>,
-    /// What was ordered: a value under its knob's name, or a target.
-    #[schema(value_type = BTreeMap<String, serde_json::Value>)]
-    pub to: Setting,
+    /// What it had before, if that was known: a threshold or a target.
+    pub from: Option<DesiredSetting>,
+    /// What was ordered: a threshold or a target.
+    pub to: DesiredSetting,
     /// Why, where there is something to say.
     #[serde(skip_serializing_if = "String::is_empty")]
     pub detail: String,
@@ -54,9 +53,9 @@ impl OutcomeLine {
 /// A value or a target for some nodes.
 #[derive(Clone, Debug)]
 pub(crate) struct NewOrder {
-    pub(crate) setting: Setting,
+    pub(crate) setting: DesiredSetting,
     /// The nodes, with what they have.
-    pub(crate) nodes: Vec<(String, Option<Setting>)>,
+    pub(crate) nodes: Vec<(String, Option<DesiredSetting>)>,
     pub(crate) who: String,
     pub(crate) why: String,
     /// `hand`, `rollout 3`, `trial 4`, `drift`.
@@ -67,11 +66,11 @@ pub(crate) struct NewOrder {
 /// An order that a node has not answered finally.
 #[derive(Clone, Debug)]
 struct OpenOrder {
-    generation: u64,
-    setting: Setting,
-    from: Option<Setting>,
+    revision: u64,
+    setting: DesiredSetting,
+    from: Option<DesiredSetting>,
     asked_ms: Millis,
-    poked_ms: Millis,
+    notified_ms: Millis,
     outcome: Outcome,
 }
 
@@ -84,7 +83,7 @@ impl OpenOrder {
             None => (None, None, None),
         };
         OrderNodeRow {
-            generation: i64::try_from(self.generation).unwrap_or(i64::MAX),
+            revision: i64::try_from(self.revision).unwrap_or(i64::MAX),
             node: node.to_owned(),
             from_value,
             from_knob,
@@ -103,12 +102,10 @@ pub struct Drift {
     pub node: String,
     /// Since when the hub knows, milliseconds since the Unix epoch.
     pub since_ms: Millis,
-    /// What is desired: a value under its knob's name, or a target.
-    #[schema(value_type = BTreeMap<String, serde_json::Value>)]
-    pub desired: Setting,
+    /// What is desired: a threshold or a target.
+    pub desired: DesiredSetting,
     /// What it has; absent where the cameras differ.
-    #[schema(value_type = Option<BTreeMap<String, serde_json::Value>>)]
-    pub in_force: Option<Setting>,
+    pub in_force: Option<DesiredSetting>,
     /// Why it holds its target no more, in its own words.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub why: Option<String>,
@@ -123,11 +120,11 @@ pub struct Tuner {
     pub(super) fleet: Arc<dyn Fleet>,
     /// Where pulls and acknowledgements are answered from.
     desires: Arc<Desires>,
-    pokes: Pokes,
+    notifier: Notifier,
     pub(super) config: TuningConfig,
     /// This hub among several on one database.
     pub(super) driver: String,
-    /// Highest generation that was read from the database: what this hub orders itself says nothing of the others'.
+    /// Highest revision that was read from the database: what this hub orders itself says nothing of the others'.
     learned: AtomicI64,
     open: Mutex<HashMap<String, OpenOrder>>,
     followers: Mutex<HashMap<u64, mpsc::UnboundedSender<OutcomeLine>>>,
@@ -141,7 +138,7 @@ impl std::fmt::Debug for Tuner {
     }
 }
 
-pub(crate) fn text(knob: KnobValue) -> String {
+pub(crate) fn text(knob: Threshold) -> String {
     knob.value.to_string()
 }
 
@@ -154,7 +151,7 @@ impl Tuner {
         store: Store,
         fleet: Arc<dyn Fleet>,
         desires: Arc<Desires>,
-        pokes: Pokes,
+        notifier: Notifier,
         config: TuningConfig,
         driver: String,
     ) -> Result<Self, StoreError> {
@@ -163,7 +160,7 @@ impl Tuner {
             store,
             fleet,
             desires,
-            pokes,
+            notifier,
             config,
             driver,
             learned: AtomicI64::new(0),
@@ -174,22 +171,22 @@ impl Tuner {
         };
         tuner.learn().await?;
         for row in tuner.store.open_order_nodes().await? {
-            let generation = row.generation.unsigned_abs();
+            let revision = row.revision.unsigned_abs();
             let Some(desired) = tuner
                 .desires
                 .values
                 .get(&row.node)
-                .filter(|d| d.generation == generation)
+                .filter(|d| d.revision == revision)
             else {
                 continue;
             };
             let order = OpenOrder {
-                generation,
+                revision,
                 setting: desired.setting,
                 from: row.before(desired.setting)?,
                 // Its time counts anew: nobody listened meanwhile.
                 asked_ms: unix_milliseconds(),
-                poked_ms: 0,
+                notified_ms: 0,
                 outcome: Outcome::Pending,
             };
             tuner.open.lock().insert(row.node, order);
@@ -197,12 +194,9 @@ impl Tuner {
         Ok(tuner)
     }
 
-    /// Makes a setting the desired one, unless one of a higher generation is.
-    fn desire(&self, node: &str, generation: u64, setting: Setting) {
-        let value = DesiredValue {
-            generation,
-            setting,
-        };
+    /// Makes a setting the desired one, unless one of a higher revision is.
+    fn desire(&self, node: &str, revision: u64, setting: DesiredSetting) {
+        let value = DesiredValue { revision, setting };
         self.desires.values.set(node, value);
     }
 
@@ -219,9 +213,9 @@ impl Tuner {
     /// Takes what other hubs on the same database have ordered.
     pub(crate) async fn learn(&self) -> Result<(), StoreError> {
         let after = self.learned.load(Ordering::Relaxed);
-        for (node, generation, setting) in self.store.desired_after(after).await? {
-            self.desire(&node, generation.unsigned_abs(), setting);
-            self.learned.fetch_max(generation, Ordering::Relaxed);
+        for (node, revision, setting) in self.store.desired_after(after).await? {
+            self.desire(&node, revision.unsigned_abs(), setting);
+            self.learned.fetch_max(revision, Ordering::Relaxed);
         }
         Ok(())
     }
@@ -246,28 +240,28 @@ impl Tuner {
     }
 
     /// Orders a value or a target: when this returns it stands in the database, pulls are answered with it, and the nodes were
-    /// poked. What the nodes report is told to `follower`.
+    /// notified. What the nodes report is told to `follower`.
     pub(crate) async fn order(
         &self,
         order: NewOrder,
         follower: Option<mpsc::UnboundedSender<OutcomeLine>>,
     ) -> Result<u64, StoreError> {
         let now = unix_milliseconds();
-        let open = |generation, from| OpenOrder {
-            generation,
+        let open = |revision, from| OpenOrder {
+            revision,
             setting: order.setting,
             from,
             asked_ms: now,
-            poked_ms: now,
+            notified_ms: now,
             outcome: Outcome::Pending,
         };
         let reachable = |node: &str| self.fleet.node(node).is_some_and(|facts| facts.reachable);
-        let generation = self
+        let revision = self
             .write(async |writing| {
-                let generation = writing.next_generation().await?;
+                let revision = writing.next_revision().await?;
                 let (knob, value, target) = columns(order.setting);
                 let row = OrderRow {
-                    generation,
+                    revision,
                     at_ms: now,
                     who: order.who.clone(),
                     why: order.why.clone(),
@@ -284,38 +278,33 @@ impl Tuner {
                         } else {
                             "waiting"
                         };
-                        open(generation.unsigned_abs(), *from).row(
-                            node,
-                            outcome,
-                            now,
-                            String::new(),
-                        )
+                        open(revision.unsigned_abs(), *from).row(node, outcome, now, String::new())
                     })
                     .collect();
                 writing.order(row, &nodes).await?;
-                Ok(generation.unsigned_abs())
+                Ok(revision.unsigned_abs())
             })
             .await?;
         if let Some(follower) = follower {
             let mut followers = self.followers.lock();
             followers.retain(|_, follower| !follower.is_closed());
-            followers.insert(generation, follower);
+            followers.insert(revision, follower);
         }
         for (node, from) in &order.nodes {
-            self.desire(node, generation, order.setting);
-            let before = (self.open.lock()).insert(node.clone(), open(generation, *from));
+            self.desire(node, revision, order.setting);
+            let before = (self.open.lock()).insert(node.clone(), open(revision, *from));
             if let Some(before) = before {
                 self.tell(&before, node, "superseded", String::new());
             }
             self.drift.lock().remove(node);
-            self.pokes.poke(node, generation);
+            self.notifier.notify(node, revision);
         }
-        Ok(generation)
+        Ok(revision)
     }
 
     fn tell(&self, order: &OpenOrder, node: &str, outcome: &'static str, detail: String) {
         let mut followers = self.followers.lock();
-        if let Some(follower) = followers.get(&order.generation) {
+        if let Some(follower) = followers.get(&order.revision) {
             let line = OutcomeLine {
                 node: node.to_owned(),
                 outcome,
@@ -324,7 +313,7 @@ impl Tuner {
                 detail,
             };
             if follower.send(line).is_err() {
-                followers.remove(&order.generation);
+                followers.remove(&order.revision);
             }
         }
     }
@@ -348,17 +337,17 @@ impl Tuner {
                 let next = order.outcome.next(
                     &seen,
                     order.setting,
-                    order.generation,
+                    order.revision,
                     &mut order.asked_ms,
                     patience,
                     now,
                 );
                 if next == Outcome::Pending
                     && seen.reachable
-                    && now - order.poked_ms >= POKE_AGAIN_MS
+                    && now - order.notified_ms >= NOTIFY_AGAIN_MS
                 {
-                    order.poked_ms = now;
-                    self.pokes.poke(node, order.generation);
+                    order.notified_ms = now;
+                    self.notifier.notify(node, order.revision);
                     changed.push((node.clone(), order.clone()));
                 }
                 if next != order.outcome {
@@ -381,7 +370,7 @@ impl Tuner {
                 let mut open = self.open.lock();
                 let still = open
                     .get(&node)
-                    .is_some_and(|present| present.generation == order.generation);
+                    .is_some_and(|present| present.revision == order.revision);
                 if !still {
                     continue;
                 }
@@ -410,7 +399,7 @@ impl Tuner {
             };
             if !drifted(&facts, desired) {
                 // One that was set back stays listed until it has taken the value again.
-                if facts.generation >= desired.generation {
+                if facts.revision >= desired.revision {
                     self.drift.lock().remove(&node);
                 }
                 continue;
@@ -434,7 +423,7 @@ impl Tuner {
             }
             let set_back = known.unwrap_or(0);
             if self.config.local_change.is_set_back() && set_back < self.config.set_back_times {
-                let group = back.entry(desired.setting.key());
+                let group = back.entry(desired.setting.to_string());
                 group
                     .or_insert_with(|| (desired.setting, Vec::new()))
                     .1
@@ -480,7 +469,7 @@ impl Tuner {
 /// A change at the node, for the history.
 fn drift_event(node: &str, desired: DesiredValue, facts: &NodeFacts, now: Millis) -> EventRow {
     let detail = serde_json::json!({
-        "change": desired.generation,
+        "revision": desired.revision,
         "desired": desired.setting,
         "in_force": facts.setting(),
     });
@@ -495,6 +484,6 @@ fn drift_event(node: &str, desired: DesiredValue, facts: &NodeFacts, now: Millis
 /// Whether a node has taken what is desired and has something else now.
 fn drifted(facts: &NodeFacts, desired: DesiredValue) -> bool {
     facts.status.is_some()
-        && facts.generation == desired.generation
-        && !(desired.setting).is_had(facts.knob(), facts.target())
+        && facts.revision == desired.revision
+        && !is_applied(desired.setting, facts.knob(), facts.target())
 }

@@ -12,8 +12,8 @@ pub mod postgres;
 use albireo_hub::config::HubConfig;
 use albireo_wire::{
     AuditReport, AuditSums, ClipEnd, ClipEnergy, ClipReport, Desired, DomainEnergy, DroppedFrames,
-    EnergyQuality, FrameStates, HealthState, HealthStatus, KnobValue, NodeStatus, OutboxStatus,
-    Percentiles, PullRequest, ReportAnswer, ReportBatch, ReportRefusal, StatusMessage, VERSION,
+    EnergyQuality, FrameStates, HealthState, HealthStatus, NodeStatus, OutboxStatus, Percentiles,
+    PullRequest, ReportAnswer, ReportBatch, ReportRefusal, StatusMessage, Threshold, VERSION,
 };
 use serde_json::Value;
 use std::path::Path;
@@ -163,7 +163,7 @@ pub async fn deliver(session: &zenoh::Session, batch: &ReportBatch) -> Said {
             session,
             &batch.node,
             batch
-                .to_payload(albireo_wire::BatchCompression::Dictionary)
+                .to_payload(albireo_wire::BatchCompression::Best)
                 .unwrap(),
         )
         .await
@@ -239,11 +239,8 @@ pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
         degraded_frames: 20,
         dropped: DroppedFrames::default(),
         policy: "albireo".into(),
-        knob: Some(KnobValue {
-            name: "u",
-            value: 3e-4,
-        }),
-        knob_changes: Vec::new(),
+        threshold: Some(Threshold::new("u", 3e-4)),
+        threshold_changes: Vec::new(),
         model: "detector.onnx".into(),
         provider: "cpu".into(),
         total_latency_ms: percentiles(1200, 11.3),
@@ -298,7 +295,7 @@ pub fn batch(
     }
 }
 
-/// A sign of life.
+/// A heartbeat.
 pub fn status(instance: &str, seq: u64) -> StatusMessage {
     StatusMessage {
         v: VERSION,
@@ -309,7 +306,7 @@ pub fn status(instance: &str, seq: u64) -> StatusMessage {
         t_ns: now_ns(),
         health: HealthState::Ready,
         waiting: 0,
-        generation: 0,
+        revision: 0,
         full: None,
     }
 }
@@ -341,7 +338,6 @@ pub fn full_status(instance: &str, seq: u64, reasons: &[(&str, &str)]) -> Status
         refused: None,
         target: None,
         target_off: None,
-        takes_targets: true,
     };
     StatusMessage {
         health: state,
@@ -364,7 +360,7 @@ pub async fn pull(session: &zenoh::Session, node: &str, instance: &str) -> Desir
     let request = PullRequest {
         v: VERSION,
         instance: instance.into(),
-        generation: 0,
+        revision: 0,
     };
     let replies = session
         .get(format!("albireo/@pull/{node}"))

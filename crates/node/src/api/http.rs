@@ -23,8 +23,8 @@ use crate::state::board::{Board, CameraBoard, FrameEvent, ThresholdEvent};
 use albireo_service::http::{self, Page, Problem};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
-    CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment, Poke, PullRequest,
-    ReportAnswer, ReportBatch, StatusMessage,
+    ConfigChanged, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
+    PullRequest, ReportAnswer, ReportBatch, StatusMessage, ThresholdMessage,
 };
 use axum::Router;
 use axum::http::StatusCode;
@@ -103,7 +103,8 @@ impl RouteState {
         StatusMessage,
         PullRequest,
         Desired,
-        Poke,
+        ConfigChanged,
+        ThresholdMessage,
         FrameEvent,
         ThresholdEvent,
         events::DetectorEvent

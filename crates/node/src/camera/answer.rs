@@ -4,7 +4,7 @@ use crate::input::Frame;
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{Outcome, OutputBox};
 use albireo_service::clock::significant;
-use albireo_wire::{BoxMessage, DetectionsMessage, KnobValue, Latency, VERSION};
+use albireo_wire::{BoxMessage, DetectionsMessage, Latency, Threshold, VERSION};
 
 /// What the message says about the frame besides the policy's outcome.
 #[derive(Debug)]
@@ -13,8 +13,8 @@ pub struct AnswerContext<'a> {
     pub frame: &'a Frame,
     /// The clip it belongs to.
     pub clip: &'a str,
-    /// The knob's value in force.
-    pub knob: Option<KnobValue>,
+    /// The threshold in force.
+    pub threshold: Option<Threshold>,
     /// Names of the detector's classes.
     pub class_names: &'a [String],
     /// Where the time went.
@@ -35,7 +35,7 @@ pub fn detections_message(outcome: &Outcome, context: &AnswerContext<'_>) -> Det
         degraded: outcome.degraded,
         cause: outcome.cause,
         tau_max: outcome.tau_max.map(|tau| significant(tau, 6)),
-        knob: context.knob,
+        threshold: context.threshold,
         width: size.width,
         height: size.height,
         boxes: outcome

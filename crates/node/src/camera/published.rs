@@ -50,10 +50,7 @@ impl MinConfidence {
             };
             let is_double = surer.iter().any(|other| {
                 other.class == one.class
-                    && other
-                        .bounding_box
-                        .intersection_over_union(one.bounding_box)
-                        > MAX_OVERLAP
+                    && other.bounding_box.intersection_over_union(one.bounding_box) > MAX_OVERLAP
             });
             if !is_double {
                 boxes.swap(kept, at);

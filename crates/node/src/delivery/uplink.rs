@@ -20,7 +20,7 @@ use crate::state::readiness;
 use albireo_service::config::UplinkConfig;
 use albireo_service::session;
 use albireo_vision::picture::FrameLimits;
-use albireo_wire::{BatchCompression, Desired, FleetKeys, PullRequest, VERSION};
+use albireo_wire::{Desired, FleetKeys, PullRequest, VERSION};
 use backoff::Backoff;
 use delivery::Delivery;
 use gathering::Gathering;
@@ -97,11 +97,9 @@ impl Uplink {
             reconnect: Backoff::new(setup.config.retry_min_ms, setup.config.retry_max_ms),
             setup,
             stop: Arc::clone(&stop),
-            poked: Arc::new(AtomicU64::new(0)),
+            notified: Arc::new(AtomicU64::new(0)),
             pull_due: true,
             last_answer: Instant::now(),
-            signs_of_life: false,
-            compression: BatchCompression::default(),
         };
         let thread = std::thread::Builder::new()
             .name("uplink".to_owned())
@@ -142,14 +140,12 @@ struct Worker {
     /// Pauses between sessions that could not be opened or failed.
     reconnect: Backoff,
     stop: Arc<AtomicBool>,
-    /// Highest generation that was poked.
-    poked: Arc<AtomicU64>,
+    /// Highest revision that was notified.
+    notified: Arc<AtomicU64>,
     pull_due: bool,
     last_answer: Instant,
     watched: Watched,
-    /// The hub that answered in this session reads signs of life.
-    signs_of_life: bool,
-    compression: BatchCompression,
+    /// The hub that answered in this session reads heartbeats.
     gathering: Gathering,
 }
 
@@ -261,14 +257,14 @@ impl Worker {
             .congestion_control(CongestionControl::Drop)
             .priority(crate::camera::publishing::COUNTERS)
             .wait()?;
-        let (notifier, poked) = (self.setup.outbox.clone(), Arc::clone(&self.poked));
-        let _poke = session
-            .declare_subscriber(keys.poke())
+        let (notifier, notified) = (self.setup.outbox.clone(), Arc::clone(&self.notified));
+        let _notice = session
+            .declare_subscriber(keys.changed())
             .callback(move |sample| {
-                let generation =
-                    albireo_wire::read::<albireo_wire::Poke>(&sample.payload().to_bytes())
-                        .map_or(1, |poke| poke.generation.max(1));
-                poked.fetch_max(generation, Ordering::AcqRel);
+                let revision =
+                    albireo_wire::read::<albireo_wire::ConfigChanged>(&sample.payload().to_bytes())
+                        .map_or(1, |notice| notice.revision.max(1));
+                notified.fetch_max(revision, Ordering::AcqRel);
                 notifier.wake();
             })
             .wait()?;
@@ -283,15 +279,12 @@ impl Worker {
         let mut revision = 0;
         let mut last_try = None;
         self.pull_due = true;
-        // Another hub may answer than the last time.
-        self.signs_of_life = false;
-        self.compression = BatchCompression::default();
         self.gathering.begin();
         loop {
             let stopping = self.stop.load(Ordering::Acquire);
             self.look_after_disk();
             let connected = reports.matching_status().wait()?.matching();
-            if self.poked.swap(0, Ordering::AcqRel) > 0 {
+            if self.notified.swap(0, Ordering::AcqRel) > 0 {
                 self.pull_due = true;
             }
             if !stopping {
@@ -342,16 +335,12 @@ impl Worker {
             stop: &self.stop,
             then: LAST_TRY,
         };
-        let delivered = self.delivery.send(reports, self.compression, patience);
+        let delivered = self.delivery.send(reports, patience);
         if delivered.answered {
             self.last_answer = Instant::now();
         }
         if delivered.again {
             self.gathering.sent();
-        }
-        if delivered.unreadable {
-            // An older hub has taken the place of the one that said what it reads.
-            self.compression = BatchCompression::default();
         }
         if delivered.new_instance {
             self.teller.full_is_due();
@@ -366,7 +355,7 @@ impl Worker {
         let request = PullRequest {
             v: VERSION,
             instance: self.setup.outbox.instance(),
-            generation: self.setup.desired.generation(),
+            revision: self.setup.desired.revision(),
         };
         let Ok(json) = serde_json::to_vec(&request) else {
             return;
@@ -388,8 +377,6 @@ impl Worker {
     }
 
     fn take(&mut self, desired: &Desired) {
-        self.signs_of_life = desired.signs_of_life;
-        self.compression = BatchCompression::for_hub(desired.report_dictionary);
         if self
             .setup
             .desired
@@ -409,7 +396,6 @@ impl Worker {
         let period = Duration::from_secs(self.setup.config.status_s.max(1));
         let message = self.teller.due(
             period,
-            self.signs_of_life,
             &self.setup.board,
             &self.setup.outbox,
             &self.setup.desired,

@@ -1,7 +1,7 @@
 //! Says when a policy saves nothing although objects are followed, and which value of its knob to try.
 
 use albireo_core::policy::{Knob, short};
-use albireo_wire::{DetectionsMessage, KnobValue};
+use albireo_wire::{DetectionsMessage, Threshold};
 use serde::Serialize;
 use utoipa::ToSchema;
 
@@ -47,7 +47,7 @@ impl std::fmt::Display for Advice {
 /// Counts frames until it is clear whether a policy skips any.
 #[derive(Clone, Debug, Default)]
 pub struct SkipWatch {
-    knob: Option<KnobValue>,
+    threshold: Option<Threshold>,
     frames: u64,
     followed: u64,
     skipped: bool,
@@ -59,9 +59,9 @@ impl SkipWatch {
     /// Counts an answered frame; true when exactly now it has become clear that nothing is skipped. A knob that was
     /// turned begins anew. Degraded frames say nothing.
     pub fn count(&mut self, message: &DetectionsMessage) -> bool {
-        if message.knob != self.knob {
+        if message.threshold != self.threshold {
             *self = Self {
-                knob: message.knob,
+                threshold: message.threshold,
                 ..Self::default()
             };
         }
@@ -99,7 +99,7 @@ impl SkipWatch {
     }
 
     fn attempt(&self, knob: &Knob) -> Option<Advice> {
-        let value = self.knob.filter(|value| value.name == knob.name)?.value;
+        let value = self.threshold?.value_of(knob).ok()?;
         let attempt = match knob.name {
             "u" => above_the_median(&self.taus)?,
             "lambda" if value < knob.default => knob.default,
@@ -147,7 +147,7 @@ mod tests {
     use albireo_core::policy::{Albireo, ExpectedLoss, FrameState};
     use albireo_wire::Latency;
 
-    fn message(state: FrameState, knob: KnobValue, tau_max: Option<f64>) -> DetectionsMessage {
+    fn message(state: FrameState, knob: Threshold, tau_max: Option<f64>) -> DetectionsMessage {
         DetectionsMessage {
             v: 1,
             seq: 0,
@@ -157,7 +157,7 @@ mod tests {
             degraded: false,
             cause: None,
             tau_max,
-            knob: Some(knob),
+            threshold: Some(knob),
             width: 720,
             height: 576,
             boxes: Vec::new(),
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn a_policy_that_skips_nothing_is_told_a_value_under_which_it_would() {
         let knob = Albireo::KNOB;
-        let value = KnobValue::new(&knob, 1e-4);
+        let value = Threshold::new(knob.name, 1e-4);
         let mut watch = SkipWatch::default();
         let mut clear = 0;
         for frame in 0..400_u32 {
@@ -184,7 +184,7 @@ mod tests {
             "no frame of 400 was skipped, though objects were followed in 400 of them; try u = 2e-4 (it is 1e-4)"
         );
         // Turned, it is another matter; and one skipped frame is enough to be silent.
-        let turned = KnobValue::new(&knob, 2e-4);
+        let turned = Threshold::new(knob.name, 2e-4);
         watch.count(&message(FrameState::P, turned, Some(1.9e-4)));
         for _ in 0..400 {
             watch.count(&message(FrameState::I, turned, Some(3e-4)));
@@ -198,7 +198,11 @@ mod tests {
         let knob = Albireo::KNOB;
         let mut watch = SkipWatch::default();
         for _ in 0..1000 {
-            watch.count(&message(FrameState::EI, KnobValue::new(&knob, 3e-4), None));
+            watch.count(&message(
+                FrameState::EI,
+                Threshold::new(knob.name, 3e-4),
+                None,
+            ));
         }
         assert_eq!(watch.advice(&knob), None);
     }
@@ -210,7 +214,7 @@ mod tests {
         for _ in 0..400 {
             watch.count(&message(
                 FrameState::I,
-                KnobValue::new(&knob, 1e-3),
+                Threshold::new(knob.name, 1e-3),
                 Some(2e-4),
             ));
         }
@@ -224,7 +228,7 @@ mod tests {
         for _ in 0..400 {
             watch.count(&message(
                 FrameState::I,
-                KnobValue::new(&knob, 0.0),
+                Threshold::new(knob.name, 0.0),
                 Some(0.1),
             ));
         }

@@ -29,7 +29,7 @@ use albireo_service::readiness::{Fault, Readiness};
 use albireo_service::supervise::TaskTally;
 use albireo_vision::detector::{DetectorCounts, DetectorMeter, DetectorStatus};
 use albireo_vision::worker::{WorkerCounts, WorkerMeter};
-use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality, KnobSource};
+use albireo_wire::{ClipReport, CountersMessage, DomainWatts, EnergyQuality, SettingSource};
 use parking_lot::Mutex;
 use power_past::PowerPast;
 use savings::SavingsSince;
@@ -338,7 +338,7 @@ impl Board {
             degraded_frames: snapshot.degraded_frames,
             calls: snapshot.calls,
             dropped: snapshot.dropped,
-            knob: camera.knob_value(),
+            threshold: camera.threshold_in_force(),
             watts: power.watts,
             power_quality: power.quality,
             target: self.target.is_on().then(|| self.target.report()),
@@ -367,7 +367,7 @@ impl Board {
     pub(crate) fn set_target(
         &self,
         target: Option<Target>,
-        source: KnobSource,
+        source: SettingSource,
     ) -> Result<(), TargetError> {
         let held = self.target.is_on();
         let knob = self.cameras.first().and_then(|camera| camera.threshold());

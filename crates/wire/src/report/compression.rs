@@ -1,16 +1,12 @@
-//! How a batch of reports is made small: by gzip, which every hub reads, or by Zstandard against an example batch that
-//! node and hub both have, so that names and usual words are not sent at all.
+//! How a batch of reports is compressed: by Zstandard against an example batch that node and hub both have, so that names and
+//! usual words are not sent at all.
 
 use super::BatchError;
-use flate2::Compression;
-use flate2::read::GzDecoder;
-use flate2::write::GzEncoder;
 use std::io::{Read, Write};
 use std::sync::LazyLock;
 use zstd::dict::{DecoderDictionary, EncoderDictionary};
 
-/// The newest dictionary that this program has. A hub says it in
-/// [`Desired::report_dictionary`](crate::Desired::report_dictionary), and reads those before it as well.
+/// The dictionary that this program has: the first byte of every payload.
 pub const REPORT_DICTIONARY: u8 = 1;
 
 /// Dictionary 1: reports as several boards make them. What was once released is never changed; a better one gets the
@@ -34,37 +30,25 @@ static QUICK_ENCODER: LazyLock<EncoderDictionary<'static>> =
 static DECODER: LazyLock<DecoderDictionary<'static>> =
     LazyLock::new(|| DecoderDictionary::copy(DICTIONARY));
 
-/// How a batch is compressed. The first byte of a payload tells it: gzip begins with 0x1f, and what is compressed against
-/// a dictionary with the dictionary's number.
+/// How much effort goes into a batch's compression.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BatchCompression {
-    /// gzip: what every hub reads.
+    /// The smallest payload.
     #[default]
-    Gzip,
-    /// Zstandard against dictionary 1.
-    Dictionary,
-    /// The same with less effort: some 15 % larger, in a tenth of the time.
-    QuickDictionary,
+    Best,
+    /// Some 15 % larger, in a tenth of the time.
+    Quick,
 }
 
 impl BatchCompression {
-    /// The best that a hub reads which says that it has dictionaries up to `known`.
-    pub fn for_hub(known: Option<u8>) -> Self {
-        match known {
-            Some(REPORT_DICTIONARY..) => Self::Dictionary,
-            _ => Self::Gzip,
-        }
-    }
-
-    pub(super) fn compress(self, json: &[u8]) -> std::io::Result<Vec<u8>> {
+    /// The payload of a batch that is JSON already.
+    ///
+    /// # Errors
+    /// None that can happen: memory takes all that is written.
+    pub fn compress(self, json: &[u8]) -> std::io::Result<Vec<u8>> {
         match self {
-            Self::Gzip => {
-                let mut encoder = GzEncoder::new(Vec::new(), Compression::default());
-                encoder.write_all(json)?;
-                encoder.finish()
-            }
-            Self::Dictionary => against(&BEST_ENCODER, json),
-            Self::QuickDictionary => against(&QUICK_ENCODER, json),
+            Self::Best => against(&BEST_ENCODER, json),
+            Self::Quick => against(&QUICK_ENCODER, json),
         }
     }
 }
@@ -87,14 +71,8 @@ pub(super) fn decompress(payload: &[u8], most: u64) -> Result<Vec<u8>, BatchErro
             decoder.window_log_max(WINDOW_LOG)?;
             decoder.take(most + 1).read_to_end(&mut json)?;
         }
-        Some((&number, _)) if number < 0x1f => {
-            return Err(BatchError::UnknownDictionary(number));
-        }
-        _ => {
-            GzDecoder::new(payload)
-                .take(most + 1)
-                .read_to_end(&mut json)?;
-        }
+        Some((&number, _)) => return Err(BatchError::UnknownDictionary(number)),
+        None => return Err(BatchError::Inconsistent("the payload is empty")),
     }
     if json.len() as u64 > most {
         return Err(BatchError::TooLarge);

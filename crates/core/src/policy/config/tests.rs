@@ -182,14 +182,14 @@ fn the_baselines_have_tables_of_their_own() {
 }
 
 #[test]
-fn every_knob_goes_by_a_name_that_messages_know() {
+fn the_name_of_every_knob_is_short_enough_for_a_message() {
     for name in known_policies() {
         let config = PolicyConfig {
             name: name.to_owned(),
             ..PolicyConfig::default()
         };
         if let Some(knob) = config.build().unwrap().knob() {
-            assert!(KNOB_NAMES.contains(&knob.name), "{name}: {}", knob.name);
+            assert!(knob.name.len() <= 24, "{name}: {}", knob.name);
         }
     }
 }

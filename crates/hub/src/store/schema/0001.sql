@@ -13,7 +13,7 @@ CREATE TABLE nodes (
     instance TEXT,
     machine TEXT,
     started_ns BIGINT,
-    generation BIGINT NOT NULL DEFAULT 0,
+    revision BIGINT NOT NULL DEFAULT 0,
     status TEXT
 );
 
@@ -147,7 +147,7 @@ CREATE TABLE changes (
     knob TEXT NOT NULL,
     from_value TEXT,
     to_value TEXT,
-    generation BIGINT NOT NULL,
+    revision BIGINT NOT NULL,
     who TEXT NOT NULL,
     why TEXT NOT NULL,
     outcome TEXT NOT NULL

@@ -5,18 +5,18 @@ CREATE TABLE counters (
     name TEXT NOT NULL PRIMARY KEY,
     value BIGINT NOT NULL
 );
-INSERT INTO counters (name, value) VALUES ('generation', 0);
+INSERT INTO counters (name, value) VALUES ('revision', 0);
 
 CREATE TABLE desired (
     node TEXT NOT NULL PRIMARY KEY,
-    generation BIGINT NOT NULL,
+    revision BIGINT NOT NULL,
     knob TEXT NOT NULL,
     value TEXT NOT NULL
 );
-CREATE INDEX desired_by_generation ON desired (generation);
+CREATE INDEX desired_by_revision ON desired (revision);
 
 CREATE TABLE orders (
-    generation BIGINT NOT NULL PRIMARY KEY,
+    revision BIGINT NOT NULL PRIMARY KEY,
     at_ms BIGINT NOT NULL,
     who TEXT NOT NULL,
     why TEXT NOT NULL,
@@ -27,16 +27,16 @@ CREATE TABLE orders (
 );
 
 CREATE TABLE order_nodes (
-    generation BIGINT NOT NULL,
+    revision BIGINT NOT NULL,
     node TEXT NOT NULL,
     from_value TEXT,
     outcome TEXT NOT NULL,
     at_ms BIGINT NOT NULL,
     detail TEXT NOT NULL,
-    PRIMARY KEY (generation, node)
+    PRIMARY KEY (revision, node)
 ) {CLUSTERED};
-CREATE INDEX order_nodes_by_node ON order_nodes (node, generation);
-CREATE INDEX order_nodes_open ON order_nodes (generation)
+CREATE INDEX order_nodes_by_node ON order_nodes (node, revision);
+CREATE INDEX order_nodes_open ON order_nodes (revision)
     WHERE outcome IN ('pending', 'waiting', 'timed_out');
 
 CREATE TABLE campaigns (

@@ -1,17 +1,17 @@
 //! Orders, desired values and what became of them; rollouts and trials.
 
 use super::Writing;
-use crate::setting::{OFF, Setting, target_of, target_text};
+use crate::setting::{OFF, target_of, target_text};
 use crate::store::rows::{Key, insert, parameter, row, text};
 use crate::store::{Dialect, Store, StoreError};
-use albireo_wire::KnobValue;
+use albireo_wire::{DesiredSetting, Threshold};
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 
 row! {
     /// What was ordered for some nodes: a value of a knob, or a target.
     pub(crate) struct OrderRow {
-        generation: i64,
+        revision: i64,
         at_ms: i64,
         who: String,
         why: String,
@@ -26,7 +26,7 @@ row! {
 row! {
     /// What became of an order at one node.
     pub(crate) struct OrderNodeRow {
-        generation: i64,
+        revision: i64,
         node: String,
         from_value: Option<String>,
         from_knob: Option<String>,
@@ -41,7 +41,7 @@ row! {
     /// What is desired of a node.
     pub(crate) struct DesiredRow {
         node: String,
-        generation: i64,
+        revision: i64,
         knob: String,
         value: String,
         target: Option<String>,
@@ -50,44 +50,53 @@ row! {
 
 impl OrderRow {
     /// What was ordered.
-    pub(crate) fn setting(&self) -> Result<Setting, StoreError> {
+    pub(crate) fn setting(&self) -> Result<DesiredSetting, StoreError> {
         setting(self.knob.clone(), &self.value, self.target.as_deref())
     }
 }
 
 impl OrderNodeRow {
     /// What the node had before an order of `ordered`.
-    pub(crate) fn before(&self, ordered: Setting) -> Result<Option<Setting>, StoreError> {
+    pub(crate) fn before(
+        &self,
+        ordered: DesiredSetting,
+    ) -> Result<Option<DesiredSetting>, StoreError> {
         if let Some(target) = &self.from_target {
             return setting(String::new(), "", Some(target)).map(Some);
         }
         // Rows of the first version have no name: it is the order's.
         let own = match ordered {
-            Setting::Knob(knob) => Some(knob.name.to_owned()),
-            Setting::Hold(_) | Setting::HoldNothing => None,
+            DesiredSetting::Threshold(threshold) => Some(threshold.name.to_string()),
+            DesiredSetting::Target(_) => None,
         };
         match (self.from_knob.clone().or(own), &self.from_value) {
-            (Some(name), Some(value)) => Ok(Some(knob(name, value)?.into())),
+            (Some(name), Some(value)) => Ok(Some(threshold(&name, value)?)),
             _ => Ok(None),
         }
     }
 }
 
 /// A setting in columns: knob, value, target.
-pub(crate) fn columns(setting: Setting) -> (String, String, Option<String>) {
+pub(crate) fn columns(setting: DesiredSetting) -> (String, String, Option<String>) {
     match setting {
-        Setting::Knob(knob) => (knob.name.to_owned(), knob.value.to_string(), None),
-        Setting::Hold(target) => (String::new(), String::new(), Some(target_text(target))),
-        Setting::HoldNothing => (String::new(), String::new(), Some(OFF.to_owned())),
+        DesiredSetting::Threshold(threshold) => (
+            threshold.name.to_string(),
+            threshold.value.to_string(),
+            None,
+        ),
+        DesiredSetting::Target(Some(target)) => {
+            (String::new(), String::new(), Some(target_text(target)))
+        }
+        DesiredSetting::Target(None) => (String::new(), String::new(), Some(OFF.to_owned())),
     }
 }
 
-fn setting(name: String, value: &str, target: Option<&str>) -> Result<Setting, StoreError> {
+fn setting(name: String, value: &str, target: Option<&str>) -> Result<DesiredSetting, StoreError> {
     match target {
-        None => Ok(knob(name, value)?.into()),
-        Some(OFF) => Ok(Setting::HoldNothing),
+        None => threshold(&name, value),
+        Some(OFF) => Ok(DesiredSetting::Target(None)),
         Some(text) => target_of(text)
-            .map(Setting::Hold)
+            .map(|target| DesiredSetting::Target(Some(target)))
             .ok_or_else(|| StoreError::Statement(format!("`{text}` is kept as a target"))),
     }
 }
@@ -119,20 +128,19 @@ pub(crate) type ClipWindow = Key<5>;
 
 const OPEN: &str = "outcome IN ('pending', 'waiting', 'timed_out')";
 const ORDER_NODE: &str =
-    "generation, node, from_value, from_knob, from_target, outcome, at_ms, detail";
+    "revision, node, from_value, from_knob, from_target, outcome, at_ms, detail";
 const CAMPAIGN: &str = "id, kind, begun_ms, ended_ms, who, state";
 
 impl Writing<'_> {
-    /// The next generation: greater than any before, whatever hub gave it.
-    pub(crate) async fn next_generation(&mut self) -> Result<i64, StoreError> {
-        let query = self.query(
-            "UPDATE counters SET value = value + 1 WHERE name = 'generation' RETURNING value",
-        );
+    /// The next revision: greater than any before, whatever hub gave it.
+    pub(crate) async fn next_revision(&mut self) -> Result<i64, StoreError> {
+        let query = self
+            .query("UPDATE counters SET value = value + 1 WHERE name = 'revision' RETURNING value");
         let row = query.fetch_one(&mut *self.transaction).await?;
         Ok(row.try_get("value")?)
     }
 
-    /// Notes an order and its nodes, and makes what it orders the desired setting where none of a higher generation is.
+    /// Notes an order and its nodes, and makes what it orders the desired setting where none of a higher revision is.
     pub(crate) async fn order(
         &mut self,
         order: OrderRow,
@@ -142,14 +150,14 @@ impl Writing<'_> {
             .iter()
             .map(|node| DesiredRow {
                 node: node.node.clone(),
-                generation: order.generation,
+                revision: order.revision,
                 knob: order.knob.clone(),
                 value: order.value.clone(),
                 target: order.target.clone(),
             })
             .collect();
         let statement = format!(
-            "UPDATE order_nodes SET outcome = 'superseded', at_ms = $2 WHERE {OPEN} AND generation < $3 \
+            "UPDATE order_nodes SET outcome = 'superseded', at_ms = $2 WHERE {OPEN} AND revision < $3 \
              AND node IN (SELECT CAST(r.value ->> 0 AS TEXT) FROM {{ROWS}})"
         );
         let names: Vec<Key<1>> = nodes
@@ -160,11 +168,11 @@ impl Writing<'_> {
             .query(&statement)
             .bind(parameter(&names)?)
             .bind(order.at_ms)
-            .bind(order.generation);
+            .bind(order.revision);
         query.execute(&mut *self.transaction).await?;
         let statement = insert::<DesiredRow>("desired")
-            + " ON CONFLICT (node) DO UPDATE SET generation = excluded.generation, knob = excluded.knob, \
-               value = excluded.value, target = excluded.target WHERE excluded.generation > desired.generation";
+            + " ON CONFLICT (node) DO UPDATE SET revision = excluded.revision, knob = excluded.knob, \
+               value = excluded.value, target = excluded.target WHERE excluded.revision > desired.revision";
         self.with(&statement, &desired).await?;
         self.insert("orders", &[order]).await?;
         self.outcomes(nodes).await
@@ -173,7 +181,7 @@ impl Writing<'_> {
     /// Notes what became of orders.
     pub(crate) async fn outcomes(&mut self, nodes: &[OrderNodeRow]) -> Result<(), StoreError> {
         let statement = insert::<OrderNodeRow>("order_nodes")
-            + " ON CONFLICT (generation, node) DO UPDATE SET outcome = excluded.outcome, at_ms = excluded.at_ms, \
+            + " ON CONFLICT (revision, node) DO UPDATE SET outcome = excluded.outcome, at_ms = excluded.at_ms, \
                detail = excluded.detail";
         self.with(&statement, nodes).await?;
         Ok(())
@@ -264,14 +272,14 @@ impl Writing<'_> {
 }
 
 impl Store {
-    /// What is desired of nodes with higher generations than `after`.
+    /// What is desired of nodes with higher revisions than `after`.
     pub(crate) async fn desired_after(
         &self,
         after: i64,
-    ) -> Result<Vec<(String, i64, Setting)>, StoreError> {
+    ) -> Result<Vec<(String, i64, DesiredSetting)>, StoreError> {
         let sql = self
             .dialect
-            .sql("SELECT node, generation, knob, value, target FROM desired WHERE generation > $1");
+            .sql("SELECT node, revision, knob, value, target FROM desired WHERE revision > $1");
         let rows = sqlx::query(sql)
             .bind(after)
             .fetch_all(&self.readers)
@@ -281,14 +289,14 @@ impl Store {
             let target: Option<String> = row.try_get("target")?;
             Ok((
                 row.try_get("node")?,
-                row.try_get("generation")?,
+                row.try_get("revision")?,
                 setting(row.try_get("knob")?, &value, target.as_deref())?,
             ))
         };
         rows.iter().map(read).collect()
     }
 
-    /// What became of the orders from generation `from` to `to`; of one node only, if it is given.
+    /// What became of the orders from revision `from` to `to`; of one node only, if it is given.
     pub(crate) async fn order_nodes(
         &self,
         from: i64,
@@ -297,7 +305,7 @@ impl Store {
     ) -> Result<Vec<OrderNodeRow>, StoreError> {
         let sql = self.dialect.sql(
             &format!("SELECT {ORDER_NODE} FROM order_nodes \
-             WHERE generation BETWEEN $1 AND $2 AND ($3 = '' OR node = $3) ORDER BY generation DESC, node"),
+             WHERE revision BETWEEN $1 AND $2 AND ($3 = '' OR node = $3) ORDER BY revision DESC, node"),
         );
         let query = sqlx::query(sql)
             .bind(from)
@@ -320,7 +328,7 @@ impl Store {
         rows.iter().map(order_node).collect()
     }
 
-    /// The newest orders below generation `before`; those of one node only, if it is given.
+    /// The newest orders below revision `before`; those of one node only, if it is given.
     pub(crate) async fn orders(
         &self,
         before: i64,
@@ -328,9 +336,9 @@ impl Store {
         limit: i64,
     ) -> Result<Vec<OrderRow>, StoreError> {
         let sql = self.dialect.sql(
-            "SELECT generation, at_ms, who, why, origin, selector, knob, value, target FROM orders \
-             WHERE generation < $1 AND ($2 = '' OR generation IN (SELECT generation FROM order_nodes WHERE node = $2)) \
-             ORDER BY generation DESC LIMIT $3",
+            "SELECT revision, at_ms, who, why, origin, selector, knob, value, target FROM orders \
+             WHERE revision < $1 AND ($2 = '' OR revision IN (SELECT revision FROM order_nodes WHERE node = $2)) \
+             ORDER BY revision DESC LIMIT $3",
         );
         let query = sqlx::query(sql)
             .bind(before)
@@ -338,7 +346,7 @@ impl Store {
             .bind(limit);
         let read = |row: &AnyRow| -> Result<_, StoreError> {
             Ok(OrderRow {
-                generation: row.try_get("generation")?,
+                revision: row.try_get("revision")?,
                 at_ms: row.try_get("at_ms")?,
                 who: row.try_get("who")?,
                 why: row.try_get("why")?,
@@ -357,15 +365,15 @@ impl Store {
             .collect()
     }
 
-    /// How many nodes have which outcome, by order, from generation `from` to `to`.
+    /// How many nodes have which outcome, by order, from revision `from` to `to`.
     pub(crate) async fn outcome_counts(
         &self,
         from: i64,
         to: i64,
     ) -> Result<Vec<(i64, String, i64)>, StoreError> {
         let sql = self.dialect.sql(
-            "SELECT generation, outcome, count(*) AS nodes FROM order_nodes WHERE generation BETWEEN $1 AND $2 \
-             GROUP BY generation, outcome",
+            "SELECT revision, outcome, count(*) AS nodes FROM order_nodes WHERE revision BETWEEN $1 AND $2 \
+             GROUP BY revision, outcome",
         );
         let rows = sqlx::query(sql)
             .bind(from)
@@ -374,7 +382,7 @@ impl Store {
             .await?;
         let read = |row: &AnyRow| {
             Ok((
-                row.try_get("generation")?,
+                row.try_get("revision")?,
                 row.try_get("outcome")?,
                 row.try_get("nodes")?,
             ))
@@ -446,7 +454,7 @@ impl Store {
              JOIN setups s ON s.id = c.setup_id \
              WHERE s.knob = CAST(r.value ->> 1 AS TEXT) AND s.value = CAST(r.value ->> 2 AS TEXT) \
              AND c.received_ms >= CAST(r.value ->> 3 AS BIGINT) AND c.received_ms <= CAST(r.value ->> 4 AS BIGINT) \
-             AND (c.details IS NULL OR c.details NOT LIKE '%knob_changes%') GROUP BY n.name, c.quality",
+             AND (c.details IS NULL OR c.details NOT LIKE '%threshold_changes%') GROUP BY n.name, c.quality",
             sums.join(", ")
         );
         let mut found = Vec::new();
@@ -477,7 +485,7 @@ impl Store {
 
 fn order_node(row: &AnyRow) -> Result<OrderNodeRow, StoreError> {
     Ok(OrderNodeRow {
-        generation: row.try_get("generation")?,
+        revision: row.try_get("revision")?,
         node: row.try_get("node")?,
         from_value: row.try_get("from_value")?,
         from_knob: row.try_get("from_knob")?,
@@ -499,11 +507,10 @@ fn campaign(row: &AnyRow) -> Result<CampaignRow, StoreError> {
     })
 }
 
-/// A knob's value as it is kept: name and shortest text.
-fn knob(name: String, value: &str) -> Result<KnobValue, StoreError> {
+/// A threshold as it is kept: name and shortest text.
+fn threshold(name: &str, value: &str) -> Result<DesiredSetting, StoreError> {
     let number: f64 = value
         .parse()
         .map_err(|_| StoreError::Statement(format!("`{value}` is kept as a value of `{name}`")))?;
-    let object: serde_json::Map<_, _> = [(name, number.into())].into_iter().collect();
-    Ok(serde_json::from_value(object.into())?)
+    Ok(DesiredSetting::Threshold(Threshold::new(name, number)))
 }

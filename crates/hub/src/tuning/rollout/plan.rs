@@ -2,7 +2,7 @@
 
 use super::super::gate::Gate;
 use super::super::selector::Selector;
-use albireo_wire::KnobValue;
+use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
@@ -250,7 +250,7 @@ pub(crate) fn check_why(why: &str) -> Result<(), PlanError> {
 #[derive(Clone, Debug, PartialEq)]
 pub struct RolloutRequest {
     /// The new value.
-    pub knob: KnobValue,
+    pub knob: Threshold,
     /// How.
     pub plan: RolloutPlan,
 }

@@ -5,20 +5,19 @@ use super::*;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 
-const OLD: KnobValue = KnobValue {
-    name: "u",
-    value: 3e-4,
-};
-const NEW: KnobValue = KnobValue {
-    name: "u",
-    value: 5e-4,
-};
+fn old() -> Threshold {
+    Threshold::new("u", 3e-4)
+}
+
+fn new() -> Threshold {
+    Threshold::new("u", 5e-4)
+}
 const SECOND: Millis = 1_000;
 
 #[derive(Clone)]
 struct SimNode {
     seen: Seen,
-    desired: Option<(u64, KnobValue)>,
+    desired: Option<(u64, Threshold)>,
     refuses: bool,
     /// Energy of a clip under the new value, relative to the old.
     factor: f64,
@@ -28,7 +27,7 @@ struct SimNode {
 #[derive(Clone)]
 struct World {
     nodes: BTreeMap<String, SimNode>,
-    generation: u64,
+    revision: u64,
     now: Millis,
     /// Nodes that had the new value at the same time, at most.
     most_new: usize,
@@ -40,8 +39,8 @@ impl World {
             let node = SimNode {
                 seen: Seen {
                     reachable: true,
-                    generation: 0,
-                    knob: Some(OLD),
+                    revision: 0,
+                    knob: Some(old()),
                     target: None,
                     cannot_hold: None,
                     refused: None,
@@ -54,7 +53,7 @@ impl World {
         };
         Self {
             nodes: (0..count).map(node).collect(),
-            generation: 0,
+            revision: 0,
             now: 0,
             most_new: 0,
         }
@@ -63,13 +62,13 @@ impl World {
     fn candidates(&self) -> Vec<Candidate> {
         let candidate = |(name, node): (&String, &SimNode)| Candidate {
             node: name.clone(),
-            before: OLD,
+            before: old(),
             reachable: node.seen.reachable,
         };
         self.nodes.iter().map(candidate).collect()
     }
 
-    fn have(&self, knob: KnobValue) -> usize {
+    fn have(&self, knob: Threshold) -> usize {
         self.nodes
             .values()
             .filter(|n| n.seen.knob == Some(knob))
@@ -80,27 +79,27 @@ impl World {
     fn step(&mut self, rollout: &mut Rollout) {
         self.now += SECOND;
         for order in rollout.due() {
-            self.generation += 1;
+            self.revision += 1;
             for name in &order.nodes {
                 if let Some(node) = self.nodes.get_mut(name) {
-                    node.desired = Some((self.generation, order.knob));
+                    node.desired = Some((self.revision, order.knob));
                 }
             }
-            rollout.asked(&order, self.generation, self.now);
+            rollout.asked(&order, self.revision, self.now);
         }
         for node in self.nodes.values_mut().filter(|n| n.seen.reachable) {
             match node.desired {
-                Some((generation, _)) if node.refuses => {
-                    node.seen.refused = Some((generation, "range".to_owned()));
+                Some((revision, _)) if node.refuses => {
+                    node.seen.refused = Some((revision, "range".to_owned()));
                 }
-                Some((generation, knob)) if generation > node.seen.generation => {
-                    node.seen.generation = generation;
+                Some((revision, knob)) if revision > node.seen.revision => {
+                    node.seen.revision = revision;
                     node.seen.knob = Some(knob);
                 }
                 _ => {}
             }
         }
-        self.most_new = self.most_new.max(self.have(NEW));
+        self.most_new = self.most_new.max(self.have(new()));
         rollout.observe(self.now, |name| {
             self.nodes.get(name).map(|n| n.seen.clone())
         });
@@ -111,7 +110,7 @@ impl World {
     }
 
     fn measure(&self, window: &Window) -> BeforeAfter {
-        assert_eq!(window.old, OLD);
+        assert_eq!(window.old, old());
         assert!(window.from_ms < window.asked_ms && window.asked_ms <= window.applied_ms);
         let clips = |level: f64, offset: f64| {
             Moments::of([0.99, 1.0, 1.01, 0.995, 1.005].map(|s| level * s + offset))
@@ -148,7 +147,7 @@ impl World {
     }
 
     fn begin(&self, plan: RolloutPlan) -> Rollout {
-        let request = RolloutRequest { knob: NEW, plan };
+        let request = RolloutRequest { knob: new(), plan };
         Rollout::begin(request, self.candidates(), 7, "ops", self.now).unwrap()
     }
 }
@@ -202,13 +201,13 @@ fn a_rollout_whose_gates_pass_goes_through_its_stages_to_all() {
     let mut world = World::new(40);
     let mut rollout = world.begin(plan());
     world.run(&mut rollout, 90);
-    assert_eq!((world.have(NEW), rollout.phase.name()), (1, "soaking"));
+    assert_eq!((world.have(new()), rollout.phase.name()), (1, "soaking"));
     world.run_until(&mut rollout, "done");
     assert_eq!(
         stages_entered(&rollout),
         ["1 nodes", "3 nodes", "16 nodes", "20 nodes"]
     );
-    assert_eq!(world.have(NEW), 40);
+    assert_eq!(world.have(new()), 40);
     // Four stages of a hundred seconds: none was shorter than its soak.
     assert!(world.now >= 400 * SECOND, "{}", world.now);
     let judged: Vec<_> = rollout
@@ -237,7 +236,7 @@ fn a_stage_that_fails_its_gate_gives_all_nodes_of_the_rollout_their_old_value_ba
     world.run_until(&mut rollout, "returned");
     assert_eq!(stages_entered(&rollout).len(), 2);
     assert_eq!(world.most_new, 4);
-    assert_eq!((world.have(NEW), world.have(OLD)), (0, 40));
+    assert_eq!((world.have(new()), world.have(old())), (0, 40));
     let failed = rollout
         .record
         .iter()
@@ -268,15 +267,15 @@ fn a_failed_stage_is_held_where_the_plan_says_so_and_a_person_decides() {
     });
     world.run_until(&mut rollout, "held");
     world.run(&mut rollout, 500);
-    assert_eq!((rollout.phase.name(), world.have(NEW)), ("held", 1));
+    assert_eq!((rollout.phase.name(), world.have(new())), ("held", 1));
     let mut onward = rollout.clone();
     onward.command(Command::Next, "ops", world.now).unwrap();
     let mut there = world.clone();
     there.run_until(&mut onward, "held");
-    assert_eq!(there.have(NEW), 5);
+    assert_eq!(there.have(new()), 5);
     rollout.command(Command::Return, "ops", world.now).unwrap();
     world.run_until(&mut rollout, "returned");
-    assert_eq!(world.have(NEW), 0);
+    assert_eq!(world.have(new()), 0);
     let by: Vec<_> = rollout
         .record
         .iter()
@@ -293,7 +292,7 @@ fn a_stage_that_cannot_be_judged_waits_its_patience_and_is_held() {
         ..plan()
     });
     world.run_until(&mut rollout, "held");
-    assert_eq!(world.have(NEW), 1);
+    assert_eq!(world.have(new()), 1);
     assert!(
         (150 * SECOND..160 * SECOND).contains(&world.now),
         "{}",
@@ -328,15 +327,15 @@ fn nodes_out_of_reach_come_last_do_not_stop_the_rollout_and_are_missed_after_the
         "{last:?}"
     );
     world.run_until(&mut rollout, "finishing");
-    assert_eq!(world.have(NEW), 8);
+    assert_eq!(world.have(new()), 8);
     // One returns in time, and applies what it finds; the other is too late, and what it finds is the old value.
     world.nodes.get_mut("cam-001").unwrap().seen.reachable = true;
     world.run_until(&mut rollout, "done");
-    assert_eq!(world.nodes["cam-001"].seen.knob, Some(NEW));
+    assert_eq!(world.nodes["cam-001"].seen.knob, Some(new()));
     world.run(&mut rollout, 2);
     world.nodes.get_mut("cam-004").unwrap().seen.reachable = true;
     world.run(&mut rollout, 2);
-    assert_eq!(world.nodes["cam-004"].seen.knob, Some(OLD));
+    assert_eq!(world.nodes["cam-004"].seen.knob, Some(old()));
     let ended = rollout
         .record
         .iter()
@@ -363,12 +362,12 @@ fn a_paused_rollout_stands_still_and_its_soak_does_not_run_on() {
     world.run(&mut rollout, 30);
     rollout.command(Command::Pause, "ops", world.now).unwrap();
     world.run(&mut rollout, 1_000);
-    assert_eq!((rollout.phase.name(), world.have(NEW)), ("soaking", 1));
+    assert_eq!((rollout.phase.name(), world.have(new())), ("soaking", 1));
     rollout.command(Command::Resume, "ops", world.now).unwrap();
     world.run(&mut rollout, 60);
-    assert_eq!(world.have(NEW), 1, "the soak has 70 s left");
+    assert_eq!(world.have(new()), 1, "the soak has 70 s left");
     world.run(&mut rollout, 20);
-    assert!(world.have(NEW) > 1);
+    assert!(world.have(new()) > 1);
 }
 
 #[test]
@@ -387,8 +386,8 @@ fn nobody_is_asked_in_a_pause_and_no_time_to_answer_runs_out_in_it() {
     let silent = |_: &str| {
         Some(Seen {
             reachable: true,
-            generation: 0,
-            knob: Some(OLD),
+            revision: 0,
+            knob: Some(old()),
             target: None,
             cannot_hold: None,
             refused: None,
@@ -428,7 +427,7 @@ fn commands_that_make_no_sense_are_refused() {
     // The old value can be had back after the end too.
     rollout.command(Command::Return, "ops", world.now).unwrap();
     world.run_until(&mut rollout, "returned");
-    assert_eq!(world.have(OLD), 4);
+    assert_eq!(world.have(old()), 4);
     let error = rollout.command(Command::Return, "ops", 0).unwrap_err();
     assert_eq!(
         error.to_string(),
@@ -494,7 +493,7 @@ fn a_plan_that_makes_no_sense_is_refused_with_its_field() {
     plan().check().unwrap();
     RolloutPlan::default().check().unwrap();
     let nobody = RolloutRequest {
-        knob: NEW,
+        knob: new(),
         plan: plan(),
     };
     assert_eq!(
@@ -584,7 +583,7 @@ proptest! {
         let _ = rollout.command(Command::Return, "ops", world.now);
         world.run(&mut rollout, 1_000);
         prop_assert_eq!(rollout.phase.name(), "returned");
-        prop_assert_eq!(world.have(NEW), 0);
+        prop_assert_eq!(world.have(new()), 0);
     }
 
     #[test]

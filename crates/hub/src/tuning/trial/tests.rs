@@ -1,8 +1,8 @@
 use super::*;
 use proptest::prelude::*;
 
-const fn u(value: f64) -> KnobValue {
-    KnobValue { name: "u", value }
+fn u(value: f64) -> Threshold {
+    Threshold::new("u", value)
 }
 
 fn plan() -> TrialPlan {
@@ -23,19 +23,19 @@ fn candidates(count: usize) -> Vec<Candidate> {
 }
 
 /// Nodes report at once what they are asked for.
-fn obey(trial: &mut Trial, generation: &mut u64, now: Millis) {
+fn obey(trial: &mut Trial, revision: &mut u64, now: Millis) {
     let mut have = BTreeMap::new();
     for order in trial.due() {
-        *generation += 1;
+        *revision += 1;
         for node in &order.nodes {
-            have.insert(node.clone(), (*generation, order.knob));
+            have.insert(node.clone(), (*revision, order.knob));
         }
-        trial.asked(&order, *generation, now);
+        trial.asked(&order, *revision, now);
     }
     trial.observe(now, |node| {
-        have.get(node).map(|(generation, knob)| Seen {
+        have.get(node).map(|(revision, knob)| Seen {
             reachable: true,
-            generation: *generation,
+            revision: *revision,
             knob: Some(*knob),
             target: None,
             cannot_hold: None,
@@ -46,7 +46,7 @@ fn obey(trial: &mut Trial, generation: &mut u64, now: Millis) {
 
 /// Each node has a level of its own; the energy falls with the value.
 fn measure(window: &TrialWindow) -> BTreeMap<String, Figures> {
-    let of = |(i, (node, value)): (usize, &(String, KnobValue))| {
+    let of = |(i, (node, value)): (usize, &(String, Threshold))| {
         let level = 100.0 + (i % 7) as f64 - 30.0 * (value.value / 1e-4).log10();
         let joules = Moments::of([0.98, 1.0, 1.02, 0.99, 1.01].map(|s| level * s));
         (
@@ -59,13 +59,13 @@ fn measure(window: &TrialWindow) -> BTreeMap<String, Figures> {
 
 #[test]
 fn a_trial_gives_each_group_its_value_measures_it_and_gives_the_old_value_back() {
-    let (mut now, mut generation) = (0, 0);
+    let (mut now, mut revision) = (0, 0);
     let mut trial = Trial::begin(plan(), candidates(60), 3, now).unwrap();
     for (arm, value) in plan().values.iter().enumerate() {
         let order = trial.due().into_iter().find(|o| o.knob == *value).unwrap();
         assert_eq!(order.nodes.len(), 20, "{arm}");
     }
-    obey(&mut trial, &mut generation, now);
+    obey(&mut trial, &mut revision, now);
     trial.tick(now);
     assert_eq!(trial.phase, TrialPhase::Running { since_ms: 0 });
     now += 99_999;
@@ -89,7 +89,7 @@ fn a_trial_gives_each_group_its_value_measures_it_and_gives_the_old_value_back()
     assert!(against_first.upper < 0.0);
     assert_eq!(trial.due().len(), 1);
     assert_eq!(trial.due()[0].knob, u(2e-4));
-    obey(&mut trial, &mut generation, now);
+    obey(&mut trial, &mut revision, now);
     trial.tick(now);
     assert_eq!(trial.phase, TrialPhase::Done);
 }
@@ -112,13 +112,7 @@ fn a_plan_that_compares_nothing_is_refused() {
         vec![],
         vec![u(1e-4)],
         vec![u(1e-4), u(1e-4)],
-        vec![
-            u(1e-4),
-            KnobValue {
-                name: "lambda",
-                value: 0.3,
-            },
-        ],
+        vec![u(1e-4), Threshold::new("lambda", 0.3)],
     ] {
         let plan = TrialPlan { values, ..plan() };
         assert_eq!(plan.check().unwrap_err().field, "values");
@@ -127,9 +121,9 @@ fn a_plan_that_compares_nothing_is_refused() {
 
 #[test]
 fn a_node_with_too_few_clips_or_without_its_value_is_not_in_the_result() {
-    let mut generation = 0;
+    let mut revision = 0;
     let mut trial = Trial::begin(plan(), candidates(12), 3, 0).unwrap();
-    obey(&mut trial, &mut generation, 0);
+    obey(&mut trial, &mut revision, 0);
     trial.tick(0);
     let mut window = trial.window(50_000);
     let silent = window.nodes.remove(0).0;

@@ -8,7 +8,7 @@ use albireo_core::geometry::PictureSize;
 use albireo_core::policy::Knob;
 use albireo_service::clock::{seconds, significant};
 use albireo_service::http::Problem;
-use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, KnobSource, KnobValue};
+use albireo_wire::{DetectionsMessage, DroppedFrames, FrameStates, SettingSource, Threshold};
 use axum::Json;
 use axum::extract::{Path, State};
 use axum::http::StatusCode;
@@ -68,12 +68,11 @@ pub(super) struct CameraDetail {
     /// The policy that decides its frames.
     policy: &'static str,
     /// The threshold in force from its next frame on; absent when the policy has none.
-    #[serde(flatten, skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    value: Option<KnobValue>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    threshold: Option<Threshold>,
     /// Who set it.
     #[serde(skip_serializing_if = "Option::is_none")]
-    set_by: Option<KnobSource>,
+    set_by: Option<SettingSource>,
     /// What the policy calls its threshold, its range and its default; absent when the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     knob: Option<Knob>,
@@ -146,8 +145,8 @@ pub(super) async fn one(
         entry: entry(shared.board(), camera),
         version: env!("CARGO_PKG_VERSION"),
         policy: camera.policy(),
-        value: camera.knob_value(),
-        set_by: camera.knob().map(|_| camera.knob_source()),
+        threshold: camera.threshold_in_force(),
+        set_by: camera.knob().map(|_| camera.threshold_source()),
         knob: camera.knob(),
         states: snapshot.states,
         skip_rate,

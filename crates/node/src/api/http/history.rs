@@ -5,7 +5,7 @@ use crate::state::board::{Estimate, FRAMES, PastFrame, PastSlot, SLOT_S};
 use albireo_core::policy::{CallCause, FrameState};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
-use albireo_wire::{EnergyQuality, KnobValue};
+use albireo_wire::{EnergyQuality, Threshold};
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Path, Query, State};
@@ -42,7 +42,7 @@ pub(super) struct PastFrames {
     /// Largest uncertainty before the decision; null without objects.
     tau_max: Vec<Option<f32>>,
     /// Threshold in force; null where the policy has none.
-    knob: Vec<Option<f32>>,
+    threshold: Vec<Option<f32>>,
     /// Milliseconds of the detector; null where it did not run.
     detector_ms: Vec<Option<f32>>,
     /// Milliseconds from reception to publication.
@@ -121,7 +121,7 @@ fn columns(frames: &[PastFrame], clock: &Clock) -> PastFrames {
         columns.degraded.push(frame.degraded);
         columns.boxes.push(frame.boxes);
         columns.tau_max.push(frame.tau_max());
-        columns.knob.push(frame.knob());
+        columns.threshold.push(frame.threshold());
         columns.detector_ms.push(frame.detector_ms());
         columns.total_ms.push(frame.total_ms());
     }
@@ -253,10 +253,8 @@ pub(super) struct SkipEstimates {
     skipped: usize,
     /// Share of the frames, really.
     skip_rate: f64,
-    /// The threshold in force, under its name.
-    #[serde(flatten)]
-    #[schema(value_type = BTreeMap<String, f64>)]
-    knob: KnobValue,
+    /// The threshold in force.
+    threshold: Threshold,
     /// What each value would have skipped, in the order asked for.
     values: Vec<ValueEstimate>,
 }
@@ -301,13 +299,13 @@ pub(super) async fn skip_estimate(
     })?;
     let camera = shared.camera(&camera)?;
     let cannot = |why: &str| Problem::new(StatusCode::CONFLICT, why);
-    let (Some(knob), Some(about)) = (camera.knob_value(), camera.knob()) else {
+    let (Some(threshold), Some(about)) = (camera.threshold_in_force(), camera.knob()) else {
         return Err(cannot("the policy has no threshold to estimate with"));
     };
-    if knob.name != "u" {
+    if threshold.name.as_str() != "u" {
         let why =
             "only the threshold `u` is compared with what is recorded; this policy is turned by ";
-        return Err(cannot(&format!("{why}`{}`", knob.name)));
+        return Err(cannot(&format!("{why}`{}`", threshold.name)));
     }
     let values = match values.values.as_deref() {
         Some(text) => asked(text)?,
@@ -336,7 +334,7 @@ pub(super) async fn skip_estimate(
         duration_s: span_ms as f64 / 1e3,
         skipped: really.skipped,
         skip_rate: really.skip_rate(),
-        knob,
+        threshold,
         values: values
             .into_iter()
             .map(|(value, estimate)| ValueEstimate {

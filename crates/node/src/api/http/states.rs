@@ -5,7 +5,7 @@ use crate::camera::audit::AuditCount;
 use crate::state::board::CameraBoard;
 use albireo_service::clock::{seconds, significant};
 use albireo_service::http::Problem;
-use albireo_wire::{AuditFigures, DetectorCalls, DroppedFrames, FrameStates, KnobValue};
+use albireo_wire::{AuditFigures, DetectorCalls, DroppedFrames, FrameStates, Threshold};
 use axum::Json;
 use axum::extract::{Path, State};
 use serde::Serialize;
@@ -32,10 +32,9 @@ pub(super) struct CameraStates {
     /// Largest uncertainty of the newest frame; absent without objects.
     #[serde(skip_serializing_if = "Option::is_none")]
     tau_max: Option<f64>,
-    /// Threshold in force, under the knob's name.
-    #[serde(flatten, skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    knob: Option<KnobValue>,
+    /// Threshold in force; absent when the policy has none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    threshold: Option<Threshold>,
     /// What the detector, looking afterwards, found on skipped frames; absent without an audit.
     #[serde(skip_serializing_if = "Option::is_none")]
     audit: Option<AuditFigures>,
@@ -80,7 +79,7 @@ fn of(camera: &CameraBoard) -> CameraStates {
         calls: snapshot.calls,
         dropped: snapshot.dropped,
         tau_max: snapshot.latest.and_then(|latest| latest.tau_max),
-        knob: camera.knob_value(),
+        threshold: camera.threshold_in_force(),
         audit: (camera.audit_is_on()).then(|| snapshot.audit.figures()),
         last_frame_age_s: snapshot.last_frame_age.map(seconds),
     }

@@ -3,7 +3,7 @@
 use super::RouteState;
 use super::change::{message, off_the_runtime};
 use albireo_service::http::Problem;
-use albireo_wire::{KnobSource, Target, TargetMessage, TargetReport, VERSION};
+use albireo_wire::{SettingSource, Target, TargetMessage, TargetReport, VERSION};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::State;
@@ -46,7 +46,7 @@ pub(super) async fn put(
         return Err(refused(StatusCode::UNPROCESSABLE_ENTITY, what));
     }
     let board = shared.board().clone();
-    off_the_runtime(move || board.set_target(message.target, KnobSource::Local))
+    off_the_runtime(move || board.set_target(message.target, SettingSource::Local))
         .await?
         .map_err(|error| refused(StatusCode::UNPROCESSABLE_ENTITY, error.to_string()))?;
     Ok(Json(shared.board().target().report()))

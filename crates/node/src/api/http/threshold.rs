@@ -5,14 +5,35 @@ use super::change::{message, off_the_runtime};
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{Knob, short};
 use albireo_service::http::Problem;
-use albireo_wire::{KnobValue, ThresholdMessage, VERSION};
+use albireo_wire::{Threshold, VERSION};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
 use axum::extract::{Path, State};
 use axum::http::{HeaderMap, StatusCode};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use utoipa::ToSchema;
+
+/// A threshold as users write it, the value under the policy's name for it: `"u": 3e-4`. Empty when the policy has none.
+type NamedValue = BTreeMap<String, f64>;
+
+fn named(threshold: Option<Threshold>) -> NamedValue {
+    threshold
+        .map(|threshold| (threshold.name.to_string(), threshold.value))
+        .into_iter()
+        .collect()
+}
+
+/// A new threshold: `{"u": 3e-4}`, or `{"lambda": 0.3}` under expected-loss.
+#[derive(Deserialize, ToSchema)]
+pub(super) struct NewThreshold {
+    /// Version of the message; may be left out.
+    v: Option<u32>,
+    #[serde(flatten, with = "serde_with::rust::maps_duplicate_key_is_error")]
+    #[schema(value_type = BTreeMap<String, f64>)]
+    value: NamedValue,
+}
 
 /// One camera's threshold.
 #[derive(Serialize, ToSchema)]
@@ -20,9 +41,9 @@ pub(super) struct CameraThreshold {
     /// Camera.
     camera: String,
     /// The value in force from its next frame on; absent when the policy has none.
-    #[serde(flatten, skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    value: Option<KnobValue>,
+    #[serde(flatten)]
+    #[schema(value_type = BTreeMap<String, f64>)]
+    value: NamedValue,
     /// What the policy calls it, its range and its default; absent when the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     knob: Option<Knob>,
@@ -32,9 +53,9 @@ pub(super) struct CameraThreshold {
 #[derive(Serialize, ToSchema)]
 pub(super) struct Thresholds {
     /// The value in force, where all cameras have the same.
-    #[serde(flatten, skip_serializing_if = "Option::is_none")]
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    value: Option<KnobValue>,
+    #[serde(flatten)]
+    #[schema(value_type = BTreeMap<String, f64>)]
+    value: NamedValue,
     /// Whether values changed while running hold after a restart: a `state_dir` is set and can be
     /// written to.
     survives_restart: bool,
@@ -54,7 +75,7 @@ pub(super) struct OneThreshold {
 fn of(camera: &CameraBoard) -> CameraThreshold {
     CameraThreshold {
         camera: camera.name().to_owned(),
-        value: camera.knob_value(),
+        value: named(camera.threshold_in_force()),
         knob: camera.knob(),
     }
 }
@@ -66,9 +87,14 @@ fn thresholds(shared: &RouteState) -> Thresholds {
         .iter()
         .map(|camera| of(camera))
         .collect();
-    let first = cameras.first().and_then(|camera| camera.value);
+    let mut values = cameras.iter().map(|camera| &camera.value);
+    let first = values.next().cloned().unwrap_or_default();
     Thresholds {
-        value: first.filter(|_| cameras.iter().all(|camera| camera.value == first)),
+        value: if values.all(|value| *value == first) {
+            first
+        } else {
+            NamedValue::new()
+        },
         survives_restart: shared.board().thresholds_are_kept(),
         cameras,
     }
@@ -88,7 +114,7 @@ fn value(
     knob: Option<Knob>,
 ) -> Result<f64, Problem> {
     let expected = expected(knob);
-    let message: ThresholdMessage =
+    let message: NewThreshold =
         message(headers, body, &expected).map_err(|problem| problem.with_knob(knob))?;
     let fault = |what: &str| {
         Problem::new(
@@ -97,15 +123,20 @@ fn value(
         )
         .with_knob(knob)
     };
-    if message.v != VERSION {
-        let what = format!("version {} is not known here, only {VERSION}", message.v);
-        return Err(fault(&what));
+    if let Some(v) = message.v.filter(|v| *v != VERSION) {
+        return Err(fault(&format!(
+            "version {v} is not known here, only {VERSION}"
+        )));
     }
-    match knob {
-        Some(knob) => (message.value_of(&knob)).map_err(|error| fault(&error.to_string())),
+    let mut values = message.value.into_iter();
+    let (Some((name, value)), None) = (values.next(), values.next()) else {
+        return Err(fault("it must have exactly one value"));
+    };
+    let Some(knob) = knob else {
         // Changing it will tell that there is nothing to change.
-        None => Ok(message.knob.value),
-    }
+        return Ok(value);
+    };
+    (Threshold::new(&name, value).value_of(&knob)).map_err(|error| fault(&error.to_string()))
 }
 
 fn expected(knob: Option<Knob>) -> String {
@@ -134,7 +165,7 @@ pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds
 /// expected-loss.
 /// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
 #[utoipa::path(
-    put, operation_id = "set_thresholds", path = "/api/v1/threshold", tag = "threshold", request_body = ThresholdMessage,
+    put, operation_id = "set_thresholds", path = "/api/v1/threshold", tag = "threshold", request_body = NewThreshold,
     responses(
         (status = 200, body = Thresholds),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
@@ -182,7 +213,7 @@ pub(super) async fn get_one(
 /// It holds from the camera's next frame.
 /// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
 #[utoipa::path(
-    put, operation_id = "set_camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold", request_body = ThresholdMessage,
+    put, operation_id = "set_camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold", request_body = NewThreshold,
     params(("camera" = String, Path, description = "The camera's name.")),
     responses(
         (status = 200, body = OneThreshold),

@@ -6,7 +6,7 @@ use albireo_power::{Domain, Energy, Measured, Measurement};
 use albireo_service::clock::milliseconds;
 use albireo_wire::{
     AuditReport, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, FULL_COVERAGE, FrameStates,
-    KnobChange, KnobValue, VERSION,
+    Threshold, ThresholdChange, VERSION,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -56,9 +56,9 @@ pub(crate) struct ClosedClip {
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
     /// Threshold at the end.
-    pub knob: Option<KnobValue>,
+    pub threshold: Option<Threshold>,
     /// The threshold at the start, then its changes.
-    pub knob_changes: Vec<KnobChange>,
+    pub threshold_changes: Vec<ThresholdChange>,
     /// Latencies from reception to publication.
     pub total: Latencies,
     /// Latencies of the detector, over the frames where it ran.
@@ -113,8 +113,8 @@ impl ClosedClip {
             degraded_frames: self.degraded,
             dropped: self.dropped,
             policy: meta.policy,
-            knob: self.knob,
-            knob_changes: self.knob_changes.clone(),
+            threshold: self.threshold,
+            threshold_changes: self.threshold_changes.clone(),
             model: meta.model,
             provider: meta.provider,
             total_latency_ms: self.total.percentiles(),

@@ -4,7 +4,7 @@ use super::*;
 use albireo_core::policy::Albireo;
 use albireo_core::policy::FrameState;
 use albireo_power::PowerHandle;
-use albireo_wire::{ClipEnd, DroppedFrames, KnobValue};
+use albireo_wire::{ClipEnd, DroppedFrames, Threshold};
 use proptest::prelude::*;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -56,7 +56,7 @@ impl Camera {
             degraded: state == FrameState::P && seq.is_multiple_of(7),
             total: ms(12),
             detector: (!state.is_skipped()).then_some(ms(10)),
-            knob: u.map(|u| KnobValue::new(&Albireo::KNOB, u)),
+            threshold: u.map(|u| Threshold::new(Albireo::KNOB.name, u)),
         });
         closed
     }
@@ -177,12 +177,15 @@ fn the_threshold_at_the_start_and_each_change_are_told_once() {
     }
     let closed = camera.tracker.shutdown(camera.at(1000)).unwrap();
     let told: Vec<_> = closed
-        .knob_changes
+        .threshold_changes
         .iter()
-        .map(|c| (c.seq, c.knob.value))
+        .map(|c| (c.seq, c.threshold.value))
         .collect();
     assert_eq!(told, [(0, 3e-4), (2, 5e-4), (4, 3e-4)]);
-    assert_eq!(closed.knob.map(|knob| knob.value), Some(3e-4));
+    assert_eq!(
+        closed.threshold.map(|threshold| threshold.value),
+        Some(3e-4)
+    );
 }
 
 #[test]
@@ -192,8 +195,8 @@ fn a_threshold_that_never_rests_does_not_fill_the_memory() {
         camera.frame_with(i * 10, Some("a"), Some(i as f64));
     }
     let closed = camera.tracker.shutdown(camera.at(50_000)).unwrap();
-    assert_eq!(closed.knob_changes.len(), 256);
-    assert_eq!(closed.knob_changes[255].knob.value, 4999.0);
+    assert_eq!(closed.threshold_changes.len(), 256);
+    assert_eq!(closed.threshold_changes[255].threshold.value, 4999.0);
 }
 
 #[test]

@@ -12,7 +12,7 @@ use super::report::{ClosedAudit, ClosedClip};
 use crate::camera::audit::AuditCount;
 use albireo_core::policy::FrameState;
 use albireo_power::{CameraEnergy, Measurement};
-use albireo_wire::{ClipEnd, DroppedFrames, FrameStates, KnobChange, KnobValue};
+use albireo_wire::{ClipEnd, DroppedFrames, FrameStates, Threshold, ThresholdChange};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -45,7 +45,7 @@ pub(crate) struct FrameResult {
     /// Time of the detector, if it ran.
     pub detector: Option<Duration>,
     /// Threshold in force for this frame, if the policy has one.
-    pub knob: Option<KnobValue>,
+    pub threshold: Option<Threshold>,
 }
 
 /// The clip now open.
@@ -62,8 +62,8 @@ struct OpenClip {
     states: FrameStates,
     degraded: u64,
     dropped: DroppedFrames,
-    knob: Option<KnobValue>,
-    knob_changes: Vec<KnobChange>,
+    threshold: Option<Threshold>,
+    threshold_changes: Vec<ThresholdChange>,
     total: Latencies,
     detector: Latencies,
     detector_used: Duration,
@@ -161,18 +161,18 @@ impl ClipTracker {
             open.detector.add(detector);
         }
         open.last_answered = open.last_answered.max(open.last_arrival + frame.total);
-        if let Some(knob) = frame.knob
-            && open.knob != Some(knob)
+        if let Some(threshold) = frame.threshold
+            && open.threshold != Some(threshold)
         {
-            if open.knob_changes.len() == MOST_CHANGES {
-                open.knob_changes.pop();
+            if open.threshold_changes.len() == MOST_CHANGES {
+                open.threshold_changes.pop();
             }
-            open.knob_changes.push(KnobChange {
+            open.threshold_changes.push(ThresholdChange {
                 seq: frame.seq,
-                knob,
+                threshold,
             });
         }
-        open.knob = frame.knob;
+        open.threshold = frame.threshold;
         open.keep_until_its_end();
     }
 
@@ -285,8 +285,8 @@ impl ClipTracker {
             states: FrameStates::default(),
             degraded: 0,
             dropped: std::mem::take(&mut self.pending),
-            knob: None,
-            knob_changes: Vec::new(),
+            threshold: None,
+            threshold_changes: Vec::new(),
             total: Latencies::default(),
             detector: Latencies::default(),
             detector_used: Duration::ZERO,
@@ -307,8 +307,8 @@ impl ClipTracker {
             states: open.states,
             degraded: open.degraded,
             dropped: open.dropped,
-            knob: open.knob,
-            knob_changes: open.knob_changes,
+            threshold: open.threshold,
+            threshold_changes: open.threshold_changes,
             total: open.total,
             detector: open.detector,
             detector_used: open.detector_used,

@@ -35,7 +35,7 @@ async fn evidence() -> LiveEvidence {
 
 fn camera(detector: &DetectorHandle, pixels: PixelWork) -> LiveEvidence {
     let slot = CameraSlot(0);
-    let screen = CameraScreen::new(&ScreenConfig::default(), None, slot);
+    let screen = CameraScreen::new(&ScreenConfig::default(), None);
     LiveEvidence::new(detector.clone(), screen, slot, pixels)
 }
 

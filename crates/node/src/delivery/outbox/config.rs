@@ -26,7 +26,7 @@ pub struct OutboxConfig {
     pub retry_min_ms: u64,
     /// Longest pause, milliseconds.
     pub retry_max_ms: u64,
-    /// Time between two signs of life to the hub, seconds.
+    /// Time between two heartbeats to the hub, seconds.
     pub status_s: u64,
     /// File that identifies the machine: another one begins a new instance.
     pub machine_id: PathBuf,

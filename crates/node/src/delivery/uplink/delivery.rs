@@ -58,18 +58,13 @@ impl Delivery {
     }
 
     /// Sends the oldest batch.
-    pub(super) fn send(
-        &mut self,
-        reports: &Querier<'_>,
-        compression: BatchCompression,
-        patience: Patience<'_>,
-    ) -> Delivered {
+    pub(super) fn send(&mut self, reports: &Querier<'_>, patience: Patience<'_>) -> Delivered {
         let mut delivered = Delivered::default();
         let Some(batch) = self.outbox.batch(&self.node) else {
             self.backoff.reset();
             return delivered;
         };
-        let payload = match batch.message.to_payload(compression) {
+        let payload = match batch.message.to_payload(BatchCompression::Best) {
             Ok(payload) => payload,
             Err(error) => {
                 tracing::error!(%error, "clip reports cannot be written");

@@ -2,8 +2,8 @@
 
 use crate::delivery::outbox::Outbox;
 use crate::state::board::Board;
-use albireo_wire::{Desired, KnobSource, RefusedDesired, Target};
-use parking_lot::{Mutex, MutexGuard};
+use albireo_wire::{Desired, DesiredSetting, RefusedDesired, SettingSource, Threshold};
+use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
 const SETTING: &str = "desired";
@@ -12,31 +12,31 @@ const SETTING: &str = "desired";
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default)]
 struct Kept {
-    /// Highest generation seen.
-    generation: u64,
-    /// Highest generation that came into force.
+    /// Highest revision seen.
+    revision: u64,
+    /// Highest revision that came into force.
     in_force: u64,
     refused: Option<RefusedDesired>,
 }
 
 impl Kept {
-    /// Notes what came of a generation.
-    fn note(&mut self, generation: u64, applied: Result<(), String>) {
-        self.generation = generation;
+    /// Notes what came of a revision.
+    fn note(&mut self, revision: u64, applied: Result<(), String>) {
+        self.revision = revision;
         match applied {
             Ok(()) => {
-                self.in_force = generation;
+                self.in_force = revision;
                 self.refused = None;
             }
             Err(reason) => {
-                tracing::warn!(generation, reason, "a desired value was refused");
-                self.refused = Some(RefusedDesired { generation, reason });
+                tracing::warn!(revision, reason, "a desired value was refused");
+                self.refused = Some(RefusedDesired { revision, reason });
             }
         }
     }
 }
 
-/// Applies what is desired, once a generation.
+/// Applies what is desired, once a revision.
 #[derive(Debug)]
 pub(crate) struct DesiredKeeper {
     /// Whether a value changed at the node gives way to the hub's when next heard.
@@ -53,12 +53,12 @@ impl DesiredKeeper {
         }
     }
 
-    /// Compares with what was kept, where that could not be read before: of two generations the higher one stands, and
-    /// of one generation what was kept, for it knows what was changed at the node since.
+    /// Compares with what was kept, where that could not be read before: of two revisions the higher one stands, and
+    /// of one revision what was kept, for it knows what was changed at the node since.
     pub(super) fn read_again(&self, board: &Board, outbox: &Outbox) {
         let mut kept = self.kept.lock();
         let before: Kept = outbox.setting(SETTING).unwrap_or_default();
-        let seen_before = before.generation >= kept.generation;
+        let seen_before = before.revision >= kept.revision;
         if seen_before {
             *kept = before;
         } else {
@@ -70,13 +70,13 @@ impl DesiredKeeper {
         board.read_kept_target(seen_before);
     }
 
-    /// The highest generation seen.
-    pub(super) fn generation(&self) -> u64 {
-        self.kept.lock().generation
+    /// The highest revision seen.
+    pub(super) fn revision(&self) -> u64 {
+        self.kept.lock().revision
     }
 
-    /// The generation whose value is in force, 0 for none.
-    pub(super) fn generation_in_force(&self) -> u64 {
+    /// The revision whose value is in force, 0 for none.
+    pub(super) fn revision_in_force(&self) -> u64 {
         self.kept.lock().in_force
     }
 
@@ -85,86 +85,70 @@ impl DesiredKeeper {
         self.kept.lock().refused.clone()
     }
 
-    /// Takes what is desired; whether anything changed. A lower generation never replaces a higher.
+    /// Takes what is desired; whether anything changed. A lower revision never replaces a higher.
     pub(super) fn take(&self, desired: &Desired, board: &Board, outbox: &Outbox) -> bool {
         let mut kept = self.kept.lock();
-        if desired.generation < kept.generation {
+        if desired.revision < kept.revision {
             tracing::warn!(
-                generation = desired.generation,
-                known = kept.generation,
+                revision = desired.revision,
+                known = kept.revision,
                 "an older desired value than the one known: not taken"
             );
             return false;
         }
-        if desired.generation > 0 && (desired.target.is_some() || desired.hold_nothing) {
-            return self.take_target(kept, desired.generation, desired.target, board, outbox);
-        }
-        let Some(knob) = desired.knob.filter(|_| desired.generation > 0) else {
-            let newer = desired.generation > kept.generation;
-            kept.generation = desired.generation;
+        let Some(setting) = desired.setting.filter(|_| desired.revision > 0) else {
+            let newer = desired.revision > kept.revision;
+            kept.revision = desired.revision;
             if newer {
-                kept.in_force = desired.generation;
+                kept.in_force = desired.revision;
                 kept.refused = None;
                 outbox.set(SETTING, &*kept);
             }
             return newer;
         };
-        if desired.generation == kept.generation {
-            let drifted = board.cameras().iter().any(|camera| {
-                camera.knob_source() != KnobSource::Hub || camera.knob_value() != Some(knob)
-            });
-            if kept.refused.is_some() || !drifted || !self.hub_wins {
-                return false;
-            }
+        if desired.revision == kept.revision
+            && (kept.refused.is_some() || !self.hub_wins || is_in_force(setting, board))
+        {
+            return false;
         }
-        let applied = board
-            .cameras()
-            .iter()
-            .try_for_each(|camera| match camera.knob() {
-                Some(own) if own.name != knob.name => Err(format!(
-                    "the policy in use is turned by `{}`, not by `{}`",
-                    own.name, knob.name
-                )),
-                _ => camera
-                    .check_threshold(knob.value)
-                    .map(drop)
-                    .map_err(|error| error.to_string()),
-            })
-            .and_then(|()| {
-                board.cameras().iter().try_for_each(|camera| {
-                    camera
-                        .set_threshold_by(knob.value, KnobSource::Hub)
-                        .map(drop)
-                        .map_err(|error| error.to_string())
-                })
-            });
-        kept.note(desired.generation, applied);
+        let applied = match setting {
+            DesiredSetting::Threshold(threshold) => apply_threshold(threshold, board),
+            DesiredSetting::Target(target) => {
+                (board.set_target(target, SettingSource::Hub)).map_err(|error| error.to_string())
+            }
+        };
+        kept.note(desired.revision, applied);
         outbox.set(SETTING, &*kept);
         true
     }
+}
 
-    /// As [`take`](Self::take), of a target, or of none at all.
-    fn take_target(
-        &self,
-        mut kept: MutexGuard<'_, Kept>,
-        generation: u64,
-        target: Option<Target>,
-        board: &Board,
-        outbox: &Outbox,
-    ) -> bool {
-        if generation == kept.generation {
-            let drifted = board.target().report().target != target;
-            if kept.refused.is_some() || !drifted || !self.hub_wins {
-                return false;
-            }
-        }
-        let applied = board
-            .set_target(target, KnobSource::Hub)
-            .map_err(|error| error.to_string());
-        kept.note(generation, applied);
-        outbox.set(SETTING, &*kept);
-        true
+/// Whether the node still has what the hub set.
+fn is_in_force(setting: DesiredSetting, board: &Board) -> bool {
+    match setting {
+        DesiredSetting::Threshold(threshold) => board.cameras().iter().all(|camera| {
+            camera.threshold_source() == SettingSource::Hub
+                && camera.threshold_in_force() == Some(threshold)
+        }),
+        DesiredSetting::Target(target) => board.target().report().target == target,
     }
+}
+
+/// Sets a threshold for all cameras, or for none.
+fn apply_threshold(threshold: Threshold, board: &Board) -> Result<(), String> {
+    for camera in board.cameras() {
+        if let Some(knob) = camera.knob() {
+            threshold
+                .value_of(&knob)
+                .map_err(|error| error.to_string())?;
+        }
+        (camera.check_threshold(threshold.value)).map_err(|error| error.to_string())?;
+    }
+    for camera in board.cameras() {
+        (camera.set_threshold_by(threshold.value, SettingSource::Hub))
+            .map_err(|error| error.to_string())?;
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -175,7 +159,7 @@ mod tests {
     use crate::state::target::TargetSetup;
     use albireo_core::policy::Knob;
     use albireo_vision::detector::DetectorStatus;
-    use albireo_wire::{KnobValue, VERSION};
+    use albireo_wire::{Target, VERSION};
     use std::path::Path;
     use std::sync::Arc;
     use tokio::sync::watch;
@@ -217,20 +201,19 @@ mod tests {
         })
     }
 
-    fn desired(generation: u64, value: f64) -> Desired {
+    fn desired(revision: u64, value: f64) -> Desired {
         Desired {
             v: VERSION,
-            generation,
-            knob: Some(KnobValue { name: "u", value }),
+            revision,
+            setting: Some(DesiredSetting::Threshold(Threshold::new("u", value))),
             ..Desired::nothing()
         }
     }
 
-    fn held(generation: u64, target: Option<Target>) -> Desired {
+    fn held(revision: u64, target: Option<Target>) -> Desired {
         Desired {
-            generation,
-            target,
-            hold_nothing: target.is_none(),
+            revision,
+            setting: Some(DesiredSetting::Target(target)),
             ..Desired::nothing()
         }
     }
@@ -240,14 +223,14 @@ mod tests {
     }
 
     #[test]
-    fn a_target_and_a_value_take_each_others_place_by_one_generation() {
+    fn a_target_and_a_value_take_each_others_place_by_one_revision() {
         let folder = tempfile::tempdir().unwrap();
         let board = board(folder.path());
         let outbox = board.outbox();
         let keeper = DesiredKeeper::open(outbox, false);
         let half = Some(Target::SkipRate(0.5));
         assert!(keeper.take(&held(3, half), &board, outbox));
-        assert_eq!((target(&board), keeper.generation_in_force()), (half, 3));
+        assert_eq!((target(&board), keeper.revision_in_force()), (half, 3));
         // An older value, and the same target again, change nothing.
         assert!(!keeper.take(&desired(2, 0.07), &board, outbox));
         assert!(!keeper.take(&held(3, half), &board, outbox));
@@ -255,13 +238,13 @@ mod tests {
         assert!(keeper.take(&desired(4, 0.07), &board, outbox));
         assert_eq!((target(&board), thresholds(&board)), (None, vec![0.07; 2]));
         let off = board.target().report().off;
-        assert_eq!(off.as_deref(), Some("the knob was set by the hub"));
+        assert_eq!(off.as_deref(), Some("the threshold was set by the hub"));
         assert!(!keeper.take(&held(3, half), &board, outbox));
         assert_eq!(target(&board), None);
         // Nothing to hold leaves the knob where it is.
         assert!(keeper.take(&held(5, half), &board, outbox));
         assert!(keeper.take(&held(6, None), &board, outbox));
-        assert_eq!((target(&board), keeper.generation_in_force()), (None, 6));
+        assert_eq!((target(&board), keeper.revision_in_force()), (None, 6));
         assert_eq!(keeper.refused(), None);
         assert!(
             thresholds(&board)
@@ -279,7 +262,7 @@ mod tests {
         assert!(keeper.take(&desired(1, 0.07), &board, outbox));
         assert!(keeper.take(&held(2, Some(Target::SkipRate(1.5))), &board, outbox));
         let refused = keeper.refused().unwrap();
-        assert_eq!((refused.generation, keeper.generation_in_force()), (2, 1));
+        assert_eq!((refused.revision, keeper.revision_in_force()), (2, 1));
         assert!(
             refused.reason.contains("`skip_rate` must be"),
             "{refused:?}"
@@ -320,13 +303,13 @@ mod tests {
         std::fs::write(&disk, b"").unwrap();
         let late = board(&disk.join("state"));
         let keeper = DesiredKeeper::open(late.outbox(), false);
-        assert_eq!((target(&late), keeper.generation()), (None, 0));
+        assert_eq!((target(&late), keeper.revision()), (None, 0));
         std::fs::remove_file(&disk).unwrap();
         std::fs::rename(folder.path().join("away"), &disk).unwrap();
         late.outbox().disk_is_due();
         late.outbox().look_after_disk();
         keeper.read_again(&late, late.outbox());
-        assert_eq!((target(&late), keeper.generation()), (half, 7));
+        assert_eq!((target(&late), keeper.revision()), (half, 7));
     }
 
     fn thresholds(board: &Board) -> Vec<f64> {
@@ -335,7 +318,7 @@ mod tests {
             .collect()
     }
 
-    /// A node of generation 7 whose camera `front` was turned by hand afterwards, and which starts again before its
+    /// A node of revision 7 whose camera `front` was turned by hand afterwards, and which starts again before its
     /// disk is there.
     struct Restarted {
         folder: tempfile::TempDir,
@@ -357,7 +340,7 @@ mod tests {
             let board = board(&disk.join("state"));
             assert_eq!(thresholds(&board), [3e-4, 3e-4]);
             let keeper = DesiredKeeper::open(board.outbox(), false);
-            assert_eq!(keeper.generation(), 0);
+            assert_eq!(keeper.revision(), 0);
             Self {
                 folder,
                 board,
@@ -387,7 +370,7 @@ mod tests {
             drop((self.board, self.keeper));
             let board = board(&state);
             let keeper = DesiredKeeper::open(board.outbox(), false);
-            (keeper.generation(), thresholds(&board))
+            (keeper.revision(), thresholds(&board))
         }
     }
 
@@ -395,7 +378,7 @@ mod tests {
     fn a_disk_that_comes_after_the_start_brings_its_thresholds_into_force() {
         let node = Restarted::new();
         node.the_disk_returns();
-        assert_eq!(node.keeper.generation(), 7);
+        assert_eq!(node.keeper.revision(), 7);
         assert_eq!(thresholds(&node.board), [0.5, 0.07]);
         assert_eq!(node.then(), (7, vec![0.5, 0.07]));
     }
@@ -416,7 +399,7 @@ mod tests {
         node.take(&desired(8, 0.08));
         node.board.cameras()[1].set_threshold(0.9).unwrap();
         node.the_disk_returns();
-        assert_eq!(node.keeper.generation(), 8);
+        assert_eq!(node.keeper.revision(), 8);
         assert_eq!(thresholds(&node.board), [0.08, 0.9]);
         assert_eq!(node.then(), (8, vec![0.08, 0.9]));
     }

@@ -5,7 +5,8 @@ use crate::delivery::outbox::Outbox;
 use crate::state::board::Board;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_wire::{
-    CameraState, CameraStatus, NodeStatus, SignOfLife, Standing, StatusMessage, VERSION, run_number,
+    CameraState, CameraStatus, Heartbeat, NodeStatus, StatusMessage, TargetStatus, VERSION,
+    run_number,
 };
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -22,8 +23,8 @@ pub(super) struct StatusTeller {
     started_ns: u64,
     seq: u64,
     told: Option<NodeStatus>,
-    /// The generation that was told last: a sign of life says that it holds.
-    told_generation: Option<u64>,
+    /// The revision that was told last: a heartbeat says that it holds.
+    told_revision: Option<u64>,
     told_at: Option<Instant>,
     full_due: bool,
 }
@@ -35,7 +36,7 @@ impl StatusTeller {
             started_ns: unix_nanoseconds(),
             seq: 0,
             told: None,
-            told_generation: None,
+            told_revision: None,
             told_at: None,
             full_due: true,
         }
@@ -46,15 +47,13 @@ impl StatusTeller {
         self.full_due = true;
     }
 
-    /// The payload of a message, if one is due: in full at a change, a short one every `period`; a sign of life where
-    /// `signs_of_life` are read and nothing but numbers has changed.
+    /// The payload of a message, if one is due: in full at a change, a heartbeat every `period`.
     ///
     /// # Errors
     /// None that can happen: a status can always be written.
     pub(super) fn due(
         &mut self,
         period: Duration,
-        signs_of_life: bool,
         board: &Board,
         outbox: &Outbox,
         desired: &DesiredKeeper,
@@ -68,18 +67,17 @@ impl StatusTeller {
         if !changed && !self.full_due && since.is_some_and(|since| since < period) {
             return Ok(None);
         }
-        let generation = desired.generation_in_force();
+        let revision = desired.revision_in_force();
         let waiting = status.outbox.waiting;
-        let short =
-            signs_of_life && !changed && !self.full_due && self.told_generation == Some(generation);
+        let short = !changed && !self.full_due && self.told_revision == Some(revision);
         let seq = self.seq;
         self.seq += 1;
-        self.told_generation = Some(generation);
+        self.told_revision = Some(revision);
         self.told_at = Some(Instant::now());
         if short {
             let (instance, machine) = (outbox.instance(), outbox.machine());
             let run = run_number(&instance, machine.as_deref(), self.started_ns);
-            return SignOfLife { run, seq, waiting }.to_payload().map(Some);
+            return Heartbeat { run, seq, waiting }.to_payload().map(Some);
         }
         let message = StatusMessage {
             v: VERSION,
@@ -90,7 +88,7 @@ impl StatusTeller {
             t_ns: unix_nanoseconds(),
             health: status.health.state,
             waiting,
-            generation,
+            revision,
             full: (changed || self.full_due).then(|| Box::new(status.clone())),
         };
         self.told = Some(status);
@@ -108,8 +106,8 @@ impl StatusTeller {
             CameraStatus {
                 name: camera.name().to_owned(),
                 state,
-                knob: camera.knob_value(),
-                knob_source: camera.knob_source(),
+                threshold: camera.threshold_in_force(),
+                threshold_source: camera.threshold_source(),
             }
         });
         let power = board.power();
@@ -128,7 +126,6 @@ impl StatusTeller {
             refused: desired.refused(),
             target: target.status(),
             target_off: target.off,
-            takes_targets: true,
         }
     }
 }
@@ -142,12 +139,12 @@ fn same(told: &NodeStatus, now: &NodeStatus) -> bool {
     {
         now_held.actual = told_held.actual;
         // Between these it goes to and fro.
-        let underway = [Standing::Moving, Standing::Held].map(Some);
-        if underway.contains(&now_held.standing) && underway.contains(&told_held.standing) {
-            now_held.standing = told_held.standing;
+        let underway = [TargetStatus::Moving, TargetStatus::Held].map(Some);
+        if underway.contains(&now_held.status) && underway.contains(&told_held.status) {
+            now_held.status = told_held.status;
         }
         for (now, told) in now.cameras.iter_mut().zip(&told.cameras) {
-            now.knob = told.knob;
+            now.threshold = told.threshold;
         }
     }
     *told == now

@@ -12,7 +12,8 @@ use albireo_core::geometry::PictureSize;
 use albireo_core::policy::{BoxSource, FrameState, Knob, KnobError, published_threshold, short};
 use albireo_vision::picture::EncodedPicture;
 use albireo_wire::{
-    BoxMessage, DetectionsMessage, DetectorCalls, DroppedFrames, FrameStates, KnobSource, KnobValue,
+    BoxMessage, DetectionsMessage, DetectorCalls, DroppedFrames, FrameStates, SettingSource,
+    Threshold,
 };
 use parking_lot::Mutex;
 use prometheus_client::metrics::histogram::Histogram;
@@ -189,7 +190,7 @@ pub struct CameraBoard {
     detector_latency: Histogram,
     events: broadcast::Sender<SharedEvent>,
     outbox: Outbox,
-    source: Mutex<KnobSource>,
+    source: Mutex<SettingSource>,
 }
 
 impl CameraBoard {
@@ -228,7 +229,7 @@ impl CameraBoard {
             sizeless: setup.sizeless,
             configured,
             threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
-            source: Mutex::new(kept.map_or(KnobSource::Configuration, |(_, source)| source)),
+            source: Mutex::new(kept.map_or(SettingSource::Configuration, |(_, source)| source)),
             changing: Mutex::default(),
             counts: Mutex::default(),
             started,
@@ -368,7 +369,7 @@ impl CameraBoard {
             camera = %self.name,
             from = self.source().unwrap_or(&self.key),
             picture = %picture,
-            knob = first.knob.map(|knob| knob.to_string()),
+            threshold = first.threshold.map(|threshold| threshold.to_string()),
             as_published = published.map(short),
             "first frame"
         );
@@ -476,12 +477,12 @@ impl CameraBoard {
     }
 
     /// The same with its name.
-    pub fn knob_value(&self) -> Option<KnobValue> {
-        Some(KnobValue::new(self.knob.as_ref()?, self.threshold()?))
+    pub fn threshold_in_force(&self) -> Option<Threshold> {
+        Some(Threshold::new(self.knob?.name, self.threshold()?))
     }
 
     /// Who set the threshold in force.
-    pub(crate) fn knob_source(&self) -> KnobSource {
+    pub(crate) fn threshold_source(&self) -> SettingSource {
         *self.source.lock()
     }
 
@@ -494,7 +495,7 @@ impl CameraBoard {
     pub(super) fn threshold_event(&self) -> Option<Event> {
         Some(Event::Threshold(ThresholdEvent {
             camera: Arc::clone(&self.name),
-            knob: self.knob_value()?,
+            threshold: self.threshold_in_force()?,
         }))
     }
 
@@ -517,7 +518,7 @@ impl CameraBoard {
     /// # Errors
     /// [`KnobError`] when the policy has no knob or the value is outside its range; nothing changes then.
     pub(crate) fn set_threshold(&self, value: f64) -> Result<f64, KnobError> {
-        self.set_threshold_by(value, KnobSource::Local)
+        self.set_threshold_by(value, SettingSource::Local)
     }
 
     /// As [`set_threshold`](Self::set_threshold), saying who changes it.
@@ -527,7 +528,7 @@ impl CameraBoard {
     pub(crate) fn set_threshold_by(
         &self,
         value: f64,
-        source: KnobSource,
+        source: SettingSource,
     ) -> Result<f64, KnobError> {
         let knob = self.check_threshold(value)?;
         // First, so that the controller moves nothing any more.
@@ -570,9 +571,9 @@ impl CameraBoard {
         let changing = self.changing.lock();
         let source = *self.source.lock();
         let stands = match source {
-            KnobSource::Local => true,
-            KnobSource::Hub => !hub_was_known,
-            KnobSource::Configuration => false,
+            SettingSource::Local => true,
+            SettingSource::Hub => !hub_was_known,
+            SettingSource::Configuration => false,
         };
         let kept = if stands {
             None
@@ -589,7 +590,7 @@ impl CameraBoard {
                 tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "kept threshold read");
             }
             None => {
-                if source != KnobSource::Configuration
+                if source != SettingSource::Configuration
                     && let Some(value) = self.threshold()
                 {
                     thresholds::keep(&self.outbox, &self.name, &knob, configured, value, source);

@@ -1,6 +1,6 @@
 //! What happens on a node, told as it happens.
 
-use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, KnobValue};
+use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, Threshold};
 use serde::Serialize;
 use std::ops::Deref;
 use std::sync::{Arc, OnceLock};
@@ -101,8 +101,6 @@ pub struct ThresholdEvent {
     /// Camera.
     #[schema(value_type = String)]
     pub camera: Arc<str>,
-    /// The value now, under the knob's name.
-    #[serde(flatten)]
-    #[schema(value_type = std::collections::BTreeMap<String, f64>)]
-    pub knob: KnobValue,
+    /// The threshold now.
+    pub threshold: Threshold,
 }

@@ -37,7 +37,7 @@ pub(crate) struct PastFrame {
     /// Boxes reported.
     pub boxes: u16,
     tau_max: f32,
-    knob: f32,
+    threshold: f32,
     detector_ms: f32,
     total_ms: f32,
 }
@@ -60,7 +60,7 @@ impl PastFrame {
             degraded: frame.degraded,
             boxes: u16::try_from(frame.boxes.len()).unwrap_or(u16::MAX),
             tau_max: kept(frame.tau_max),
-            knob: kept(frame.knob.map(|knob| knob.value)),
+            threshold: kept(frame.threshold.map(|threshold| threshold.value)),
             detector_ms: kept(frame.latency_ms.detector),
             total_ms: kept(Some(frame.latency_ms.total)),
         }
@@ -72,8 +72,8 @@ impl PastFrame {
     }
 
     /// The threshold in force.
-    pub(crate) fn knob(&self) -> Option<f32> {
-        known(self.knob)
+    pub(crate) fn threshold(&self) -> Option<f32> {
+        known(self.threshold)
     }
 
     /// Time of the detector, if it ran.

@@ -4,7 +4,7 @@ use crate::delivery::outbox::{OutboxConfig, OutboxCounts};
 use crate::state::target::TargetSetup;
 use albireo_core::policy::{FrameState, Knob};
 use albireo_vision::detector::ExecutionProvider;
-use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, KnobValue, Latency};
+use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, Latency, Threshold};
 use std::path::PathBuf;
 
 const KNOB: Knob = Knob {
@@ -50,10 +50,7 @@ fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
         degraded: state == FrameState::P,
         cause: (!matches!(state, FrameState::E)).then_some(CallCause::Uncertain),
         tau_max: Some(1e-4),
-        knob: Some(KnobValue {
-            name: "u",
-            value: 3e-4,
-        }),
+        threshold: Some(Threshold::new("u", 3e-4)),
         width: 4,
         height: 3,
         boxes: Vec::new(),

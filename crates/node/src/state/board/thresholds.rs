@@ -2,7 +2,7 @@
 
 use crate::delivery::outbox::Outbox;
 use albireo_core::policy::Knob;
-use albireo_wire::KnobSource;
+use albireo_wire::SettingSource;
 use serde::{Deserialize, Serialize};
 
 /// One camera's kept threshold.
@@ -13,15 +13,15 @@ struct Kept {
     /// The value.
     value: f64,
     /// What the configuration said when it was changed. Once that is edited, the configuration is the
-    /// newer word and wins over what was changed at the node; not over the hub's, which has a generation.
+    /// newer word and wins over what was changed at the node; not over the hub's, which has a revision.
     configured: f64,
     /// Who changed it.
     #[serde(default = "local")]
-    source: KnobSource,
+    source: SettingSource,
 }
 
-const fn local() -> KnobSource {
-    KnobSource::Local
+const fn local() -> SettingSource {
+    SettingSource::Local
 }
 
 fn name(camera: &str) -> String {
@@ -34,9 +34,9 @@ pub(super) fn kept(
     camera: &str,
     knob: &Knob,
     configured: f64,
-) -> Option<(f64, KnobSource)> {
+) -> Option<(f64, SettingSource)> {
     let kept: Kept = outbox.setting(&name(camera))?;
-    let stands = kept.configured == configured || kept.source == KnobSource::Hub;
+    let stands = kept.configured == configured || kept.source == SettingSource::Hub;
     let value = (kept.knob == knob.name && stands)
         .then(|| knob.check(kept.value).ok())
         .flatten()?;
@@ -50,7 +50,7 @@ pub(super) fn keep(
     knob: &Knob,
     configured: f64,
     value: f64,
-    source: KnobSource,
+    source: SettingSource,
 ) {
     let kept = Kept {
         knob: knob.name.to_owned(),

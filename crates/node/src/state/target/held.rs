@@ -5,7 +5,7 @@ use albireo_core::policy::Knob;
 use albireo_core::target::{
     KnobRange, Measured, Target, TargetController, TargetError, TargetState,
 };
-use albireo_wire::{KnobSource, KnobValue, TargetReport, VERSION};
+use albireo_wire::{SettingSource, TargetReport, Threshold, VERSION};
 use parking_lot::Mutex;
 use serde::{Deserialize, Serialize};
 
@@ -29,7 +29,7 @@ pub struct TargetSetup {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Kept {
     target: Option<Target>,
-    source: KnobSource,
+    source: SettingSource,
     /// The knob's value when it was kept; the name is the policy's word for it.
     knob: Option<(String, f64)>,
     /// What the configuration said then: once that is edited it is the newer word, unless the hub's is there.
@@ -39,7 +39,7 @@ struct Kept {
 #[derive(Debug)]
 struct State {
     controller: Option<TargetController>,
-    source: KnobSource,
+    source: SettingSource,
     last: Option<TargetState>,
     off: Option<String>,
 }
@@ -61,7 +61,7 @@ impl NodeTarget {
             outbox,
             state: Mutex::new(State {
                 controller: None,
-                source: KnobSource::Configuration,
+                source: SettingSource::Configuration,
                 last: None,
                 off: None,
             }),
@@ -79,7 +79,7 @@ impl NodeTarget {
     fn kept(&self) -> Option<Kept> {
         let kept: Option<Kept> = self.outbox.setting(SETTING);
         kept.filter(|kept| {
-            kept.configured == self.setup.configured || kept.source == KnobSource::Hub
+            kept.configured == self.setup.configured || kept.source == SettingSource::Hub
         })
     }
 
@@ -111,9 +111,9 @@ impl NodeTarget {
     pub(crate) fn read_again(&self, hub_was_known: bool, knob: Option<f64>) {
         let mut state = self.state.lock();
         let stands = match state.source {
-            KnobSource::Local => true,
-            KnobSource::Hub => !hub_was_known,
-            KnobSource::Configuration => false,
+            SettingSource::Local => true,
+            SettingSource::Hub => !hub_was_known,
+            SettingSource::Configuration => false,
         };
         if stands {
             self.keep(&state);
@@ -144,7 +144,7 @@ impl NodeTarget {
         &self,
         target: Option<Target>,
         knob: Option<f64>,
-        source: KnobSource,
+        source: SettingSource,
     ) -> Result<(), TargetError> {
         let controller = target
             .map(|target| self.controller(target, knob))
@@ -173,16 +173,16 @@ impl NodeTarget {
     }
 
     /// Somebody turns the knob by hand: nothing is held any more. Writes a small file if anything was.
-    pub(crate) fn turned_by_hand(&self, source: KnobSource) {
+    pub(crate) fn turned_by_hand(&self, source: SettingSource) {
         let mut state = self.state.lock();
         let Some(controller) = state.controller.take() else {
             return;
         };
         let by = match source {
-            KnobSource::Hub => "the hub",
-            KnobSource::Local | KnobSource::Configuration => "hand",
+            SettingSource::Hub => "the hub",
+            SettingSource::Local | SettingSource::Configuration => "hand",
         };
-        let off = format!("the knob was set by {by}");
+        let off = format!("the threshold was set by {by}");
         tracing::info!(target = %controller.target(), "target switched off: {off}");
         state.off = Some(off);
         state.last = None;
@@ -221,11 +221,11 @@ impl NodeTarget {
             source: state.source,
             off: state.off.clone(),
             range: controller.and_then(|_| self.range().ok()),
-            knob: (self.setup.knob.as_ref())
+            threshold: (self.setup.knob.as_ref())
                 .zip(controller)
-                .map(|(knob, controller)| KnobValue::new(knob, controller.knob())),
+                .map(|(knob, controller)| Threshold::new(knob.name, controller.knob())),
             state: last,
-            why: last.map(|last| last.standing.as_str().to_owned()),
+            why: last.map(|last| last.status.as_str().to_owned()),
         }
     }
 

@@ -2,7 +2,7 @@
 
 use crate::api::key_service::KeyValue;
 use crate::state::board::Board;
-use albireo_wire::{KnobSource, MessageError, TargetMessage, VERSION};
+use albireo_wire::{MessageError, SettingSource, TargetMessage, VERSION};
 use std::sync::Arc;
 
 /// A node's target.
@@ -20,7 +20,7 @@ impl KeyValue for TargetKey {
         if message.v != VERSION {
             return Err(MessageError::Version { found: message.v }.to_string());
         }
-        (self.0.set_target(message.target, KnobSource::Local))
+        (self.0.set_target(message.target, SettingSource::Local))
             .map_err(|error| error.to_string())?;
         self.in_force()
     }

@@ -3,9 +3,9 @@
 use super::*;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::state::board::{Board, BoardSetup};
-use albireo_core::target::{Measured, Standing, Target};
+use albireo_core::target::{Measured, Target, TargetStatus};
 use albireo_vision::detector::DetectorStatus;
-use albireo_wire::KnobSource;
+use albireo_wire::SettingSource;
 use std::path::Path;
 use std::sync::Arc;
 use tokio::sync::watch;
@@ -49,21 +49,21 @@ fn a_target_moves_the_knob_of_all_cameras_and_says_where_it_stands() {
     let board = board(None, "expected-loss:0.3", TargetConfig::default());
     assert_eq!(board.target().report().target, None);
     board
-        .set_target(Some(Target::SkipRate(0.5)), KnobSource::Local)
+        .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
         .unwrap();
     let after = pass(&board, 8);
     assert!(after > 0.3, "{after}");
     assert_eq!(board.cameras()[1].threshold(), Some(after));
     let report = board.target().report();
     assert_eq!(report.target, Some(Target::SkipRate(0.5)));
-    assert_eq!(report.knob.unwrap().name, "lambda");
+    assert_eq!(report.threshold.unwrap().name.as_str(), "lambda");
     let state = report.state.unwrap();
-    assert_eq!((state.standing, state.knob), (Standing::Moving, after));
+    assert_eq!((state.status, state.knob), (TargetStatus::Moving, after));
     assert!((state.actual.unwrap() - 0.2).abs() < 1e-9);
     // At the end of the range it is said and counted.
     pass(&board, 120);
     let state = board.target().report().state.unwrap();
-    assert_eq!((state.standing, state.unmet), (Standing::CannotBeMet, 1));
+    assert_eq!((state.status, state.unmet), (TargetStatus::CannotBeMet, 1));
     assert!((state.knob - 1.2).abs() < 1e-9);
 }
 
@@ -71,22 +71,22 @@ fn a_target_moves_the_knob_of_all_cameras_and_says_where_it_stands() {
 fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
     let board = board(None, "albireo:3e-4", TargetConfig::default());
     board
-        .set_target(Some(Target::SkipRate(0.5)), KnobSource::Local)
+        .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
         .unwrap();
     pass(&board, 10);
     board.cameras()[1].set_threshold(7e-4).unwrap();
     let report = board.target().report();
     assert_eq!((report.target, report.state), (None, None));
-    assert_eq!(report.off.as_deref(), Some("the knob was set by hand"));
+    assert_eq!(report.off.as_deref(), Some("the threshold was set by hand"));
     pass(&board, 10);
     assert_eq!(board.cameras()[1].threshold(), Some(7e-4));
     // Another one begins where the knob stands, and its end leaves it there.
     board
-        .set_target(Some(Target::SkipRate(0.6)), KnobSource::Local)
+        .set_target(Some(Target::SkipRate(0.6)), SettingSource::Local)
         .unwrap();
     assert_eq!(board.target().report().off, None);
     let there = pass(&board, 10);
-    board.set_target(None, KnobSource::Local).unwrap();
+    board.set_target(None, SettingSource::Local).unwrap();
     assert_eq!(board.cameras()[0].threshold(), Some(there));
     let report = board.target().report();
     assert_eq!(report.off.as_deref(), Some("it was switched off"));
@@ -101,9 +101,9 @@ fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited(
         ..TargetConfig::default()
     };
     let first = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
-    assert_eq!(first.target().report().source, KnobSource::Configuration);
+    assert_eq!(first.target().report().source, SettingSource::Configuration);
     first
-        .set_target(Some(Target::SkipRate(0.5)), KnobSource::Local)
+        .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
         .unwrap();
     let there = pass(&first, 20);
     first.target().keep_place();
@@ -112,7 +112,7 @@ fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited(
     let again = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
     let report = again.target().report();
     assert_eq!(report.target, Some(Target::SkipRate(0.5)));
-    assert!((report.knob.unwrap().value - there).abs() < 1e-12);
+    assert!((report.threshold.unwrap().value - there).abs() < 1e-12);
     // The first step puts it into force, whatever the cameras began with.
     let next = pass(&again, 1);
     assert!((next / there - 1.0).abs() < 0.1, "{next} {there}");
@@ -126,14 +126,14 @@ fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited(
     let edited = board(Some(&state), "expected-loss:0.3", configured(Some(0.7)));
     let report = edited.target().report();
     assert_eq!(report.target, Some(Target::SkipRate(0.7)));
-    assert_eq!(report.source, KnobSource::Configuration);
+    assert_eq!(report.source, SettingSource::Configuration);
 }
 
 #[test]
 fn a_policy_without_a_knob_that_can_be_moved_holds_nothing_and_says_why() {
     for policy in ["vanilla", "ctd"] {
         let board = board(None, policy, TargetConfig::default());
-        let refused = board.set_target(Some(Target::SkipRate(0.5)), KnobSource::Local);
+        let refused = board.set_target(Some(Target::SkipRate(0.5)), SettingSource::Local);
         let reason = refused.unwrap_err().to_string();
         assert!(reason.contains(policy), "{reason}");
         assert_eq!(board.target().report().target, None);

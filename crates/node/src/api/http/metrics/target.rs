@@ -2,7 +2,7 @@
 
 use super::family::family;
 use crate::state::board::Board;
-use albireo_wire::Standing;
+use albireo_wire::TargetStatus;
 use prometheus_client::encoding::DescriptorEncoder;
 use prometheus_client::metrics::MetricType;
 use std::fmt;
@@ -42,9 +42,9 @@ pub(super) fn target(encoder: &mut DescriptorEncoder<'_>, board: &Board) -> fmt:
         MetricType::Gauge,
         |family| {
             state.iter().try_for_each(|state| {
-                Standing::ALL.into_iter().try_for_each(|standing| {
-                    let holds = u8::from(standing == state.standing);
-                    family.gauge(vec![("standing", standing.name())], f64::from(holds))
+                TargetStatus::ALL.into_iter().try_for_each(|status| {
+                    let holds = u8::from(status == state.status);
+                    family.gauge(vec![("status", status.name())], f64::from(holds))
                 })
             })
         },

@@ -4,7 +4,7 @@ use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
     Albireo, AlbireoSettings, FrameEvidence, FrameHead, Outcome, Policy, decide_at_once,
 };
-use albireo_wire::{KnobValue, Latency};
+use albireo_wire::{Latency, Threshold};
 
 fn message(seq: u64, outcome: &Outcome, u: f64) -> DetectionsMessage {
     DetectionsMessage {
@@ -16,10 +16,7 @@ fn message(seq: u64, outcome: &Outcome, u: f64) -> DetectionsMessage {
         degraded: outcome.degraded,
         cause: outcome.cause,
         tau_max: outcome.tau_max,
-        knob: Some(KnobValue {
-            name: "u",
-            value: u,
-        }),
+        threshold: Some(Threshold::new("u", u)),
         width: 4,
         height: 3,
         boxes: Vec::new(),

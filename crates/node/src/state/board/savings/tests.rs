@@ -164,7 +164,7 @@ async fn play(
             degraded: outcome.degraded,
             total: arrival.elapsed(),
             detector: frame.ended.map(|_| arrival.elapsed()),
-            knob: None,
+            threshold: None,
         });
     }
     tokio::time::sleep_until(start + CLIP).await;

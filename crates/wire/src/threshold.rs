@@ -1,0 +1,137 @@
+//! The threshold of a policy in messages: its name and its value.
+
+use crate::version::current_version;
+use albireo_core::policy::{Knob, short};
+use arrayvec::ArrayString;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use utoipa::ToSchema;
+
+/// The name of a threshold: `u`, `lambda`, `skip_rate`.
+pub type ThresholdName = ArrayString<24>;
+
+/// The value of a policy's threshold, with the name that the policy gives it: `{"name": "u", "value": 3e-4}`, or `lambda`
+/// under expected-loss. So nobody takes one policy's value for another's.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Threshold {
+    /// The threshold's name.
+    #[schema(value_type = String)]
+    pub name: ThresholdName,
+    /// The value.
+    pub value: f64,
+}
+
+impl Threshold {
+    /// `value` of `name`, of which no more is kept than fits.
+    pub fn new(name: &str, value: f64) -> Self {
+        let fits = name.floor_char_boundary(ThresholdName::new_const().capacity());
+        Self {
+            name: name[..fits].parse().unwrap_or_default(),
+            value,
+        }
+    }
+
+    /// The value, where it is one of `knob`.
+    ///
+    /// # Errors
+    /// [`OtherThreshold`] when it goes by another name.
+    pub fn value_of(&self, knob: &Knob) -> Result<f64, OtherThreshold> {
+        if self.name.as_str() == knob.name {
+            Ok(self.value)
+        } else {
+            Err(OtherThreshold {
+                wanted: knob.name,
+                sent: self.name,
+            })
+        }
+    }
+}
+
+impl fmt::Display for Threshold {
+    /// `u 3e-4`, `lambda 0.3`.
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(formatter, "{} {}", self.name, short(self.value))
+    }
+}
+
+/// A threshold of another name than the policy's.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+#[error("the threshold of the policy in use is `{wanted}`, not `{sent}`")]
+pub struct OtherThreshold {
+    /// The policy's name for it.
+    pub wanted: &'static str,
+    /// The name that was sent.
+    pub sent: ThresholdName,
+}
+
+/// A change of the threshold during a clip.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct ThresholdChange {
+    /// First frame it held for.
+    pub seq: u64,
+    /// The new value.
+    pub threshold: Threshold,
+}
+
+/// The threshold of a camera, on its `threshold` key: in a put, in a query's payload and in the reply.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ThresholdMessage {
+    /// Version; may be left out on the way in.
+    #[serde(default = "current_version")]
+    pub v: u32,
+    /// The threshold.
+    pub threshold: Threshold,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_core::policy::{Albireo, ExpectedLoss};
+
+    #[test]
+    fn a_message_may_leave_the_version_out_and_nothing_else_may_be_in() {
+        let read = serde_json::from_str::<ThresholdMessage>;
+        let message = read(r#"{"threshold":{"name":"u","value":5e-4}}"#).unwrap();
+        assert_eq!(
+            (message.v, message.threshold),
+            (1, Threshold::new("u", 5e-4))
+        );
+        for wrong in [
+            r#"{}"#,
+            r#"{"v":1}"#,
+            r#"{"u":3e-4}"#,
+            r#"{"threshold":3e-4}"#,
+            r#"{"threshold":{"name":"u"}}"#,
+            r#"{"threshold":{"name":"u","value":"small"}}"#,
+            r#"{"threshold":{"name":"u","value":1},"u":2}"#,
+            r#"[1]"#,
+        ] {
+            assert!(read(wrong).is_err(), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_long_name_is_cut_and_one_that_does_not_fit_is_refused() {
+        assert_eq!(
+            Threshold::new("component_size", 1.0).name.as_str(),
+            "component_size"
+        );
+        let name = "x".repeat(25);
+        let text = format!(r#"{{"name":"{name}","value":1}}"#);
+        assert!(serde_json::from_str::<Threshold>(&text).is_err());
+        let long = Threshold::new(&"ä".repeat(20), 1.0);
+        assert_eq!(long.name.chars().count(), 12);
+    }
+
+    #[test]
+    fn another_policys_threshold_is_refused_by_name() {
+        let threshold = Threshold::new("u", 5e-4);
+        assert_eq!(threshold.value_of(&Albireo::KNOB), Ok(5e-4));
+        let error = threshold.value_of(&ExpectedLoss::KNOB).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "the threshold of the policy in use is `lambda`, not `u`"
+        );
+    }
+}
