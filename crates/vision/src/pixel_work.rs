@@ -51,6 +51,7 @@ impl Stage {
 /// One picture and how it is to be decoded.
 #[derive(Clone)]
 pub struct Source {
+    /// The picture as it came.
     pub encoded: EncodedPicture,
     /// It may be decoded to fewer pixels, down to this.
     pub target: PictureSize,

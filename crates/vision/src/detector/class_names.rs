@@ -4,7 +4,7 @@ use super::{ClassNames, HeadName, Metadata, StartError};
 
 /// The 80 classes of the COCO detection task (Lin et al., "Microsoft COCO", 2014), in the order of their
 /// category numbers, which is the order detectors trained on it use.
-pub const COCO_CLASSES: [&str; 80] = [
+pub(super) const COCO_CLASSES: [&str; 80] = [
     "person",
     "bicycle",
     "car",

@@ -16,7 +16,7 @@ const LOOKED_BACK: usize = 8;
 
 /// Buffers that are used again. Clones share them.
 #[derive(Clone)]
-pub struct PictureBuffers(Arc<Mutex<Buffers>>);
+pub(super) struct PictureBuffers(Arc<Mutex<Buffers>>);
 
 struct Buffers {
     idle: Vec<Picture>,
@@ -35,7 +35,7 @@ pub struct PooledPicture {
 
 impl PictureBuffers {
     /// Keeps at most `most` buffers that nobody uses.
-    pub fn new(most: usize) -> Self {
+    pub(super) fn new(most: usize) -> Self {
         Self(Arc::new(Mutex::new(Buffers {
             idle: Vec::new(),
             most,
@@ -46,7 +46,7 @@ impl PictureBuffers {
 
     /// A picture that means nothing yet, to be decoded into: of the idle buffers the smallest that holds `bytes`, else
     /// the largest.
-    pub fn take(&self, bytes: usize) -> Picture {
+    pub(super) fn take(&self, bytes: usize) -> Picture {
         let idle = &mut self.0.lock().idle;
         let capacity = |index: &usize| idle[*index].pixels.capacity();
         let fitting = (0..idle.len())
@@ -57,7 +57,7 @@ impl PictureBuffers {
     }
 
     /// `picture`, to be given back by and by.
-    pub fn pooled(&self, picture: Picture) -> PooledPicture {
+    pub(super) fn pooled(&self, picture: Picture) -> PooledPicture {
         PooledPicture {
             picture: Arc::new(picture),
             buffers: self.clone(),
@@ -65,13 +65,13 @@ impl PictureBuffers {
     }
 
     /// How many lie idle.
-    pub fn idle(&self) -> usize {
+    pub(super) fn idle(&self) -> usize {
         self.0.lock().idle.len()
     }
 
     /// Takes a buffer back. That of one giant picture among small ones is let go of at once: there may not be another
     /// for minutes.
-    pub fn give_back(&self, picture: Picture) {
+    pub(super) fn give_back(&self, picture: Picture) {
         let mut buffers = self.0.lock();
         let bytes = picture.pixels.capacity();
         let usual = buffers.recent.into_iter().max().unwrap_or(0);

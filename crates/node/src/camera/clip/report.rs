@@ -31,7 +31,7 @@ impl ClosedAudit {
             calls: self.count.calls,
             detector_us: self.count.detector_us,
             joules: None,
-            sums: self.count.sums.clone(),
+            sums: self.count.sums,
         }
     }
 }

@@ -5,7 +5,7 @@ use std::cmp::Ordering;
 
 /// The most candidates that are looked at, the most confident ones: what a broken model or a hostile picture
 /// can cost at most. More than all anchors of a model with an input of 640x640.
-pub const MOST_CANDIDATES: usize = 10_000;
+pub(super) const MOST_CANDIDATES: usize = 10_000;
 
 /// How suppression works.
 #[derive(Clone, Copy, Debug, PartialEq)]
