@@ -1500,21 +1500,22 @@ export interface components {
             next?: number | null;
             reports: components["schemas"]["StoredSetAside"][];
         };
-        /** @description What an audit has found, in figures with intervals at 95 %. */
+        /**
+         * @description What an audit has found, with intervals at 95 % that include the missed frames. All is against the detector and not
+         *     against the truth: a policy that keeps showing an object which the detector misses loses precision here although it may
+         *     be right.
+         */
         AuditFigures: {
-            /** @description All comparisons. */
-            all: components["schemas"]["AuditGroup"];
-            /** @description By the number of frames since the detector last looked. */
-            by_pause?: components["schemas"]["AuditGroup"][];
-            /** @description By the size of the box. */
-            by_size?: components["schemas"]["AuditGroup"][];
-            /** @description By the state of the frame. */
-            by_state?: components["schemas"]["AuditGroup"][];
             /**
              * Format: int64
-             * @description Times the detector looked for the audit.
+             * @description Detector calls for the audit.
              */
             calls: number;
+            /**
+             * Format: int64
+             * @description Boxes that the detector found on the compared frames.
+             */
+            detected: number;
             /**
              * Format: double
              * @description Detector time of these, seconds.
@@ -1527,80 +1528,43 @@ export interface components {
             drawn: number;
             /**
              * Format: int64
-             * @description Those of them that the detector could not look at in time.
+             * @description Those of them that the detector had no time for.
              */
             missed: number;
-        };
-        /**
-         * @description A group of comparisons in figures. All are against the detector and not against the truth: a policy that keeps showing
-         *     an object which the detector misses loses precision here although it may be right.
-         */
-        AuditGroup: {
-            /**
-             * Format: int64
-             * @description Boxes of the detector with nothing shown near them: objects that have newly appeared.
-             */
-            appeared: number;
-            /**
-             * Format: int64
-             * @description Boxes that the detector found.
-             */
-            detected: number;
-            /**
-             * Format: int64
-             * @description Frames that were compared; 0 where boxes are grouped by size.
-             */
-            frames: number;
-            /**
-             * Format: int64
-             * @description Shown boxes with nothing of the detector's near them: objects that are gone, or that the detector misses.
-             */
-            gone: number;
-            /**
-             * Format: double
-             * @description Mean intersection over union of the pairs; absent without one.
-             */
-            mean_overlap?: number | null;
-            /** @description Frame state, length of the pause in frames, or size of the boxes; `all` for all of them. */
-            name: string;
             precision?: components["schemas"]["AuditRate"] | null;
             recall?: components["schemas"]["AuditRate"] | null;
             /**
              * Format: int64
-             * @description Pairs of one class.
-             */
-            same_class: number;
-            /**
-             * Format: int64
-             * @description Boxes that had been shown.
+             * @description Boxes that had been shown on them.
              */
             shown: number;
         };
-        /** @description A share of boxes, and between what it lies at a confidence of 95 %. */
+        /** @description A share of boxes, with its interval at a confidence of 95 %. */
         AuditRate: {
             /**
              * Format: int64
-             * @description The boxes it is a share of.
+             * @description The compared boxes.
              */
             boxes: number;
             /**
              * Format: double
-             * @description Upper end of the Wilson interval.
+             * @description Upper end of the interval: the same, with every box of the missed frames counted as a success.
              */
             high: number;
             /**
              * Format: double
-             * @description As how many independent boxes they count: those of one frame are shown or missed together.
+             * @description How many independent boxes they are worth: the boxes of one frame are shown or missed together.
              */
             independent: number;
             /**
              * Format: double
-             * @description Lower end of the Wilson interval.
+             * @description Lower end of the interval: the Wilson interval of the sample, with every box of the missed frames counted as a
+             *     failure.
              */
             low: number;
             /**
              * Format: double
-             * @description The share, 0 to 1.
+             * @description The share on the compared frames, 0 to 1.
              */
             rate: number;
         };
@@ -1790,8 +1754,7 @@ export interface components {
             duplicate: number;
             /**
              * Format: int64
-             * @description Arrived after a later frame (it had been counted as lost when the later one came), or with a number
-             *     far from all others.
+             * @description Arrived after a later frame (it had been counted as lost when the later one came).
              * @default 0
              */
             late: number;
@@ -1819,6 +1782,12 @@ export interface components {
              * @default 0
              */
             stopped: number;
+            /**
+             * Format: int64
+             * @description Of another stream than the camera's present one: another publisher's, or with a number far from all others.
+             * @default 0
+             */
+            stray: number;
             /**
              * Format: int64
              * @description The picture could not be decoded, or contradicts its own header.
@@ -1860,7 +1829,7 @@ export interface components {
             audit?: components["schemas"]["AuditFigures"] | null;
             /**
              * Format: double
-             * @description Joules of the audit: not in `joules`.
+             * @description Estimate of what the audit added, joules: a part of `joules`.
              */
             audit_joules: number;
             /**
@@ -1917,20 +1886,19 @@ export interface components {
             quality: string;
             /**
              * Format: double
+             * @description Estimate, whatever the quality, of what the avoided calls would have added, joules: sum of what the nodes report.
+             */
+            saved_joules_estimated: number;
+            /**
+             * Format: double
              * @description Share of frames with state E or P that are not degraded.
              */
             skip_rate: number;
             /**
              * Format: int64
-             * @description Avoided calls in clips without a call or without energy: they have no price, and are not in the estimate.
+             * @description Avoided calls in clips whose node did not know what a call adds: they are not in the estimate.
              */
             unpriced_calls: number;
-            /**
-             * Format: double
-             * @description Always an estimate, whatever the quality: what calling the detector on every frame would have cost, by each
-             *     clip's own mean power over its own mean detector time for each call that was avoided.
-             */
-            vanilla_joules_estimated: number;
         };
         /**
          * @description How far an energy figure can be trusted; the order is from most to least.

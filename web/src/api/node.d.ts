@@ -1161,21 +1161,22 @@ export interface components {
              */
             value: number;
         };
-        /** @description What an audit has found, in figures with intervals at 95 %. */
+        /**
+         * @description What an audit has found, with intervals at 95 % that include the missed frames. All is against the detector and not
+         *     against the truth: a policy that keeps showing an object which the detector misses loses precision here although it may
+         *     be right.
+         */
         AuditFigures: {
-            /** @description All comparisons. */
-            all: components["schemas"]["AuditGroup"];
-            /** @description By the number of frames since the detector last looked. */
-            by_pause?: components["schemas"]["AuditGroup"][];
-            /** @description By the size of the box. */
-            by_size?: components["schemas"]["AuditGroup"][];
-            /** @description By the state of the frame. */
-            by_state?: components["schemas"]["AuditGroup"][];
             /**
              * Format: int64
-             * @description Times the detector looked for the audit.
+             * @description Detector calls for the audit.
              */
             calls: number;
+            /**
+             * Format: int64
+             * @description Boxes that the detector found on the compared frames.
+             */
+            detected: number;
             /**
              * Format: double
              * @description Detector time of these, seconds.
@@ -1188,80 +1189,43 @@ export interface components {
             drawn: number;
             /**
              * Format: int64
-             * @description Those of them that the detector could not look at in time.
+             * @description Those of them that the detector had no time for.
              */
             missed: number;
-        };
-        /**
-         * @description A group of comparisons in figures. All are against the detector and not against the truth: a policy that keeps showing
-         *     an object which the detector misses loses precision here although it may be right.
-         */
-        AuditGroup: {
-            /**
-             * Format: int64
-             * @description Boxes of the detector with nothing shown near them: objects that have newly appeared.
-             */
-            appeared: number;
-            /**
-             * Format: int64
-             * @description Boxes that the detector found.
-             */
-            detected: number;
-            /**
-             * Format: int64
-             * @description Frames that were compared; 0 where boxes are grouped by size.
-             */
-            frames: number;
-            /**
-             * Format: int64
-             * @description Shown boxes with nothing of the detector's near them: objects that are gone, or that the detector misses.
-             */
-            gone: number;
-            /**
-             * Format: double
-             * @description Mean intersection over union of the pairs; absent without one.
-             */
-            mean_overlap?: number | null;
-            /** @description Frame state, length of the pause in frames, or size of the boxes; `all` for all of them. */
-            name: string;
             precision?: components["schemas"]["AuditRate"] | null;
             recall?: components["schemas"]["AuditRate"] | null;
             /**
              * Format: int64
-             * @description Pairs of one class.
-             */
-            same_class: number;
-            /**
-             * Format: int64
-             * @description Boxes that had been shown.
+             * @description Boxes that had been shown on them.
              */
             shown: number;
         };
-        /** @description A share of boxes, and between what it lies at a confidence of 95 %. */
+        /** @description A share of boxes, with its interval at a confidence of 95 %. */
         AuditRate: {
             /**
              * Format: int64
-             * @description The boxes it is a share of.
+             * @description The compared boxes.
              */
             boxes: number;
             /**
              * Format: double
-             * @description Upper end of the Wilson interval.
+             * @description Upper end of the interval: the same, with every box of the missed frames counted as a success.
              */
             high: number;
             /**
              * Format: double
-             * @description As how many independent boxes they count: those of one frame are shown or missed together.
+             * @description How many independent boxes they are worth: the boxes of one frame are shown or missed together.
              */
             independent: number;
             /**
              * Format: double
-             * @description Lower end of the Wilson interval.
+             * @description Lower end of the interval: the Wilson interval of the sample, with every box of the missed frames counted as a
+             *     failure.
              */
             low: number;
             /**
              * Format: double
-             * @description The share, 0 to 1.
+             * @description The share on the compared frames, 0 to 1.
              */
             rate: number;
         };
@@ -1272,7 +1236,7 @@ export interface components {
         AuditReport: {
             /**
              * Format: int64
-             * @description Times the detector looked for the audit; in none of the frame states and not in the skip rate.
+             * @description Detector calls for the audit; in none of the frame states and not in the skip rate.
              * @default 0
              */
             calls: number;
@@ -1284,8 +1248,8 @@ export interface components {
             detector_us: number;
             /**
              * Format: double
-             * @description Joules of the node during that time, by the share of each second that the detector worked for the audit; not in
-             *     the clip's own. Absent without a figure.
+             * @description Estimate of what that time added, joules, which are among the clip's: the watts that a running detector adds on this
+             *     machine times `detector_us`. Absent while it is not known what it adds.
              * @default null
              */
             joules: number | null;
@@ -1296,108 +1260,96 @@ export interface components {
              */
             share: number;
             /**
-             * @description What was compared.
+             * @description What was compared and what was missed.
              * @default {}
              */
             sums: components["schemas"]["AuditSums"];
         };
-        /** @description How far the compared frames differ, from which the intervals come. */
-        AuditSpread: {
-            /**
-             * @description Of the detector's boxes.
-             * @default {}
-             */
-            detected: components["schemas"]["SquareSums"];
-            /**
-             * @description Of the shown boxes.
-             * @default {}
-             */
-            shown: components["schemas"]["SquareSums"];
-        };
-        /** @description What an audit has found. All are whole numbers that only grow: sums over parts are the sums over the whole. */
-        AuditSums: {
-            /**
-             * @description By the length of the pause.
-             * @default {}
-             */
-            by_pause: components["schemas"]["ByPause"];
-            /**
-             * @description By the size of the box.
-             * @default {}
-             */
-            by_size: components["schemas"]["BySize"];
-            /**
-             * @description By the state of the frame; together they are the total.
-             * @default {}
-             */
-            by_state: components["schemas"]["ByState"];
+        /** @description Sums over the compared frames of the squares and products of their counts, from which the intervals come. */
+        AuditSquares: {
             /**
              * Format: int64
-             * @description Frames that were drawn and could not be looked at in time.
+             * @description Detected boxes, squared.
+             * @default 0
+             */
+            detected: number;
+            /**
+             * Format: int64
+             * @description Detected boxes times pairs.
+             * @default 0
+             */
+            detected_paired: number;
+            /**
+             * Format: int64
+             * @description Pairs, squared.
+             * @default 0
+             */
+            paired: number;
+            /**
+             * Format: int64
+             * @description Shown boxes, squared.
+             * @default 0
+             */
+            shown: number;
+            /**
+             * Format: int64
+             * @description Shown boxes times pairs.
+             * @default 0
+             */
+            shown_paired: number;
+        };
+        /**
+         * @description Sums over the drawn frames. A pooled rate is that of all compared boxes: of two cameras with as many boxes a frame, the
+         *     one that audits the larger share of its frames weighs more.
+         */
+        AuditSums: {
+            /**
+             * Format: int64
+             * @description Boxes that the detector found on them.
+             * @default 0
+             */
+            detected: number;
+            /**
+             * Format: int64
+             * @description Frames that were compared.
+             * @default 0
+             */
+            frames: number;
+            /**
+             * Format: int64
+             * @description Frames that were drawn and that the detector had no time for.
              * @default 0
              */
             missed: number;
             /**
-             * @description How far the frames differ.
-             * @default {}
-             */
-            spread: components["schemas"]["AuditSpread"];
-        };
-        /** @description Comparisons of one group of frames or boxes. */
-        AuditTally: {
-            /**
-             * @description The detector's boxes.
-             * @default {}
-             */
-            detected: components["schemas"]["BoxCounts"];
-            /**
              * Format: int64
-             * @description Frames that were compared; not counted by size.
+             * @description Boxes that had been shown on those, at least one a frame: what the missed frames weigh in an interval.
              * @default 0
              */
-            frames: number;
+            missed_boxes: number;
             /**
              * Format: int64
-             * @description Summed intersection over union of the pairs, in millionths; by size, of the detector's boxes.
+             * @description Pairs of a detected and a shown box of the same object.
              * @default 0
              */
-            overlap_millionths: number;
+            paired: number;
             /**
              * Format: int64
-             * @description Pairs of one class; by size, of the detector's boxes.
+             * @description Boxes that had been shown on them.
              * @default 0
              */
-            same_class: number;
+            shown: number;
             /**
-             * @description The shown boxes.
-             * @default {}
+             * @description How far the compared frames differ.
+             * @default {
+             *       "detected": 0,
+             *       "detected_paired": 0,
+             *       "paired": 0,
+             *       "shown": 0,
+             *       "shown_paired": 0
+             *     }
              */
-            shown: components["schemas"]["BoxCounts"];
-        };
-        /** @description What was saved over a time. */
-        Balance: {
-            /**
-             * Format: int64
-             * @description Detector calls avoided: frames answered without it, degraded ones not among them.
-             */
-            avoided_calls: number;
-            /**
-             * Format: int64
-             * @description Frames answered from prediction because the detector could not be had.
-             */
-            degraded_frames: number;
-            /** @description Energy of the clips that ended in this time, by quality; a quality without clips is left out. */
-            energy: components["schemas"]["SavedEnergy"][];
-            /**
-             * Format: int64
-             * @description Frames processed.
-             */
-            frames: number;
-            /**
-             * Format: int64
-             * @description From when on, milliseconds since the Unix epoch: the node's start, or midnight UTC where that is later.
-             */
-            since_ms: number;
+            squares: components["schemas"]["AuditSquares"];
         };
         /**
          * @description The state of the board during a clip, as far as the board tells: the same clip costs differently in
@@ -1439,28 +1391,6 @@ export interface components {
              */
             throttled: boolean | null;
         };
-        /** @description Boxes of one side, the detector's or the shown ones. */
-        BoxCounts: {
-            /**
-             * Format: int64
-             * @description Those that no box of the other side is even near: of the detector's, objects that have newly appeared; of the
-             *     shown ones, objects that are gone or that the detector misses.
-             * @default 0
-             */
-            alone: number;
-            /**
-             * Format: int64
-             * @description Boxes.
-             * @default 0
-             */
-            boxes: number;
-            /**
-             * Format: int64
-             * @description Those that have a box of the other side as their pair.
-             * @default 0
-             */
-            paired: number;
-        };
         /** @description One box of a [`DetectionsMessage`]. */
         BoxMessage: {
             /** @description Left, top, right, bottom in pixels of the source picture, clipped to it. */
@@ -1483,73 +1413,6 @@ export interface components {
          * @enum {string}
          */
         BoxSource: "detected" | "predicted" | "followed" | "rescued";
-        /** @description By the number of frames since the detector last looked, the compared one included. */
-        ByPause: {
-            /**
-             * @description The first frame after one that the detector looked at.
-             * @default {}
-             */
-            1: components["schemas"]["AuditTally"];
-            /**
-             * @description The second.
-             * @default {}
-             */
-            2: components["schemas"]["AuditTally"];
-            /**
-             * @description Later ones.
-             * @default {}
-             */
-            "17+": components["schemas"]["AuditTally"];
-            /**
-             * @description The third and fourth.
-             * @default {}
-             */
-            "3-4": components["schemas"]["AuditTally"];
-            /**
-             * @description The fifth to eighth.
-             * @default {}
-             */
-            "5-8": components["schemas"]["AuditTally"];
-            /**
-             * @description The ninth to sixteenth.
-             * @default {}
-             */
-            "9-16": components["schemas"]["AuditTally"];
-        };
-        /**
-         * @description By the size of the box: a share of the picture's area below 1/300 (COCO's 32² pixels of 640x480), up to 3 % (96²), and
-         *     above. Recall goes by the size of the detector's box, precision by that of the shown one.
-         */
-        BySize: {
-            /**
-             * @description 3 % and more.
-             * @default {}
-             */
-            large: components["schemas"]["AuditTally"];
-            /**
-             * @description From there to 3 %.
-             * @default {}
-             */
-            medium: components["schemas"]["AuditTally"];
-            /**
-             * @description Below 1/300 of the picture.
-             * @default {}
-             */
-            small: components["schemas"]["AuditTally"];
-        };
-        /** @description By the state of the frame. */
-        ByState: {
-            /**
-             * @description The screen had said "empty".
-             * @default {}
-             */
-            E: components["schemas"]["AuditTally"];
-            /**
-             * @description Boxes had been predicted.
-             * @default {}
-             */
-            P: components["schemas"]["AuditTally"];
-        };
         /**
          * @description Why the detector was called for a frame, whether or not it answered. Where several things call it at once, the one
          *     named first here is said.
@@ -1590,6 +1453,8 @@ export interface components {
              * @description Clips ended since the node started.
              */
             clips: number;
+            /** @description Why no frames come, where that is so. */
+            fault?: string | null;
             /**
              * Format: int64
              * @description Frames processed since the node started.
@@ -1600,13 +1465,15 @@ export interface components {
              * @description Rows of its newest frame.
              */
             height?: number | null;
-            /** @description Zenoh key its frames come on. */
-            key: string;
+            /** @description Zenoh key its frames come on; absent where it has a source. */
+            key?: string | null;
             /**
              * Format: double
              * @description Seconds since its newest frame; absent before the first.
              */
             last_frame_age_s?: number | null;
+            /** @description Address of the source that the node opens for it, without credentials. */
+            source?: string | null;
             /**
              * Format: double
              * @description What the published code would want in the place of `u` in pictures of this size; absent where that is the same
@@ -1787,6 +1654,13 @@ export interface components {
              * @description Samples inside the clip.
              */
             samples: number;
+            /**
+             * Format: double
+             * @description Estimate of the joules that this clip's avoided detector calls would have added: the time they would have run, no
+             *     longer than the one detector had nothing to do, times the watts that a running detector adds on this machine.
+             *     Absent while it is not known what it adds.
+             */
+            saved_joules_estimated?: number | null;
             /** @description Where it comes from: `rapl`, `estimate`, … */
             source: string;
             /**
@@ -1810,6 +1684,12 @@ export interface components {
             degraded_frames: number;
             /** @description Latency of the detector alone, over the frames where it ran. */
             detector_latency_ms: components["schemas"]["Percentiles"];
+            /**
+             * Format: double
+             * @description Time for which the detector ran for this clip's frames, milliseconds: of each run an even part for each of its
+             *     pictures. Waiting and the audit are not in it.
+             */
+            detector_used_ms?: number;
             /** @description Frames not processed, by kind. */
             dropped: components["schemas"]["DroppedFrames"];
             /**
@@ -2055,8 +1935,7 @@ export interface components {
             duplicate: number;
             /**
              * Format: int64
-             * @description Arrived after a later frame (it had been counted as lost when the later one came), or with a number
-             *     far from all others.
+             * @description Arrived after a later frame (it had been counted as lost when the later one came).
              * @default 0
              */
             late: number;
@@ -2084,6 +1963,12 @@ export interface components {
              * @default 0
              */
             stopped: number;
+            /**
+             * Format: int64
+             * @description Of another stream than the camera's present one: another publisher's, or with a number far from all others.
+             * @default 0
+             */
+            stray: number;
             /**
              * Format: int64
              * @description The picture could not be decoded, or contradicts its own header.
@@ -2116,6 +2001,28 @@ export interface components {
             quality: components["schemas"]["EnergyQuality"];
             /** @description Where the figures come from: `rapl`, `estimate`, …; `none` without a source. */
             source: string;
+        };
+        /** @description What the whole node used over a time. */
+        EnergyUsed: {
+            /**
+             * Format: double
+             * @description That time, seconds.
+             */
+            covered_s: number;
+            /**
+             * Format: double
+             * @description Joules, over the time that samples cover.
+             */
+            joules: number;
+            /** @description How far to trust the joules: partial where the meter had gaps. */
+            quality: components["schemas"]["EnergyQuality"];
+            /**
+             * Format: double
+             * @description Estimate of what the avoided calls would have added, joules: the time they would have run, no longer than the one
+             *     detector had nothing to do, times the watts that a running detector adds on this machine. Null while it is not
+             *     known what it adds.
+             */
+            saved_joules_estimated?: number | null;
         };
         /**
          * @description What a node answers to a frame that came as a query, once the frame's turn has come: the sender of a camera with
@@ -2365,9 +2272,9 @@ export interface components {
             /** @description Reports that wait for a hub. */
             outbox: components["schemas"]["OutboxStatus"];
             /** @description What was saved since the start. */
-            since_start: components["schemas"]["Balance"];
+            since_start: components["schemas"]["Savings"];
             /** @description What was saved today: since midnight UTC, or since the start where that is later. */
-            today: components["schemas"]["Balance"];
+            today: components["schemas"]["Savings"];
             /**
              * Format: double
              * @description Seconds since it started.
@@ -2537,7 +2444,7 @@ export interface components {
              * @description Length of a piece, seconds.
              */
             slot_s: number;
-            /** @description The pieces, the oldest first, the last one still open; those without a figure are left out. */
+            /** @description The pieces that are over, the oldest first; those without a figure are left out. */
             slots: components["schemas"]["PowerPiece"][];
         };
         /** @description Power of a piece of the last hour. */
@@ -2697,36 +2604,29 @@ export interface components {
             /** @description What it is for. */
             summary: string;
         };
-        /** @description Energy of the clips of one quality; sums of different qualities are never added. */
-        SavedEnergy: {
+        /** @description What was saved over a time. */
+        Savings: {
             /**
              * Format: int64
-             * @description Clips whose energy is known in whole.
+             * @description Detector calls avoided: frames answered without it, degraded ones not among them.
              */
-            clips: number;
-            /**
-             * Format: double
-             * @description Their time, seconds.
-             */
-            duration_s: number;
-            /**
-             * Format: double
-             * @description What they used.
-             */
-            joules: number;
-            /** @description How far to trust the joules. */
-            quality: components["schemas"]["EnergyQuality"];
+            avoided_calls: number;
             /**
              * Format: int64
-             * @description Avoided calls without a price, because their clip had no call: they are in neither sum.
+             * @description Frames answered from prediction because the detector could not be had.
              */
-            unpriced_calls: number;
+            degraded_frames: number;
+            energy?: components["schemas"]["EnergyUsed"] | null;
             /**
-             * Format: double
-             * @description What they would have used with a detector call on every frame: an avoided call is priced at its clip's own mean
-             *     power times its own mean detector time. Always an estimate.
+             * Format: int64
+             * @description Frames processed.
              */
-            vanilla_joules_estimated: number;
+            frames: number;
+            /**
+             * Format: int64
+             * @description From when on, milliseconds since the Unix epoch: the node's start, or midnight UTC where that is later.
+             */
+            since_ms: number;
         };
         /**
          * @description Who set a threshold or a target.
@@ -2760,27 +2660,6 @@ export interface components {
             threshold: components["schemas"]["Threshold"];
             /** @description What each value would have skipped, in the order asked for. */
             values: components["schemas"]["ValueEstimate"][];
-        };
-        /** @description Summed squares over the frames of one side's counts: how far the frames differ. */
-        SquareSums: {
-            /**
-             * Format: int64
-             * @description Of the boxes of a frame.
-             * @default 0
-             */
-            boxes: number;
-            /**
-             * Format: int64
-             * @description Of the paired ones of a frame.
-             * @default 0
-             */
-            paired: number;
-            /**
-             * Format: int64
-             * @description Of boxes times paired ones.
-             * @default 0
-             */
-            product: number;
         };
         /**
          * @description How a node is, with the full status when it changed or was asked for. Where nothing but the number of waiting reports has
