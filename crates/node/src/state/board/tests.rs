@@ -200,7 +200,7 @@ fn a_configuration_describes_its_cameras_with_their_own_thresholds() {
     let rear = board.camera("rear").unwrap();
     assert_eq!(rear.key(), "vehicle/rear");
     assert_eq!(rear.threshold(), Some(1e-3));
-    assert_eq!(board.detector_facts().model, "detector.onnx");
+    assert_eq!(board.detector_facts().model, "yolox_nano.onnx");
     assert_eq!(board.policy(), "albireo");
 }
 

@@ -37,8 +37,8 @@ pub(super) fn target(encoder: &mut DescriptorEncoder<'_>, board: &Board) -> fmt:
     )?;
     family(
         encoder,
-        "target_standing",
-        "Why the knob stands where it stands: 1 for what holds, 0 for what does not",
+        "target_status",
+        "Whether the target is met, and if not why: 1 for the status that holds, 0 for the others",
         MetricType::Gauge,
         |family| {
             state.iter().try_for_each(|state| {
