@@ -6,6 +6,7 @@
 pub(crate) mod campaigns;
 pub(crate) mod change;
 pub mod desired;
+pub mod effect;
 pub mod fleet;
 pub mod gate;
 pub mod members;
