@@ -29,6 +29,9 @@ pub(super) struct Arguments {
     /// First part of all keys of the fleet: hub.prefix and node.prefix.
     #[arg(long, value_name = "PREFIX", default_value = "albireo")]
     prefix: String,
+    /// Let hubs ask nodes for camera pictures; nodes answer where their configuration allows it.
+    #[arg(long)]
+    pictures: bool,
     /// Where the rules go; standard output without it.
     #[arg(long, short, value_name = "FILE")]
     output: Option<PathBuf>,
@@ -36,7 +39,12 @@ pub(super) struct Arguments {
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let authority = Authority::open(&arguments.folder)?;
-    let access = access_control(&arguments.folder, authority.entries(), &arguments.prefix)?;
+    let access = access_control(
+        &arguments.folder,
+        authority.entries(),
+        &arguments.prefix,
+        arguments.pictures,
+    )?;
     let text = serde_json::to_string_pretty(&access)? + "\n";
     match &arguments.output {
         None => print!("{text}"),

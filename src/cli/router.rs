@@ -1,7 +1,7 @@
 //! `albireo router`: runs the router of a fleet until it is told to stop.
 
 use super::block_on;
-use albireo_router::{RouterOptions, refusals};
+use albireo_router::RouterOptions;
 use albireo_service::config::{Findings, HttpConfig, LogConfig, LogFormat};
 use albireo_service::{logging, signals};
 use anyhow::{Context, bail};
@@ -11,8 +11,8 @@ use std::time::Duration;
 use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
-A Zenoh router as zenohd is one, with health, metrics and a count of whom it turns away. The file is Zenoh's own
-(JSON5); config/zenoh-router.json5 shows what a fleet needs, and zenohd takes it too.
+A Zenoh router with health and metrics. Its configuration is Zenoh's own (JSON5), which zenohd takes too;
+config/zenoh-router.json5 shows what a fleet needs.
 
 Examples:
   albireo router --config config/zenoh-router.json5
@@ -29,6 +29,9 @@ pub(super) struct Arguments {
     /// Who may do what, as `albireo acl` writes it.
     #[arg(long, env = "ALBIREO_ROUTER_ACCESS", value_name = "FILE")]
     access: Option<PathBuf>,
+    /// Run without access rules although certificates are asked for: every certificate may do everything.
+    #[arg(long, conflicts_with = "access")]
+    no_access_control: bool,
     /// Where health and metrics are. Other than loopback needs a token.
     #[arg(
         long,
@@ -77,6 +80,7 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
     let options = RouterOptions {
         config: arguments.config,
         access: arguments.access,
+        no_access_control: arguments.no_access_control,
         http,
         probe_every: Duration::from_secs(arguments.probe_s),
     };
@@ -85,14 +89,13 @@ pub(super) fn run(arguments: Arguments) -> anyhow::Result<()> {
         println!("the files can be used");
         return Ok(());
     }
-    let (layer, counted, refused) = refusals::layer();
-    logging::start_beside(&log, layer)?;
+    logging::start(&log)?;
     block_on(async {
         let shutdown = signals::shutdown().context(signals::CONTEXT)?;
         let listen = options.http.listen;
         let listener = TcpListener::bind(listen)
             .await
             .with_context(|| format!("--http: {listen} cannot be listened on"))?;
-        Ok(albireo_router::run(&options, counted, refused, listener, shutdown).await?)
+        Ok(albireo_router::run(&options, listener, shutdown).await?)
     })
 }

@@ -1,13 +1,14 @@
-//! Access control for the router, generated from the certificates: Zenoh's rules know no templates, so each node gets
-//! rules of its own.
+//! Generates the router's access rules from the certificates.
 //!
-//! What is not allowed is denied. A node may write its own status and counters, ask under its own name, hear notices for
-//! itself and declare its own token; a hub may hear all nodes, answer them and notice them. A router hands on everything.
-//! What a session is sent is bounded by what it may declare and ask, so the rules for that direction go by role.
+//! Zenoh's rules have no templates, so each node gets rules of its own; what no rule allows is denied. A node may send its
+//! status and counters, query under its own name, and declare its own token. A hub may read all nodes and answer them. A
+//! router forwards everything. What the router sends to a session is bounded by what that session may declare and query, so
+//! the rules for that direction go by role.
 
 use crate::authority::{AuthorityError, Entry, Role, subject};
 use albireo_wire::{FleetKeys, KeyError};
 use serde_json::{Value, json};
+use std::collections::HashSet;
 use std::path::Path;
 
 /// Why rules cannot be generated.
@@ -34,7 +35,8 @@ pub enum AccessError {
     Nobody,
 }
 
-/// Zenoh's section `access_control` for the certificates in `folder` that are not revoked, with keys under `prefix`.
+/// Zenoh's section `access_control` for the certificates in `folder` that are not revoked, with keys under `prefix`. With
+/// `pictures`, a hub may ask nodes for camera pictures.
 ///
 /// # Errors
 /// [`AccessError`] when a certificate is not what the list says, or there is none.
@@ -42,6 +44,7 @@ pub fn access_control(
     folder: &Path,
     entries: &[Entry],
     prefix: &str,
+    pictures: bool,
 ) -> Result<Value, AccessError> {
     let good: Vec<&Entry> = entries
         .iter()
@@ -60,12 +63,13 @@ pub fn access_control(
             });
         }
     }
-    rules(&good, prefix)
+    rules(&good, prefix, pictures)
 }
 
-fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
+fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessError> {
     let all = FleetKeys::all(prefix)?;
     let counters = format!("{prefix}/*/*/counters");
+    let picture = format!("{prefix}/*/*/picture");
     let every = [
         all.report(),
         all.pull(),
@@ -82,7 +86,7 @@ fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
         id.to_owned()
     };
 
-    let to_nodes = [
+    let mut to_nodes = vec![
         rule("to nodes", "egress", &["put"], &[all.changed()]),
         rule(
             "answers to nodes",
@@ -98,7 +102,7 @@ fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
             &[all.report(), all.pull(), all.status(), counters.clone()],
         ),
     ];
-    let hubs = vec![
+    let mut hubs = vec![
         rule("hub notices", "ingress", &["put"], &[all.changed()]),
         rule(
             "hub answers",
@@ -137,6 +141,22 @@ fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
             &[all.changed(), all.alive()],
         ),
     ];
+    if pictures {
+        let picture = std::slice::from_ref(&picture);
+        to_nodes.push(rule("picture queries", "egress", &["query"], picture));
+        hubs.push(rule(
+            "hub asks for pictures",
+            "ingress",
+            &["query"],
+            picture,
+        ));
+        hubs.push(rule(
+            "pictures to hubs",
+            "egress",
+            &["declare_queryable", "reply"],
+            picture,
+        ));
+    }
     let everything = [
         "put",
         "delete",
@@ -186,6 +206,14 @@ fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
                         &[keys.alive()],
                     ),
                 ];
+                if pictures {
+                    own.push(rule(
+                        &format!("{name} shows pictures"),
+                        "ingress",
+                        &["declare_queryable", "reply"],
+                        &[format!("{prefix}/{name}/*/picture")],
+                    ));
+                }
                 own.extend(to_nodes.iter().cloned());
                 own
             }
@@ -197,14 +225,12 @@ fn rules(good: &[&Entry], prefix: &str) -> Result<Value, AccessError> {
         return Err(AccessError::Nobody);
     }
     // Zenoh warns of rules that no policy names.
-    let named = |id: &Value| {
-        (policies.iter()).any(|policy| {
-            policy["rules"]
-                .as_array()
-                .is_some_and(|rules| rules.contains(id))
-        })
-    };
-    rules.retain(|rule| named(&rule["id"]));
+    let named: HashSet<&str> = (policies.iter())
+        .filter_map(|policy: &Value| policy["rules"].as_array())
+        .flatten()
+        .filter_map(Value::as_str)
+        .collect();
+    rules.retain(|rule: &Value| rule["id"].as_str().is_some_and(|id| named.contains(id)));
     Ok(json!({
         "enabled": true,
         "default_permission": "deny",
@@ -236,7 +262,8 @@ mod tests {
             entry(Role::Node, "car-8", 1, None),
             entry(Role::Hub, "hub", 1, None),
         ];
-        let access = rules(&entries.iter().collect::<Vec<_>>(), "fleet/north").unwrap();
+        let all: Vec<_> = entries.iter().collect();
+        let access = rules(&all, "fleet/north", false).unwrap();
         let mut config = zenoh::Config::default();
         config
             .insert_json5("access_control", &access.to_string())
@@ -250,22 +277,29 @@ mod tests {
         assert_eq!(rule("car-8 tells")[1], "fleet/north/car-8/*/counters");
         let subjects = access["subjects"].as_array().unwrap();
         assert_eq!(subjects[0]["cert_common_names"][0], "node/car-7/2");
-        let of = |subject: &str| {
+        let of = |access: &Value, subject: &str| {
             let policies = access["policies"].as_array().unwrap();
             let policy = policies.iter().find(|one| one["subjects"][0] == subject);
             policy.unwrap()["rules"].to_string()
         };
-        assert!(!of("node/car-7/2").contains("car-8"));
-        assert!(!of("node/car-7/2").contains("hub "));
-        let rules = access["rules"].to_string();
-        assert!(!rules.contains("routers"), "no router has a certificate");
+        assert!(!of(&access, "node/car-7/2").contains("car-8"));
+        assert!(!of(&access, "node/car-7/2").contains("hub "));
+        let text = access["rules"].to_string();
+        assert!(!text.contains("routers"), "no router has a certificate");
+        assert!(!text.contains("picture"), "nobody asked for pictures");
+        let access = rules(&all, "fleet/north", true).unwrap();
+        config
+            .insert_json5("access_control", &access.to_string())
+            .unwrap();
+        let own = of(&access, "node/car-7/2");
+        assert!(own.contains("car-7 shows pictures") && !own.contains("hub asks"));
     }
 
     #[test]
-    fn who_is_revoked_is_not_named_and_nobody_at_all_is_an_error() {
+    fn a_revoked_certificate_is_in_no_rule_and_no_certificate_at_all_is_an_error() {
         let folder = Path::new("/nowhere");
         let revoked = [entry(Role::Node, "car-7", 1, Some(1))];
-        let refused = access_control(folder, &revoked, "albireo");
+        let refused = access_control(folder, &revoked, "albireo", false);
         assert!(matches!(refused, Err(AccessError::Nobody)), "{refused:?}");
     }
 }

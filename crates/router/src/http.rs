@@ -1,7 +1,6 @@
-//! Health and metrics of a router.
+//! Serves health and metrics of a router.
 
 use crate::probe::Probes;
-use crate::refusals::Refusals;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
@@ -12,10 +11,9 @@ use std::fmt::Write as _;
 use std::sync::{Arc, OnceLock};
 use zenoh::Session;
 
-/// What the routes look at.
+/// What the routes read.
 #[derive(Clone, Debug)]
 pub(crate) struct RouterView {
-    pub(crate) refusals: Refusals,
     pub(crate) probes: Probes,
     /// Once it is open.
     pub(crate) session: Arc<OnceLock<Session>>,
@@ -108,16 +106,6 @@ fn written(view: &RouterView, sessions: Option<usize>) -> String {
         "gauge",
         "Most sessions: one more is refused",
         &one(view.max_sessions as f64),
-    );
-    let refused: Vec<_> = (view.refusals.counts().into_iter())
-        .map(|(kind, count)| (format!("{{kind=\"{}\"}}", kind.as_str()), count as f64))
-        .collect();
-    family(
-        "albireo_router_refused_total",
-        "counter",
-        "Who was turned away, by kind: handshake (certificates), unknown (not in the rules), access (a message that its \
-         sender may not send), sessions (too many)",
-        &refused,
     );
     family(
         "albireo_router_probe_seconds",

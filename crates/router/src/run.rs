@@ -1,23 +1,17 @@
-//! The service: a Zenoh router with health, metrics and a count of whom it turns away, from start to stop.
+//! Runs a Zenoh router with health and metrics, from start to stop.
 
 use crate::http::{self, RouterView};
 use crate::probe::Probes;
-use crate::refusals::{Refusal, Refusals, Refused};
 use albireo_service::config::HttpConfig;
 use albireo_service::http::HttpError;
 use albireo_service::notify::{self, Look};
 use albireo_service::session::plain;
-use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Arc, OnceLock};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::net::TcpListener;
-use tokio::sync::mpsc;
 use tokio_util::sync::CancellationToken;
 use zenoh::{Config, Wait};
-
-/// Time between two lines of the log on refusals of one kind.
-const TOLD_EVERY: Duration = Duration::from_secs(10);
 
 /// How long the session may take to close.
 const STOP_LIMIT: Duration = Duration::from_secs(4);
@@ -29,6 +23,8 @@ pub struct RouterOptions {
     pub config: PathBuf,
     /// The section `access_control` that goes in it, as `albireo acl` writes it.
     pub access: Option<PathBuf>,
+    /// Whether every certificate of the authority may do everything, revoked ones included.
+    pub no_access_control: bool,
     /// Health and metrics.
     pub http: HttpConfig,
     /// Time between two attempts to open a session to itself.
@@ -46,6 +42,13 @@ pub enum RouterError {
         /// What is wrong with it.
         reason: String,
     },
+    /// Certificates are asked for, and nothing says what their holders may do.
+    #[error(
+        "{0} asks for certificates (`enable_mtls`), and no access rules say what their holders may do: every certificate, \
+         revoked ones included, could send in the name of any node and answer as a hub. Name the rules with --access \
+         (`albireo acl --output access.json` writes them), or allow everything with --no-access-control"
+    )]
+    NoAccessRules(PathBuf),
     /// It cannot listen.
     #[error("the router cannot be opened: {0}")]
     NotOpened(String),
@@ -76,19 +79,23 @@ impl RouterOptions {
                 .insert_json5("access_control", &text)
                 .map_err(|error| wrong(file)(plain(&error)))?;
         }
+        let is = |key: &str| config.get_json(key).is_ok_and(|value| value == "true");
+        if is("transport/link/tls/enable_mtls")
+            && !is("access_control/enabled")
+            && !self.no_access_control
+        {
+            return Err(RouterError::NoAccessRules(self.config.clone()));
+        }
         Ok(config)
     }
 }
 
-/// Runs a router until `shutdown`; health and metrics are on `listener`. `refusals` and `refused` come from the layer of
-/// the log that reads what Zenoh says ([`crate::refusals::layer`]).
+/// Runs a router until `shutdown`; health and metrics are on `listener`.
 ///
 /// # Errors
 /// When a file cannot be used, an endpoint cannot be listened on, or the HTTP interface may not be offered.
 pub async fn run(
     options: &RouterOptions,
-    refusals: Refusals,
-    refused: mpsc::Receiver<Refused>,
     listener: TcpListener,
     shutdown: CancellationToken,
 ) -> Result<(), RouterError> {
@@ -99,7 +106,6 @@ pub async fn run(
         .and_then(|text| text.parse().ok())
         .unwrap_or(0);
     let view = RouterView {
-        refusals,
         probes: Probes::default(),
         session: Arc::new(OnceLock::new()),
         max_sessions,
@@ -113,7 +119,7 @@ pub async fn run(
         serving.clone(),
     );
     let routing = async {
-        let routed = route(config, options, &view, refused, &shutdown).await;
+        let routed = route(config, options, &view, &shutdown).await;
         drop(stopping);
         routed
     };
@@ -133,7 +139,6 @@ async fn route(
     config: Config,
     options: &RouterOptions,
     view: &RouterView,
-    refused: mpsc::Receiver<Refused>,
     shutdown: &CancellationToken,
 ) -> Result<(), RouterError> {
     let of_router = config.clone();
@@ -155,7 +160,7 @@ async fn route(
     tracing::info!(
         zenoh = ?endpoints,
         sessions = view.max_sessions,
-        access_control = options.access.is_some(),
+        access_control = !options.no_access_control,
         "ready"
     );
     let looked = view.clone();
@@ -167,7 +172,6 @@ async fn route(
         },
         shutdown.clone(),
     ));
-    let logging = tokio::spawn(log(refused));
     let probing = endpoints.first().map(|endpoint| {
         tokio::spawn(view.probes.clone().run(
             of_router,
@@ -185,28 +189,8 @@ async fn route(
     ) {
         tracing::warn!("the router's session was not closed cleanly");
     }
-    logging.abort();
     if let Some(probing) = probing {
         probing.abort();
     }
     Ok(())
-}
-
-/// Logs who was turned away: one line a kind and holder in ten seconds, with the number of those that were not told.
-async fn log(mut refused: mpsc::Receiver<Refused>) {
-    let mut told: HashMap<(Refusal, String), (Instant, u64)> = HashMap::new();
-    while let Some(Refused { kind, who, what }) = refused.recv().await {
-        let now = Instant::now();
-        told.retain(|_, (at, held)| *held > 0 || now.duration_since(*at) < TOLD_EVERY);
-        let (at, held) = told
-            .entry((kind, who.clone()))
-            .or_insert_with(|| (now.checked_sub(TOLD_EVERY).unwrap_or(now), 0));
-        if now.duration_since(*at) < TOLD_EVERY {
-            *held += 1;
-            continue;
-        }
-        let held_back = std::mem::take(held);
-        *at = now;
-        tracing::warn!(kind = kind.as_str(), who, what, held_back, "turned away");
-    }
 }
