@@ -13,7 +13,6 @@ pub mod members;
 pub mod metric;
 pub mod rollout;
 pub mod selector;
-pub mod statistics;
 mod task;
 pub mod trial;
 pub mod tuner;

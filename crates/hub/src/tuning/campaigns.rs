@@ -4,11 +4,11 @@ use super::fleet::NodeFacts;
 use super::members::{Millis, Outcome};
 use super::metric::{BeforeAfter, Figure, Figures};
 use super::rollout::{
-    Candidate, Command, CommandError, Order, PlanError, Rollout, RolloutRequest, Window,
+    Candidate, Command, CommandError, Measurements, Order, PlanError, Rollout, RolloutRequest,
+    Window,
 };
 use super::selector::Selector;
-use super::statistics::Moments;
-use super::trial::{Trial, TrialPhase, TrialPlan, TrialWindow};
+use super::trial::{Trial, TrialPhase, TrialPlan};
 use super::tuner::{NewOrder, Tuner, text};
 use crate::store::{CampaignRow, ClipSums, ClipWindow, Key, StoreError};
 use albireo_service::clock::unix_milliseconds;
@@ -327,6 +327,12 @@ impl Tuner {
         else {
             return Err(CampaignError::Unknown { kind: KIND, id });
         };
+        if rollout.phase.has_ended() {
+            rollout.leave_out(|member| {
+                (self.desired_value(&member.node))
+                    .is_some_and(|desired| desired.revision != member.revision)
+            });
+        }
         if let Err(error) = rollout.command(command, who, now) {
             if rollout.phase.has_ended() {
                 campaigns.running.remove(&id);
@@ -372,9 +378,8 @@ impl Tuner {
                 CampaignError::Unknown { kind: KIND, id }
             });
         };
-        let window = trial.window(now);
-        let measured = self.measure_trial(&window).await?;
-        trial.end(&window, &measured, Some(who), now);
+        let measured = self.measure(&trial.windows(now)).await?;
+        trial.end(&measured, Some(who), now);
         let trial = trial.clone();
         self.save(id, &Campaign::Trial(trial.clone()), now).await?;
         Ok(trial)
@@ -475,13 +480,16 @@ impl Tuner {
             Campaign::Rollout(rollout) => {
                 changed |= rollout.observe(now, look);
                 if let Some(request) = rollout.tick(now) {
-                    match self
-                        .measure_rollout(request.knob, &request.nodes, now)
-                        .await
-                    {
+                    let measured = async {
+                        Ok(Measurements {
+                            changed: self.measure(&request.changed).await?,
+                            unchanged: self.measure(&request.unchanged).await?,
+                        })
+                    };
+                    match measured.await {
                         Ok(measured) => rollout.measured(now, &measured),
                         Err(error) => {
-                            rollout.not_measured();
+                            rollout.not_measured(now);
                             return Err(error);
                         }
                     }
@@ -489,9 +497,14 @@ impl Tuner {
             }
             Campaign::Trial(trial) => {
                 changed |= trial.observe(now, look);
-                if let Some(window) = trial.tick(now) {
-                    let measured = self.measure_trial(&window).await?;
-                    trial.end(&window, &measured, None, now);
+                if let Some(windows) = trial.tick(now) {
+                    match self.measure(&windows).await {
+                        Ok(measured) => trial.end(&measured, None, now),
+                        Err(error) => {
+                            trial.not_measured(now);
+                            return Err(error);
+                        }
+                    }
                 }
             }
         }
@@ -505,40 +518,18 @@ impl Tuner {
             .await
     }
 
-    async fn measure_rollout(
-        &self,
-        new: Threshold,
-        nodes: &[Window],
-        now: Millis,
-    ) -> Result<Vec<BeforeAfter>, StoreError> {
-        let before: Vec<_> = nodes
-            .iter()
-            .map(|w| window(&w.node, w.old, w.from_ms, w.asked_ms))
-            .collect();
-        let after: Vec<_> = nodes
-            .iter()
-            .map(|w| window(&w.node, new, w.applied_ms, now))
-            .collect();
-        let mut before = figures(self.store.clip_sums(&before).await?);
-        let mut after = figures(self.store.clip_sums(&after).await?);
+    /// The clips of each node in its two windows.
+    async fn measure(&self, windows: &[Window]) -> Result<Vec<BeforeAfter>, StoreError> {
+        let before = (windows.iter()).map(|w| window(&w.node, w.old, w.before_ms));
+        let after = (windows.iter()).map(|w| window(&w.node, w.new, w.after_ms));
+        let before = self.store.clip_sums(&before.collect::<Vec<_>>()).await?;
+        let after = self.store.clip_sums(&after.collect::<Vec<_>>()).await?;
+        let (mut before, mut after) = (figures(before), figures(after));
         let pair = |window: &Window| BeforeAfter {
             before: before.remove(&window.node).unwrap_or_default(),
             after: after.remove(&window.node).unwrap_or_default(),
         };
-        Ok(nodes.iter().map(pair).collect())
-    }
-
-    async fn measure_trial(
-        &self,
-        trial: &TrialWindow,
-    ) -> Result<BTreeMap<String, Figures>, StoreError> {
-        let windows = trial
-            .nodes
-            .iter()
-            .map(|(node, value)| window(node, *value, trial.from_ms, trial.until_ms));
-        Ok(figures(
-            self.store.clip_sums(&windows.collect::<Vec<_>>()).await?,
-        ))
+        Ok(windows.iter().map(pair).collect())
     }
 }
 
@@ -567,7 +558,7 @@ fn able(
     }
 }
 
-fn window(node: &str, knob: Threshold, from: Millis, until: Millis) -> ClipWindow {
+fn window(node: &str, knob: Threshold, [from, until]: [Millis; 2]) -> ClipWindow {
     Key([
         node.into(),
         knob.name.as_str().into(),
@@ -598,10 +589,11 @@ fn figures(sums: Vec<ClipSums>) -> BTreeMap<String, Figures> {
             Some(Figure::Precision),
         ];
         let node = nodes.entry(row.node).or_default();
-        for (kind, (count, sum, squares)) in kinds.into_iter().zip(row.figures) {
+        for (kind, (count, sum)) in kinds.into_iter().zip(row.figures) {
             if let (Some(kind), 1..) = (kind, count) {
-                let moments = Moments::of_sums(count.unsigned_abs(), sum, squares);
-                node.entry(kind).or_default().merge(&moments);
+                let mean = node.entry(kind).or_default();
+                mean.clips += count.unsigned_abs();
+                mean.sum += sum;
             }
         }
     }

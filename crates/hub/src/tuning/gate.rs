@@ -1,19 +1,15 @@
-//! Gates: what a change may cost at most, and whether it did, judged on the same nodes before and after.
+//! Bounds what a change may cost, and judges whether it did.
 //!
-//! A gate bounds the change of a metric: `joules<=+5%` (relative), `skip_rate>=-0.05` (absolute). The change is the mean over
-//! nodes of each node's own difference, with a confidence interval. The whole interval within the bound: passed.
-//! The whole interval beyond it: failed. Otherwise undecided: more has to be measured.
+//! A gate bounds the change of a metric: `joules<=+5%` (relative), `skip_rate>=-0.05` (absolute). The change is estimated as
+//! [`effect`](super::effect) describes. Its whole interval within the bound: passed. Its whole interval beyond the bound:
+//! failed. Otherwise undecided: more has to be measured.
 
+use super::effect::{Effect, Interval, Scale};
 use super::metric::{BeforeAfter, Figure, Metric};
-use super::statistics::{Component, Interval, Moments, change, mean_of_components};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 use utoipa::ToSchema;
-
-/// From so many nodes on, the interval speaks about nodes of this kind (paired t over nodes); with fewer, about
-/// these nodes only (variance of their clips), for with two or three pairs an interval over nodes says nothing.
-pub const PAIRED_FROM: usize = 5;
 
 /// The most that a change may cost in one metric.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -25,8 +21,8 @@ pub struct Gate {
     pub bound: f64,
     /// Whether the change is taken relative to the value before.
     pub relative: bool,
-    /// Whether the gate holds only where the metric is measured: without, a metric that nobody reports leaves the
-    /// gate undecided.
+    /// Whether the gate holds only where the metric is measured. Without it, a metric that no node reports leaves the gate
+    /// undecided.
     pub where_measured: bool,
 }
 
@@ -147,16 +143,8 @@ pub enum Verdict {
     Failed,
     /// What was measured leaves both possible.
     Undecided,
-}
-
-/// What the interval is taken over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Basis {
-    /// Paired differences of nodes.
-    Nodes,
-    /// The clips of few nodes: it speaks of these nodes.
-    Clips,
+    /// Too few nodes were measured to estimate the change.
+    NotMeasured,
 }
 
 /// A gate's verdict on one figure, with its numbers.
@@ -165,67 +153,66 @@ pub struct GateResult {
     /// The gate, as written.
     #[schema(value_type = String)]
     pub gate: Gate,
-    /// The figure; absent when none of the metric was measured.
+    /// The figure; absent when no node reports the metric.
     pub figure: Option<Figure>,
-    /// Nodes with enough clips before and after.
+    /// Changed nodes with enough clips before and after.
     pub nodes: usize,
-    /// Nodes with too few.
-    pub nodes_left_out: usize,
-    /// Clips before, of those nodes.
-    pub clips_before: u64,
-    /// Clips after, of those nodes.
-    pub clips_after: u64,
-    /// Mean over those nodes before; absent without any.
+    /// Nodes not changed yet with enough clips over the same hours.
+    pub compared: usize,
+    /// Mean over the changed nodes before; absent without any.
     pub before: Option<f64>,
-    /// Mean over those nodes after; absent without any.
+    /// Mean over the changed nodes after; absent without any.
     pub after: Option<f64>,
-    /// Mean change with its interval: a share of the value before when the gate is relative.
+    /// The change beyond that of the other nodes: a share of the value before when the gate is relative.
     pub change: Option<Interval>,
-    /// What the interval is taken over.
-    pub basis: Option<Basis>,
     /// The verdict.
     pub verdict: Verdict,
 }
 
-/// How sure a verdict must be, and on how much.
+/// How often one look at one figure may be wrong.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Evidence {
-    /// Level of the two-sided interval: at 0.9 each side is wrong one time in twenty.
-    pub level: f64,
-    /// Fewest clips of a node on either side; at least 2.
+pub struct ErrorRates {
+    /// Probability of a failure without cause.
+    pub fail: f64,
+    /// Probability that a change beyond the bound passes.
+    pub pass: f64,
+}
+
+/// The nodes whose change is judged.
+#[derive(Clone, Copy, Debug)]
+pub struct Measured<'a> {
+    /// Nodes that got the new value.
+    pub changed: &'a [BeforeAfter],
+    /// Nodes that did not, over the same hours.
+    pub unchanged: &'a [BeforeAfter],
+    /// Fewest clips of a node before and after.
     pub fewest_clips: u64,
 }
 
 /// Judges every gate on every figure it has.
-pub fn judge(gates: &[Gate], nodes: &[BeforeAfter], evidence: Evidence) -> Vec<GateResult> {
+pub fn judge(gates: &[Gate], measured: Measured<'_>, rates: ErrorRates) -> Vec<GateResult> {
+    let reported = |figure: &Figure| {
+        (measured.changed.iter())
+            .any(|node| node.before.contains_key(figure) || node.after.contains_key(figure))
+    };
     let mut results = Vec::new();
     for gate in gates {
-        let seen = |figure: &Figure| {
-            let has = |side: &super::metric::Figures| side.get(figure).is_some_and(|m| m.count > 0);
-            nodes
-                .iter()
-                .any(|node| has(&node.before) || has(&node.after))
-        };
-        let figures: Vec<_> = (gate.metric.figures().iter().copied())
-            .filter(seen)
-            .collect();
-        results.extend(
-            figures
-                .iter()
-                .map(|figure| judge_one(gate, *figure, nodes, evidence)),
-        );
-        if figures.is_empty() {
+        let before = results.len();
+        let figures = gate
+            .metric
+            .figures()
+            .iter()
+            .filter(|figure| reported(figure));
+        results.extend(figures.map(|figure| judge_one(*gate, *figure, measured, rates)));
+        if results.len() == before {
             results.push(GateResult {
                 gate: *gate,
                 figure: None,
                 nodes: 0,
-                nodes_left_out: nodes.len(),
-                clips_before: 0,
-                clips_after: 0,
+                compared: 0,
                 before: None,
                 after: None,
                 change: None,
-                basis: None,
                 verdict: if gate.where_measured {
                     Verdict::Passed
                 } else {
@@ -237,75 +224,62 @@ pub fn judge(gates: &[Gate], nodes: &[BeforeAfter], evidence: Evidence) -> Vec<G
     results
 }
 
-/// All gates together: one failed is failed, one undecided is undecided.
+/// All gates together: one failed is failed, one undecided is undecided, one not measured is not measured.
 pub fn overall(results: &[GateResult]) -> Verdict {
-    let any = |verdict| results.iter().any(|result| result.verdict == verdict);
-    if any(Verdict::Failed) {
-        Verdict::Failed
-    } else if any(Verdict::Undecided) {
-        Verdict::Undecided
-    } else {
-        Verdict::Passed
-    }
-}
-
-fn judge_one(gate: &Gate, figure: Figure, nodes: &[BeforeAfter], evidence: Evidence) -> GateResult {
-    let fewest = evidence.fewest_clips.max(2);
-    let pairs: Vec<(&Moments, &Moments, Component)> = nodes
-        .iter()
-        .filter_map(|node| {
-            let (before, after) = (node.before.get(&figure)?, node.after.get(&figure)?);
-            let enough = before.count >= fewest && after.count >= fewest;
-            let component = change(before, after, gate.relative).filter(|_| enough)?;
-            Some((before, after, component))
-        })
-        .collect();
-    let mean = |side: fn(&(&Moments, &Moments, Component)) -> f64| {
-        (!pairs.is_empty()).then(|| pairs.iter().map(side).sum::<f64>() / pairs.len() as f64)
-    };
-    let (before, after) = (mean(|p| p.0.mean), mean(|p| p.1.mean));
-    let (clips_before, clips_after) = pairs
-        .iter()
-        .fold((0, 0), |(b, a), pair| (b + pair.0.count, a + pair.1.count));
-    let components: Vec<Component> = pairs
+    [Verdict::Failed, Verdict::Undecided, Verdict::NotMeasured]
         .into_iter()
-        .map(|(_, _, component)| component)
-        .collect();
-    let (change, basis) = if components.len() >= PAIRED_FROM {
-        let differences = Moments::of(components.iter().map(|c| c.value));
-        (differences.interval(evidence.level), Some(Basis::Nodes))
+        .find(|verdict| results.iter().any(|result| result.verdict == *verdict))
+        .unwrap_or(Verdict::Passed)
+}
+
+fn judge_one(gate: Gate, figure: Figure, measured: Measured<'_>, rates: ErrorRates) -> GateResult {
+    let scale = if gate.relative {
+        Scale::Relative
     } else {
-        let change = mean_of_components(&components, evidence.level);
-        (change, change.map(|_| Basis::Clips))
+        Scale::Absolute
     };
+    let means = |nodes: &[BeforeAfter]| -> Vec<(f64, f64)> {
+        let mean = |figures: &super::metric::Figures| {
+            figures.get(&figure)?.of_at_least(measured.fewest_clips)
+        };
+        (nodes.iter())
+            .filter_map(|node| Some((mean(&node.before)?, mean(&node.after)?)))
+            .collect()
+    };
+    let changes = |means: &[(f64, f64)]| -> Vec<f64> {
+        (means.iter())
+            .filter_map(|(before, after)| scale.change(*before, *after))
+            .collect()
+    };
+    let own = means(measured.changed);
+    let (changed, unchanged) = (changes(&own), changes(&means(measured.unchanged)));
+    let average = |side: fn(&(f64, f64)) -> f64| {
+        (!own.is_empty()).then(|| own.iter().map(side).sum::<f64>() / own.len() as f64)
+    };
+    let effect = Effect::of(scale, &changed, &unchanged);
     GateResult {
-        gate: *gate,
+        gate,
         figure: Some(figure),
-        nodes: components.len(),
-        nodes_left_out: nodes.len() - components.len(),
-        clips_before,
-        clips_after,
-        before,
-        after,
-        change,
-        basis,
-        verdict: change.map_or(Verdict::Undecided, |change| within(gate, change)),
+        nodes: changed.len(),
+        compared: unchanged.len(),
+        before: average(|mean| mean.0),
+        after: average(|mean| mean.1),
+        change: effect.map(|effect| effect.interval(rates.fail)),
+        verdict: effect.map_or(Verdict::NotMeasured, |effect| within(gate, &effect, rates)),
     }
 }
 
-fn within(gate: &Gate, change: Interval) -> Verdict {
-    // Turned so that more is worse.
-    let (best, worst, bound) = if gate.metric.more_is_worse() {
-        (change.lower, change.upper, gate.bound)
+fn within(gate: Gate, effect: &Effect, rates: ErrorRates) -> Verdict {
+    let (fail, pass) = (effect.interval(rates.fail), effect.interval(rates.pass));
+    let (beyond, inside) = if gate.metric.more_is_worse() {
+        (fail.lower > gate.bound, pass.upper <= gate.bound)
     } else {
-        (-change.upper, -change.lower, -gate.bound)
+        (fail.upper < gate.bound, pass.lower >= gate.bound)
     };
-    if worst <= bound {
-        Verdict::Passed
-    } else if best > bound {
-        Verdict::Failed
-    } else {
-        Verdict::Undecided
+    match (beyond, inside) {
+        (true, _) => Verdict::Failed,
+        (_, true) => Verdict::Passed,
+        _ => Verdict::Undecided,
     }
 }
 

@@ -160,6 +160,12 @@ pub struct Member {
     /// What it said.
     #[serde(flatten)]
     pub outcome: Outcome,
+    /// Whether it is in reach.
+    #[serde(default)]
+    pub reachable: bool,
+    /// Whether it was in reach when the stage that is measured began.
+    #[serde(default)]
+    pub was_reachable: bool,
 }
 
 impl Member {
@@ -174,6 +180,8 @@ impl Member {
             revision: 0,
             asked_ms: 0,
             outcome: Outcome::Untouched,
+            reachable: false,
+            was_reachable: false,
         }
     }
 

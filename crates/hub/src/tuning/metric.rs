@@ -1,6 +1,6 @@
-//! What a rollout is gated on and a trial compares: figures of clips, by node.
+//! The figures of clips that gates bound and trials compare, per node.
 
-use super::statistics::Moments;
+use super::effect::Scale;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -131,6 +131,18 @@ impl Figure {
         Self::Precision,
     ];
 
+    /// How a node's change is taken: shares by their difference, all else by its ratio.
+    pub const fn scale(self) -> Scale {
+        match self {
+            Self::JoulesMeasured
+            | Self::JoulesEstimated
+            | Self::EdpMeasured
+            | Self::EdpEstimated
+            | Self::LatencyP99 => Scale::Relative,
+            _ => Scale::Absolute,
+        }
+    }
+
     /// Its name in messages and tables.
     pub const fn name(self) -> &'static str {
         match self {
@@ -154,14 +166,38 @@ impl fmt::Display for Figure {
     }
 }
 
-/// A node's clips over a window: each figure over the clips that have it.
-pub type Figures = BTreeMap<Figure, Moments>;
+/// The mean of one figure over a node's clips.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Mean {
+    /// Clips that have the figure.
+    pub clips: u64,
+    /// Sum over these clips.
+    pub sum: f64,
+}
 
-/// A node's clips before a change and after it.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+impl Mean {
+    /// The mean, with at least `fewest` clips.
+    pub fn of_at_least(self, fewest: u64) -> Option<f64> {
+        (self.clips >= fewest.max(1)).then(|| self.sum / self.clips as f64)
+    }
+}
+
+/// A node's clips over a window: each figure over the clips that have it.
+pub type Figures = BTreeMap<Figure, Mean>;
+
+/// A node's clips before a change and after it. For a node that was not asked to change, the same two times.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct BeforeAfter {
-    /// With the old value in force, over the baseline before the change.
+    /// Over the baseline before the change.
     pub before: Figures,
-    /// With the new value in force, since the node reported it.
+    /// Since the change.
     pub after: Figures,
+}
+
+impl BeforeAfter {
+    /// Whether the node made clips before and none since.
+    pub fn fell_silent(&self) -> bool {
+        let clips = |figures: &Figures| figures.values().map(|mean| mean.clips).max();
+        clips(&self.before) > Some(0) && clips(&self.after).unwrap_or(0) == 0
+    }
 }

@@ -1,11 +1,12 @@
-//! A change in stages, each gated on what was measured: a state machine without clock, network or database.
+//! Changes a setting in stages, each gated on what was measured: a state machine without clock, network or database.
 //!
-//! The caller tells what it sees of nodes ([`Rollout::observe`]), lets time pass ([`Rollout::tick`]), brings the
-//! measurements it is asked for ([`Rollout::measured`]) and people's commands ([`Rollout::command`]). It reads off which nodes
-//! are to be asked for which value ([`Rollout::due`]). Everything it knows is serialised; a rollout read from the database goes on
-//! where it was.
+//! The caller passes in what it knows of nodes ([`Rollout::observe`]), the time ([`Rollout::tick`]), the measurements it was
+//! asked for ([`Rollout::measured`]) and people's commands ([`Rollout::command`]), and reads off which nodes must be asked for
+//! which value ([`Rollout::due`]). The whole state is serialised; a rollout read from the database continues where it was.
 
 mod command;
+#[cfg(test)]
+mod fleet_tests;
 mod plan;
 mod record;
 mod step;
@@ -18,6 +19,7 @@ pub use plan::{OnFailure, PlanError, RolloutPlan, RolloutRequest, StageSize};
 pub use record::{Entry, What};
 
 use super::members::{Member, Millis, Outcome, Seen, Target, shuffled};
+use super::metric::BeforeAfter;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -45,7 +47,7 @@ pub enum Phase {
         /// How often its gates were judged.
         looks: u8,
     },
-    /// Nothing happens until somebody decides.
+    /// Held for a person to decide; after the plan's `held_for_s` the old value returns.
     Held {
         /// Since when.
         since_ms: Millis,
@@ -104,28 +106,38 @@ pub struct Order {
     pub is_return: bool,
 }
 
-/// Measurements that are wanted: clips of each node before it was asked, with its old value, and since it reported the new value.
+/// Clips to measure: of the stage's nodes before they were asked and since they have the new value, and over the same hours of
+/// the nodes that were not asked yet.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MeasurementRequest {
-    /// The new value.
-    pub knob: Threshold,
-    /// The nodes.
-    pub nodes: Vec<Window>,
+    /// The stage's nodes.
+    pub changed: Vec<Window>,
+    /// The nodes of later stages, and those that no stage includes.
+    pub unchanged: Vec<Window>,
 }
 
-/// The two windows of a node.
+/// The two windows of a node, begin and end in milliseconds, with the value that was in force.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Window {
     /// The node.
     pub node: String,
     /// The value before.
     pub old: Threshold,
-    /// When the window before begins.
-    pub from_ms: Millis,
-    /// When it ends: the node was asked.
-    pub asked_ms: Millis,
-    /// When the window after begins: the node reported the value.
-    pub applied_ms: Millis,
+    /// The baseline.
+    pub before_ms: [Millis; 2],
+    /// The value after.
+    pub new: Threshold,
+    /// Since the change.
+    pub after_ms: [Millis; 2],
+}
+
+/// What was measured, in the order of the request.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Measurements {
+    /// Of the stage's nodes.
+    pub changed: Vec<BeforeAfter>,
+    /// Of the others.
+    pub unchanged: Vec<BeforeAfter>,
 }
 
 /// A rollout: its plan, its nodes, where it is, and its record.
@@ -145,6 +157,8 @@ pub struct Rollout {
     pub stage: usize,
     /// Where it is.
     pub phase: Phase,
+    /// How often this stage was soaked: once, and once more each time a person resumed it after a hold.
+    pub soaks: u8,
     /// Since when it is paused.
     pub paused_ms: Option<Millis>,
     /// What happened, oldest first.
@@ -152,6 +166,9 @@ pub struct Rollout {
     /// Whether measurements were asked for and have not come. Not kept: after a restart they are asked for again.
     #[serde(skip)]
     measuring: bool,
+    /// Attempts to measure that failed since the last that did not.
+    #[serde(skip)]
+    failed_attempts: u8,
 }
 
 /// A node that a rollout or trial may take: its name, the value in force, whether it is in reach.
@@ -191,12 +208,17 @@ impl Rollout {
         let (near, far): (Vec<_>, Vec<_>) =
             drawn.into_iter().partition(|i| candidates[*i].reachable);
         let sizes = plan.new_in_stages(candidates.len());
+        // Nodes that no stage includes keep the old value: their group is one more than the last stage.
         let stages = (0..)
             .zip(&sizes)
-            .flat_map(|(stage, size)| std::iter::repeat_n(stage, *size));
+            .flat_map(|(stage, size)| std::iter::repeat_n(stage, *size))
+            .chain(std::iter::repeat(sizes.len()));
         let members = near.into_iter().chain(far).zip(stages).map(|(i, stage)| {
             let candidate = &candidates[i];
-            Member::new(candidate.node.clone(), stage, candidate.before)
+            Member {
+                reachable: candidate.reachable,
+                ..Member::new(candidate.node.clone(), stage, candidate.before)
+            }
         });
         let mut rollout = Self {
             knob,
@@ -205,9 +227,11 @@ impl Rollout {
             members: members.collect(),
             stage: 0,
             phase: Phase::Applying { since_ms: now },
+            soaks: 0,
             paused_ms: None,
             record: Vec::new(),
             measuring: false,
+            failed_attempts: 0,
             plan,
         };
         rollout.note(now, Entry::by(who, What::Begun));
@@ -261,13 +285,14 @@ impl Rollout {
         let patience = seconds(self.plan.apply_within_s);
         let mut changed = false;
         for member in &mut self.members {
-            if matches!(
+            let Some(seen) = look(&member.node) else {
+                continue;
+            };
+            member.reachable = seen.reachable;
+            if !matches!(
                 member.outcome,
                 Outcome::Untouched | Outcome::Applied { .. } | Outcome::Missed
             ) {
-                continue;
-            }
-            if let Some(seen) = look(&member.node) {
                 changed |= member.observe(&seen, self.knob, patience, now);
             }
         }
@@ -284,6 +309,6 @@ impl Rollout {
     }
 }
 
-pub(crate) fn seconds(seconds: f64) -> Millis {
+pub(super) fn seconds(seconds: f64) -> Millis {
     (seconds * 1000.0) as Millis
 }

@@ -1,26 +1,25 @@
-//! Values compared on random groups of nodes over the same time: the fleet's own frontier, measured.
+//! Compares values on random groups of nodes over the same time.
 //!
-//! The nodes are dealt at random into as many groups as there are values, each gets its group's value for the trial's
-//! time, and then its old value back. What differs between the groups beyond chance is the values' doing, for nothing but the draw
-//! decided who is in which.
+//! The nodes are assigned at random to as many groups as there are values. Each gets its group's value for the trial's
+//! duration, and then its old value back. Each group's change is estimated beside that of the first
+//! ([`effect`](super::effect)); only the draw decided which node is in which group.
 
 #[cfg(test)]
 mod tests;
 
+use super::effect::{Effect, FEWEST_NODES, Interval};
 use super::members::{Member, Millis, Outcome, Seen, Target, shuffled};
-use super::metric::{Figure, Figures};
-use super::rollout::{Candidate, Order, PlanError, check_why};
+use super::metric::{BeforeAfter, Figure};
+use super::rollout::{Candidate, Order, PlanError, Window, check_why, seconds};
 use super::selector::Selector;
-use super::statistics::{Interval, Moments, difference};
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
 /// Most values of a trial.
 const MOST_ARMS: usize = 20;
-/// Fewest nodes of a group: one has no spread.
-const FEWEST_NODES: usize = 2;
+/// Attempts to measure before a trial ends without a result.
+const ATTEMPTS: u8 = 20;
 
 /// A comparison of values.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -33,11 +32,13 @@ pub struct TrialPlan {
     pub select: Selector,
     /// How long the values hold once the nodes have reported them, seconds.
     pub duration_s: f64,
+    /// How far back the measurements before the trial go, seconds.
+    pub baseline_s: f64,
     /// How long a node in reach may take to report its value, seconds; one that takes longer is not in the result.
     pub apply_within_s: f64,
-    /// Fewest clips of a node in the result.
+    /// Fewest clips of a node before and during the trial; those with fewer are left out.
     pub fewest_clips: u64,
-    /// Level of the intervals.
+    /// Probability that all intervals of the result hold the truth together.
     pub confidence: f64,
     /// Draws the groups; chosen by the hub when it is not given.
     pub seed: Option<u64>,
@@ -51,6 +52,7 @@ impl Default for TrialPlan {
             values: Vec::new(),
             select: Selector::everybody(),
             duration_s: 3_600.0,
+            baseline_s: 3_600.0,
             apply_within_s: 120.0,
             fewest_clips: 5,
             confidence: 0.95,
@@ -72,10 +74,7 @@ impl TrialPlan {
         }
         for (i, value) in self.values.iter().enumerate() {
             if self.values[..i].contains(value) {
-                return Err(PlanError::new(
-                    "values",
-                    format!("{value} stands there twice"),
-                ));
+                return Err(PlanError::new("values", format!("{value} is named twice")));
             }
             if value.name != self.values[0].name {
                 return fault("values", "must be values of one knob");
@@ -84,6 +83,9 @@ impl TrialPlan {
         let day = 86_400.0;
         if !(self.duration_s >= 1.0 && self.duration_s <= 90.0 * day) {
             return fault("duration_s", "must be from 1 second to 90 days");
+        }
+        if !(self.baseline_s >= 1.0 && self.baseline_s <= 90.0 * day) {
+            return fault("baseline_s", "must be from 1 second to 90 days");
         }
         if !(self.apply_within_s >= 1.0 && self.apply_within_s <= day) {
             return fault("apply_within_s", "must be from 1 second to a day");
@@ -138,16 +140,16 @@ impl TrialPhase {
 pub struct ArmFigure {
     /// What.
     pub figure: Figure,
-    /// Nodes that have it, with enough clips.
-    pub nodes: u64,
-    /// Their clips.
+    /// Nodes that have it, with enough clips before and during the trial.
+    pub nodes: usize,
+    /// Their clips during the trial.
     pub clips: u64,
-    /// Mean over the nodes.
+    /// Mean over these nodes before.
+    pub before: f64,
+    /// Mean over these nodes during the trial.
     pub mean: f64,
-    /// The same with its interval; absent with fewer than two nodes.
-    pub interval: Option<Interval>,
-    /// Difference from the first group with its interval (Welch); absent in the first group, and where either has fewer than two
-    /// nodes.
+    /// The group's change beyond that of the first group: a share for energy, EDP and latency, else in the figure's unit. Absent
+    /// in the first group, and with fewer than eight nodes in either.
     pub difference: Option<Interval>,
 }
 
@@ -160,6 +162,8 @@ pub struct ArmResult {
     pub nodes: usize,
     /// Of them, those that reported the value.
     pub applied: usize,
+    /// Of those, how many made clips before the trial and none during it.
+    pub silent: usize,
     /// Its figures.
     pub figures: Vec<ArmFigure>,
 }
@@ -171,21 +175,10 @@ pub struct TrialResult {
     pub from_ms: Millis,
     /// Until when.
     pub until_ms: Millis,
-    /// Level of the intervals.
+    /// Probability that all intervals hold the truth together.
     pub confidence: f64,
     /// Each value, in the plan's order.
     pub values: Vec<ArmResult>,
-}
-
-/// What is to be measured for a trial: clips of each node with its value, in the window.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TrialWindow {
-    /// Nodes that have their value, with it.
-    pub nodes: Vec<(String, Threshold)>,
-    /// Begin.
-    pub from_ms: Millis,
-    /// End.
-    pub until_ms: Millis,
 }
 
 /// A trial: its plan, its groups, where it is, and what it measured.
@@ -201,8 +194,11 @@ pub struct Trial {
     pub phase: TrialPhase,
     /// Who ended it before its time.
     pub ended_by: Option<String>,
-    /// What was measured, once it is over.
+    /// What was measured, once it is over; absent when it could not be measured.
     pub result: Option<TrialResult>,
+    /// Attempts to measure that failed.
+    #[serde(default)]
+    failed_attempts: u8,
 }
 
 impl Trial {
@@ -245,6 +241,7 @@ impl Trial {
             phase: TrialPhase::Applying { since_ms: now },
             ended_by: None,
             result: None,
+            failed_attempts: 0,
         })
     }
 
@@ -288,7 +285,7 @@ impl Trial {
 
     /// Takes in what is known of nodes. Returns whether anything changed.
     pub fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Seen>) -> bool {
-        let patience = super::rollout::seconds(self.plan.apply_within_s);
+        let patience = seconds(self.plan.apply_within_s);
         let mut changed = false;
         for member in &mut self.members {
             if member.outcome.applied_at().is_some() {
@@ -302,8 +299,8 @@ impl Trial {
     }
 
     /// Lets time pass. Returns what has to be measured when the time is over.
-    pub fn tick(&mut self, now: Millis) -> Option<TrialWindow> {
-        let patience = super::rollout::seconds(self.plan.apply_within_s);
+    pub fn tick(&mut self, now: Millis) -> Option<Vec<Window>> {
+        let patience = seconds(self.plan.apply_within_s);
         let settled = self
             .members
             .iter()
@@ -312,10 +309,8 @@ impl Trial {
             TrialPhase::Applying { since_ms } if settled || now - since_ms >= 2 * patience => {
                 self.phase = TrialPhase::Running { since_ms: now };
             }
-            TrialPhase::Running { since_ms }
-                if now - since_ms >= super::rollout::seconds(self.plan.duration_s) =>
-            {
-                return Some(self.window(now));
+            TrialPhase::Running { since_ms } if now - since_ms >= seconds(self.plan.duration_s) => {
+                return Some(self.windows(now));
             }
             TrialPhase::Returning { since_ms } if settled || now - since_ms >= 4 * patience => {
                 self.phase = TrialPhase::Done;
@@ -325,39 +320,49 @@ impl Trial {
         None
     }
 
-    /// What is measured if the trial ends now.
-    pub fn window(&self, now: Millis) -> TrialWindow {
-        let from_ms = match self.phase {
+    /// What to measure if the trial ends now: the nodes that have their value.
+    pub fn windows(&self, now: Millis) -> Vec<Window> {
+        let from = self.measured_from(now);
+        let baseline = seconds(self.plan.baseline_s);
+        let window = |member: &Member| Window {
+            node: member.node.clone(),
+            old: member.before,
+            before_ms: [member.asked_ms - baseline, member.asked_ms],
+            new: self.plan.values[member.group],
+            after_ms: [from, now],
+        };
+        self.members.iter().filter(has_it).map(window).collect()
+    }
+
+    fn measured_from(&self, now: Millis) -> Millis {
+        match self.phase {
             TrialPhase::Running { since_ms } => since_ms,
             _ => now,
-        };
-        let has_it = |m: &&Member| m.asked == Target::New && m.outcome.applied_at().is_some();
-        let nodes = self.members.iter().filter(has_it);
-        TrialWindow {
-            nodes: nodes
-                .map(|m| (m.node.clone(), self.plan.values[m.group]))
-                .collect(),
-            from_ms,
-            until_ms: now,
         }
     }
 
-    /// Ends the trial with what was measured over `window`; the old values return.
-    pub fn end(
-        &mut self,
-        window: &TrialWindow,
-        measured: &BTreeMap<String, Figures>,
-        who: Option<&str>,
-        now: Millis,
-    ) {
+    /// The measurements failed. They are asked for again at the next tick; after many attempts the trial ends without a result.
+    pub fn not_measured(&mut self, now: Millis) {
+        self.failed_attempts += 1;
+        if self.failed_attempts >= ATTEMPTS {
+            self.give_back(now);
+        }
+    }
+
+    /// Ends the trial with what was measured, in the order of [`windows`](Self::windows); the old values return.
+    pub fn end(&mut self, measured: &[BeforeAfter], who: Option<&str>, now: Millis) {
         if !matches!(
             self.phase,
             TrialPhase::Applying { .. } | TrialPhase::Running { .. }
         ) {
             return;
         }
-        self.result = Some(self.compare(window, measured));
+        self.result = Some(self.compare(measured, now));
         self.ended_by = who.map(str::to_owned);
+        self.give_back(now);
+    }
+
+    fn give_back(&mut self, now: Millis) {
         for member in &mut self.members {
             member.aim(Target::Old);
             if member.asked == Target::Untouched {
@@ -367,55 +372,64 @@ impl Trial {
         self.phase = TrialPhase::Returning { since_ms: now };
     }
 
-    /// The groups beside each other.
-    pub fn compare(
-        &self,
-        window: &TrialWindow,
-        measured: &BTreeMap<String, Figures>,
-    ) -> TrialResult {
-        let level = self.plan.confidence;
-        let group = |arm: usize, figure: Figure| {
-            let (mut means, mut clips) = (Moments::default(), 0);
-            for member in self.members.iter().filter(|m| m.group == arm) {
-                let of_node = measured
-                    .get(&member.node)
-                    .and_then(|figures| figures.get(&figure));
-                if let Some(of_node) = of_node.filter(|m| m.count >= self.plan.fewest_clips) {
-                    means.add(of_node.mean);
-                    clips += of_node.count;
-                }
-            }
-            (means, clips)
+    /// The groups beside the first.
+    fn compare(&self, measured: &[BeforeAfter], now: Millis) -> TrialResult {
+        let arms = self.plan.values.len();
+        let intervals = (Figure::ALL.len() * (arms - 1)) as f64;
+        let miss = (1.0 - self.plan.confidence) / intervals / 2.0;
+        let nodes = |arm: usize| {
+            (self.members.iter().filter(has_it).zip(measured))
+                .filter(move |(member, _)| member.group == arm)
+                .map(|(_, clips)| clips)
         };
-        let arm = |(arm, value): (usize, &Threshold)| {
-            let figures = Figure::ALL.into_iter().filter_map(|figure| {
-                let (means, clips) = group(arm, figure);
-                (means.count > 0).then(|| ArmFigure {
-                    figure,
-                    nodes: means.count,
-                    clips,
-                    mean: means.mean,
-                    interval: means.interval(level),
-                    difference: (arm > 0)
-                        .then(|| difference(&group(0, figure).0, &means, level))
-                        .flatten(),
-                })
-            });
-            let of_group = || self.members.iter().filter(move |m| m.group == arm);
-            ArmResult {
-                value: *value,
-                nodes: of_group().count(),
-                applied: of_group()
-                    .filter(|m| window.nodes.iter().any(|(node, _)| *node == m.node))
-                    .count(),
-                figures: figures.collect(),
-            }
+        let figure = |arm: usize, figure: Figure| {
+            let pairs = |arm: usize| -> Vec<(f64, f64)> {
+                let mean = |side: &super::metric::Figures| {
+                    side.get(&figure)?.of_at_least(self.plan.fewest_clips)
+                };
+                (nodes(arm))
+                    .filter_map(|node| Some((mean(&node.before)?, mean(&node.after)?)))
+                    .collect()
+            };
+            let changes = |arm: usize| -> Vec<f64> {
+                (pairs(arm).into_iter())
+                    .filter_map(|(before, after)| figure.scale().change(before, after))
+                    .collect()
+            };
+            let own = pairs(arm);
+            let count = own.len() as f64;
+            let effect = (arm > 0).then(|| Effect::of(figure.scale(), &changes(arm), &changes(0)));
+            (!own.is_empty()).then(|| ArmFigure {
+                figure,
+                nodes: own.len(),
+                clips: (nodes(arm))
+                    .filter_map(|node| node.after.get(&figure))
+                    .map(|mean| mean.clips)
+                    .sum(),
+                before: own.iter().map(|(before, _)| before).sum::<f64>() / count,
+                mean: own.iter().map(|(_, after)| after).sum::<f64>() / count,
+                difference: effect.flatten().map(|effect| effect.interval(miss)),
+            })
+        };
+        let arm = |(arm, value): (usize, &Threshold)| ArmResult {
+            value: *value,
+            nodes: self.members.iter().filter(|m| m.group == arm).count(),
+            applied: nodes(arm).count(),
+            silent: nodes(arm).filter(|clips| clips.fell_silent()).count(),
+            figures: (Figure::ALL.into_iter())
+                .filter_map(|of| figure(arm, of))
+                .collect(),
         };
         TrialResult {
-            from_ms: window.from_ms,
-            until_ms: window.until_ms,
-            confidence: level,
+            from_ms: self.measured_from(now),
+            until_ms: now,
+            confidence: self.plan.confidence,
             values: self.plan.values.iter().enumerate().map(arm).collect(),
         }
     }
+}
+
+/// Whether the node reported its group's value.
+fn has_it(member: &&Member) -> bool {
+    member.asked == Target::New && member.outcome.applied_at().is_some()
 }

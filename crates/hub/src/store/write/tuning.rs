@@ -112,15 +112,15 @@ pub(crate) struct CampaignRow {
     pub(crate) state: String,
 }
 
-/// One figure of the clips of one node, summed: how many, the sum, the sum of squares, of each figure.
+/// The clips of one node and energy quality, summed.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct ClipSums {
     pub(crate) node: String,
     pub(crate) quality: i64,
     pub(crate) clips: i64,
     /// Of skip rate, joules, EDP, latency, degraded share, recall and precision against the detector: clips that have it,
-    /// sum, sum of squares.
-    pub(crate) figures: [(i64, f64, f64); 7],
+    /// and their sum.
+    pub(crate) figures: [(i64, f64); 7],
 }
 
 /// Whose clips are summed: node, knob, value, and when they were received.
@@ -440,8 +440,7 @@ impl Store {
         let sums: Vec<String> = (figures.iter().enumerate())
             .map(|(i, f)| {
                 format!(
-                    "count({f}) AS n{i}, COALESCE(sum({f}), CAST(0 AS DOUBLE PRECISION)) AS s{i}, \
-                     COALESCE(sum(({f}) * ({f})), CAST(0 AS DOUBLE PRECISION)) AS q{i}"
+                    "count({f}) AS n{i}, COALESCE(sum({f}), CAST(0 AS DOUBLE PRECISION)) AS s{i}"
                 )
             })
             .collect();
@@ -466,14 +465,13 @@ impl Store {
                     node: row.try_get("node")?,
                     quality: row.try_get("quality")?,
                     clips: row.try_get("clips")?,
-                    figures: [(0, 0.0, 0.0); 7],
+                    figures: [(0, 0.0); 7],
                 };
                 for (i, figure) in sums.figures.iter_mut().enumerate() {
                     let column = |letter: char| format!("{letter}{i}");
                     *figure = (
                         row.try_get(column('n').as_str())?,
                         row.try_get(column('s').as_str())?,
-                        row.try_get(column('q').as_str())?,
                     );
                 }
                 found.push(sums);

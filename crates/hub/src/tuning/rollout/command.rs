@@ -1,4 +1,4 @@
-//! What people may order.
+//! Follows what people order.
 
 use super::super::members::Millis;
 use super::record::{Entry, What};
@@ -73,12 +73,7 @@ impl Rollout {
         }
         match command {
             Command::Pause => self.paused_ms = Some(now),
-            Command::Resume if held => {
-                self.phase = Phase::Soaking {
-                    since_ms: now,
-                    looks: 0,
-                }
-            }
+            Command::Resume if held => self.soak(now),
             Command::Resume => {}
             Command::Next => self.advance(now),
             Command::Return => self.go_back(now, format!("by hand: {who}")),

@@ -111,7 +111,7 @@ pub enum OnFailure {
     /// Every node of the rollout gets its old value back.
     #[default]
     Return,
-    /// Nothing changes until somebody decides.
+    /// Nothing changes until a person decides, or the plan's `held_for_s` is over.
     Hold,
 }
 
@@ -122,7 +122,8 @@ pub struct RolloutPlan {
     /// Which nodes.
     #[schema(value_type = Vec<String>)]
     pub select: Selector,
-    /// How many nodes have the new value in each stage, all stages before included.
+    /// How many nodes have the new value in each stage, all stages before included. Where the last leaves some out, they keep
+    /// the old value, and the last stage is measured against them.
     #[schema(value_type = Vec<String>)]
     pub stages: Vec<StageSize>,
     /// How long a stage is held before its gates are judged, seconds.
@@ -134,7 +135,8 @@ pub struct RolloutPlan {
     /// What the change may cost.
     #[schema(value_type = Vec<String>)]
     pub gates: Vec<Gate>,
-    /// How sure a verdict is to be: 0.95 lets one of twenty be wrong on each side, over all looks at one gate.
+    /// How sure verdicts are: with 0.95, at most one of twenty rollouts without any effect is judged failed, all gates, stages
+    /// and looks together, and at most one of twenty changes beyond a bound passes its stage.
     pub confidence: f64,
     /// Fewest clips of a node before and after; those with fewer are left out.
     pub fewest_clips: u64,
@@ -142,6 +144,8 @@ pub struct RolloutPlan {
     pub on_failure: OnFailure,
     /// How long a node in reach may take to report the value, seconds.
     pub apply_within_s: f64,
+    /// How long the rollout is held for a person to decide before the old value returns, seconds.
+    pub held_for_s: f64,
     /// Share of a stage's nodes in reach that must have reported the value; with fewer the stage has failed.
     pub fewest_applied: f64,
     /// How long a node out of reach may stay away, seconds; then its value is withdrawn and it is named.
@@ -162,14 +166,16 @@ impl Default for RolloutPlan {
                 StageSize::Share(0.5),
                 StageSize::Share(1.0),
             ],
-            soak_s: 1_800.0,
-            patience_s: 3_600.0,
-            baseline_s: 3_600.0,
+            // Nodes vary from hour to hour: a day has enough of them to see a change, a week before it more still.
+            soak_s: 86_400.0,
+            patience_s: 2.0 * 86_400.0,
+            baseline_s: 7.0 * 86_400.0,
             gates: Gate::defaults(),
             confidence: 0.95,
             fewest_clips: 5,
             on_failure: OnFailure::Return,
             apply_within_s: 120.0,
+            held_for_s: 86_400.0,
             fewest_applied: 0.9,
             offline_deadline_s: 7.0 * 86_400.0,
             seed: None,
@@ -197,17 +203,12 @@ impl RolloutPlan {
         seconds("patience_s", self.patience_s, 0.0)?;
         seconds("baseline_s", self.baseline_s, 1.0)?;
         seconds("apply_within_s", self.apply_within_s, 1.0)?;
+        seconds("held_for_s", self.held_for_s, 1.0)?;
         seconds("offline_deadline_s", self.offline_deadline_s, 1.0)?;
         if self.stages.is_empty() || self.stages.len() > MOST_STAGES {
             return Err(PlanError::new(
                 "stages",
                 format!("must be from 1 to {MOST_STAGES} sizes"),
-            ));
-        }
-        if self.stages.last() != Some(&StageSize::Share(1.0)) {
-            return Err(PlanError::new(
-                "stages",
-                "the last must be `100%`: a rollout ends with all nodes",
             ));
         }
         if !(self.confidence > 0.5 && self.confidence < 1.0) {

@@ -1,10 +1,13 @@
-//! How a rollout goes on by itself: from a stage's reports over its soak to its verdict.
+//! Advances a rollout: from the answers of a stage's nodes over its soak to its verdict.
 
-use super::super::gate::{Evidence, GateResult, Verdict, judge, overall};
+use super::super::effect::Silence;
+use super::super::gate::{ErrorRates, GateResult, Measured, Verdict, judge, overall};
 use super::super::members::{Member, Millis, Outcome, Target};
-use super::super::metric::BeforeAfter;
 use super::record::{Entry, What};
-use super::{LOOKS, MeasurementRequest, OnFailure, Phase, Rollout, Window, seconds};
+use super::{LOOKS, MeasurementRequest, Measurements, OnFailure, Phase, Rollout, Window, seconds};
+
+/// Attempts to measure before a rollout is held.
+const ATTEMPTS: u8 = 20;
 
 impl Rollout {
     /// Lets time pass. Returns what has to be measured, if something has.
@@ -26,7 +29,7 @@ impl Rollout {
                 };
                 if now - since_ms >= due {
                     self.measuring = true;
-                    return Some(self.windows());
+                    return Some(self.windows(since_ms, now));
                 }
             }
             Phase::Finishing { .. } => {
@@ -46,6 +49,9 @@ impl Rollout {
                     let text = self.stragglers();
                     self.note(now, Entry::new(What::Returned).with(text));
                 }
+            }
+            Phase::Held { since_ms, .. } if now - since_ms >= seconds(self.plan.held_for_s) => {
+                self.go_back(now, "nobody decided in time".to_owned());
             }
             Phase::Soaking { .. }
             | Phase::Held { .. }
@@ -86,64 +92,100 @@ impl Rollout {
             );
             self.fail(now, reason);
         } else {
-            self.phase = Phase::Soaking {
-                since_ms: now,
-                looks: 0,
-            };
+            self.soak(now);
             self.note(now, Entry::new(What::Soaking).with(counts));
         }
     }
 
-    fn windows(&self) -> MeasurementRequest {
+    pub(super) fn soak(&mut self, now: Millis) {
+        self.soaks = self.soaks.saturating_add(1);
+        self.phase = Phase::Soaking {
+            since_ms: now,
+            looks: 0,
+        };
+    }
+
+    fn windows(&self, since: Millis, now: Millis) -> MeasurementRequest {
         let baseline = seconds(self.plan.baseline_s);
-        let nodes = self
-            .members
-            .iter()
-            .filter(|m| m.group == self.stage)
-            .filter_map(|member| {
-                Some(Window {
-                    node: member.node.clone(),
-                    old: member.before,
-                    from_ms: member.asked_ms - baseline,
-                    asked_ms: member.asked_ms,
-                    applied_ms: member.outcome.applied_at()?,
-                })
+        let stage = || self.members.iter().filter(|m| m.group == self.stage);
+        let changed = stage().filter_map(|member| {
+            let applied = member.outcome.applied_at()?;
+            Some(Window {
+                node: member.node.clone(),
+                old: member.before,
+                before_ms: [member.asked_ms - baseline, member.asked_ms],
+                new: self.knob,
+                // After a resumption only what came after it counts.
+                after_ms: [applied.max(since), now],
+            })
+        });
+        let asked = stage().map(|member| member.asked_ms).min().unwrap_or(since);
+        let unchanged = (self.members.iter())
+            .filter(|member| member.group > self.stage)
+            .map(|member| Window {
+                node: member.node.clone(),
+                old: member.before,
+                before_ms: [asked - baseline, asked],
+                new: member.before,
+                after_ms: [since, now],
             });
         MeasurementRequest {
-            knob: self.knob,
-            nodes: nodes.collect(),
+            changed: changed.collect(),
+            unchanged: unchanged.collect(),
         }
     }
 
-    /// The measurements could not be had: they are asked for again at the next tick.
-    pub fn not_measured(&mut self) {
+    /// The measurements failed: they are asked for again at the next tick, and after many attempts the rollout is held.
+    pub fn not_measured(&mut self, now: Millis) {
         self.measuring = false;
+        self.failed_attempts += 1;
+        if self.failed_attempts >= ATTEMPTS {
+            self.failed_attempts = 0;
+            self.hold(now, "the clips could not be read".to_owned());
+        }
     }
 
     /// Takes the measurements that were asked for, and goes on, back, or waits.
-    pub fn measured(&mut self, now: Millis, nodes: &[BeforeAfter]) {
+    pub fn measured(&mut self, now: Millis, measurements: &Measurements) {
         if !std::mem::take(&mut self.measuring) || self.paused_ms.is_some() {
             return;
         }
         let Phase::Soaking { since_ms, looks } = self.phase else {
             return;
         };
-        let results = judge(&self.plan.gates, nodes, self.evidence());
-        let verdict = overall(&results);
-        let names = |verdict| named(&results, verdict);
+        self.failed_attempts = 0;
+        let rates = self.error_rates();
+        let measured = Measured {
+            changed: &measurements.changed,
+            unchanged: &measurements.unchanged,
+            fewest_clips: self.plan.fewest_clips,
+        };
+        let results = judge(&self.plan.gates, measured, rates);
+        let (changed, unchanged) = self.silence(measurements);
+        let lost = changed.by_chance(unchanged) < rates.fail;
+        // Where too few nodes can be measured, a stage passes when its nodes took the value and are alive.
+        let alive = 2 * changed.silent <= changed.nodes && changed.silent < changed.nodes;
+        let verdict = match overall(&results) {
+            _ if lost => Verdict::Failed,
+            Verdict::Passed | Verdict::NotMeasured if !alive => Verdict::Undecided,
+            verdict => verdict,
+        };
+        let silent = format!(
+            "{} of {} nodes fell silent, {} of {} of the others",
+            changed.silent, changed.nodes, unchanged.silent, unchanged.nodes
+        );
         let text = match verdict {
             Verdict::Passed => "all gates passed".to_owned(),
-            Verdict::Failed => format!("failed: {}", names(Verdict::Failed)),
-            Verdict::Undecided => format!("undecided: {}", names(Verdict::Undecided)),
+            Verdict::NotMeasured => format!("took the value and are alive; {silent}"),
+            Verdict::Failed if lost => format!("failed: {silent}"),
+            Verdict::Undecided if !alive => format!("undecided: {silent}"),
+            Verdict::Failed | Verdict::Undecided => {
+                format!("{}: {}", name(verdict), named(&results, verdict))
+            }
         };
         let looks = looks + 1;
         self.phase = Phase::Soaking { since_ms, looks };
-        let failed = format!(
-            "stage {}: {}",
-            self.stage + 1,
-            named(&results, Verdict::Failed)
-        );
-        let undecided = named(&results, Verdict::Undecided);
+        let reason = format!("stage {}: {text}", self.stage + 1);
         self.note(
             now,
             Entry::new(What::Judged)
@@ -151,22 +193,53 @@ impl Rollout {
                 .with_gates(verdict, results),
         );
         match verdict {
-            Verdict::Failed => self.fail(now, failed),
-            Verdict::Passed if looks >= 2 => self.advance(now),
-            Verdict::Undecided if looks >= LOOKS => {
-                let reason = format!("stage {} could not be judged: {undecided}", self.stage + 1);
-                self.hold(now, reason);
-            }
-            Verdict::Passed | Verdict::Undecided => {}
+            Verdict::Failed => self.fail(now, reason),
+            Verdict::Passed | Verdict::NotMeasured if looks >= 2 => self.advance(now),
+            Verdict::Undecided if looks >= LOOKS => self.hold(now, reason),
+            Verdict::Passed | Verdict::NotMeasured | Verdict::Undecided => {}
         }
     }
 
-    /// How sure a verdict must be: the error that the plan allows is shared by all looks.
-    fn evidence(&self) -> Evidence {
-        let error = (1.0 - self.plan.confidence) / f64::from(LOOKS);
-        Evidence {
-            level: 1.0 - 2.0 * error,
-            fewest_clips: self.plan.fewest_clips,
+    /// The nodes that were in reach when the stage began and took the value, and those not asked yet; how many of each
+    /// are out of reach now, or made clips before and none since.
+    fn silence(&self, measurements: &Measurements) -> (Silence, Silence) {
+        let count = |members: &mut dyn Iterator<Item = &Member>, clips: &[super::BeforeAfter]| {
+            let mut silence = Silence::default();
+            for (member, clips) in members.zip(clips) {
+                if member.was_reachable {
+                    silence.nodes += 1;
+                    silence.silent += u64::from(!member.reachable || clips.fell_silent());
+                }
+            }
+            silence
+        };
+        let stage =
+            |member: &&Member| member.group == self.stage && member.outcome.applied_at().is_some();
+        (
+            count(
+                &mut self.members.iter().filter(stage),
+                &measurements.changed,
+            ),
+            count(
+                &mut self.members.iter().filter(|m| m.group > self.stage),
+                &measurements.unchanged,
+            ),
+        )
+    }
+
+    /// The error of one look at one figure. What the plan allows for a failure without cause is shared by all stages,
+    /// gates and looks; each resumption has half of what the soak before it had. For a pass it is shared by the looks
+    /// that can pass: every stage has to pass every gate, so there nothing adds up.
+    pub(super) fn error_rates(&self) -> ErrorRates {
+        let error = (1.0 - self.plan.confidence) * 0.5_f64.powi(i32::from(self.soaks));
+        let figures: usize = (self.plan.gates.iter())
+            .map(|gate| gate.metric.figures().len())
+            .sum();
+        // One more for nodes that fall silent.
+        let tests = (self.stages * (figures + 1)) as f64 * f64::from(LOOKS);
+        ErrorRates {
+            fail: error / tests,
+            pass: error / f64::from(LOOKS - 1),
         }
     }
 
@@ -181,9 +254,14 @@ impl Rollout {
 
     pub(super) fn enter_stage(&mut self, stage: usize, now: Millis) {
         self.stage = stage;
+        self.soaks = 0;
         self.phase = Phase::Applying { since_ms: now };
         let mut count = 0;
-        for member in self.members.iter_mut().filter(|m| m.group == stage) {
+        for member in &mut self.members {
+            member.was_reachable = member.reachable;
+            if member.group != stage {
+                continue;
+            }
             member.aim(Target::New);
             // Open until it is asked, so that the stage cannot be over before it has begun.
             member.outcome = Outcome::Pending;
@@ -223,7 +301,18 @@ impl Rollout {
         };
     }
 
-    /// A node that stayed away beyond its deadline does not get the value when it returns: nobody would look at what it does there.
+    /// Nodes whose value was changed by somebody else since keep it: nothing is given back to them.
+    pub fn leave_out(&mut self, changed_since: impl Fn(&Member) -> bool) {
+        for member in self.members.iter_mut() {
+            if member.asked != Target::Untouched && changed_since(member) {
+                member.asked = Target::Untouched;
+                member.target = Target::Untouched;
+                member.outcome = Outcome::Untouched;
+            }
+        }
+    }
+
+    /// A node that stayed away beyond its deadline does not get the value when it returns: nobody would judge what it does there.
     fn withdraw_the_missed(&mut self, now: Millis) {
         let deadline = seconds(self.plan.offline_deadline_s);
         let mut missed = Vec::new();
@@ -261,6 +350,15 @@ fn list(names: &[String]) -> String {
         text.push_str(&format!(" and {} more", names.len() - SHOWN));
     }
     text
+}
+
+const fn name(verdict: Verdict) -> &'static str {
+    match verdict {
+        Verdict::Passed => "passed",
+        Verdict::Failed => "failed",
+        Verdict::Undecided => "undecided",
+        Verdict::NotMeasured => "not measured",
+    }
 }
 
 fn named(results: &[GateResult], verdict: Verdict) -> String {

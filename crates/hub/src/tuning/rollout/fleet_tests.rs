@@ -1,0 +1,271 @@
+//! Whole rollouts on simulated fleets: nodes vary from hour to hour, park, lie and die.
+//!
+//! `ALBIREO_ROLLOUTS=1000 cargo test -p albireo-hub --release whole_rollouts -- --nocapture` prints the table of
+//! docs/fleet.md; by default there are just enough rollouts to see a broken promise.
+
+use super::super::metric::{Figure, Figures, Mean};
+use super::tests::{new, old};
+use super::*;
+
+const HOUR: Millis = 3_600_000;
+/// Time between two steps of the simulation.
+const STEP: Millis = HOUR / 2;
+
+/// Hour-to-hour standard deviation of the logarithm of a node's level.
+const SIGMA: f64 = 0.4;
+/// Standard deviation within an hour, of ten clips that are correlated by 0.9.
+const WITHIN: f64 = SIGMA / 3.0 / 3.162_277_66;
+/// Share of the hours in which a node is parked.
+const PARKED: f64 = 0.2;
+/// Share of the nodes that make their figures up.
+const LIARS: f64 = 0.05;
+
+/// Evenly spread numbers from 0 to 1 that depend on their arguments alone.
+fn chance(seed: u64, of: [u64; 3]) -> f64 {
+    let mut hash = seed;
+    for part in of {
+        // Steele, Lea and Flood 2014: the mixer of SplitMix64.
+        hash = hash.wrapping_add(part).wrapping_add(0x9e37_79b9_7f4a_7c15);
+        hash = (hash ^ (hash >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        hash = (hash ^ (hash >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        hash ^= hash >> 31;
+    }
+    (hash >> 11) as f64 / (1_u64 << 53) as f64
+}
+
+fn normal(seed: u64, of: [u64; 2]) -> f64 {
+    let (a, b) = (
+        1.0 - chance(seed, [of[0], of[1], 1]),
+        chance(seed, [of[0], of[1], 2]),
+    );
+    (-2.0 * a.ln()).sqrt() * (std::f64::consts::TAU * b).cos()
+}
+
+/// A fleet whose nodes take what they are asked for at once.
+struct Fleet {
+    seed: u64,
+    /// How much more energy a clip takes with the new value.
+    change: f64,
+    /// What each node has, and since when.
+    has: Vec<(Threshold, Millis)>,
+    now: Millis,
+}
+
+impl Fleet {
+    fn number(node: &str) -> u64 {
+        node.parse().unwrap()
+    }
+
+    fn is_parked(&self, node: u64, at: Millis) -> bool {
+        chance(self.seed, [node, at.div_euclid(HOUR) as u64, 3]) < PARKED
+    }
+
+    /// Clips of the hours of a window in which the node drives.
+    fn clips(&self, node: u64, [from, until]: [Millis; 2], value: Threshold) -> Figures {
+        let (mut energy, mut latency, mut skip) =
+            (Mean::default(), Mean::default(), Mean::default());
+        let factor = if value == new() {
+            1.0 + self.change
+        } else {
+            1.0
+        };
+        let lies = chance(self.seed, [node, 0, 4]) < LIARS;
+        for hour in from.div_euclid(HOUR)..until.div_euclid(HOUR) {
+            if self.is_parked(node, hour * HOUR) {
+                continue;
+            }
+            let noise = |what: u64| {
+                let (hour, each) = (hour as u64, 8 * what);
+                SIGMA * normal(self.seed + each, [node, hour])
+                    + WITHIN * normal(self.seed + each + 1, [node, hour])
+            };
+            let invented = 30.0 * (chance(self.seed, [node, hour as u64, 5]) - 0.5);
+            let level = |what| {
+                if lies {
+                    f64::exp(invented)
+                } else {
+                    noise(what).exp()
+                }
+            };
+            for (mean, value) in [
+                (&mut energy, factor * level(1)),
+                (&mut latency, level(2)),
+                (&mut skip, 0.5 + 0.1 * noise(3)),
+            ] {
+                mean.clips += 10;
+                mean.sum += 10.0 * value;
+            }
+        }
+        let figures = [
+            (Figure::JoulesMeasured, energy),
+            (Figure::LatencyP99, latency),
+            (Figure::SkipRate, skip),
+            (
+                Figure::Degraded,
+                Mean {
+                    clips: skip.clips,
+                    sum: 0.0,
+                },
+            ),
+        ];
+        figures
+            .into_iter()
+            .filter(|(_, mean)| mean.clips > 0)
+            .collect()
+    }
+
+    fn measure(&self, windows: &[Window]) -> Vec<BeforeAfter> {
+        let one = |window: &Window| {
+            let node = Self::number(&window.node);
+            BeforeAfter {
+                before: self.clips(node, window.before_ms, window.old),
+                after: self.clips(node, window.after_ms, window.new),
+            }
+        };
+        windows.iter().map(one).collect()
+    }
+
+    fn step(&mut self, rollout: &mut Rollout) {
+        self.now += STEP;
+        for order in rollout.due() {
+            for node in &order.nodes {
+                self.has[Self::number(node) as usize] = (order.knob, self.now);
+            }
+            rollout.asked(&order, 1, self.now);
+        }
+        rollout.observe(self.now, |node| {
+            let number = Self::number(node);
+            Some(Seen {
+                reachable: !self.is_parked(number, self.now),
+                revision: 1,
+                knob: Some(self.has[number as usize].0),
+                target: None,
+                cannot_hold: None,
+                refused: None,
+            })
+        });
+        if let Some(request) = rollout.tick(self.now) {
+            let measured = Measurements {
+                changed: self.measure(&request.changed),
+                unchanged: self.measure(&request.unchanged),
+            };
+            rollout.measured(self.now, &measured);
+        }
+    }
+}
+
+/// How rollouts ended.
+#[derive(Debug, Default, PartialEq)]
+struct Ends {
+    rollouts: u32,
+    in_force: u32,
+    failed: u32,
+    undecided: u32,
+}
+
+fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts: u64) -> Ends {
+    let soak = driving_hours / (1.0 - PARKED) * 3600.0;
+    let plan = RolloutPlan {
+        stages: stages.iter().map(|size| size.parse().unwrap()).collect(),
+        soak_s: soak,
+        baseline_s: soak,
+        patience_s: soak / 2.0,
+        apply_within_s: 7200.0,
+        offline_deadline_s: 30.0 * 86_400.0,
+        held_for_s: 3600.0,
+        ..RolloutPlan::default()
+    };
+    let mut ends = Ends::default();
+    for seed in 0..rollouts {
+        let candidates = (0..nodes).map(|node| Candidate {
+            node: node.to_string(),
+            before: old(),
+            reachable: true,
+        });
+        let request = RolloutRequest {
+            knob: new(),
+            plan: plan.clone(),
+        };
+        let start = 1_000 * HOUR;
+        let mut rollout =
+            Rollout::begin(request, candidates.collect(), seed, "ops", start).unwrap();
+        let mut fleet = Fleet {
+            seed: seed.wrapping_mul(1_000_003) ^ nodes as u64,
+            change,
+            has: vec![(old(), start); nodes],
+            now: start,
+        };
+        let ended = |phase: &Phase| {
+            matches!(
+                phase,
+                Phase::Finishing { .. } | Phase::Done | Phase::Returning { .. }
+            )
+        };
+        while !ended(&rollout.phase) {
+            fleet.step(&mut rollout);
+        }
+        ends.rollouts += 1;
+        let failed =
+            (rollout.record.iter()).any(|e| e.verdict == Some(super::super::gate::Verdict::Failed));
+        match rollout.phase {
+            Phase::Returning { .. } if failed => ends.failed += 1,
+            Phase::Returning { .. } => ends.undecided += 1,
+            _ => ends.in_force += 1,
+        }
+    }
+    let share = |count: u32| f64::from(count) / f64::from(ends.rollouts) * 100.0;
+    println!(
+        "| {nodes} | {} | {driving_hours} | {:+.0} % | {:.1} % | {:.1} % | {:.1} % | {rollouts} |",
+        stages.join(", "),
+        change * 100.0,
+        share(ends.in_force),
+        share(ends.undecided),
+        share(ends.failed),
+    );
+    ends
+}
+
+/// How many rollouts to play: `usual`, or what the environment asks for.
+fn count(usual: u64) -> u64 {
+    let asked = std::env::var("ALBIREO_ROLLOUTS").ok();
+    asked.and_then(|text| text.parse().ok()).unwrap_or(usual)
+}
+
+#[test]
+fn whole_rollouts_without_any_effect_are_judged_failed_at_most_one_time_in_twenty() {
+    for (nodes, rollouts) in [(8, 100), (30, 60), (100, 60), (1000, 6), (5000, 1)] {
+        let rollouts = count(rollouts);
+        for (stages, hours) in [
+            (&["1", "10%", "50%"][..], 8.0),
+            (&["1", "10%", "50%", "100%"], 24.0),
+        ] {
+            let ends = run(nodes, stages, hours, 0.0, rollouts);
+            let most = 0.05 * rollouts as f64;
+            assert!(f64::from(ends.failed) <= most.max(1.0), "{nodes}: {ends:?}");
+        }
+    }
+}
+
+#[test]
+fn whole_rollouts_of_a_value_that_costs_a_quarter_do_not_leave_it_in_force() {
+    let rollouts = count(40);
+    let ends = run(100, &["1", "10%", "50%"], 8.0, 0.25, rollouts);
+    assert!(
+        f64::from(ends.in_force) <= 0.05 * rollouts as f64,
+        "{ends:?}"
+    );
+    if rollouts >= 100 {
+        for (nodes, hours, change) in [
+            (30, 8.0, 0.25),
+            (100, 24.0, 0.25),
+            (100, 24.0, 0.10),
+            (1000, 8.0, 0.10),
+            (1000, 24.0, 0.10),
+            (1000, 24.0, 0.0),
+            (1000, 24.0, -0.10),
+            (100, 72.0, 0.0),
+        ] {
+            run(nodes, &["1", "10%", "50%"], hours, change, rollouts);
+        }
+    }
+}
