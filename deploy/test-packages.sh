@@ -155,8 +155,7 @@ install "/packages/$(basename "${packages[3]}")"
 check "it is not started without certificates" inside sh -c '! systemctl is-active --quiet albireo-router'
 inside sh -c 'cd /root && albireo cert authority --name test && albireo cert router router-1 --host localhost && albireo acl --output /etc/albireo/access.json &&
     cp authority/authority.pem /etc/albireo/ && cp authority/router/router-1.pem /etc/albireo/router.pem &&
-    install -m 0640 -g albireo-router authority/router/router-1.key /etc/albireo/router.key &&
-    echo ALBIREO_ROUTER_ACCESS=/etc/albireo/access.json >>/etc/default/albireo-router' >>"$work/dpkg.log" 2>&1 ||
+    install -m 0640 -g albireo-router authority/router/router-1.key /etc/albireo/router.key' >>"$work/dpkg.log" 2>&1 ||
     fail "the certificates"
 check "it starts" inside systemctl enable --now albireo-router
 check "it answers that it is ready" holds get http://127.0.0.1:8095/readyz

@@ -30,7 +30,7 @@ pub(super) enum Command {
         /// Its number.
         id: u64,
     },
-    /// Let it go on; a stage that is held is soaked anew.
+    /// Continue it; a stage that is held soaks again.
     Resume {
         /// Its number.
         id: u64,
@@ -53,13 +53,14 @@ pub(super) enum Command {
 }
 
 const START_EXAMPLES: &str = "\
-Gates bound what the change may cost: skip_rate>=-0.05 (may fall by 0.05), joules<=+5% (of a clip, against
-the same nodes before), edp, latency_p99, degraded, detector_errors. A gate with ? at its end holds only
-where the metric is measured. Energy that was measured and energy that was estimated are judged apart.
+Gates bound what the change may cost: skip_rate>=-0.05 (may fall by 0.05), joules<=+5% (of a clip), edp,
+latency_p99, degraded, detector_errors. The change is that of the stage's nodes beyond that of the nodes
+not asked yet, over the same hours; with fewer than eight on either side a gate is not measured. A gate
+with ? at its end holds only where the metric is reported. Measured and estimated energy are two figures.
 
 Examples:
   albireo fleet rollout start 5e-4 --select all
-  albireo fleet rollout start 5e-4 --select 'cam-*' --stages 2,25%,100% --soak 2h \\
+  albireo fleet rollout start 5e-4 --select 'cam-*' --stages 8,25%,50% --soak 8h \\
       --gate 'joules<=+5%' --gate 'latency_p99<=+10%' --on-failure hold --why 'quieter streets'";
 
 /// Arguments of `albireo fleet rollout start`.
@@ -361,7 +362,7 @@ fn entry_text(entry: &Value) -> String {
         return text;
     }
     let mut table = Table::new(&[
-        "   gate", "figure", ">nodes", ">before", ">after", "change", "verdict",
+        "   gate", "figure", ">nodes", ">others", ">before", ">after", "change", "verdict",
     ]);
     for gate in gates {
         let name = gate["gate"].as_str().unwrap_or("?");
@@ -376,7 +377,7 @@ fn entry_text(entry: &Value) -> String {
             true => "-".to_owned(),
             false => format!(
                 "{} [{}, {}]",
-                shown(&change["mean"]),
+                shown(&change["estimate"]),
                 shown(&change["lower"]),
                 shown(&change["upper"])
             ),
@@ -386,10 +387,11 @@ fn entry_text(entry: &Value) -> String {
             format!("   {name}"),
             gate["figure"].as_str().unwrap_or("not measured").to_owned(),
             gate["nodes"].to_string(),
+            gate["compared"].to_string(),
             mean(&gate["before"]),
             mean(&gate["after"]),
             change,
-            gate["verdict"].as_str().unwrap_or("?").to_owned(),
+            gate["verdict"].as_str().unwrap_or("?").replace('_', " "),
         ]);
     }
     text += &table.to_string();

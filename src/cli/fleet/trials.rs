@@ -27,7 +27,7 @@ pub(super) enum Command {
 /// Arguments of `albireo fleet trial start`.
 #[derive(Debug, clap::Args)]
 pub(super) struct StartArguments {
-    /// The values, two or more; differences are told against the first.
+    /// The values, two or more; each is compared with the first.
     #[arg(required = true, num_args = 2..)]
     values: Vec<f64>,
     /// Which nodes; may be given several times.
@@ -127,19 +127,36 @@ fn whole(trial: &Value) -> String {
         return text;
     }
     let level = result["confidence"].as_f64().unwrap_or(0.0) * 100.0;
-    text += &format!("intervals of {level} %; differences from the first value\n");
+    text += &format!(
+        "changes beyond that of the first value's nodes; all intervals together hold at {level} %\n"
+    );
     let mut table = Table::new(&[
         "figure",
         ">value",
         ">nodes",
         ">clips",
-        ">mean",
-        "interval",
+        ">before",
+        ">during",
         "difference",
     ]);
-    let interval = |value: &Value| match (value["lower"].as_f64(), value["upper"].as_f64()) {
-        (Some(lower), Some(upper)) => format!("[{}, {}]", figure(lower), figure(upper)),
-        _ => "-".to_owned(),
+    let difference = |of: &Value, name: &str| {
+        let relative = ["joules", "edp", "latency"]
+            .iter()
+            .any(|start| name.starts_with(start));
+        let shown = |end: &str| match of[end].as_f64() {
+            Some(value) if relative => format!("{:+.1}%", value * 100.0),
+            Some(value) => format!("{value:+.4}"),
+            None => "?".to_owned(),
+        };
+        match of.is_null() {
+            true => "-".to_owned(),
+            false => format!(
+                "{} [{}, {}]",
+                shown("estimate"),
+                shown("lower"),
+                shown("upper")
+            ),
+        }
     };
     let arms = result["values"]
         .as_array()
@@ -162,18 +179,14 @@ fn whole(trial: &Value) -> String {
                 .flatten()
                 .find(|f| f["figure"] == name);
             let Some(found) = of else { continue };
-            let difference = match found["difference"]["mean"].as_f64() {
-                Some(mean) => format!("{} {}", figure(mean), interval(&found["difference"])),
-                None => "-".to_owned(),
-            };
             table.row([
                 name.to_owned(),
                 threshold(&arm["value"]),
                 found["nodes"].to_string(),
                 found["clips"].to_string(),
+                figure(found["before"].as_f64().unwrap_or(0.0)),
                 figure(found["mean"].as_f64().unwrap_or(0.0)),
-                interval(&found["interval"]),
-                difference,
+                difference(&found["difference"], name),
             ]);
         }
     }

@@ -73,10 +73,10 @@ export function IntervalBar({ interval, words }: { interval: Interval; words: (v
       <span class="interval-line" aria-hidden="true">
         <span class="zero" />
         <span class="range" style={{ left: place(interval.lower), width: `${((50 * (interval.upper - interval.lower)) / reach).toFixed(1)}%` }} />
-        <span class="mean" style={{ left: place(interval.mean) }} />
+        <span class="estimate" style={{ left: place(interval.estimate) }} />
       </span>
       <span>
-        {words(interval.mean)} <span class="quiet">({words(interval.lower)} to {words(interval.upper)})</span>
+        {words(interval.estimate)} <span class="quiet">({words(interval.lower)} to {words(interval.upper)})</span>
       </span>
     </span>
   );

@@ -58,7 +58,7 @@ function Stages({ rollout }: { rollout: RolloutView }) {
   );
 }
 
-const VERDICTS: Record<string, Mood> = { passed: "good", failed: "bad", undecided: "wait" };
+const VERDICTS: Record<string, Mood> = { passed: "good", failed: "bad", undecided: "wait", not_measured: "none" };
 const FIGURES: Record<string, string> = {
   skip_rate: "skip rate", joules_measured: "energy, measured", joules_estimated: "energy, ≈ estimated", edp_measured: "EDP, measured",
   edp_estimated: "EDP, ≈ estimated", latency_p99: "latency p99", degraded: "degraded frames", detector_errors: "detector errors",
@@ -81,28 +81,22 @@ export function Gates({ gates }: { gates: GateResult[] }) {
             <th scope="col">after</th>
             <th scope="col" class="left">change, with its interval</th>
             <th scope="col">nodes</th>
-            <th scope="col">clips before / after</th>
+            <th scope="col">compared with</th>
           </tr>
         </thead>
         <tbody>
           {gates.map((gate) => {
-            const relative = gate.gate.includes("%");
-            const words = (value: number) => (relative ? `${value >= 0 ? "+" : ""}${percent(value)}` : signed(value));
+            const words = gate.gate.includes("%") ? signedPercent : signed;
             return (
               <tr key={`${gate.gate} ${gate.figure ?? ""}`}>
                 <td class="left"><code>{gate.gate}</code></td>
-                <td class="left"><Pill mood={VERDICTS[gate.verdict] ?? "none"}>{gate.verdict}</Pill></td>
+                <td class="left"><Pill mood={VERDICTS[gate.verdict] ?? "none"}>{gate.verdict.replace("_", " ")}</Pill></td>
                 <td class="left">{figureWords(gate.figure)}</td>
                 <td>{plainFigure(gate.before)}</td>
                 <td>{plainFigure(gate.after)}</td>
                 <td class="left">{gate.change ? <IntervalBar interval={gate.change} words={words} /> : "–"}</td>
-                <td>
-                  {count(gate.nodes)}
-                  {gate.nodes_left_out > 0 && <span class="quiet">, {count(gate.nodes_left_out)} left out</span>}
-                </td>
-                <td>
-                  {count(gate.clips_before)} / {count(gate.clips_after)}
-                </td>
+                <td>{count(gate.nodes)}</td>
+                <td>{count(gate.compared)}</td>
               </tr>
             );
           })}
@@ -110,6 +104,10 @@ export function Gates({ gates }: { gates: GateResult[] }) {
       </table>
     </div>
   );
+}
+
+export function signedPercent(value: number): string {
+  return `${value >= 0 ? "+" : ""}${percent(value)}`;
 }
 
 export function signed(value: number): string {
@@ -160,7 +158,7 @@ export function Rollout({ id }: { id: string }) {
           <Stages rollout={rollout} />
           <div class="row">
             {COMMANDS.filter(({ command, in: phases }) =>
-              command === "resume" ? rollout.paused : command === "pause" ? !rollout.paused && phases.includes(rollout.phase) : phases.includes(rollout.phase),
+              command === "resume" ? rollout.paused || rollout.phase === "held" : command === "pause" ? !rollout.paused && phases.includes(rollout.phase) : phases.includes(rollout.phase),
             ).map((one) => (
               <button key={one.command} type="button" class={one.danger ? "danger" : "plain"} disabled={forbidden !== undefined} onClick={() => command(one.command)}>
                 {one.words}
@@ -227,7 +225,7 @@ export function Rollouts() {
 
 function Begin({ onBegun }: { onBegun: () => void }) {
   const [fields, setFields] = useState({
-    select: "all", value: "", why: "", stages: "1, 10%, 50%, 100%", soak: "30", gates: "skip_rate>=-0.05, joules<=+5%?, latency_p99<=+10%, degraded<=+0.01",
+    select: "all", value: "", why: "", stages: "1, 10%, 50%, 100%", soak: "1440", gates: "skip_rate>=-0.05, joules<=+5%?, latency_p99<=+10%, degraded<=+0.01",
     failure: "return",
   });
   const [fault, setFault] = useState("");

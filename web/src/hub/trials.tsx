@@ -5,7 +5,7 @@ import { send } from "../shared/api";
 import { count, dateTime, duration, parsed, percent, small } from "../shared/format";
 import { Pill, Section, whyNot, type Mood } from "../shared/parts";
 import { Fault, Field, IntervalBar, Setting, Outcomes, useLoaded } from "./parts";
-import { figureWords, plainFigure, signed } from "./rollouts";
+import { figureWords, plainFigure, signed, signedPercent } from "./rollouts";
 import { href } from "./route";
 import { terms } from "./tune";
 import type { TrialView } from "./types";
@@ -20,6 +20,11 @@ const PHASES: Record<string, { words: string; mood: Mood }> = {
 function Phase({ trial }: { trial: TrialView }) {
   const phase = PHASES[trial.phase] ?? { words: trial.phase, mood: "none" as Mood };
   return <Pill mood={phase.mood}>{phase.words}</Pill>;
+}
+
+/** Whether a difference of it is a share of what it was. */
+function isRelative(figure: string): boolean {
+  return /^(joules|edp|latency)/.test(figure);
 }
 
 function Values({ trial }: { trial: TrialView }) {
@@ -67,8 +72,11 @@ export function Trial({ id }: { id: string }) {
                   <tr>
                     <th scope="col" class="left">value</th>
                     <th scope="col" class="left">figure</th>
-                    <th scope="col" class="left">mean, with its interval at {percent(trial.result.confidence, 0)}</th>
-                    <th scope="col" class="left">difference from the first value</th>
+                    <th scope="col">before</th>
+                    <th scope="col">during</th>
+                    <th scope="col" class="left">
+                      change beyond the first value's; all intervals together at {percent(trial.result.confidence, 0)}
+                    </th>
                     <th scope="col">nodes</th>
                     <th scope="col">clips</th>
                   </tr>
@@ -79,11 +87,11 @@ export function Trial({ id }: { id: string }) {
                       <tr key={`${index} ${figure.figure}`}>
                         <td class="left"><Setting value={arm.value} /></td>
                         <td class="left">{figureWords(figure.figure)}</td>
+                        <td>{plainFigure(figure.before)}</td>
+                        <td>{plainFigure(figure.mean)}</td>
                         <td class="left">
-                          {plainFigure(figure.mean)}
-                          {figure.interval && <span class="quiet"> ({plainFigure(figure.interval.lower)} to {plainFigure(figure.interval.upper)})</span>}
+                          {figure.difference ? <IntervalBar interval={figure.difference} words={isRelative(figure.figure) ? signedPercent : signed} /> : "–"}
                         </td>
-                        <td class="left">{figure.difference ? <IntervalBar interval={figure.difference} words={signed} /> : "–"}</td>
                         <td>{count(figure.nodes)}</td>
                         <td>{count(figure.clips)}</td>
                       </tr>
