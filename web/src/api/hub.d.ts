@@ -1461,23 +1461,24 @@ export interface components {
         /** @description A figure of one group. */
         ArmFigure: {
             /**
+             * Format: double
+             * @description Mean over these nodes before.
+             */
+            before: number;
+            /**
              * Format: int64
-             * @description Their clips.
+             * @description Their clips during the trial.
              */
             clips: number;
             difference?: components["schemas"]["Interval"] | null;
             /** @description What. */
             figure: components["schemas"]["Figure"];
-            interval?: components["schemas"]["Interval"] | null;
             /**
              * Format: double
-             * @description Mean over the nodes.
+             * @description Mean over these nodes during the trial.
              */
             mean: number;
-            /**
-             * Format: int64
-             * @description Nodes that have it, with enough clips.
-             */
+            /** @description Nodes that have it, with enough clips before and during the trial. */
             nodes: number;
         };
         /** @description What one value came to. */
@@ -1488,6 +1489,8 @@ export interface components {
             figures: components["schemas"]["ArmFigure"][];
             /** @description Nodes of the group. */
             nodes: number;
+            /** @description Of those, how many made clips before the trial and none during it. */
+            silent: number;
             /** @description The value. */
             value: components["schemas"]["Threshold"];
         };
@@ -1568,11 +1571,6 @@ export interface components {
              */
             rate: number;
         };
-        /**
-         * @description What the interval is taken over.
-         * @enum {string}
-         */
-        Basis: "nodes" | "clips";
         /**
          * @description Whether frames come from a camera.
          * @enum {string}
@@ -1973,33 +1971,22 @@ export interface components {
         GateResult: {
             /**
              * Format: double
-             * @description Mean over those nodes after; absent without any.
+             * @description Mean over the changed nodes after; absent without any.
              */
             after?: number | null;
-            basis?: components["schemas"]["Basis"] | null;
             /**
              * Format: double
-             * @description Mean over those nodes before; absent without any.
+             * @description Mean over the changed nodes before; absent without any.
              */
             before?: number | null;
             change?: components["schemas"]["Interval"] | null;
-            /**
-             * Format: int64
-             * @description Clips after, of those nodes.
-             */
-            clips_after: number;
-            /**
-             * Format: int64
-             * @description Clips before, of those nodes.
-             */
-            clips_before: number;
+            /** @description Nodes not changed yet with enough clips over the same hours. */
+            compared: number;
             figure?: components["schemas"]["Figure"] | null;
             /** @description The gate, as written. */
             gate: string;
-            /** @description Nodes with enough clips before and after. */
+            /** @description Changed nodes with enough clips before and after. */
             nodes: number;
-            /** @description Nodes with too few. */
-            nodes_left_out: number;
             /** @description The verdict. */
             verdict: components["schemas"]["Verdict"];
         };
@@ -2082,18 +2069,18 @@ export interface components {
              */
             set_aside: number;
         };
-        /** @description A mean and where it lies with the confidence asked for. */
+        /** @description Where a change lies: a share of the value before, or in the figure's unit. */
         Interval: {
+            /**
+             * Format: double
+             * @description The estimate.
+             */
+            estimate: number;
             /**
              * Format: double
              * @description Lower end.
              */
             lower: number;
-            /**
-             * Format: double
-             * @description The mean.
-             */
-            mean: number;
             /**
              * Format: double
              * @description Upper end.
@@ -2164,6 +2151,8 @@ export interface components {
             group: number;
             /** @description Its name. */
             node: string;
+            /** @description Whether it is in reach. */
+            reachable?: boolean;
             /**
              * Format: int64
              * @description Revision of that.
@@ -2171,6 +2160,8 @@ export interface components {
             revision: number;
             /** @description What it is to have. */
             target: components["schemas"]["MemberTarget"];
+            /** @description Whether it was in reach when the stage that is measured began. */
+            was_reachable?: boolean;
         };
         /**
          * @description What a node is to have.
@@ -2440,12 +2431,13 @@ export interface components {
             /**
              * Format: double
              * @description How far back the measurements before the change go, seconds.
-             * @default 3600
+             * @default 604800
              */
             baseline_s: number;
             /**
              * Format: double
-             * @description How sure a verdict is to be: 0.95 lets one of twenty be wrong on each side, over all looks at one gate.
+             * @description How sure verdicts are: with 0.95, at most one of twenty rollouts without any effect is judged failed, all gates, stages
+             *     and looks together, and at most one of twenty changes beyond a bound passes its stage.
              * @default 0.95
              */
             confidence: number;
@@ -2474,6 +2466,12 @@ export interface components {
             gates: string[];
             /**
              * Format: double
+             * @description How long the rollout is held for a person to decide before the old value returns, seconds.
+             * @default 86400
+             */
+            held_for_s: number;
+            /**
+             * Format: double
              * @description How long a node out of reach may stay away, seconds; then its value is withdrawn and it is named.
              * @default 604800
              */
@@ -2486,7 +2484,7 @@ export interface components {
             /**
              * Format: double
              * @description How much longer a stage is held when its gates could not be judged at the end of the soak, seconds.
-             * @default 3600
+             * @default 172800
              */
             patience_s: number;
             /**
@@ -2505,11 +2503,12 @@ export interface components {
             /**
              * Format: double
              * @description How long a stage is held before its gates are judged, seconds.
-             * @default 1800
+             * @default 86400
              */
             soak_s: number;
             /**
-             * @description How many nodes have the new value in each stage, all stages before included.
+             * @description How many nodes have the new value in each stage, all stages before included. Where the last leaves some out, they keep
+             *     the old value, and the last stage is measured against them.
              * @default [
              *       "1",
              *       "10%",
@@ -2933,7 +2932,13 @@ export interface components {
             apply_within_s: number;
             /**
              * Format: double
-             * @description Level of the intervals.
+             * @description How far back the measurements before the trial go, seconds.
+             * @default 3600
+             */
+            baseline_s: number;
+            /**
+             * Format: double
+             * @description Probability that all intervals of the result hold the truth together.
              * @default 0.95
              */
             confidence: number;
@@ -2945,7 +2950,7 @@ export interface components {
             duration_s: number;
             /**
              * Format: int64
-             * @description Fewest clips of a node in the result.
+             * @description Fewest clips of a node before and during the trial; those with fewer are left out.
              * @default 5
              */
             fewest_clips: number;
@@ -2977,7 +2982,7 @@ export interface components {
         TrialResult: {
             /**
              * Format: double
-             * @description Level of the intervals.
+             * @description Probability that all intervals hold the truth together.
              */
             confidence: number;
             /** @description From when on clips counted. */
@@ -3038,7 +3043,7 @@ export interface components {
          * @description What a gate or a stage came to.
          * @enum {string}
          */
-        Verdict: "passed" | "failed" | "undecided";
+        Verdict: "passed" | "failed" | "undecided" | "not_measured";
         /**
          * @description What kind of thing happened.
          * @enum {string}
