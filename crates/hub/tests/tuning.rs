@@ -1,7 +1,7 @@
 //! Values reach nodes, rollouts go on, back and over a restart, trials compare: with simulated nodes over real sessions.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, PATIENCE, config, sqlite};
+use crate::support::{Hub, PATIENCE, config, full_status, instance, say, sqlite, uplink};
 use albireo_hub::config::HubConfig;
 use albireo_service::config::{NamedToken, Role, Token};
 use albireo_simulate::{Behaviour, Options};
@@ -188,6 +188,94 @@ async fn a_value_reaches_the_selected_nodes_and_is_applied_when_they_report_it()
 async fn postgres_a_value_reaches_the_selected_nodes_and_is_applied_when_they_report_it() {
     let server = Postgres::start();
     values_reach_nodes(&server.url()).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hub_with_an_empty_database_is_obeyed_by_nodes_that_had_orders_before() {
+    let (before, empty) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let hub = Hub::start(config(&sqlite(before.path()))).await;
+    let played = Played::begin(&hub, fleet(4)).await;
+    for u in [1e-4, 2e-4, 1e-4, 2e-4] {
+        let (_, answer) = put(&hub, json!({"u": u, "select": ["all"]})).await;
+        assert_eq!(answer["counts"], json!({"applied": 4}), "{answer}");
+    }
+    let mut again = hub.config.clone();
+    hub.stop().await;
+    again.database.url = sqlite(empty.path());
+    let hub = Hub::start(again).await;
+    hub.until("/api/v1/nodes", |nodes| {
+        nodes["nodes"]
+            .as_array()
+            .is_some_and(|nodes| nodes.len() == 4 && nodes.iter().all(|node| node["revision"] == 4))
+    })
+    .await;
+    let (_, answer) = put(&hub, json!({"u": 5e-4, "select": ["all"]})).await;
+    assert_eq!(answer["counts"], json!({"applied": 4}), "{answer}");
+    assert_eq!(answer["revision"], 5);
+
+    // One that reports nonsense is named, and uses no revisions up.
+    let session = uplink(&hub.zenoh).await;
+    let liar = albireo_wire::StatusMessage {
+        revision: 1 << 53,
+        ..full_status(&instance('a'), 1, &[])
+    };
+    say(&session, "liar", &liar).await;
+    hub.until("/api/v1/nodes", |nodes| {
+        nodes["nodes"]
+            .as_array()
+            .is_some_and(|nodes| nodes.len() == 5)
+    })
+    .await;
+    let (_, answer) = put(&hub, json!({"u": 1e-4, "select": ["all"]})).await;
+    let counts = json!({"applied": 4, "refused": 1});
+    assert_eq!(
+        (&answer["counts"], &answer["revision"]),
+        (&counts, &json!(6))
+    );
+    let liar = (answer["nodes"].as_array().unwrap().iter()).find(|line| line["node"] == "liar");
+    let detail = liar.unwrap()["detail"].as_str().unwrap();
+    assert!(detail.contains("revision 9007199254740992"), "{detail}");
+    session.close().await.unwrap();
+    played.end().await;
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_web_page_of_another_site_changes_nothing_without_a_token() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let client = reqwest::Client::new();
+    let body = json!({"u": 1e-4, "select": ["all"]}).to_string();
+    for (path, method) in [
+        ("/api/v1/rollouts", reqwest::Method::POST),
+        ("/api/v1/rollouts/1/return", reqwest::Method::POST),
+        ("/api/v1/trials/1/end", reqwest::Method::POST),
+        ("/api/v1/threshold", reqwest::Method::PUT),
+    ] {
+        let ask = || {
+            let request = client.request(method.clone(), format!("{}{path}", hub.http));
+            request.body(body.clone())
+        };
+        let json = || ask().header("content-type", "application/json");
+        let status =
+            async |request: reqwest::RequestBuilder| request.send().await.unwrap().status();
+        let page = json().header("origin", "http://evil.example");
+        assert_eq!(status(page).await, StatusCode::FORBIDDEN, "{path}");
+        let page = json().header("sec-fetch-site", "cross-site");
+        assert_eq!(status(page).await, StatusCode::FORBIDDEN, "{path}");
+        let form = ask().header("content-type", "text/plain");
+        let expected = match method == reqwest::Method::POST {
+            true => StatusCode::UNSUPPORTED_MEDIA_TYPE,
+            false => StatusCode::NOT_FOUND,
+        };
+        assert_eq!(status(form).await, expected, "{path}");
+        // An own page and a client that is no browser get as far as the request itself.
+        let own = json().header("origin", hub.http.clone());
+        let expected = [StatusCode::NOT_FOUND, StatusCode::UNPROCESSABLE_ENTITY];
+        assert!(expected.contains(&status(own).await), "{path}");
+        assert!(expected.contains(&status(json()).await), "{path}");
+    }
+    hub.stop().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -60,12 +60,9 @@ export async function json<T>(path: string, options?: RequestInit): Promise<T> {
 }
 
 export function send<T>(method: "PUT" | "POST", path: string, body?: unknown, signal?: AbortSignal): Promise<T> {
-  const init: RequestInit = { method };
+  const init: RequestInit = { method, headers: { "Content-Type": "application/json" } };
   if (signal) init.signal = signal;
-  if (body !== undefined) {
-    init.headers = { "Content-Type": "application/json" };
-    init.body = JSON.stringify(body);
-  }
+  if (body !== undefined) init.body = JSON.stringify(body);
   return json<T>(path, init);
 }
 

@@ -65,7 +65,9 @@ impl Tuner {
             if let Some(other) = taken.get(&facts.name) {
                 let detail = format!("takes part in {other}: end or return that first");
                 lines.push(line(&facts.name, "refused", from, detail));
-            } else if let Some(detail) = unable(&facts, setting) {
+            } else if let Some(detail) =
+                (self.implausible(facts.revision)).or_else(|| unable(&facts, setting))
+            {
                 lines.push(line(&facts.name, "refused", from, detail));
             } else if has_it(&facts, self.desired_value(&facts.name), setting) {
                 lines.push(line(&facts.name, "unchanged", from, String::new()));

@@ -23,6 +23,10 @@ use utoipa::ToSchema;
 /// How long after a notice that was not followed a node is notified again.
 const NOTIFY_AGAIN_MS: Millis = 5_000;
 
+/// How far beyond this database's revisions a node's may be. A database that was restored or is empty knows none of the
+/// revisions that nodes have; a node that reports nonsense must not use them up.
+const FARTHEST_AHEAD: u64 = 1 << 32;
+
 /// What is desired, and the nodes that are to have it again with what each had in its place.
 type SetBack = (DesiredSetting, Vec<(String, Option<DesiredSetting>)>);
 
@@ -210,6 +214,28 @@ impl Tuner {
         self.desires.values.get(node)
     }
 
+    /// Why nothing can be ordered of a node that reports `revision`, if nothing can.
+    pub(super) fn implausible(&self, revision: u64) -> Option<String> {
+        let known = self.learned.load(Ordering::Relaxed).unsigned_abs();
+        let most = known.saturating_add(FARTHEST_AHEAD);
+        (revision > most).then(|| {
+            format!(
+                "it reports revision {revision}, and no hub gave one above {most}: \
+                 empty its state directory, then it takes orders again"
+            )
+        })
+    }
+
+    /// The highest revision that these nodes report: they take only what is above it.
+    fn reported<'a>(&self, nodes: impl Iterator<Item = &'a String>) -> i64 {
+        let highest = nodes
+            .filter_map(|node| self.fleet.node(node))
+            .map(|facts| facts.revision)
+            .filter(|revision| self.implausible(*revision).is_none())
+            .max();
+        i64::try_from(highest.unwrap_or(0)).unwrap_or(i64::MAX)
+    }
+
     /// Takes what other hubs on the same database have ordered.
     pub(crate) async fn learn(&self) -> Result<(), StoreError> {
         let after = self.learned.load(Ordering::Relaxed);
@@ -256,9 +282,10 @@ impl Tuner {
             outcome: Outcome::Pending,
         };
         let reachable = |node: &str| self.fleet.node(node).is_some_and(|facts| facts.reachable);
+        let reported = self.reported(order.nodes.iter().map(|(node, _)| node));
         let revision = self
             .write(async |writing| {
-                let revision = writing.next_revision().await?;
+                let revision = writing.next_revision(reported).await?;
                 let (knob, value, target) = columns(order.setting);
                 let row = OrderRow {
                     revision,

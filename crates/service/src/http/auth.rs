@@ -5,7 +5,7 @@ use super::Problem;
 use crate::config::{HttpConfig, NamedToken, Role, Token};
 use crate::rate_limit::SharedLimit;
 use axum::extract::{Request, State};
-use axum::http::header::{AUTHORIZATION, HOST, WWW_AUTHENTICATE};
+use axum::http::header::{AUTHORIZATION, CONTENT_TYPE, HOST, HeaderName, ORIGIN, WWW_AUTHENTICATE};
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
@@ -61,7 +61,11 @@ pub enum TokenError {
 
 /// Decides who may pass.
 #[derive(Clone)]
-pub(super) struct Guard(Arc<Rule>);
+pub(super) struct Guard {
+    rule: Arc<Rule>,
+    /// Web origins whose pages may change something without a token.
+    origins: Arc<[String]>,
+}
 
 /// Who a request comes from, as an extension of the request.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -120,13 +124,16 @@ impl Guard {
         } else {
             return Err(HttpError::Unprotected { address });
         };
-        Ok(Self(Arc::new(rule)))
+        Ok(Self {
+            rule: Arc::new(rule),
+            origins: config.cors_origins.clone().into(),
+        })
     }
 
     /// Takes over what is written to the token files, until `shutdown`: a token is exchanged without a restart. A file
     /// that cannot be used leaves the token that was good.
     pub(crate) async fn follow_files(self, shutdown: CancellationToken) {
-        let Rule::Tokens(tokens) = &*self.0 else {
+        let Rule::Tokens(tokens) = &*self.rule else {
             return;
         };
         let files: BTreeSet<PathBuf> =
@@ -176,7 +183,33 @@ impl Guard {
             name: Caller::ANONYMOUS.into(),
             role,
         };
-        match &*self.0 {
+        let looks = matches!(
+            *request.method(),
+            Method::GET | Method::HEAD | Method::OPTIONS
+        );
+        match &*self.rule {
+            Rule::Anybody | Rule::ThisMachine
+                if !looks && self.is_from_another_site(headers) =>
+            {
+                Err(Box::new(Problem::new(
+                    StatusCode::FORBIDDEN,
+                    "without a token a page of another site may not change anything: set a token, or name the page's \
+                     origin in http.cors_origins",
+                )
+                .into_response()))
+            }
+            // The other content types are those that a browser sends to another site without asking it.
+            Rule::Anybody | Rule::ThisMachine
+                if *request.method() == Method::POST && !is_json(headers) =>
+            {
+                Err(Box::new(Problem::new(
+                    StatusCode::UNSUPPORTED_MEDIA_TYPE,
+                    "without a token the content type of a POST must be `application/json`; \
+                     with curl: -H 'content-type: application/json'",
+                )
+                .allowing(["application/json"])
+                .into_response()))
+            }
             Rule::Anybody => Ok(anonymous(Role::Tune)),
             Rule::ThisMachine if called_by_address(request) => Ok(anonymous(Role::Tune)),
             Rule::ThisMachine => Err(Box::new(Problem::new(
@@ -194,7 +227,6 @@ impl Guard {
                 if holder.is_none() && headers.contains_key(AUTHORIZATION) {
                     count_wrong_token();
                 }
-                let looks = matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS);
                 match holder {
                     Some(caller) if looks || caller.role == Role::Tune => Ok(caller),
                     Some(caller) => {
@@ -210,6 +242,33 @@ impl Guard {
             }
         }
     }
+}
+
+impl Guard {
+    /// Whether a browser sent the request for a page of another site. Newer browsers say so in `Sec-Fetch-Site`, and all name
+    /// the page's origin with what changes something; other clients send neither.
+    fn is_from_another_site(&self, headers: &HeaderMap) -> bool {
+        let text = |name| headers.get(name).map(|value| value.to_str().unwrap_or(""));
+        let origin = text(ORIGIN);
+        if origin.is_some_and(|origin| self.origins.iter().any(|listed| listed == origin)) {
+            return false;
+        }
+        match (text(HeaderName::from_static("sec-fetch-site")), origin) {
+            (Some(site), _) => !matches!(site, "same-origin" | "none"),
+            (None, Some(origin)) => {
+                let host = origin.split_once("://").map(|(_, host)| host);
+                host.is_none() || host != text(HOST)
+            }
+            (None, None) => false,
+        }
+    }
+}
+
+fn is_json(headers: &HeaderMap) -> bool {
+    let media_type = (headers.get(CONTENT_TYPE))
+        .and_then(|value| value.to_str().ok()?.split(';').next())
+        .unwrap_or_default();
+    media_type.trim().eq_ignore_ascii_case("application/json")
 }
 
 static WRONG_TOKENS: AtomicU64 = AtomicU64::new(0);
@@ -343,7 +402,52 @@ pub(super) async fn guard(
 
 #[cfg(test)]
 mod tests {
-    use super::is_address;
+    use super::*;
+
+    #[test]
+    fn a_page_of_another_site_is_told_from_own_pages_and_from_clients_that_are_no_browser() {
+        let guard = Guard {
+            rule: Arc::new(Rule::ThisMachine),
+            origins: Arc::new(["https://fleet.example".to_owned()]),
+        };
+        let foreign = |sent: &[(&'static str, &'static str)]| {
+            let mut headers = HeaderMap::new();
+            headers.insert(HOST, HeaderValue::from_static("127.0.0.1:8090"));
+            for (name, value) in sent {
+                headers.insert(*name, HeaderValue::from_static(value));
+            }
+            guard.is_from_another_site(&headers)
+        };
+        for own in [
+            &[][..],
+            &[("origin", "http://127.0.0.1:8090")],
+            &[("sec-fetch-site", "same-origin")],
+            &[("sec-fetch-site", "none")],
+            &[
+                ("sec-fetch-site", "same-origin"),
+                ("origin", "https://proxy.example"),
+            ],
+            &[
+                ("sec-fetch-site", "cross-site"),
+                ("origin", "https://fleet.example"),
+            ],
+        ] {
+            assert!(!foreign(own), "{own:?}");
+        }
+        for other in [
+            &[("origin", "http://evil.example")][..],
+            &[("origin", "null")],
+            &[("origin", "http://127.0.0.1:8000")],
+            &[("sec-fetch-site", "cross-site")],
+            &[("sec-fetch-site", "same-site")],
+            &[
+                ("sec-fetch-site", "cross-site"),
+                ("origin", "http://127.0.0.1:8090"),
+            ],
+        ] {
+            assert!(foreign(other), "{other:?}");
+        }
+    }
 
     #[test]
     fn only_addresses_and_localhost_are_this_machine() {

@@ -132,11 +132,16 @@ const ORDER_NODE: &str =
 const CAMPAIGN: &str = "id, kind, begun_ms, ended_ms, who, state";
 
 impl Writing<'_> {
-    /// The next revision: greater than any before, whatever hub gave it.
-    pub(crate) async fn next_revision(&mut self) -> Result<i64, StoreError> {
-        let query = self
-            .query("UPDATE counters SET value = value + 1 WHERE name = 'revision' RETURNING value");
-        let row = query.fetch_one(&mut *self.transaction).await?;
+    /// The next revision: greater than any before, whatever hub gave it, and greater than `reported`.
+    pub(crate) async fn next_revision(&mut self, reported: i64) -> Result<i64, StoreError> {
+        let query = self.query(
+            "UPDATE counters SET value = CASE WHEN value < $1 THEN $1 ELSE value END + 1 \
+             WHERE name = 'revision' RETURNING value",
+        );
+        let row = query
+            .bind(reported)
+            .fetch_one(&mut *self.transaction)
+            .await?;
         Ok(row.try_get("value")?)
     }
 
