@@ -9,7 +9,6 @@
 mod camera_page;
 
 use crate::support::{Node, PATIENCE, free_port, python};
-use albireo_eval::recommendation::RECOMMENDATION;
 use serde_json::{Map, Value};
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -210,15 +209,6 @@ fn the_readme_is_short_and_goes_from_the_camera_to_the_limits() {
         "## Limits",
     ];
     assert_eq!(headings, expected);
-}
-
-#[test]
-fn there_is_one_recommendation_and_it_is_the_same_everywhere() {
-    let plain = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
-    let recommendation = plain(&RECOMMENDATION.join(" "));
-    for name in ["README.md", "docs/policies.md"] {
-        assert!(plain(&page(name)).contains(&recommendation), "{name}");
-    }
 }
 
 /// The words of a schema's type.

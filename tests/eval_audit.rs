@@ -3,9 +3,10 @@
 
 use crate::support::shared;
 use albireo_core::audit::{AuditDraw, AuditRate, AuditSums};
-use albireo_eval::against_detector::{ComparedFrame, total};
+use albireo_core::policy::PolicyConfig;
+use albireo_eval::against_detector::{ComparedFrame, against_detector, total};
 use albireo_eval::data::recorded;
-use albireo_eval::frontier::{Candidate, View};
+use albireo_eval::run::Settings;
 
 /// The sums of the frames that are drawn with `seed`; every recording is a camera with a draw of its own. Drawn frames with
 /// `crowded` detected boxes or more are missed.
@@ -28,13 +29,12 @@ fn sample(cameras: &[Vec<ComparedFrame>], share: f64, seed: u64, crowded: u64) -
 
 fn cameras(policy: &str) -> (Vec<Vec<ComparedFrame>>, AuditSums) {
     let clips = recorded::read(&shared("data/recorded")).expect("the recordings");
-    let view = View::as_recorded(0.5);
-    let viewed: Vec<_> = (clips.clips.iter())
-        .filter_map(|clip| view.look(clip))
-        .collect();
-    let policy = Candidate::as_reported(policy).expect("a policy");
-    let compared: Vec<_> = (viewed.iter())
-        .map(|clip| policy.against_detector(clip).expect("it runs"))
+    let mut config = PolicyConfig::default();
+    config.select(policy).expect("a policy");
+    let mut policy = config.build().expect("a policy");
+    let compared: Vec<_> = (clips.clips.iter())
+        .filter(|clip| clip.truth.iter().flatten().any(|truth| !truth.is_empty()))
+        .map(|clip| against_detector(policy.as_mut(), clip, &Settings::default()).expect("it runs"))
         .collect();
     let mut all = AuditSums::default();
     for frames in &compared {

@@ -248,10 +248,6 @@ fn bad_input_ends_with_what_was_wrong_where_and_what_to_do() {
             vec!["recorded", good, "--energy-model", "/nowhere.toml"],
             vec!["energy model /nowhere.toml"],
         ),
-        (
-            vec!["paper", "/nowhere.csv"],
-            vec!["/nowhere.csv", "a row per sequence and system"],
-        ),
     ] {
         let output = eval(&arguments);
         let (table, said) = printed(&output);

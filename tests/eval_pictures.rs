@@ -302,6 +302,7 @@ fn by_hand(frames: usize) -> PicturedClip {
             screen: Some(vec![Some(false); frames]),
             truth: None,
             pictures: Vec::new(),
+            ignored: Vec::new(),
         },
         grey: Vec::new(),
         small: Vec::new(),

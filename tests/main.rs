@@ -30,7 +30,7 @@ mod eval_agreement;
 mod eval_audit;
 mod eval_coco;
 mod eval_command;
-mod eval_paper;
+mod eval_energy_models;
 mod eval_pictures;
 mod every_frame;
 mod expected_loss;

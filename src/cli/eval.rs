@@ -1,7 +1,6 @@
 //! `albireo eval`: accuracy, skip rate, time and energy of policies on recordings.
 
 mod advise;
-mod frontier;
 mod video;
 
 use albireo_core::geometry::PictureSize;
@@ -18,7 +17,7 @@ use albireo_eval::run::{Settings, run_stored};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, PolicySpec, Sweep, resolve};
 use albireo_eval::text::wrapped;
-use albireo_eval::{energy_fit, paper, paper_text, published, summary, table};
+use albireo_eval::{summary, table};
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
@@ -30,8 +29,6 @@ Examples:
       what each threshold costs in accuracy and saves in detector calls
   albireo eval advise drive.mp4 --target recall=0.95
       policy, knob and screen for your road and your detector
-  albireo eval frontier DIR --out results
-      expected-loss against every other policy at the same number of detector calls
   albireo eval recorded DIR --profile reference --screen detections --traces traces
       the published code's decisions, frame by frame";
 
@@ -98,36 +95,6 @@ enum What {
     Video(video::VideoArguments),
     /// Propose policy, knob and screen for a target, from a recording with your own detector.
     Advise(advise::AdviseArguments),
-    /// Compare expected-loss with every other policy at equal skip rates, on recorded detections.
-    Frontier(frontier::FrontierArguments),
-    /// Judge settings of expected-loss on each recording by values chosen on all others.
-    LeaveOneOut(frontier::LeaveOneOutArguments),
-    /// Recompute the paper's main table from published per-clip results.
-    Paper {
-        /// Files with a row per clip and system.
-        #[arg(required = true)]
-        files: Vec<PathBuf>,
-        /// Write the figures as JSON here.
-        #[arg(long, value_name = "FILE")]
-        json: Option<PathBuf>,
-    },
-    /// Fit an energy model to published per-clip results of a board.
-    FitEnergy {
-        /// File with a row per clip and system.
-        file: PathBuf,
-        /// Name of the board.
-        #[arg(long)]
-        board: String,
-        /// Name of the detector that ran.
-        #[arg(long)]
-        detector: String,
-        /// Where the file comes from; goes into the model.
-        #[arg(long)]
-        source: String,
-        /// Where to write the model; standard output without it.
-        #[arg(long, value_name = "FILE")]
-        out: Option<PathBuf>,
-    },
 }
 
 /// Headings of the help.
@@ -213,45 +180,7 @@ pub fn run(arguments: &EvalArguments) -> anyhow::Result<()> {
         } => compare(coco::read(dataset, Some(detections))?, dataset, run),
         What::Video(arguments) => video::run(arguments),
         What::Advise(arguments) => advise::run(arguments),
-        What::Frontier(arguments) => frontier::run(arguments),
-        What::LeaveOneOut(arguments) => frontier::run_leave_one_out(arguments),
-        What::Paper { files, json } => recompute(files, json.as_deref()),
-        What::FitEnergy {
-            file,
-            board,
-            detector,
-            source,
-            out,
-        } => {
-            let rows = published::read(file)?;
-            let model = energy_fit::fit(&rows, board, detector, source)?;
-            let text = toml::to_string(&model).context("writing the model as TOML")?;
-            match out {
-                Some(path) => std::fs::write(path, text)
-                    .with_context(|| format!("cannot write {}", path.display())),
-                None => {
-                    print!("{text}");
-                    Ok(())
-                }
-            }
-        }
     }
-}
-
-/// Prints the main table of every file.
-fn recompute(files: &[PathBuf], json: Option<&Path>) -> anyhow::Result<()> {
-    let mut tables = serde_json::Map::new();
-    for file in files {
-        let rows = paper::table(&published::read(file)?);
-        let name = file.display().to_string();
-        println!("{}", paper_text::render(&name, &rows));
-        tables.insert(name, serde_json::to_value(rows)?);
-    }
-    if let Some(path) = json {
-        std::fs::write(path, serde_json::to_vec_pretty(&tables)?)
-            .with_context(|| format!("cannot write {}", path.display()))?;
-    }
-    Ok(())
 }
 
 /// Runs all policies asked for over `clips` and reports.

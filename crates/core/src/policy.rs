@@ -20,8 +20,8 @@
 //! | `adaptive-rate[:drift]` | when objects have moved by so many of their sizes at the speed they had | predicted boxes | after Contoli et al. |
 //! | `frame-drop[:n]` | on every n-th frame, and when something shows up that no object explains | predicted boxes | after Henning et al. |
 //! | `erd-only` | when the screen, asked on every frame, says "not empty" | none | the paper's baseline |
-//! | `kill-only[:u]` | as albireo, but without the screen: always without objects | predicted boxes | ablation: 8 dimensions, no rescue |
-//! | `kill+erd[:u]` | as albireo | as albireo | ablation: 8 dimensions, no rescue |
+//! | `kill-only[:u]` | as albireo, but without the screen: always without objects | predicted boxes | ablation: a size without velocity (8 dimensions), no rescue |
+//! | `kill+erd[:u]` | as albireo | as albireo | ablation: a size without velocity (8 dimensions), no rescue |
 //! | `kill+erd-10d[:u]` | as albireo | as albireo | ablation: no rescue |
 //! | `albireo+flow[:u]` | as albireo | boxes followed by optical flow, measurements of the filter | ablation |
 //! | `expected-loss[:lambda]` | when the expected loss of another predicted frame exceeds the price λ of a call | predicted boxes | our own |
@@ -36,25 +36,19 @@ use crate::detection::{ClassId, Detection, ObjectId};
 use crate::geometry::{BoundingBox, PictureSize};
 use serde::{Deserialize, Serialize};
 
-mod ablation;
-mod adaptive_rate;
 mod albireo;
 mod albireo_flow;
 mod albireo_settings;
+mod baselines;
 mod cause;
-mod changed_region;
 mod config;
-mod ctd;
 mod decide;
 mod detector_boxes;
-mod erd_only;
 mod expected_loss;
 mod fixed_skip;
-mod frame_drop;
 mod published_threshold;
 mod record;
 mod reporting;
-mod statues;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -62,27 +56,25 @@ mod tests;
 mod tracker;
 mod vanilla;
 
-pub use adaptive_rate::{AdaptiveRate, AdaptiveRateSettings};
 pub use albireo::Albireo;
 pub use albireo_settings::{AlbireoSettings, Profile};
 pub use albireo_settings::{DetectorFrameBoxes, PeriodicCap, ReportedConfidence};
+pub(crate) use baselines::{Ablation, ErdOnly};
+pub use baselines::{
+    AdaptiveRate, AdaptiveRateSettings, Ctd, CtdSettings, FrameDrop, FrameDropSettings, Statues,
+    StatuesSettings,
+};
 pub use cause::CallCause;
 pub use config::{PolicyConfig, PolicyConfigError};
-pub use ctd::Ctd;
-pub use ctd::CtdSettings;
 pub use decide::{EvidenceAtHand, EvidenceSource, FrameEvidence, decide, decide_at_once};
-pub(crate) use erd_only::ErdOnly;
 pub use expected_loss::{Call, Confidence, ExpectedLoss, ExpectedLossSettings, Motion, Trigger};
 pub use expected_loss::{CallRule, ExpectedLossAssociation, InTracker, Life, Surprise};
 pub use expected_loss::{Flow, Pixels};
 pub use fixed_skip::FixedSkip;
 pub use fixed_skip::FixedSkipSettings;
 pub use fixed_skip::SkippedBoxes;
-pub use frame_drop::{FrameDrop, FrameDropSettings};
 pub use published_threshold::published_threshold;
 pub use record::ObjectRecord;
-pub use statues::Statues;
-pub use statues::StatuesSettings;
 pub use vanilla::Vanilla;
 
 /// What a policy is told about a frame before anything of it is decoded.

@@ -1,10 +1,11 @@
 //! A policy's boxes beside the detector's own, on every frame that it answered without the detector: what the audit of a
 //! node estimates from a sample.
 
+use crate::data::Clip;
 use crate::replay::drive;
-use crate::source::{ClipEvidence, SourceError};
+use crate::run::Settings;
+use crate::source::{ClipEvidence, SourceError, StoredEvidence};
 use albireo_core::audit::AuditSums;
-use albireo_core::detection::Detection;
 use albireo_core::policy::{FrameState, Policy};
 
 /// One frame.
@@ -22,18 +23,20 @@ pub struct ComparedFrame {
     pub sums: Option<Box<AuditSums>>,
 }
 
-/// Takes `policy` from its initial state through all frames of `source`, and compares what it shows on frames without
-/// the detector with `detected`, what the detector finds in each frame.
+/// Takes `policy` from its initial state through all frames of `clip`, and compares what it shows on frames without the
+/// detector with what the detector finds in them.
 ///
 /// # Errors
-/// [`SourceError`] when the source cannot give what the policy asks for.
+/// [`SourceError`] when the clip does not have what the policy asks for.
 pub fn against_detector(
     policy: &mut dyn Policy,
-    source: &mut dyn ClipEvidence,
-    detected: &[Vec<Detection>],
+    clip: &Clip,
+    settings: &Settings,
 ) -> Result<Vec<ComparedFrame>, SourceError> {
+    let mut source = StoredEvidence::new(clip, settings)?;
+    let detected = source.all_detections().to_vec();
     let mut compared = Vec::with_capacity(source.frames());
-    drive(policy, source, &mut |_, played| {
+    drive(policy, &mut source, &mut |_, played| {
         let outcome = played.outcome;
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
         compared.push(ComparedFrame {

@@ -120,6 +120,39 @@ pub fn accuracy(
     }
 }
 
+/// `predictions` without those that lie by half or more of their area in a region of `ignored` (one entry a frame) and
+/// overlap no ground truth by IoU 0.5: what the ground truth leaves out there cannot be judged, as KITTI's evaluation has it.
+pub(crate) fn outside_ignored(
+    predictions: &[Vec<ScoredBox>],
+    truth: &[Vec<TruthBox>],
+    ignored: &[Vec<Corners>],
+) -> Vec<Vec<ScoredBox>> {
+    let mut judged = predictions.to_vec();
+    for (frame, (boxes, regions)) in judged.iter_mut().zip(ignored).enumerate() {
+        let truth = truth.get(frame).map_or(&[][..], Vec::as_slice);
+        boxes.retain(|found| {
+            let inside =
+                |region: &Corners| 2.0 * overlap(found.corners, *region) >= area_of(found.corners);
+            let is_object = |truth: &TruthBox| {
+                found.corners.intersection_over_union(truth.corners) >= IOU_THRESHOLDS[0]
+            };
+            !regions.iter().any(inside) || truth.iter().any(is_object)
+        });
+    }
+    judged
+}
+
+fn area_of(corners: Corners) -> f64 {
+    (corners.x2 - corners.x1) * (corners.y2 - corners.y1)
+}
+
+/// The area that both have.
+fn overlap(a: Corners, b: Corners) -> f64 {
+    let width = a.x2.min(b.x2) - a.x1.max(b.x1);
+    let height = a.y2.min(b.y2) - a.y1.max(b.y1);
+    width.max(0.0) * height.max(0.0)
+}
+
 /// The accuracy of every class that has ground truth, each judged by itself.
 pub(crate) fn accuracy_by_class(
     predictions: &[Vec<ScoredBox>],

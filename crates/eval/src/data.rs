@@ -67,6 +67,8 @@ pub struct Clip {
     pub truth: Option<Vec<Vec<TruthBox>>>,
     /// The clip's pictures in order, if they are files.
     pub pictures: Vec<PathBuf>,
+    /// Regions whose objects the ground truth leaves out, one entry a frame; empty where the data set marks none.
+    pub ignored: Vec<Vec<Corners>>,
 }
 
 /// A data set as read.

@@ -1,7 +1,7 @@
 //! A run: every policy over every clip, in parallel over the clips, with the figures of each.
 
 use crate::average_precision::{
-    Accuracy, Classes, Interpolation, ScoredBox, accuracy, accuracy_by_class,
+    Accuracy, Classes, Interpolation, ScoredBox, accuracy, accuracy_by_class, outside_ignored,
 };
 use crate::data::{Clip, classes};
 use crate::energy_model::EnergyModel;
@@ -179,16 +179,21 @@ pub(super) fn run_policy(
         let file = format!("{}.jsonl.gz", clip.name);
         trace::write(&folder.join(&policy.label).join(file), frames)?;
     }
+    // The published evaluator knows no ignored regions.
+    let boxes = match (&clip.truth, scoring) {
+        (Some(truth), Scoring::Paper) => outside_ignored(&replayed.boxes, truth, &clip.ignored),
+        _ => replayed.boxes.clone(),
+    };
     let mut result = ClipResult::from_replay(&clip.name, &policy.label, &replayed);
     result.camera.clone_from(&clip.camera);
     result.frame_rate = clip.frame_rate;
-    result.accuracy = judge(clip, &replayed.boxes, settings);
+    result.accuracy = judge(clip, &boxes, settings);
     result.accuracy_last_confidence = replayed
         .boxes_last_confidence
         .as_ref()
         .and_then(|boxes| judge(clip, boxes, settings));
     if let Some(truth) = &clip.truth {
-        result.classes = accuracy_by_class(&replayed.boxes, truth, settings.interpolation)
+        result.classes = accuracy_by_class(&boxes, truth, settings.interpolation)
             .into_iter()
             .map(|(class, accuracy)| {
                 let name = classes::name(class)

@@ -154,6 +154,11 @@ impl<'a> StoredEvidence<'a> {
         })
     }
 
+    /// What the detector finds in every frame, at or above the run's confidence.
+    pub(crate) fn all_detections(&self) -> &[Vec<Detection>] {
+        &self.detections
+    }
+
     /// Whether a frame has a detection at or above the run's confidence.
     pub(crate) fn is_occupied(&self, frame: usize) -> bool {
         !of_frame(&self.detections, frame).is_empty()

@@ -3,7 +3,7 @@
 use crate::pareto::{Choice, frontier};
 use crate::result::{ClipResult, Energy, Provenance};
 use crate::spec::BASELINE;
-use crate::statistics::{PairedT, Wilcoxon, mean, paired_t, wilcoxon};
+use crate::statistics::{PairedT, mean, paired_t};
 use serde::Serialize;
 use std::collections::{BTreeMap, HashMap};
 
@@ -16,8 +16,6 @@ pub struct Difference {
     pub mean: f64,
     /// Paired t-test; `None` where it is undefined.
     pub t: Option<PairedT>,
-    /// Signed-rank test; `None` where it is undefined.
-    pub wilcoxon: Option<Wilcoxon>,
 }
 
 impl Difference {
@@ -27,7 +25,6 @@ impl Difference {
             clips: values.len(),
             mean: mean(values.iter().copied())?,
             t: paired_t(values),
-            wilcoxon: wilcoxon(values),
         })
     }
 }

@@ -112,9 +112,6 @@ fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
         column(["p", "t"], 3, &|s| {
             p_value(ap50(s).and_then(|d| d.t).map(|t| t.p))
         }),
-        column(["p", "W"], 5, &|s| {
-            p_value(ap50(s).and_then(|d| d.wilcoxon).map(|w| w.p))
-        }),
         column(["kept", "clips"], 1, &|s| {
             against(s)
                 .filter(|against| against.ap50.is_some())
@@ -182,7 +179,7 @@ fn foot(text: &mut String, summaries: &[PolicySummary], left_out: &[String]) {
     let clips = first.map_or(0, |summary| summary.clips);
     let without = first.map_or(0, |summary| summary.clips_without_truth);
     let mut notes = vec![format!(
-        "Unweighted means over {clips} clip{}; Δ and p (paired t, Wilcoxon) against vanilla, clip by clip. \
+        "Unweighted means over {clips} clip{}; Δ and p (paired t) against vanilla, clip by clip. \
          * no other skips as much and is as accurate.",
         if clips == 1 { "" } else { "s" }
     )];

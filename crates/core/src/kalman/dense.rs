@@ -12,8 +12,7 @@ use super::{Deviations, FilterModel};
 use crate::geometry::BoundingBox;
 use nalgebra::{SMatrix, SVector};
 
-/// A filter of `N` dimensions: 10 over `[cx, cy, w, h, vx, vy, vw, vh, ax, ay]`, or 8 without the
-/// accelerations.
+/// A filter of `N` dimensions: 10 over `[cx, cy, w, h, vx, vy, vw, vh, ax, ay]`, or 8 without `vw` and `vh`.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct DenseFilter<const N: usize> {
     /// x.
@@ -33,43 +32,42 @@ pub(crate) struct DenseFilter<const N: usize> {
 impl DenseFilter<10> {
     /// The paper's filter: constant acceleration of the centre, constant velocity of the size.
     pub(crate) fn constant_acceleration(model: &FilterModel, bounding_box: BoundingBox) -> Self {
-        let mut filter = Self::with_velocities(model, bounding_box);
+        let mut filter = Self::with_acceleration(model, bounding_box);
         for axis in 0..2 {
-            filter.transition[(axis, 8 + axis)] = 0.5;
-            filter.transition[(4 + axis, 8 + axis)] = 1.0;
-            filter.process_noise[(8 + axis, 8 + axis)] = model.process.acceleration;
-            filter.covariance[(8 + axis, 8 + axis)] = model.initial.acceleration;
+            filter.transition[(2 + axis, 6 + axis)] = 1.0;
+            filter.process_noise[(6 + axis, 6 + axis)] = model.process.size_velocity;
+            filter.covariance[(6 + axis, 6 + axis)] = model.initial.size_velocity;
         }
         filter
     }
 }
 
 impl DenseFilter<8> {
-    /// The ablation's filter: constant velocity of centre and size. See
-    /// [`MotionModel::ConstantVelocity`](super::MotionModel::ConstantVelocity) for what the paper says
-    /// of it.
-    pub(crate) fn constant_velocity(model: &FilterModel, bounding_box: BoundingBox) -> Self {
-        Self::with_velocities(model, bounding_box)
+    /// The ablation's filter: constant acceleration of the centre, a size without velocity.
+    pub(crate) fn constant_size(model: &FilterModel, bounding_box: BoundingBox) -> Self {
+        Self::with_acceleration(model, bounding_box)
     }
 }
 
 impl<const N: usize> DenseFilter<N> {
-    /// The first eight components, which both filters share; any further ones stand still and are
-    /// certain.
-    fn with_velocities(model: &FilterModel, bounding_box: BoundingBox) -> Self {
+    /// Centre, size, and the centre's velocity and acceleration, which both filters have; any further components stand
+    /// still and are certain.
+    fn with_acceleration(model: &FilterModel, bounding_box: BoundingBox) -> Self {
         let diagonal = |d: &Deviations| {
             let mut full = SMatrix::<f64, N, N>::zeros();
             for axis in 0..2 {
                 full[(axis, axis)] = d.center;
                 full[(2 + axis, 2 + axis)] = d.size;
                 full[(4 + axis, 4 + axis)] = d.center_velocity;
-                full[(6 + axis, 6 + axis)] = d.size_velocity;
+                full[(N - 2 + axis, N - 2 + axis)] = d.acceleration;
             }
             full
         };
         let mut transition = SMatrix::<f64, N, N>::identity();
-        for component in 0..4 {
-            transition[(component, 4 + component)] = 1.0;
+        for axis in 0..2 {
+            transition[(axis, 4 + axis)] = 1.0;
+            transition[(axis, N - 2 + axis)] = 0.5;
+            transition[(4 + axis, N - 2 + axis)] = 1.0;
         }
         let mut observation = SMatrix::<f64, 4, N>::zeros();
         for component in 0..4 {

@@ -20,19 +20,19 @@ pub struct Deviations {
     pub acceleration: f64,
 }
 
-/// How the centre is taken to move. The size always changes with constant velocity.
+/// How an object is taken to move and to grow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum MotionModel {
-    /// Ten dimensions: the centre has an acceleration (the paper's filter).
+    /// Ten dimensions: the centre has an acceleration and the size a velocity (the paper's filter).
     #[default]
     ConstantAcceleration,
-    /// Eight dimensions: the centre has no acceleration (the paper's ablation). The paper says that the
-    /// ablation's filter has eight dimensions, and not what its noise is; the published code does not
-    /// contain it. Taken here: the same noise on the components that remain. Ten dimensions whose
-    /// acceleration starts at zero with zero variance and gets no process noise are exactly this
-    /// filter, for the acceleration then stays zero and correlates with nothing.
-    ConstantVelocity,
+    /// Eight dimensions: the centre has an acceleration and the size no velocity (the paper's ablation, "8D CA").
+    /// The paper names its filter so and does not say what its noise is; the published code does not contain it.
+    /// Taken here: the same noise on the components that remain. Ten dimensions whose size velocity starts at
+    /// zero with zero variance and gets no process noise are exactly this filter, for that velocity then stays
+    /// zero and correlates with nothing.
+    ConstantSize,
 }
 
 /// What a measurement's standard deviation is counted in.
@@ -164,11 +164,11 @@ impl FilterModel {
             center: deviations.center.powi(2),
             size: deviations.size.powi(2),
             center_velocity: deviations.center_velocity.powi(2),
-            size_velocity: deviations.size_velocity.powi(2),
-            acceleration: match parameters.motion {
-                MotionModel::ConstantAcceleration => deviations.acceleration.powi(2),
-                MotionModel::ConstantVelocity => 0.0,
+            size_velocity: match parameters.motion {
+                MotionModel::ConstantAcceleration => deviations.size_velocity.powi(2),
+                MotionModel::ConstantSize => 0.0,
             },
+            acceleration: deviations.acceleration.powi(2),
         };
         Self {
             process: variances(parameters.process),

@@ -66,17 +66,23 @@ fn compare<const N: usize>(
             dense.update(measured).unwrap();
         }
         let (mean, covariance) = (filter.mean(), filter.covariance());
+        // Eight dimensions have no velocity of the size; the acceleration comes last in both.
+        let place = |component: usize| match N {
+            8 if component >= 6 => component + 2,
+            _ => component,
+        };
         for row in 0..N {
-            prop_assert!(close(mean[row], dense.mean[row]), "{mean} {}", dense.mean);
+            let found = mean[place(row)];
+            prop_assert!(close(found, dense.mean[row]), "{mean} {}", dense.mean);
             for column in 0..N {
                 prop_assert!(close(
-                    covariance[(row, column)],
+                    covariance[(place(row), place(column))],
                     dense.covariance[(row, column)]
                 ));
             }
         }
         prop_assert!((filter.tau() - dense.tau()).abs() <= 1e-12);
-        prop_assert!(mean.rows(N, 10 - N).iter().all(|&value| value == 0.0));
+        prop_assert!(N == 10 || mean.rows(6, 2).iter().all(|&value| value == 0.0));
     }
     Ok(())
 }
@@ -94,11 +100,11 @@ proptest! {
 
     #[test]
     fn eight_dimensions_equal_the_textbook_filter(
-        parameters in parameters(MotionModel::ConstantVelocity),
+        parameters in parameters(MotionModel::ConstantSize),
         size in sizes(), first in boxes(), life in lives(60),
     ) {
         let model = FilterModel::new(&parameters, size);
-        let dense = DenseFilter::constant_velocity(&model, first);
+        let dense = DenseFilter::constant_size(&model, first);
         compare(dense, Filter::new(&model, first), &model, &life)?;
     }
 

@@ -5,7 +5,7 @@
 //! threshold `u`, any object's age reaches T_max, or the periodic cap is due; otherwise the predicted
 //! boxes are the answer.
 
-use super::ablation::Ablation;
+use super::Ablation;
 use super::albireo_settings::{AlbireoSettings, PeriodicCap};
 use super::reporting::Reporting;
 use super::{

@@ -1,11 +1,10 @@
 //! The `[policy]` section of the configuration, and the list of policies it can name.
 
-use super::ablation::Ablation;
 use super::albireo_flow::AlbireoFlow;
 use super::{
-    AdaptiveRate, AdaptiveRateSettings, Albireo, AlbireoSettings, Ctd, CtdSettings, ErdOnly,
-    ExpectedLoss, FixedSkip, FixedSkipSettings, FrameDrop, FrameDropSettings, InTracker, Policy,
-    Profile, Statues, StatuesSettings, Vanilla,
+    Ablation, AdaptiveRate, AdaptiveRateSettings, Albireo, AlbireoSettings, Ctd, CtdSettings,
+    ErdOnly, ExpectedLoss, FixedSkip, FixedSkipSettings, FrameDrop, FrameDropSettings, InTracker,
+    Policy, Profile, Statues, StatuesSettings, Vanilla,
 };
 use serde::{Deserialize, Serialize};
 
@@ -30,14 +29,19 @@ pub struct PolicyConfig {
     /// has the parts they are about.
     pub albireo: Table,
     /// Settings of `fixed-skip`.
+    #[serde(skip_serializing_if = "is_default")]
     pub fixed_skip: FixedSkipSettings,
     /// Settings of `ctd`.
+    #[serde(skip_serializing_if = "is_default")]
     pub ctd: CtdSettings,
     /// Settings of `statues`.
+    #[serde(skip_serializing_if = "is_default")]
     pub statues: StatuesSettings,
     /// Settings of `adaptive-rate`.
+    #[serde(skip_serializing_if = "is_default")]
     pub adaptive_rate: AdaptiveRateSettings,
     /// Settings of `frame-drop`.
+    #[serde(skip_serializing_if = "is_default")]
     pub frame_drop: FrameDropSettings,
     /// Single settings of `expected-loss`, and of the schedules that share its objects, that differ from
     /// the default: the fields of [`ExpectedLossSettings`](super::ExpectedLossSettings), as deep as it
@@ -45,6 +49,11 @@ pub struct PolicyConfig {
     pub expected_loss: Table,
     /// The schedules of `fixed-skip-in-tracker` and `even-skip-in-tracker`.
     pub in_tracker: InTracker,
+}
+
+/// The tables of baselines are written only where they say something: a configuration does not show them.
+fn is_default<T: Default + PartialEq>(settings: &T) -> bool {
+    *settings == T::default()
 }
 
 impl Default for PolicyConfig {

@@ -6,10 +6,9 @@ use super::target::Target;
 use crate::against_detector::{ComparedFrame, against_detector};
 use crate::energy_model::EnergyModel;
 use crate::run;
-use crate::source::{ClipEvidence, ScreenRule, SourceError, StoredEvidence};
+use crate::source::{ScreenRule, SourceError};
 use albireo_core::detection::Detection;
-use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{FrameState, GreyPicture, Need, PolicyConfig, PolicyConfigError};
+use albireo_core::policy::{FrameState, PolicyConfig, PolicyConfigError};
 use serde::Serialize;
 
 /// Blocks that a recording is cut into, if it is long enough.
@@ -377,16 +376,7 @@ pub(super) fn try_out(
             clip: recording.clip.name.clone(),
             source,
         };
-        let stored = StoredEvidence::new(&recording.clip, &settings).map_err(failed)?;
-        let compared = match screen {
-            Screen::None => {
-                against_detector(policy.as_mut(), &mut Unscreened(stored), &clip.detected)
-            }
-            Screen::Model => {
-                let mut stored = stored;
-                against_detector(policy.as_mut(), &mut stored, &clip.detected)
-            }
-        };
+        let compared = against_detector(policy.as_mut(), &recording.clip, &settings);
         // The rest of a clip, too short for a block of its own, belongs to its last one.
         let compared = compared.map_err(failed)?;
         let count = (compared.len() / length).max(1);
@@ -401,33 +391,4 @@ pub(super) fn try_out(
         blocks,
         screen,
     })
-}
-
-/// Evidence without a screen: who asks for it is told that there is none.
-struct Unscreened<'a>(StoredEvidence<'a>);
-
-impl ClipEvidence for Unscreened<'_> {
-    fn picture(&self) -> PictureSize {
-        self.0.picture()
-    }
-
-    fn frames(&self) -> usize {
-        self.0.frames()
-    }
-
-    fn detections(&mut self, frame: usize) -> Result<Option<&[Detection]>, SourceError> {
-        self.0.detections(frame)
-    }
-
-    fn screen_says_empty(&mut self, _: usize) -> Result<Option<bool>, SourceError> {
-        Ok(None)
-    }
-
-    fn grey_picture(
-        &mut self,
-        frame: usize,
-        need: Need,
-    ) -> Result<Option<GreyPicture<'_>>, SourceError> {
-        self.0.grey_picture(frame, need)
-    }
 }

@@ -221,6 +221,27 @@ proptest! {
     }
 }
 
+#[test]
+fn boxes_in_an_ignored_region_are_no_false_alarms_and_found_objects_there_count() {
+    let region = square(100.0, 0.0, 100.0);
+    let half_outside = square(60.0, 0.0, 80.0);
+    let mostly_outside = square(50.0, 0.0, 80.0);
+    let found = vec![
+        scored(square(120.0, 10.0, 20.0), 0.9),
+        scored(half_outside, 0.8),
+        scored(mostly_outside, 0.7),
+        scored(square(150.0, 50.0, 40.0), 0.6),
+        scored(square(400.0, 50.0, 40.0), 0.5),
+    ];
+    let truths = vec![vec![truth(square(150.0, 50.0, 40.0))], Vec::new()];
+    let later = vec![scored(square(120.0, 10.0, 20.0), 0.9)];
+    let judged = outside_ignored(&[found, later], &truths, &[vec![region]]);
+    let confidences = |frame: &[ScoredBox]| frame.iter().map(|b| b.confidence).collect::<Vec<_>>();
+    assert_eq!(confidences(&judged[0]), [0.7, 0.6, 0.5]);
+    // The region is the first frame's.
+    assert_eq!(confidences(&judged[1]), [0.9]);
+}
+
 /// `count` boxes, 20 a frame, each predicted a little off its place.
 fn spread_over_frames(count: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<TruthBox>>) {
     let place = |frame: usize, index: usize| {

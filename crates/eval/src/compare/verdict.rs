@@ -1,8 +1,7 @@
 //! What a comparison comes to: a sentence a policy, and what to try.
 
 use super::run::{Comparison, Run};
-use super::summary::{Basis, Figure, PolicySummary, Summary};
-use crate::recommendation::RECOMMENDATION;
+use super::summary::{Basis, Change, Figure, Mean, PolicySummary, Summary};
 use albireo_core::policy::short;
 use serde::Serialize;
 
@@ -24,9 +23,9 @@ pub struct Verdict {
     pub detector_calls_percent: Option<f64>,
     /// AP@50 of its boxes against those of the policy that looks at every frame, 0 to 1.
     pub ap50: Option<f64>,
-    /// Kilowatt-hours that a camera that films like this for a year saves; below zero it costs more. Absent without
-    /// energy of every run, and where the clip was not played at its own pace.
-    pub kwh_a_year: Option<f64>,
+    /// Kilowatt-hours that a camera whose year is like this clip saves; below zero it costs more. Absent without energy of
+    /// every run, without a second round to give it an interval, and where the clip was not played at its own pace.
+    pub kwh_a_year: Option<Mean>,
     /// What the energy is worth.
     pub energy: Basis,
     /// Whether it skipped a frame at all.
@@ -90,13 +89,18 @@ fn sentence(
         };
     }
     let mut parts = Vec::new();
-    if let Some(percent) = verdict.detector_calls_percent {
-        let word = if percent > 0.0 { "more" } else { "fewer" };
-        parts.push(format!(
-            "{:.0} % {word} detector calls than {}",
-            percent.abs(),
-            first.policy
-        ));
+    if let Some(calls) = policy.change(Figure::DetectorCalls) {
+        let than = &first.policy;
+        parts.push(if is_unclear(calls) {
+            format!(
+                "no difference in detector calls to {than} that {} rounds can tell",
+                summary.rounds
+            )
+        } else {
+            let word = if calls.percent > 0.0 { "more" } else { "fewer" };
+            let share = with_half(calls.percent.abs(), calls.half);
+            format!("{share} % {word} detector calls than {than}")
+        });
     }
     if let Some(ap50) = verdict.ap50 {
         let of = comparison.policies.get(comparison.boxes_of);
@@ -119,8 +123,7 @@ fn energy(summary: &Summary, policy: &PolicySummary, verdict: &Verdict) -> Optio
         Basis::Unavailable => return Some("energy not known".to_owned()),
     };
     let change = policy.change(Figure::Joules)?;
-    let unclear = change.half.is_some_and(|half| half >= change.percent.abs());
-    if unclear {
+    if is_unclear(change) {
         return Some(format!(
             "no difference in energy that {} rounds can tell ({basis})",
             summary.rounds
@@ -129,27 +132,45 @@ fn energy(summary: &Summary, policy: &PolicySummary, verdict: &Verdict) -> Optio
     let word = |value: f64| if value < 0.0 { "more" } else { "saved" };
     Some(match verdict.kwh_a_year {
         Some(kwh) => format!(
-            "about {} kWh a year and camera {} ({basis})",
-            two_digits(kwh.abs()),
-            word(kwh)
+            "{} kWh for a year like this clip {} ({basis})",
+            with_half(kwh.mean.abs(), kwh.half),
+            word(kwh.mean)
         ),
         None => format!(
-            "{:.0} % of the energy {} ({basis})",
-            change.percent.abs(),
+            "{} % of the energy {} ({basis})",
+            with_half(change.percent.abs(), change.half),
             word(-change.percent)
         ),
     })
 }
 
-/// The difference of mean power over a year, where the clip was played at its own pace.
-fn kwh_a_year(comparison: &Comparison, variant: usize) -> Option<f64> {
+/// Whether the interval of a change contains none.
+fn is_unclear(change: Change) -> bool {
+    change.half.is_some_and(|half| half >= change.percent.abs())
+}
+
+/// `25 ± 3`: half of the 95 % interval with two digits at most, and the value with as many decimals.
+fn with_half(value: f64, half: Option<f64>) -> String {
+    match half.filter(|half| *half > 1e-9) {
+        None => format!("{value:.0}"),
+        Some(half) => {
+            let decimals = usize::from(half < 1.0);
+            format!("{value:.decimals$} ± {half:.decimals$}")
+        }
+    }
+}
+
+/// The difference of mean power over a year, round by round, where the clip was played at its own pace.
+fn kwh_a_year(comparison: &Comparison, variant: usize) -> Option<Mean> {
     (comparison.playing.played_rate == Some(comparison.playing.rate)).then_some(())?;
-    let watts = |variant: usize| -> Option<f64> {
+    let watts = |variant: usize| -> Option<Vec<f64>> {
         let runs = comparison.runs.iter().filter(|run| run.variant == variant);
-        let watts: Option<Vec<f64>> = runs.map(mean_watts).collect();
-        crate::statistics::mean(watts?)
+        runs.map(mean_watts).collect()
     };
-    Some((watts(0)? - watts(variant)?) * YEAR_S / KWH)
+    let saved: Vec<f64> = (watts(0)?.iter().zip(watts(variant)?))
+        .map(|(first, own)| (first - own) * YEAR_S / KWH)
+        .collect();
+    Mean::of(&saved).filter(|mean| mean.half.is_some())
 }
 
 fn mean_watts(run: &Run) -> Option<f64> {
@@ -158,17 +179,7 @@ fn mean_watts(run: &Run) -> Option<f64> {
     (seconds > 0.0).then(|| joules / seconds)
 }
 
-/// A figure with two significant digits, as a person says it: `41`, `3.4`, `120`.
-fn two_digits(value: f64) -> String {
-    let rounded: f64 = format!("{value:.1e}").parse().unwrap_or(value);
-    if rounded >= 10.0 {
-        format!("{rounded:.0}")
-    } else {
-        short(rounded)
-    }
-}
-
-/// The verdicts as paragraphs, with which of them to take.
+/// The verdicts as paragraphs, with which of them calls least.
 pub(super) fn paragraphs(comparison: &Comparison, summary: &Summary) -> Vec<String> {
     let verdicts = verdicts(comparison, summary);
     let mut paragraphs: Vec<String> = verdicts
@@ -176,16 +187,6 @@ pub(super) fn paragraphs(comparison: &Comparison, summary: &Summary) -> Vec<Stri
         .map(|verdict| verdict.sentence.clone())
         .collect();
     paragraphs.extend(choice(&verdicts));
-    if paragraphs.is_empty() {
-        return paragraphs;
-    }
-    let offered = |name: &str| {
-        let mut policies = comparison.policies.iter();
-        policies.any(|policy| policy.split(' ').next() == Some(name))
-    };
-    if offered("albireo") || offered("expected-loss") {
-        paragraphs.push(RECOMMENDATION.join(" "));
-    }
     paragraphs
 }
 
@@ -247,10 +248,9 @@ mod tests {
         assert_eq!(
             told[0],
             "expected-loss lambda=0.3: 61 % fewer detector calls than vanilla, AP@50 96.8 % against the boxes of \
-             vanilla, about 18 kWh a year and camera saved (measured by `rapl`)."
+             vanilla, 18 ± 2 kWh for a year like this clip saved (measured by `rapl`)."
         );
         assert!(told[1].contains("calls the detector least"), "{told:?}");
-        assert_eq!(told[2], RECOMMENDATION.join(" "));
     }
 
     #[test]
@@ -288,5 +288,28 @@ mod tests {
         comparison.playing.played_rate = None;
         let told = paragraphs(&comparison, &summarise(&comparison));
         assert!(told[0].contains("25 % of the energy saved"), "{told:?}");
+    }
+
+    #[test]
+    fn one_round_has_no_interval_and_so_no_sum_of_a_year() {
+        let runs = vec![run(0, 0, 100, Some(80.0)), run(0, 1, 40, Some(60.0))];
+        let comparison = comparison(&["vanilla", "albireo u=5e-4"], runs);
+        let told = paragraphs(&comparison, &summarise(&comparison));
+        assert!(told[0].contains("25 % of the energy saved"), "{told:?}");
+        assert!(!told[0].contains("year"), "{told:?}");
+    }
+
+    #[test]
+    fn calls_whose_rounds_disagree_are_no_difference() {
+        let calls = [(100, 20), (100, 95), (100, 85)];
+        let runs = calls.iter().enumerate().flat_map(|(round, &(first, own))| {
+            [run(round, 0, first, None), run(round, 1, own, None)]
+        });
+        let comparison = comparison(&["vanilla", "albireo u=5e-4"], runs.collect());
+        let told = paragraphs(&comparison, &summarise(&comparison));
+        assert!(
+            told[0].contains("no difference in detector calls to vanilla that 3 rounds can tell"),
+            "{told:?}"
+        );
     }
 }

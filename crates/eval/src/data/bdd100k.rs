@@ -132,6 +132,7 @@ pub fn read(source: &Source<'_>) -> Result<Clips, DataError> {
             }),
             screen: None,
             pictures: Vec::new(),
+            ignored: Vec::new(),
         });
     }
     let place = source.truth.or(source.detections).unwrap_or(Path::new("."));

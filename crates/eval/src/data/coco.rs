@@ -242,6 +242,7 @@ fn frames(
             truth: has_truth.then(|| vec![Vec::new(); images.len()]),
             screen: None,
             pictures: Vec::new(),
+            ignored: Vec::new(),
         });
     }
     Ok((clips, places))

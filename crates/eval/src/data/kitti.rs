@@ -64,12 +64,16 @@ fn read_sequence(
         .and_then(|first| png_size(first))
         .unwrap_or(USUAL_SIZE);
     let mut truth: Vec<Vec<TruthBox>> = vec![Vec::new(); pictures.len()];
+    let mut ignored = Vec::new();
     let known = (!pictures.is_empty()).then_some(pictures.len());
     let text = read_text(labels, "it was there a moment ago")?;
     space_separated(labels, &text, |row| {
         let frame = row.frame(0, 0, known.unwrap_or(MOST_FRAMES))?;
         grow(&mut truth, frame);
-        if let Some((corners, class)) = judged_box(row, picture, report)? {
+        if row.text(2, "type")? == "DontCare" {
+            ignored.resize(truth.len(), Vec::new());
+            ignored[frame].push(corners(row)?);
+        } else if let Some((corners, class)) = judged_box(row, picture, report)? {
             truth[frame].push(TruthBox {
                 corners,
                 class,
@@ -115,6 +119,7 @@ fn read_sequence(
         truth: Some(truth),
         screen: None,
         pictures,
+        ignored,
     })
 }
 
@@ -131,12 +136,7 @@ fn judged_box(
     report: &mut LoadReport,
 ) -> Result<Option<(Corners, ClassId)>, DataError> {
     let kind = row.text(2, "type")?;
-    let corners = Corners {
-        x1: row.number(6, "x1")?,
-        y1: row.number(7, "y1")?,
-        x2: row.number(8, "x2")?,
-        y2: row.number(9, "y2")?,
-    };
+    let corners = corners(row)?;
     match from_kitti(kind) {
         Meaning::Ignored => report.leave_out(LeftOut::IgnoredRegion, || row.place()),
         Meaning::Unmapped => report.leave_out_class(kind, || row.place()),
@@ -146,4 +146,13 @@ fn judged_box(
         },
     }
     Ok(None)
+}
+
+fn corners(row: &Row<'_>) -> Result<Corners, DataError> {
+    Ok(Corners {
+        x1: row.number(6, "x1")?,
+        y1: row.number(7, "y1")?,
+        x2: row.number(8, "x2")?,
+        y2: row.number(9, "y2")?,
+    })
 }

@@ -68,6 +68,7 @@ fn read_sequence(folder: &Path, report: &mut LoadReport) -> Result<Clip, DataErr
         truth,
         screen: None,
         pictures: pictures_in(&folder.join(info.pictures)),
+        ignored: Vec::new(),
     })
 }
 

@@ -4,6 +4,7 @@
 //!   further keys are passed over,
 //! - `detections/<name>.csv`: `frame,x1,y1,x2,y2,score,class`, required for each sequence,
 //! - `groundtruth/<name>.csv`: `frame,x1,y1,x2,y2,class,object_id`, optional,
+//! - `ignore/<name>.csv`: `frame,x1,y1,x2,y2`, optional: regions whose objects the ground truth leaves out,
 //! - `screen/<name>.csv`: `frame,empty`, optional: what an empty-scene screen said of the pictures (1: nothing
 //!   is in view, 0: something is). A frame without a row is one of which it could not say.
 //!
@@ -21,6 +22,7 @@ use std::path::Path;
 
 const DETECTION_HEADER: &str = "frame,x1,y1,x2,y2,score,class";
 const TRUTH_HEADER: &str = "frame,x1,y1,x2,y2,class,object_id";
+const IGNORED_HEADER: &str = "frame,x1,y1,x2,y2";
 
 #[derive(Serialize, Deserialize)]
 struct Index {
@@ -161,6 +163,17 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
     } else {
         None
     };
+    let path = folder.join("ignore").join(format!("{}.csv", entry.name));
+    let mut ignored = Vec::new();
+    if path.exists() {
+        let text = read_text(&path, "it was there a moment ago")?;
+        ignored.resize(entry.frames, Vec::new());
+        comma_separated(&path, &text, Some(IGNORED_HEADER), |row| {
+            let frame = columns(row, 5)?.frame(0, 0, entry.frames)?;
+            ignored[frame].push(corners(row)?);
+            Ok(())
+        })?;
+    }
     let screen = super::screen_verdicts::read(folder, &entry.name, entry.frames)?;
     Ok(Clip {
         name: entry.name,
@@ -172,6 +185,7 @@ fn read_sequence(folder: &Path, entry: Entry, report: &mut LoadReport) -> Result
         truth,
         screen,
         pictures: Vec::new(),
+        ignored,
     })
 }
 
@@ -254,6 +268,19 @@ pub fn write(folder: &Path, clips: &[Clip]) -> Result<(), DataError> {
             std::fs::write(&path, text).map_err(|error| failed(&path, error))?;
         } else if path.exists() {
             // Of an earlier run: it would be taken for this clip's.
+            std::fs::remove_file(&path).map_err(|error| failed(&path, error))?;
+        }
+        let path = folder.join("ignore").join(&file);
+        if !clip.ignored.is_empty() {
+            let mut text = format!("{IGNORED_HEADER}\n").into_bytes();
+            for (frame, regions) in clip.ignored.iter().enumerate() {
+                for b in regions {
+                    let _infallible = writeln!(text, "{frame},{},{},{},{}", b.x1, b.y1, b.x2, b.y2);
+                }
+            }
+            std::fs::create_dir_all(folder.join("ignore")).map_err(|error| failed(&path, error))?;
+            std::fs::write(&path, text).map_err(|error| failed(&path, error))?;
+        } else if path.exists() {
             std::fs::remove_file(&path).map_err(|error| failed(&path, error))?;
         }
         super::screen_verdicts::write(folder, clip)?;

@@ -53,6 +53,23 @@ fn what_is_written_is_read_back_to_the_last_bit() {
 }
 
 #[test]
+fn regions_that_are_not_judged_are_read_frame_by_frame_and_written_back() {
+    let files = folder(&[
+        ("sequences.json", INDEX),
+        ("detections/a.csv", HEADER),
+        ("ignore/a.csv", "frame,x1,y1,x2,y2\n1,0,0,50,20.5\n"),
+    ]);
+    let clips = recorded::read(files.path()).expect("it is readable");
+    let regions = &clips.clips[0].ignored;
+    assert_eq!(regions.iter().map(Vec::len).collect::<Vec<_>>(), [0, 1, 0]);
+    assert_eq!(regions[1][0].y2, 20.5);
+    let copy = tempfile::tempdir().expect("a temporary folder");
+    recorded::write(copy.path(), &clips.clips).expect("it can be written");
+    let again = recorded::read(copy.path()).expect("it is readable");
+    assert_eq!(again.clips, clips.clips);
+}
+
+#[test]
 fn a_missing_file_is_named_with_what_to_do() {
     let empty = tempfile::tempdir().expect("a temporary folder");
     let message = recorded::read(empty.path())
@@ -225,7 +242,9 @@ fn kitti_tracking_maps_its_types_and_counts_what_it_leaves_out() {
         clip.detections.as_ref().expect("some")[3][0].confidence,
         0.75
     );
-    assert_eq!(clips.report.left_out[&LeftOut::IgnoredRegion], 1);
+    let regions: Vec<_> = clip.ignored.iter().map(Vec::len).collect();
+    assert_eq!((regions[0], clip.ignored[0][0].x2), (1, 5.0));
+    assert!(regions[1..].iter().all(|&count| count == 0));
     assert_eq!(clips.report.unmapped_classes["Tram"], 1);
 }
 
@@ -355,6 +374,7 @@ fn clips_of_one_name_get_different_names_fit_for_files() {
             truth: None,
             screen: None,
             pictures: Vec::new(),
+            ignored: Vec::new(),
         });
     }
     let names: Vec<&str> = clips.clips.iter().map(|clip| clip.name.as_str()).collect();

@@ -168,6 +168,7 @@ pub fn collect(
             screen: observer.has_screen().then_some(verdicts),
             truth: None,
             pictures: Vec::new(),
+            ignored: Vec::new(),
         },
         grey,
         small,

@@ -160,6 +160,7 @@ fn a_policy_that_looks_at_pixels_is_refused_on_stored_detections_with_the_way_ou
         truth: None,
         screen: None,
         pictures: Vec::new(),
+        ignored: Vec::new(),
     };
     let mut source = StoredEvidence::new(&clip, &Settings::default()).expect("it has detections");
     let error = replay(&mut policy, &mut source, Scoring::Paper, 3e-4, false);

@@ -147,20 +147,14 @@ fn change(difference: Option<Difference>) -> Markup {
     html! { td class=(class) title=[hint] { (text) } }
 }
 
-/// The cells of both tests, where any policy has one: a single clip has none.
-fn tests(difference: Option<Difference>, shown: bool) -> Markup {
-    if !shown {
-        return Markup::default();
-    }
-    let t = difference.and_then(|difference| difference.t);
-    let wilcoxon = difference.and_then(|difference| difference.wilcoxon);
+/// The p-value, where any policy has one: a single clip has none.
+fn test(difference: Option<Difference>, shown: bool) -> Markup {
+    let p = difference.and_then(|difference| difference.t).map(|t| t.p);
     html! {
-        @for p in [t.map(|t| t.p), wilcoxon.map(|wilcoxon| wilcoxon.p)] {
-            @if p.is_some() {
-                td { (p_value(p)) }
-            } @else {
-                (no_figure())
-            }
+        @if shown && p.is_some() {
+            td { (p_value(p)) }
+        } @else if shown {
+            (no_figure())
         }
     }
 }
@@ -199,7 +193,7 @@ fn policies(summaries: &[PolicySummary]) -> Markup {
     let head = html! {
         th { "Policy" } th { "Skipped %" } th { "Detector calls" }
         @if told.accuracy { th { "AP@50" } th { "Δ pp" } }
-        @if told.tests { th { "p (t)" } th { "p (W)" } }
+        @if told.tests { th { "p" } }
         @if told.several { th { "Clips kept" } }
         @if told.accuracy { th { "mAP" } th { "Δ pp" } th { "Precision" } th { "Recall" } }
         @if let Some((_, kind)) = time {
@@ -238,7 +232,7 @@ fn policies(summaries: &[PolicySummary]) -> Markup {
                 @if without > 0 { "; " (without) " without ground truth are not in them" }
                 ". "
                 @if told.accuracy { "Δ against Vanilla, clip by clip. " }
-                @if told.tests { "p: paired t-test and Wilcoxon signed-rank test, two-sided. " }
+                @if told.tests { "p: paired t-test, two-sided. " }
                 @if told.several { "Clips kept: same or better AP@50. " }
                 "★ no other skips as much and is as accurate. Click a column's head to sort."
             }
@@ -262,7 +256,7 @@ impl Told {
             accuracy,
             tests: (summaries.iter())
                 .filter_map(ap50)
-                .any(|found| found.clips > 1 && (found.t.is_some() || found.wilcoxon.is_some())),
+                .any(|found| found.clips > 1 && found.t.is_some()),
             several: accuracy && summaries.iter().any(|summary| summary.clips > 1),
         }
     }
@@ -288,7 +282,7 @@ fn policy_cells(summary: &PolicySummary, told: Told) -> Markup {
             (cell(summary.ap50, 4))
             (change(ap50))
         }
-        (tests(ap50, told.tests))
+        (test(ap50, told.tests))
         @if told.several {
             td { (kept.as_deref().unwrap_or("–")) }
         }

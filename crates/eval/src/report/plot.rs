@@ -49,27 +49,6 @@ enum Content {
 }
 
 impl Figure {
-    /// Accuracy against cost, with the labels of the horizontal and the vertical axis.
-    pub(crate) fn tradeoff(
-        name: &'static str,
-        title: String,
-        caption: String,
-        [x_label, y_label]: [&str; 2],
-        points: Vec<Point>,
-    ) -> Self {
-        Self {
-            name,
-            title,
-            caption,
-            size: (760, 520),
-            content: Content::Tradeoff(Tradeoff {
-                x_label: x_label.to_owned(),
-                y_label: y_label.to_owned(),
-                points,
-            }),
-        }
-    }
-
     /// The figure as an SVG document.
     ///
     /// # Errors

@@ -48,6 +48,7 @@ fn recording(name: &str, speed: f64, frames: usize) -> Recording {
         screen: None,
         truth: None,
         pictures: Vec::new(),
+        ignored: Vec::new(),
     })
 }
 

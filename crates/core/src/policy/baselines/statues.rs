@@ -12,13 +12,13 @@
 //! lost or its picture could not be had, the last picture there was takes its place.
 
 use super::changed_region::ChangedRegion;
-use super::detector_boxes::DetectorBoxes;
-use super::tracker::check_setting;
-use super::{
+use crate::geometry::PictureSize;
+use crate::policy::detector_boxes::DetectorBoxes;
+use crate::policy::tracker::check_setting;
+use crate::policy::{
     CallCause, Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, Outcome,
     Policy, PolicyConfig, PolicyConfigError,
 };
-use crate::geometry::PictureSize;
 use serde::{Deserialize, Serialize};
 
 /// The settings of the policy.
@@ -81,7 +81,9 @@ impl Statues {
         useful_maximum: 10_000.0,
     };
 
-    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    pub(in crate::policy) fn from_config(
+        config: &PolicyConfig,
+    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
         let settings = config.statues;
         check_setting(Self::NAME, Self::KNOB, settings.component_size)?;
         if settings.pixel_difference == 0 {

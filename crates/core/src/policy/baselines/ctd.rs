@@ -10,12 +10,12 @@
 //! An object that a detector frame misses lives on, with its predicted box, as in DeepSORT; its frames
 //! are `I` all the same, for this is no rescue that the policy decided on.
 
-use super::tracker::{Tracker, check_setting};
-use super::{
+use crate::objects::{Missed, ObjectState};
+use crate::policy::tracker::{Tracker, check_setting};
+use crate::policy::{
     CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
     Policy, PolicyConfig, PolicyConfigError,
 };
-use crate::objects::{Missed, ObjectState};
 use serde::{Deserialize, Serialize};
 
 /// The settings of the policy. Those but the threshold are the published code's.
@@ -78,7 +78,9 @@ impl Ctd {
         useful_maximum: 0.99,
     };
 
-    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    pub(in crate::policy) fn from_config(
+        config: &PolicyConfig,
+    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
         let settings = config.ctd;
         let threshold = check_setting(Self::NAME, Self::KNOB, settings.threshold)?;
         Ok(Box::new(Self {

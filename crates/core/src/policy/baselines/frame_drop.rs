@@ -20,13 +20,13 @@
 //! lives through two misses, with its predicted box.
 
 use super::changed_region::ChangedRegion;
-use super::tracker::{Tracker, check_setting};
-use super::{
+use crate::geometry::{BoundingBox, PictureSize};
+use crate::objects::{Missed, ObjectState};
+use crate::policy::tracker::{Tracker, check_setting};
+use crate::policy::{
     CallCause, Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, ObjectRecord,
     Outcome, Policy, PolicyConfig, PolicyConfigError,
 };
-use crate::geometry::{BoundingBox, PictureSize};
-use crate::objects::{Missed, ObjectState};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -109,7 +109,9 @@ impl FrameDrop {
         useful_maximum: 30.0,
     };
 
-    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    pub(in crate::policy) fn from_config(
+        config: &PolicyConfig,
+    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
         Ok(Box::new(Self::new(config, None)?))
     }
 

@@ -17,14 +17,14 @@
 //! the other baselines have, for a frame without an answer would lose against every one of them. An object that the
 //! detector misses is gone at once, as SORT, which the paper builds on, does by default.
 
-use super::tracker::{Tracker, check_ranges, check_setting};
-use super::{
-    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
-    Policy, PolicyConfig, PolicyConfigError,
-};
 use crate::detection::{Detection, ObjectId};
 use crate::geometry::BoundingBox;
 use crate::objects::Missed;
+use crate::policy::tracker::{Tracker, check_ranges, check_setting};
+use crate::policy::{
+    CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, ObjectRecord, Outcome,
+    Policy, PolicyConfig, PolicyConfigError,
+};
 use serde::{Deserialize, Serialize};
 
 /// The settings of the policy.
@@ -97,7 +97,9 @@ impl AdaptiveRate {
         useful_maximum: 3.0,
     };
 
-    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    pub(in crate::policy) fn from_config(
+        config: &PolicyConfig,
+    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
         let settings = config.adaptive_rate;
         let table = "adaptive_rate";
         check_setting(table, Self::KNOB, settings.drift)?;

@@ -1,8 +1,8 @@
 //! The empty-scene screen on every frame, and the detector on all that it does not call empty (paper,
 //! baseline ERD-only).
 
-use super::detector_boxes::DetectorBoxes;
-use super::{
+use crate::policy::detector_boxes::DetectorBoxes;
+use crate::policy::{
     CallCause, Evidence, FrameHead, FrameState, Knob, KnobError, Need, Outcome, Policy,
     PolicyConfig, PolicyConfigError,
 };
@@ -31,7 +31,9 @@ impl ErdOnly {
     /// The name in configuration and reports.
     pub(crate) const NAME: &'static str = "erd-only";
 
-    pub(super) fn from_config(_: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
+    pub(in crate::policy) fn from_config(
+        _: &PolicyConfig,
+    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
         Ok(Box::new(Self::default()))
     }
 }

@@ -1,0 +1,16 @@
+//! The policies that the paper compares with, its ablations, and two after other papers: nobody needs them on a camera.
+
+mod ablation;
+mod adaptive_rate;
+mod changed_region;
+mod ctd;
+mod erd_only;
+mod frame_drop;
+mod statues;
+
+pub(crate) use ablation::Ablation;
+pub use adaptive_rate::{AdaptiveRate, AdaptiveRateSettings};
+pub use ctd::{Ctd, CtdSettings};
+pub(crate) use erd_only::ErdOnly;
+pub use frame_drop::{FrameDrop, FrameDropSettings};
+pub use statues::{Statues, StatuesSettings};

@@ -1,0 +1,256 @@
+//! Prints the tables of docs/expected-loss.md: every policy beside `expected-loss` at the same mean skip rate.
+//!
+//! `cargo run --release -p albireo-eval --example equal_skip -- DIR [--half-rate] [--confidence 0.5]`
+#![allow(clippy::print_stdout)]
+
+use albireo_core::policy::Profile;
+use albireo_eval::average_precision::Accuracy;
+use albireo_eval::data::{Clip, recorded};
+use albireo_eval::result::ClipResult;
+use albireo_eval::run::{Settings, run_stored};
+use albireo_eval::source::ScreenRule;
+use albireo_eval::spec::{BASELINE, Common, resolve};
+use albireo_eval::summary::Difference;
+use clap::Parser;
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+type Outcome<T> = Result<T, Box<dyn Error>>;
+
+/// Skip rates at which evenly spaced calls are compared.
+const SKIP_RATES: [f64; 9] = [0.10, 0.24, 0.38, 0.50, 0.60, 0.65, 0.67, 0.75, 0.80];
+
+/// Policies that are compared at their own skip rates.
+const POLICIES: [&str; 17] = [
+    "albireo:3e-4",
+    "albireo:5e-4",
+    "albireo:7e-4",
+    "albireo:1e-3",
+    "fixed-skip:2",
+    "fixed-skip:3",
+    "fixed-skip:5",
+    "ctd:0.9",
+    "ctd:0.7",
+    "ctd:0.5",
+    "ctd:0.3",
+    "adaptive-rate:0.2",
+    "adaptive-rate:0.4",
+    "adaptive-rate:0.6",
+    "kill-only:3e-4",
+    "kill+erd:3e-4",
+    "kill+erd-10d:3e-4",
+];
+
+#[derive(Parser)]
+struct Arguments {
+    /// A folder with sequences.json, detections/ and groundtruth/.
+    folder: PathBuf,
+    /// Use every second frame, as if the camera were half as fast.
+    #[arg(long)]
+    half_rate: bool,
+    /// Detections below this are not shown to the policies.
+    #[arg(long, default_value_t = 0.5)]
+    confidence: f64,
+}
+
+/// Recordings at one confidence.
+pub struct Recordings {
+    clips: Vec<Clip>,
+    settings: Settings,
+}
+
+/// A policy with one value of its threshold on all clips, in their order.
+pub struct Point {
+    value: f64,
+    clips: Vec<ClipResult>,
+}
+
+impl Point {
+    /// The mean share of frames without the detector.
+    pub fn skip_rate(&self) -> f64 {
+        mean(&self.clips, ClipResult::skip_rate)
+    }
+
+    /// The mean of a figure over the clips.
+    pub fn mean(&self, figure: fn(&Accuracy) -> f64) -> f64 {
+        mean(&self.clips, |clip| {
+            clip.accuracy.as_ref().map_or(f64::NAN, figure)
+        })
+    }
+
+    fn minus(&self, other: &Self, figure: fn(&Accuracy) -> f64) -> Vec<f64> {
+        let of = |clip: &ClipResult| clip.accuracy.as_ref().map_or(f64::NAN, figure);
+        let pairs = self.clips.iter().zip(&other.clips);
+        pairs.map(|(own, other)| of(own) - of(other)).collect()
+    }
+}
+
+fn mean(clips: &[ClipResult], figure: impl Fn(&ClipResult) -> f64) -> f64 {
+    clips.iter().map(figure).sum::<f64>() / clips.len() as f64
+}
+
+impl Recordings {
+    /// The clips of `folder` with a box of ground truth.
+    ///
+    /// # Errors
+    /// What is wrong with the folder.
+    pub fn read(folder: &Path, half_rate: bool, confidence: f64) -> Outcome<Self> {
+        let mut clips = recorded::read(folder)?.only_with_detections(folder)?.clips;
+        clips.retain(|clip| clip.truth.iter().flatten().any(|truth| !truth.is_empty()));
+        if half_rate {
+            for clip in &mut clips {
+                clip.detections = clip.detections.take().map(every_second);
+                clip.truth = clip.truth.take().map(every_second);
+                clip.ignored = every_second(std::mem::take(&mut clip.ignored));
+                clip.frames = clip.frames.div_ceil(2);
+            }
+        }
+        let settings = Settings {
+            confidence,
+            ..Settings::default()
+        };
+        Ok(Self { clips, settings })
+    }
+
+    /// How many clips there are.
+    pub fn len(&self) -> usize {
+        self.clips.len()
+    }
+
+    /// Runs `NAME[:SETTING]`.
+    ///
+    /// # Errors
+    /// When there is no such policy or setting, or it fails.
+    pub fn run(&self, policy: &str) -> Outcome<Point> {
+        self.run_over(&self.clips, policy)
+    }
+
+    fn run_over(&self, clips: &[Clip], policy: &str) -> Outcome<Point> {
+        let common = Common {
+            profile: Profile::Paper,
+            u: 3e-4,
+            screen: Some(ScreenRule::Nonempty),
+            pixels: false,
+        };
+        let spec = resolve(&[policy.to_owned()], &[], &common)?.pop();
+        let spec = spec.ok_or("there is no policy")?;
+        let value = spec.config.build()?.knob_value().unwrap_or_default();
+        let clips = run_stored(clips, &[spec], &self.settings, &|| ())?;
+        Ok(Point { value, clips })
+    }
+
+    /// The policy `name` with its threshold where the mean skip rate is nearest to `wanted`, found by bisection.
+    ///
+    /// # Errors
+    /// When there is no such policy, it has no threshold, or it fails.
+    pub fn at_skip_rate(&self, name: &str, wanted: f64) -> Outcome<Point> {
+        // Average precision is not needed to find the place.
+        let mut unjudged = self.clips.clone();
+        unjudged.iter_mut().for_each(|clip| clip.truth = None);
+        let mut config = albireo_core::policy::PolicyConfig::default();
+        config.select(name)?;
+        let knob = config.build()?.knob().ok_or("it has no threshold")?;
+        // Half a frame.
+        let frames: usize = self.clips.iter().map(|clip| clip.frames).sum();
+        let near = 2e-4f64.max(0.5 / frames as f64);
+        // On the square root: fine where the threshold is small, and zero can be reached.
+        let (mut low, mut high) = (knob.minimum.sqrt(), knob.maximum.sqrt());
+        let mut best = (f64::INFINITY, String::new());
+        for _ in 0..18 {
+            let middle: f64 = (low + high) / 2.0;
+            let value = (middle * middle).clamp(knob.minimum, knob.maximum);
+            let policy = format!("{name}:{value:e}");
+            let reached = self.run_over(&unjudged, &policy)?.skip_rate();
+            if (reached - wanted).abs() < best.0 {
+                best = ((reached - wanted).abs(), policy);
+            }
+            if best.0 <= near {
+                break;
+            }
+            if reached < wanted {
+                low = middle;
+            } else {
+                high = middle;
+            }
+        }
+        self.run(&best.1)
+    }
+}
+
+fn every_second<T>(frames: Vec<T>) -> Vec<T> {
+    frames.into_iter().step_by(2).collect()
+}
+
+fn main() -> Outcome<()> {
+    let arguments = Arguments::parse();
+    let recordings =
+        Recordings::read(&arguments.folder, arguments.half_rate, arguments.confidence)?;
+    println!(
+        "{} clips, detections >= {}{}\n",
+        recordings.len(),
+        arguments.confidence,
+        if arguments.half_rate {
+            ", every second frame"
+        } else {
+            ""
+        }
+    );
+    for policy in [BASELINE, "expected-loss:0"] {
+        let point = recordings.run(policy)?;
+        println!(
+            "- {policy}: AP@50 {:.3}, AP@75 {:.3}, mAP {:.3}, F1@50 {:.3}",
+            point.mean(|found| found.ap50),
+            point.mean(|found| found.ap75),
+            point.mean(|found| found.map),
+            point.mean(|found| found.f1_50),
+        );
+    }
+    println!(
+        "\n| policy | skip | AP@50 | λ | AP@50 | Δ AP@50 | Δ AP@75 | Δ mAP | Δ F1@50 | worse |"
+    );
+    println!("| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |");
+    let even = SKIP_RATES.map(|rate| recordings.at_skip_rate("even-skip-in-tracker", rate));
+    for (other, name) in even.into_iter().zip(std::iter::repeat("even calls")) {
+        row(&recordings, name, &other?)?;
+    }
+    for policy in POLICIES {
+        row(&recordings, policy, &recordings.run(policy)?)?;
+    }
+    Ok(())
+}
+
+fn row(recordings: &Recordings, name: &str, other: &Point) -> Outcome<()> {
+    let ours = recordings.at_skip_rate("expected-loss", other.skip_rate())?;
+    let figures: [fn(&Accuracy) -> f64; 4] = [
+        |found| found.ap50,
+        |found| found.ap75,
+        |found| found.map,
+        |found| found.f1_50,
+    ];
+    print!(
+        "| {name} | {:.3} | {:.3} | {:.3} | {:.3} |",
+        other.skip_rate(),
+        other.mean(figures[0]),
+        ours.value,
+        ours.mean(figures[0])
+    );
+    for figure in figures {
+        let difference = Difference::of(&ours.minus(other, figure));
+        let t = difference.and_then(|found| found.t);
+        match t {
+            Some(t) => print!(
+                " {:+.1} [{:+.1}, {:+.1}] |",
+                100.0 * t.mean,
+                100.0 * t.lower,
+                100.0 * t.upper
+            ),
+            None => print!(" |"),
+        }
+    }
+    let worse = ours.minus(other, figures[0]);
+    println!(
+        " {} |",
+        worse.iter().filter(|change| **change < 0.0).count()
+    );
+    Ok(())
+}
