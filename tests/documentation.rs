@@ -555,7 +555,7 @@ async fn the_commands_of_the_pages_run_in_their_order() {
             }
             let said = run_line(folder.path(), &line, &[]).await;
             if line.starts_with("albireo compare ") {
-                assert!(said.contains("detector calls than vanilla"), "{said}");
+                assert!(said.contains("against the boxes of vanilla"), "{said}");
             }
             ran += 1;
         }

@@ -65,7 +65,7 @@ fn shared_expected_loss_reaches_its_figures_at_half_the_frame_rate() {
 fn shared_expected_loss_is_as_accurate_as_vanilla_while_skipping_two_frames_of_three() {
     let clips = recordings(false, 0.5);
     let vanilla = ap50(&clips.run("vanilla").expect("it runs"));
-    assert!((vanilla - 0.702).abs() < 1e-3, "{}", vanilla);
+    assert!((vanilla - 0.711).abs() < 1e-3, "{}", vanilla);
     assert!(accuracy(&clips, 0.65) >= vanilla);
 }
 
@@ -76,6 +76,6 @@ fn shared_expected_loss_is_as_accurate_as_vanilla_while_skipping_two_frames_of_t
 fn shared_unsure_detections_pay_more_than_vanilla_with_the_same() {
     let clips = recordings(false, 0.1);
     let vanilla = ap50(&clips.run("vanilla").expect("it runs"));
-    assert!((vanilla - 0.753).abs() < 1e-3, "{}", vanilla);
+    assert!((vanilla - 0.765).abs() < 1e-3, "{}", vanilla);
     assert!(accuracy(&clips, 0.55) >= vanilla);
 }

@@ -19,7 +19,7 @@ const KEPT_AP50: f64 = 0.95;
 pub struct Verdict {
     /// Its label.
     pub policy: String,
-    /// Detector calls against the first policy, percent; below zero is fewer.
+    /// Detector calls against the first policy, percent; below zero is fewer. Absent where the rounds cannot tell.
     pub detector_calls_percent: Option<f64>,
     /// AP@50 of its boxes against those of the policy that looks at every frame, 0 to 1.
     pub ap50: Option<f64>,
@@ -56,7 +56,9 @@ fn verdict(
     let calls = policy.change(Figure::DetectorCalls);
     let mut verdict = Verdict {
         policy: policy.policy.clone(),
-        detector_calls_percent: calls.map(|change| change.percent),
+        detector_calls_percent: calls
+            .filter(|change| !is_unclear(*change))
+            .map(|change| change.percent),
         ap50: policy.mean(Figure::Ap50).map(|mean| mean.mean),
         kwh_a_year: kwh_a_year(comparison, variant),
         energy: summary.energy.clone(),
