@@ -31,8 +31,9 @@ Examples:
   albireo fleet set-target skip_rate=0.5 --select region=north    a target in the place of a value
   albireo fleet set-target off --select region=north
   albireo fleet rollout start 5e-4 --select all --stages 1,10%,50%,100% --soak 30m --gate 'joules<=+5%'
-  albireo fleet rollout show 3 --follow              until it is done, held or back
+  albireo fleet rollout show --follow                until it is done, held or back
   albireo fleet trial start 1e-4 3e-4 1e-3 --select region=north --for 2h
+  albireo fleet forget car-7                         a node that was scrapped
   albireo fleet energy --since 7d --by node
   albireo fleet diag                                 an archive for whoever looks for a fault
   albireo fleet changes --node cam-7                 who set what, when, why, and what came of it
@@ -67,6 +68,12 @@ enum Command {
     Ls(nodes::ListArguments),
     /// One node.
     Show(nodes::ShowArguments),
+    /// Forget nodes that are gone; their clips and history stay.
+    Forget {
+        /// Their names.
+        #[arg(required = true)]
+        nodes: Vec<String>,
+    },
     /// Set the uncertainty threshold u (or another knob) of selected nodes.
     SetU(set::Arguments),
     /// Let selected nodes hold a target in the place of a threshold.
@@ -159,6 +166,7 @@ async fn follow(arguments: Arguments) -> Result<Ended, Failure> {
     match arguments.command {
         Command::Ls(arguments) => nodes::list(&context, arguments).await,
         Command::Show(arguments) => nodes::show(&context, arguments).await,
+        Command::Forget { nodes } => nodes::forget(&context, &nodes).await,
         Command::SetU(arguments) => set::set(&context, arguments).await,
         Command::SetTarget(arguments) => set::set_target(&context, arguments).await,
         Command::Changes(arguments) => set::changes(&context, arguments).await,

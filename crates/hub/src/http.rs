@@ -220,7 +220,7 @@ fn described() -> OpenApiRouter<HubView> {
         .routes(routes!(http::caller))
         .routes(routes!(metrics::text))
         .routes(routes!(nodes::list))
-        .routes(routes!(nodes::one))
+        .routes(routes!(nodes::one, nodes::forget))
         .routes(routes!(live::live))
         .routes(routes!(live::picture))
         .routes(routes!(page_rows::rows))

@@ -71,7 +71,7 @@ pub async fn run(
     let http = albireo_service::http::run_with_tokens(
         &config.http,
         &config.tokens,
-        &[Method::GET, Method::PUT, Method::POST],
+        &[Method::GET, Method::PUT, Method::POST, Method::DELETE],
         http::router(view.clone()),
         listener,
         serving.clone(),

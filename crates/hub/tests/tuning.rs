@@ -240,6 +240,70 @@ async fn a_hub_with_an_empty_database_is_obeyed_by_nodes_that_had_orders_before(
     hub.stop().await;
 }
 
+async fn a_gone_node_is_forgotten(database: &str) {
+    let mut config = config(database);
+    config.presence.silent_after_s = 2.0;
+    config.presence.offline_after_s = 4.0;
+    let hub = Hub::start(config).await;
+    let played = Played::begin(&hub, fleet(2)).await;
+    let (_, answer) = put(&hub, json!({"u": 1e-4, "select": ["all"]})).await;
+    assert_eq!(answer["counts"], json!({"applied": 2}), "{answer}");
+    let forget = async |hub: &Hub, node: &str| {
+        let url = format!("{}/api/v1/nodes/{node}", hub.http);
+        let answer = reqwest::Client::new().delete(url).send().await.unwrap();
+        answer.status()
+    };
+    // One that is heard would be back at once.
+    assert_eq!(forget(&hub, "sim-000001").await, StatusCode::CONFLICT);
+    played.end().await;
+    hub.until("/api/v1/nodes", |nodes| {
+        nodes["counts"]["online"] == 0 && nodes["counts"]["degraded"] == 0
+    })
+    .await;
+    // Ordered while it is away: dropped with it.
+    let (_, answer) = put(
+        &hub,
+        json!({"u": 5e-4, "select": ["sim-000001"], "wait_s": 0}),
+    )
+    .await;
+    let change = answer["revision"].as_u64().unwrap();
+    assert_eq!(forget(&hub, "sim-000001").await, StatusCode::NO_CONTENT);
+    assert_eq!(forget(&hub, "sim-000001").await, StatusCode::NOT_FOUND);
+    let names = |nodes: &Value| -> Vec<String> {
+        let nodes = nodes["nodes"].as_array().unwrap().iter();
+        nodes
+            .map(|node| node["node"].as_str().unwrap().to_owned())
+            .collect()
+    };
+    assert_eq!(names(&hub.get("/api/v1/nodes").await), ["sim-000000"]);
+    let change = hub.get(&format!("/api/v1/changes/{change}")).await;
+    assert_eq!(change["nodes"][0]["outcome"], "missed", "{change}");
+
+    // It stays forgotten over a restart, and is a new node when it comes back: nothing is desired of it.
+    let again = hub.config.clone();
+    hub.stop().await;
+    let hub = Hub::start(again).await;
+    assert_eq!(names(&hub.get("/api/v1/nodes").await), ["sim-000000"]);
+    let played = Played::begin(&hub, fleet(2)).await;
+    hub.until("/api/v1/nodes", |nodes| values(nodes) == [1e-4, 3e-4])
+        .await;
+    played.end().await;
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_is_gone_can_be_forgotten_with_what_was_desired_of_it() {
+    let folder = tempfile::tempdir().unwrap();
+    a_gone_node_is_forgotten(&sqlite(folder.path())).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_a_node_that_is_gone_can_be_forgotten_with_what_was_desired_of_it() {
+    let server = Postgres::start();
+    a_gone_node_is_forgotten(&server.url()).await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_web_page_of_another_site_changes_nothing_without_a_token() {
     let folder = tempfile::tempdir().unwrap();

@@ -103,6 +103,22 @@ impl Client {
             .await
     }
 
+    /// Deletes something.
+    pub(super) async fn delete(&self, path: &str) -> Result<(), Failure> {
+        let request = self.request(Method::DELETE, path, &[])?;
+        self.send(request.timeout(ANSWER_WITHIN)).await?;
+        Ok(())
+    }
+
+    /// The number of the newest of a list, such as `rollouts`.
+    pub(super) async fn newest(&self, list: &str) -> Result<u64, Failure> {
+        let found = self
+            .get(&format!("/api/v1/{list}"), &[("limit", "1".to_owned())])
+            .await?;
+        let id = found[list][0]["id"].as_u64();
+        Ok(id.with_context(|| format!("there are no {list} yet"))?)
+    }
+
     /// Sends `body` by PUT and gives each line of the answer to `line` as it comes.
     pub(super) async fn put_lines(
         &self,

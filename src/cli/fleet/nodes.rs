@@ -44,6 +44,17 @@ pub(super) struct ShowArguments {
     node: String,
 }
 
+pub(super) async fn forget(context: &Context, nodes: &[String]) -> Result<Ended, Failure> {
+    for node in nodes {
+        context
+            .client
+            .delete(&format!("/api/v1/nodes/{node}"))
+            .await?;
+        println!("{node} is forgotten");
+    }
+    Ok(Ended::Well)
+}
+
 /// Arguments of `albireo fleet energy`.
 #[derive(Debug, clap::Args)]
 pub(super) struct EnergyArguments {

@@ -19,8 +19,8 @@ pub(super) enum Command {
     Ls,
     /// One with its stages, its verdicts and their numbers.
     Show {
-        /// Its number.
-        id: u64,
+        /// Its number; the newest where none is given.
+        id: Option<u64>,
         /// Look again until it is done, held or back.
         #[arg(long)]
         follow: bool,
@@ -124,7 +124,14 @@ pub(super) async fn run(context: &Context, command: Command) -> Result<Ended, Fa
             context.print(&rollouts, list)?;
             return Ok(Ended::Well);
         }
-        Command::Show { id, follow: false } => {
+        Command::Show { id, follow } => {
+            let id = match id {
+                Some(id) => id,
+                None => context.client.newest("rollouts").await?,
+            };
+            if follow {
+                return self::follow(context, id).await;
+            }
             let rollout = context
                 .client
                 .get(&format!("/api/v1/rollouts/{id}"), &[])
@@ -132,7 +139,6 @@ pub(super) async fn run(context: &Context, command: Command) -> Result<Ended, Fa
             context.print(&rollout, whole)?;
             return Ok(judge(&rollout));
         }
-        Command::Show { id, follow: true } => return follow(context, id).await,
         Command::Pause { id } => (id, "pause"),
         Command::Resume { id } => (id, "resume"),
         Command::Next { id } => (id, "next"),

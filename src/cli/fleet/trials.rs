@@ -14,8 +14,8 @@ pub(super) enum Command {
     Ls,
     /// One with its result.
     Show {
-        /// Its number.
-        id: u64,
+        /// Its number; the newest where none is given.
+        id: Option<u64>,
     },
     /// End it now, with what was measured; the old values return.
     End {
@@ -78,7 +78,13 @@ pub(super) async fn run(context: &Context, command: Command) -> Result<Ended, Fa
             context.print(&trials, list)?;
             return Ok(Ended::Well);
         }
-        Command::Show { id } => client.get(&format!("/api/v1/trials/{id}"), &[]).await?,
+        Command::Show { id } => {
+            let id = match id {
+                Some(id) => id,
+                None => client.newest("trials").await?,
+            };
+            client.get(&format!("/api/v1/trials/{id}"), &[]).await?
+        }
         Command::End { id } => {
             client
                 .post(&format!("/api/v1/trials/{id}/end"), &json!({}))

@@ -1,14 +1,15 @@
 // One node of the fleet: how it is, what it costs, its clips and changes.
 
+import { answer } from "../shared/api";
 import { count, dateTime, duration, edp, joules, milliseconds, percent, small, ago } from "../shared/format";
-import { Pill, Quality, Section } from "../shared/parts";
+import { Pill, Quality, Section, whyNot } from "../shared/parts";
 import { heldText } from "../shared/target";
 import { Download, Fault, Setting, Outcomes, Presence, Saved, useLoaded } from "./parts";
 import { Live } from "./live";
 import { href } from "./route";
 import { selected } from "./fleet";
 import { Tune } from "./tune";
-import { useEffect } from "preact/hooks";
+import { useEffect, useState } from "preact/hooks";
 import type { ChangeView, Energy, NodeDetail, StoredClip, TargetStatus } from "./types";
 
 const WEEK_MS = 7 * 86_400_000;
@@ -92,6 +93,7 @@ export function Node({ name }: { name: string }) {
                 </>
               )}
             </dl>
+            {["silent", "offline"].includes(is.state) && <Forget name={name} />}
             {status?.target && (
               <p class="message" id="held">
                 Holds <b>{heldText(status.target.target)}</b>
@@ -206,6 +208,26 @@ export function Node({ name }: { name: string }) {
         </ul>
       </Section>
     </>
+  );
+}
+
+/** Takes a node that is gone off the list. */
+function Forget({ name }: { name: string }) {
+  const [fault, setFault] = useState("");
+  const forget = async () => {
+    if (!confirm(`Forget ${name}? Its clips and history stay; what is desired of it is dropped.`)) return;
+    try {
+      await answer(`/api/v1/nodes/${encodeURIComponent(name)}`, { method: "DELETE" });
+      location.hash = href(["fleet"]);
+    } catch (error) {
+      setFault(error instanceof Error ? error.message : String(error));
+    }
+  };
+  return (
+    <div class="row">
+      <button type="button" class="danger" disabled={whyNot() !== undefined} onClick={forget}>Forget this node</button>
+      <Fault text={fault} />
+    </div>
   );
 }
 

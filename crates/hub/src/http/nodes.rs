@@ -3,10 +3,10 @@
 use super::{HubView, query, unavailable};
 use crate::presence::{NodeView, Order, PresenceState};
 use crate::store::InstanceView;
-use albireo_service::http::Problem;
+use albireo_service::http::{Caller, Problem};
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
-use axum::extract::{Path, Query, State};
+use axum::extract::{Extension, Path, Query, State};
 use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use utoipa::{IntoParams, ToSchema};
@@ -180,13 +180,48 @@ pub(super) async fn one(
         .instances(&node)
         .await
         .map_err(|error| unavailable(&error))?;
-    let known = view.fleet.view(&node).ok_or_else(|| {
-        let detail =
-            format!("no node `{node}` was ever heard; /api/v1/nodes lists those that were");
-        Problem::new(StatusCode::NOT_FOUND, detail)
-    })?;
+    let known = view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
     Ok(Json(NodeDetail {
         node: known,
         instances,
     }))
+}
+
+fn unknown(node: &str) -> Problem {
+    let detail = format!("no node `{node}` was ever heard; /api/v1/nodes lists those that were");
+    Problem::new(StatusCode::NOT_FOUND, detail)
+}
+
+/// Forget a node that is gone
+///
+/// It leaves the lists, and what is desired of it is dropped; its clips, sums and history stay. A node that is online or degraded, or takes
+/// part in a rollout or trial, is not forgotten. One that comes back is a new node.
+///
+/// `curl -X DELETE http://127.0.0.1:8090/api/v1/nodes/car-7`
+#[utoipa::path(
+    delete, operation_id = "forget_node", path = "/api/v1/nodes/{node}", tag = "nodes", params(("node" = String, Path, description = "Its name")),
+    responses(
+        (status = 204, description = "It is forgotten."),
+        (status = "4XX", body = Problem, content_type = "application/problem+json"),
+        (status = 503, body = Problem, content_type = "application/problem+json"),
+    )
+)]
+pub(super) async fn forget(
+    State(view): State<HubView>,
+    Extension(caller): Extension<Caller>,
+    Path(node): Path<String>,
+) -> Result<StatusCode, Problem> {
+    let known = view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
+    let heard = || {
+        let detail = format!("`{node}` is heard and would be back at once: stop it first");
+        Problem::new(StatusCode::CONFLICT, detail)
+    };
+    if matches!(known.state, PresenceState::Online | PresenceState::Degraded) {
+        return Err(heard());
+    }
+    view.tuner()?.forget(&node, &caller.name).await?;
+    if !view.fleet.forget(&node) {
+        return Err(heard());
+    }
+    Ok(StatusCode::NO_CONTENT)
 }

@@ -85,6 +85,11 @@ pub(super) struct Entry {
 }
 
 impl Entry {
+    /// Whether its node is online or degraded.
+    pub(super) fn is_heard(&self) -> bool {
+        matches!(self.state, PresenceState::Online | PresenceState::Degraded)
+    }
+
     /// A node of which nothing is known.
     pub(super) fn new(now_ms: i64) -> Self {
         Self {

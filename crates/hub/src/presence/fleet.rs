@@ -245,6 +245,16 @@ impl Fleet {
         }
     }
 
+    /// Drops a node, unless it is online or degraded: it would be back at once. Returns whether it is gone.
+    pub(crate) fn forget(&self, node: &str) -> bool {
+        let mut nodes = self.nodes.write();
+        if nodes.get(node).is_some_and(Entry::is_heard) {
+            return false;
+        }
+        nodes.remove(node);
+        true
+    }
+
     /// Makes a node known that has sent reports and no status yet.
     pub(crate) fn reported(&self, node: &str, now_ms: i64) {
         if self.nodes.read().contains_key(node) {
@@ -401,7 +411,7 @@ impl Fleet {
     pub fn tallies(&self, desired: impl Fn(&str) -> u64) -> FleetTallies {
         let (now, mut tallies) = (Instant::now(), FleetTallies::default());
         for (name, entry) in self.nodes.read().iter() {
-            let heard = matches!(entry.state, PresenceState::Online | PresenceState::Degraded);
+            let heard = entry.is_heard();
             let two = (entry.identity.as_ref()).is_some_and(|(_, until)| *until > now);
             tallies.twins += u64::from(two);
             tallies.behind += u64::from(heard && entry.revision < desired(name));

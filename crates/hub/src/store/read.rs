@@ -28,7 +28,9 @@ impl Store {
 
     /// Every node as it was known last.
     pub(crate) async fn remembered(&self) -> Result<Vec<Remembered>, StoreError> {
-        let rows = self.all(self.query("SELECT * FROM nodes")).await?;
+        let rows = self
+            .all(self.query("SELECT * FROM nodes WHERE state <> 'forgotten'"))
+            .await?;
         rows.iter()
             .map(|row| {
                 let state: String = row.try_get("state")?;

@@ -10,6 +10,7 @@ use super::rollout::{
 use super::selector::Selector;
 use super::trial::{Trial, TrialPhase, TrialPlan};
 use super::tuner::{NewOrder, Tuner, text};
+use crate::store::tables::EventRow;
 use crate::store::{CampaignRow, ClipSums, ClipWindow, Key, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{DesiredSetting, Threshold, ThresholdName};
@@ -73,7 +74,7 @@ pub(crate) enum CampaignError {
     Unknown { kind: &'static str, id: i64 },
     #[error("the {kind} {id} is driven by another hub on the same database, or has ended")]
     Elsewhere { kind: &'static str, id: i64 },
-    #[error("the node {node} takes part in another rollout or trial")]
+    #[error("the node {node} takes part in a rollout or trial: end or return that first")]
     Taken { node: String },
 }
 
@@ -146,6 +147,33 @@ impl Tuner {
             }
         }
         taken
+    }
+
+    /// Drops what is desired of a node and takes it off the database's list; its clips and its history stay.
+    ///
+    /// # Errors
+    /// While it takes part in a rollout or trial, and when the database cannot be written.
+    pub(crate) async fn forget(&self, node: &str, who: &str) -> Result<(), CampaignError> {
+        // Held to the end, so that nothing begins with the node meanwhile.
+        let campaigns = self.campaigns.lock().await;
+        if Self::taken(&campaigns).contains_key(node) {
+            let node = node.to_owned();
+            return Err(CampaignError::Taken { node });
+        }
+        let now = unix_milliseconds();
+        let event = EventRow {
+            at_ms: now,
+            kind: "forgotten".to_owned(),
+            node: Some(node.to_owned()),
+            detail: serde_json::json!({ "who": who }).to_string(),
+        };
+        self.write(async |writing| {
+            writing.forget(node, now).await?;
+            writing.events(&[event]).await
+        })
+        .await?;
+        self.stop_following(node);
+        Ok(())
     }
 
     /// The selected nodes that can take a value of `knob`, and those that cannot.

@@ -34,6 +34,11 @@ impl DesiredValues {
         }
     }
 
+    /// Drops what is desired of a node.
+    pub(crate) fn remove(&self, node: &str) {
+        self.0.write().remove(node);
+    }
+
     /// The value desired of a node.
     pub fn get(&self, node: &str) -> Option<DesiredValue> {
         self.0.read().get(node).copied()

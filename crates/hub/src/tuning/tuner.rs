@@ -329,6 +329,16 @@ impl Tuner {
         Ok(revision)
     }
 
+    /// Forgets in memory what was ordered of a node.
+    pub(super) fn stop_following(&self, node: &str) {
+        self.desires.values.remove(node);
+        self.drift.lock().remove(node);
+        let order = self.open.lock().remove(node);
+        if let Some(order) = order {
+            self.tell(&order, node, "missed", "the node was forgotten".to_owned());
+        }
+    }
+
     fn tell(&self, order: &OpenOrder, node: &str, outcome: &'static str, detail: String) {
         let mut followers = self.followers.lock();
         if let Some(follower) = followers.get(&order.revision) {

@@ -183,6 +183,24 @@ impl Writing<'_> {
         self.outcomes(nodes).await
     }
 
+    /// Takes a node off the list and drops what is desired of it; its clips and its history stay.
+    pub(crate) async fn forget(&mut self, node: &str, now_ms: i64) -> Result<(), StoreError> {
+        let open = format!(
+            "UPDATE order_nodes SET outcome = 'missed', at_ms = $2, detail = 'the node was forgotten' \
+             WHERE node = $1 AND {OPEN}"
+        );
+        let query = self.query(&open).bind(text(node)).bind(now_ms);
+        query.execute(&mut *self.transaction).await?;
+        for statement in [
+            "DELETE FROM desired WHERE node = $1",
+            "UPDATE nodes SET state = 'forgotten', status = NULL, heard_ms = NULL WHERE name = $1",
+        ] {
+            let query = self.query(statement).bind(text(node));
+            query.execute(&mut *self.transaction).await?;
+        }
+        Ok(())
+    }
+
     /// Notes what became of orders.
     pub(crate) async fn outcomes(&mut self, nodes: &[OrderNodeRow]) -> Result<(), StoreError> {
         let statement = insert::<OrderNodeRow>("order_nodes")
