@@ -175,6 +175,9 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
     /// # Errors
     /// What [`run`](Self::run) would answer at once.
     pub(crate) fn accepts(&self) -> Result<(), InferenceError> {
+        if self.stop.0.is_cancelled() {
+            return Err(InferenceError::Stopped);
+        }
         let refusal = match &*self.status.borrow() {
             DetectorStatus::Ready { .. } | DetectorStatus::Implausible { .. } => return Ok(()),
             DetectorStatus::Starting => InferenceError::Unavailable("it starts".to_owned()),
