@@ -50,8 +50,7 @@ async fn a_target_ordered_at_the_hub_is_held_by_the_node_until_somebody_turns_it
     for car in [&mut car, &mut plain] {
         car.start().await;
         let path = format!("/api/v1/nodes/{}", car.name);
-        hub.until(&path, |node| node["status"].is_object())
-            .await;
+        hub.until(&path, |node| node["status"].is_object()).await;
     }
     let select = ["--select", "car-*", "--why", "half of it", "--wait", "60s"];
     let order = [&["set-target", "skip_rate=0.5"][..], &select].concat();

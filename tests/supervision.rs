@@ -134,9 +134,9 @@ async fn stopping_takes_at_most_the_configured_time_when_the_detector_hangs_and_
         .send_of_clip(solid(255), "image/jpeg", 1, Some("last"))
         .await;
     for seq in 2..4 {
-        bench
-            .send_of_clip(solid(0), "image/jpeg", seq, Some("last"))
-            .await;
+        let sent = bench.send_of_clip(solid(0), "image/jpeg", seq, Some("last"));
+        let answered = timeout(Duration::from_secs(1), sent).await;
+        assert!(answered.is_err(), "its turn has not come");
     }
     // The link keeps its order: once the query is answered the frames are in the ring.
     let replies = bench
