@@ -89,7 +89,10 @@ async fn without_a_meter_cpu_time_and_detector_calls_are_compared_and_energy_is_
     assert!(said.contains("There is no power meter here"), "{said}");
     let words = said.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(
-        words.contains("% fewer detector calls than vanilla, AP@50"),
+        words.contains("% fewer detector calls than vanilla, AP@50")
+            || words.contains(
+                "no difference in detector calls to vanilla that 2 rounds can tell, AP@50"
+            ),
         "{said}"
     );
     let verdict = &found["verdicts"][0];

@@ -75,8 +75,9 @@ pub(super) struct Arguments {
 /// When a part cannot start.
 pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
     logging::start(&LogConfig {
-        // What is dropped or failed stands in the summary; a warning would tear the table.
-        level: "error,tower_http=off".to_owned(),
+        // What is dropped or failed is in the summary; a warning, a library's too, would tear the table.
+        level: "error,tower_http=off,zenoh=error,zenoh_transport=error,zenoh_link=error,zenoh_ext=error,ort=error,hyper=error"
+            .to_owned(),
         ..LogConfig::default()
     })?;
     let shutdown = signals::shutdown().context(signals::CONTEXT)?;

@@ -11,8 +11,6 @@ use albireo_eval::data::{Clips, bdd100k, coco, kitti, mot_challenge, recorded};
 use albireo_eval::energy_model::EnergyModel;
 use albireo_eval::replay::Scoring;
 use albireo_eval::report::Report;
-use albireo_eval::report::plot::{PowerTrace, RibbonFrame};
-use albireo_eval::result::{ClipResult, Provenance};
 use albireo_eval::run::{Settings, run_stored};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, PolicySpec, Sweep, resolve};
@@ -28,7 +26,7 @@ Examples:
   albireo eval recorded DIR --policy albireo --sweep u=3e-4,5e-4,7e-4,1e-3
       what each threshold costs in accuracy and saves in detector calls
   albireo eval advise drive.mp4 --target recall=0.95
-      policy, knob and screen for your road and your detector
+      which value of a threshold your road and your detector allow
   albireo eval recorded DIR --profile reference --screen detections --traces traces
       the published code's decisions, frame by frame";
 
@@ -93,7 +91,7 @@ enum What {
     /// Run a real detector once over videos or pictures, then every policy on what it found.
     #[command(alias = "pictures")]
     Video(video::VideoArguments),
-    /// Propose policy, knob and screen for a target, from a recording with your own detector.
+    /// Propose a value of a policy's threshold for a target, from a recording with your own detector.
     Advise(advise::AdviseArguments),
 }
 
@@ -204,14 +202,12 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
     );
     let results = run_stored(&clips.clips, &policies, &settings, &|| bar.inc(1))?;
     bar.finish_and_clear();
-    let power = projected_power(&settings, &results);
     let report = Report {
         title: format!("Stored detections of {}", path.display()),
         settings: listed(arguments),
         data: clips.report,
         policies: summary::summarise(&results),
         clips: results,
-        power,
     };
     print!("{}", table::render(&report.policies));
     print_conclusion(&report.policies);
@@ -228,33 +224,6 @@ fn print_conclusion(policies: &[summary::PolicySummary]) {
     for sentence in conclusion(policies) {
         println!("{}", wrapped(&sentence, 100));
     }
-}
-
-/// Power over the longest clip under the baseline and the first two other policies.
-fn projected_power(settings: &Settings, results: &[ClipResult]) -> Vec<PowerTrace> {
-    let longest = results.iter().max_by_key(|result| result.frames);
-    let (Some(model), Some(longest)) = (&settings.energy_model, longest) else {
-        return Vec::new();
-    };
-    results
-        .iter()
-        .filter(|result| result.clip == longest.clip)
-        .take(3)
-        .map(|result| {
-            let watts = model.power_trace(result);
-            PowerTrace {
-                clip: result.clip.clone(),
-                policy: result.policy.clone(),
-                provenance: Provenance::Projected,
-                frames: watts
-                    .iter()
-                    .zip(&result.sequence)
-                    .map(|(&(end_s, _), &state)| RibbonFrame { end_s, state })
-                    .collect(),
-                watts,
-            }
-        })
-        .collect()
 }
 
 fn policies(arguments: &RunArguments, pixels: bool) -> anyhow::Result<Vec<PolicySpec>> {

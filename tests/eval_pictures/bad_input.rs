@@ -160,7 +160,8 @@ fn ground_truth_is_found_by_name_and_refused_for_other_frames_or_clips() {
     let clip = by_hand(3).clip;
     let mut report = LoadReport::default();
     let found = labels(folder.path(), "by-hand", 3).of(&clip, false, &mut report);
-    let found = found.unwrap().unwrap();
+    let (found, ignored) = found.unwrap().unwrap();
+    assert!(ignored.is_empty());
     assert!(found.iter().all(|frame| frame.len() == 1));
     assert_eq!(report.unmapped_classes["tram"], 3);
 

@@ -196,30 +196,6 @@ impl EnergyModel {
             ));
         }
     }
-
-    /// Projected mean power over each frame of a clip: when it ends, in seconds from the clip's start, and
-    /// the watts until then.
-    pub fn power_trace(&self, result: &ClipResult) -> Vec<(f64, f64)> {
-        let interval = match (self.idle_power_w, result.frame_rate) {
-            (Some(_), Some(rate)) => 1.0 / rate,
-            _ => 0.0,
-        };
-        let mut time = 0.0;
-        result
-            .sequence
-            .iter()
-            .zip(looks_of(result))
-            .filter_map(|(&state, look)| {
-                let work = work_of(state);
-                let busy = (self.time_ms.total(work) + self.time_ms.look * look) / 1e3;
-                let span = busy.max(interval);
-                let idle = self.idle_power_w.unwrap_or(0.0) * (span - busy);
-                time += span;
-                let joules = self.energy_j.total(work) + self.energy_j.look * look + idle;
-                (span > 0.0).then_some((time, joules / span))
-            })
-            .collect()
-    }
 }
 
 /// Looks at each frame of a clip; none where that is not known.
@@ -314,9 +290,6 @@ mod tests {
         let time = |result: &ClipResult| result.frame_time.expect("projected").milliseconds.mean;
         assert!((joules(&looking) - joules(&blind) - 0.2).abs() < 1e-12);
         assert!((time(&looking) - time(&blind) - 2.0).abs() < 1e-12);
-        let trace = model().power_trace(&looking);
-        let total = trace[0].1 * trace[0].0 + trace[1].1 * (trace[1].0 - trace[0].0);
-        assert!((total - joules(&looking)).abs() < 1e-9);
     }
 
     #[test]
@@ -329,9 +302,6 @@ mod tests {
         let energy = result.energy.expect("projected");
         assert!((energy.duration_s - 0.2).abs() < 1e-12);
         assert!((energy.joules - (4.5 + 20.0 * 0.145)).abs() < 1e-12);
-        let trace = model.power_trace(&result);
-        let total = trace[0].1 * trace[0].0 + trace[1].1 * (trace[1].0 - trace[0].0);
-        assert!((total - energy.joules).abs() < 1e-9);
     }
 
     #[test]

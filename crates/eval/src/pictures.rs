@@ -15,7 +15,7 @@ pub use pass::PassError;
 pub use pass::{PassSettings, PicturedClip, StepTimes, collect};
 pub use replayed::{PixelsAsked, looks_at_pixels, run_pictured};
 pub use truth::TruthError;
-pub use truth::{GroundTruth, TruthFormat, against_vanilla};
+pub use truth::{FrameTruth, GroundTruth, TruthFormat, against_vanilla};
 
 /// The pass keeps detections from this confidence on, so that a run may ask for any above it.
 pub const LOWEST_CONFIDENCE: f64 = 0.05;

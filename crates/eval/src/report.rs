@@ -25,8 +25,6 @@ pub struct Report {
     pub policies: Vec<PolicySummary>,
     /// One entry a clip and policy.
     pub clips: Vec<ClipResult>,
-    /// Power over one clip under some of the policies, where there is energy.
-    pub power: Vec<plot::PowerTrace>,
 }
 
 /// A report that cannot be written.

@@ -85,6 +85,10 @@ pub struct PolicySummary {
     pub ap50: Option<f64>,
     /// Mean mAP@50:95.
     pub map: Option<f64>,
+    /// Mean AP@75.
+    pub ap75: Option<f64>,
+    /// Mean F1 at IoU 0.5 and each clip's best confidence.
+    pub f1_50: Option<f64>,
     /// Mean precision at IoU 0.50.
     pub precision: Option<f64>,
     /// Mean recall at IoU 0.50.
@@ -105,8 +109,6 @@ pub struct PolicySummary {
     pub against_baseline: Option<Comparison>,
     /// Whether no other policy has as many skips and as much AP@50 and more of one.
     pub on_skip_frontier: bool,
-    /// The same for EDP; `None` without energy.
-    pub on_edp_frontier: Option<bool>,
 }
 
 /// Sums up `results`, in the order in which the policies first occur.
@@ -138,7 +140,7 @@ pub fn summarise(results: &[ClipResult]) -> Vec<PolicySummary> {
             summarise_policy(policy, &counted, left_out, &baseline)
         })
         .collect();
-    mark_frontiers(&mut summaries);
+    mark_frontier(&mut summaries);
     summaries
 }
 
@@ -180,6 +182,8 @@ fn summarise_policy(
         boxes: results.iter().map(|result| result.boxes).sum(),
         ap50: over(&|result| result.accuracy.map(|accuracy| accuracy.ap50)),
         map: over(&|result| result.accuracy.map(|accuracy| accuracy.map)),
+        ap75: over(&|result| result.accuracy.map(|accuracy| accuracy.ap75)),
+        f1_50: over(&|result| result.accuracy.map(|accuracy| accuracy.f1_50)),
         precision: over(&|result| result.accuracy.map(|accuracy| accuracy.precision)),
         recall: over(&|result| result.accuracy.map(|accuracy| accuracy.recall)),
         ap50_last_confidence: over(&|result| {
@@ -204,7 +208,6 @@ fn summarise_policy(
         against_baseline: (policy != BASELINE && !baseline.is_empty())
             .then(|| compare(results, baseline)),
         on_skip_frontier: false,
-        on_edp_frontier: None,
     }
 }
 
@@ -267,23 +270,16 @@ fn compare(results: &[&ClipResult], baseline: &HashMap<&str, &ClipResult>) -> Co
     }
 }
 
-fn mark_frontiers(summaries: &mut [PolicySummary]) {
-    let choices = |cost: &dyn Fn(&PolicySummary) -> Option<f64>| -> Vec<Choice> {
-        summaries
-            .iter()
-            .map(|summary| Choice {
-                cost: cost(summary).unwrap_or(f64::NAN),
-                value: summary.ap50.unwrap_or(f64::NAN),
-            })
-            .collect()
-    };
-    let by_skip = frontier(&choices(&|summary| Some(-summary.skip_rate)));
-    let by_edp = frontier(&choices(&|summary| summary.energy.map(|energy| energy.edp)));
-    for index in by_skip {
+fn mark_frontier(summaries: &mut [PolicySummary]) {
+    let choices: Vec<Choice> = summaries
+        .iter()
+        .map(|summary| Choice {
+            cost: -summary.skip_rate,
+            value: summary.ap50.unwrap_or(f64::NAN),
+        })
+        .collect();
+    for index in frontier(&choices) {
         summaries[index].on_skip_frontier = true;
-    }
-    for (index, summary) in summaries.iter_mut().enumerate() {
-        summary.on_edp_frontier = summary.energy.is_some().then(|| by_edp.contains(&index));
     }
 }
 

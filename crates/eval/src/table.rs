@@ -121,6 +121,8 @@ fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
         }),
         column(["mAP", ""], 0, &|s| three(s.map)),
         column(["Δ", "pp"], 2, &|s| change(against(s).and_then(|a| a.map))),
+        column(["AP@75", ""], 2, &|s| three(s.ap75)),
+        column(["F1@50", ""], 1, &|s| three(s.f1_50)),
         column(["prec.", ""], 6, &|s| three(s.precision)),
         column(["recall", ""], 6, &|s| three(s.recall)),
         column(["time", "ms"], 4, &|s| {
@@ -128,12 +130,12 @@ fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
                 format!("{time:.1}{}", mark(kind))
             })
         }),
-        column(["energy", "J"], 1, &|s| {
+        column(["energy", "J"], 3, &|s| {
             s.energy.map_or("-".to_owned(), |energy| {
                 format!("{:.0}{}", energy.joules, mark(energy.provenance))
             })
         }),
-        column(["EDP", "J·ms"], 1, &|s| {
+        column(["EDP", "J·ms"], 4, &|s| {
             s.energy.map_or("-".to_owned(), |energy| {
                 format!("{:.0}{}", energy.edp, mark(energy.provenance))
             })

@@ -1,6 +1,6 @@
 //! `albireo eval video`: a real detector's one pass over videos or pictures, then every policy on what it found.
 
-use super::{LOOKED, RunArguments, listed, policies, print_conclusion, projected_power, settings};
+use super::{LOOKED, RunArguments, listed, policies, print_conclusion, settings};
 use crate::cli::rate::parse_rate;
 use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
@@ -218,8 +218,11 @@ impl<'a> Evaluation<'a> {
     /// Looks at a clip, finds its ground truth, and runs every policy over it.
     fn look(&mut self, source: &mut dyn FrameSource) -> anyhow::Result<()> {
         let mut pictured = self.pass(source)?;
-        if let Some(truth) = &mut self.truth {
-            pictured.clip.truth = truth.of(&pictured.clip, self.clips == 1, &mut self.report)?;
+        if let Some(truth) = &mut self.truth
+            && let Some((boxes, ignored)) =
+                truth.of(&pictured.clip, self.clips == 1, &mut self.report)?
+        {
+            (pictured.clip.truth, pictured.clip.ignored) = (Some(boxes), ignored);
         }
         self.run(pictured, source)
     }
@@ -297,7 +300,6 @@ impl<'a> Evaluation<'a> {
                 settings,
                 data: self.report.clone(),
                 policies: summary::summarise(&results),
-                power: projected_power(&self.settings, &results),
                 clips: results,
             };
             println!(

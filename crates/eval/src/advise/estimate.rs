@@ -29,14 +29,11 @@ fn rounded<S: serde::Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S:
 
 impl Estimate {
     /// The ratio of the sums of `parts`, a numerator and a denominator each; `None` where the denominators add up to
-    /// nothing. Of a single part nobody knows the spread: the interval is everything then, from `least` to `most`.
-    pub(super) fn ratio(
-        parts: impl Iterator<Item = (f64, f64)> + Clone,
-        [least, most]: [f64; 2],
-    ) -> Option<Self> {
+    /// nothing. Of a single part nobody knows the spread: the interval is everything then, from 0 to 1.
+    pub(super) fn share(parts: impl Iterator<Item = [f64; 2]> + Clone) -> Option<Self> {
         let mut count = 0.0;
         let (mut numerator, mut denominator) = (0.0, 0.0);
-        for (above, below) in parts.clone() {
+        for [above, below] in parts.clone() {
             // A block that can say nothing does not count.
             if below > 0.0 {
                 count += 1.0;
@@ -49,8 +46,8 @@ impl Estimate {
         }
         let value = numerator / denominator;
         let squares: f64 = parts
-            .filter(|(_, below)| *below > 0.0)
-            .map(|(above, below)| (above - value * below).powi(2))
+            .filter(|[_, below]| *below > 0.0)
+            .map(|[above, below]| (above - value * below).powi(2))
             .sum();
         let reach = StudentsT::new(0.0, 1.0, count - 1.0)
             .ok()
@@ -58,41 +55,21 @@ impl Estimate {
         Some(match reach {
             Some(reach) if reach.is_finite() => Self {
                 value,
-                low: (value - reach).max(least),
-                high: (value + reach).min(most),
+                low: (value - reach).max(0.0),
+                high: (value + reach).min(1.0),
             },
             _ => Self {
                 value,
-                low: least,
-                high: most,
+                low: 0.0,
+                high: 1.0,
             },
         })
-    }
-
-    /// The figure times `factor`, which is above zero.
-    pub(super) fn times(self, factor: f64) -> Self {
-        Self {
-            value: self.value * factor,
-            low: self.low * factor,
-            high: self.high * factor,
-        }
-    }
-
-    /// The figure and `more`, which is known exactly.
-    pub(super) fn plus(self, more: f64) -> Self {
-        Self {
-            value: self.value + more,
-            low: self.low + more,
-            high: self.high + more,
-        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    const SHARE: [f64; 2] = [0.0, 1.0];
 
     #[test]
     fn as_json_it_has_the_digits_it_means() {
@@ -107,29 +84,29 @@ mod tests {
 
     #[test]
     fn blocks_that_agree_leave_little_doubt_and_blocks_that_do_not_much() {
-        let alike = [(9.0, 10.0), (18.0, 20.0), (9.0, 10.0), (9.0, 10.0)];
-        let sure = Estimate::ratio(alike.into_iter(), SHARE).unwrap();
+        let alike = [[9.0, 10.0], [18.0, 20.0], [9.0, 10.0], [9.0, 10.0]];
+        let sure = Estimate::share(alike.into_iter()).unwrap();
         assert!((sure.value - 0.9).abs() < 1e-12);
         assert!(sure.high - sure.low < 1e-9);
-        let apart = [(10.0, 10.0), (14.0, 20.0), (10.0, 10.0), (11.0, 10.0)];
-        let unsure = Estimate::ratio(apart.into_iter(), SHARE).unwrap();
+        let apart = [[10.0, 10.0], [14.0, 20.0], [10.0, 10.0], [11.0, 10.0]];
+        let unsure = Estimate::share(apart.into_iter()).unwrap();
         assert!(unsure.low < 0.7 && unsure.high == 1.0, "{unsure:?}");
     }
 
     #[test]
     fn one_block_says_nothing_of_the_spread_and_none_says_nothing() {
-        let one = Estimate::ratio([(9.0, 10.0), (0.0, 0.0)].into_iter(), SHARE).unwrap();
+        let one = Estimate::share([[9.0, 10.0], [0.0, 0.0]].into_iter()).unwrap();
         assert_eq!((one.low, one.high), (0.0, 1.0));
-        assert_eq!(Estimate::ratio([(0.0, 0.0)].into_iter(), SHARE), None);
+        assert_eq!(Estimate::share([[0.0, 0.0]].into_iter()), None);
     }
 
     #[test]
     fn the_interval_is_students_where_all_blocks_weigh_the_same() {
-        // 1, 2, 3, 4 a block: mean 2.5, standard error 0.645497, t(3) = 3.182446.
-        let parts = [1.0, 2.0, 3.0, 4.0].map(|value| (value, 1.0));
-        let found = Estimate::ratio(parts.into_iter(), [0.0, 10.0]).unwrap();
+        // .45, .5, .5, .55 a block: mean .5, standard error 0.020412, t(3) = 3.182446.
+        let parts = [0.45, 0.5, 0.5, 0.55].map(|value| [value, 1.0]);
+        let found = Estimate::share(parts.into_iter()).unwrap();
         assert!(
-            (found.low - (2.5 - 3.182_446 * 0.645_497)).abs() < 1e-4,
+            (found.low - (0.5 - 3.182_446 * 0.020_412)).abs() < 1e-4,
             "{found:?}"
         );
     }

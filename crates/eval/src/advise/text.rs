@@ -2,7 +2,7 @@
 
 use super::choose::{Advice, HeldOut, Proposal};
 use super::estimate::Estimate;
-use super::target::{Target, target_in_words};
+use super::target::Target;
 use super::trial::Screen;
 use crate::text::wrapped;
 use albireo_core::policy::short;
@@ -19,21 +19,16 @@ const NOTHING: f64 = 0.005;
 /// The advice, 100 columns wide.
 pub fn render(advice: &Advice) -> String {
     let mut text = String::new();
-    let length = match advice.seconds {
-        Some(seconds) if seconds >= 120.0 => format!(", {:.0} minutes", seconds / 60.0),
-        Some(seconds) => format!(", {seconds:.0} s"),
-        None => String::new(),
-    };
     let _ = writeln!(
         text,
-        "Recording: {} clip{}, {} frames{length}, {} boxes of the detector at confidence {} or more.",
+        "Recording: {} clip{}, {} frames, {} boxes of the detector at confidence {} or more.",
         advice.clips,
         if advice.clips == 1 { "" } else { "s" },
         advice.frames,
         advice.boxes,
         advice.confidence
     );
-    let _ = writeln!(text, "Target: {}.\n", target_in_words(advice.target));
+    let _ = writeln!(text, "Target: {}.\n", advice.target);
     let _ = writeln!(
         text,
         "  {:<20} {:<17} {:<8} {:>14} {:>17} {:>17}",
@@ -79,23 +74,22 @@ fn sentences(advice: &Advice) -> Vec<String> {
     let mut sentences = Vec::new();
     match advice.best() {
         None => sentences.push(
-            "No candidate meets the target on this recording: ask for less, or name other policies with --policy."
+            "No value meets the target on this recording: ask for less, or try another policy with --policy."
                 .to_owned(),
         ),
         Some(best) if !skips(best) => sentences.push(
             "At this target nothing can be skipped here: `vanilla`, the detector on every frame, does the same."
                 .to_owned(),
         ),
-        Some(best) => sentences.push(proposed(best, advice.energy_model.as_deref())),
-    }
-    let worth = advice.best().filter(|best| skips(best));
-    if let Some(held_out) = worth.and_then(|best| best.held_out) {
-        sentences.push(checked(&held_out, advice.target));
+        Some(best) => {
+            sentences.push(proposed(best));
+            sentences.extend(best.held_out.map(|held_out| checked(&held_out, advice.target)));
+        }
     }
     sentences.push(
         "Recall and precision are against the detector, on the frames without it: a policy that goes on showing an object \
-         which the detector misses loses precision here although it may be right. In brackets: between what they lie on \
-         other hours like these (95 %)."
+         which the detector misses loses precision here although it may be right, so they do not compare policies. In \
+         brackets: between what they lie on other hours like these (95 %)."
             .to_owned(),
     );
     sentences
@@ -105,9 +99,9 @@ fn skips(proposal: &Proposal) -> bool {
     proposal.skip_rate.is_some_and(|rate| rate.value >= NOTHING)
 }
 
-fn proposed(best: &Proposal, energy_model: Option<&str>) -> String {
-    let mut text = format!(
-        "Proposed: {} with {} = {}{}. The detector is skipped on {} of the frames; of its boxes there {} are shown",
+fn proposed(best: &Proposal) -> String {
+    format!(
+        "Proposed: {} with {} = {}{}. The detector is skipped on {} of the frames; of its boxes there {} are shown.",
         best.policy,
         best.knob,
         digits(best.value),
@@ -117,23 +111,7 @@ fn proposed(best: &Proposal, energy_model: Option<&str>) -> String {
         },
         percent(best.skip_rate),
         percent(best.recall),
-    );
-    if let Some(load) = best.detector_ms_per_s {
-        let _ = write!(text, ", at {} ms of detector a second", amount(load));
-    }
-    text.push('.');
-    if let (Some(saved), Some(model)) = (best.energy_saved, energy_model) {
-        let _ = write!(
-            text,
-            " Energy saved on frames, projected with {model}: {}",
-            percent(Some(saved))
-        );
-        if let Some(watts) = best.watts {
-            let _ = write!(text, ", {} W a camera", amount(watts));
-        }
-        text.push('.');
-    }
-    text
+    )
 }
 
 fn checked(held_out: &HeldOut, target: Target) -> String {
@@ -191,15 +169,4 @@ fn share(estimate: Option<Estimate>) -> String {
         || "-".to_owned(),
         |Estimate { value, low, high }| format!("{} [{}, {}]", bare(value), bare(low), bare(high)),
     )
-}
-
-/// `3.2 [2.9, 3.5]`, with as many digits as it needs.
-fn amount(estimate: Estimate) -> String {
-    let places = match estimate.value.abs() {
-        value if value >= 100.0 => 0,
-        value if value >= 10.0 => 1,
-        _ => 2,
-    };
-    let Estimate { value, low, high } = estimate;
-    format!("{value:.places$} [{low:.places$}, {high:.places$}]")
 }

@@ -19,7 +19,7 @@ const KEPT_AP50: f64 = 0.95;
 pub struct Verdict {
     /// Its label.
     pub policy: String,
-    /// Detector calls against the first policy, percent; below zero is fewer. Absent where the rounds cannot tell.
+    /// Detector calls against the first policy, percent; below zero is fewer.
     pub detector_calls_percent: Option<f64>,
     /// AP@50 of its boxes against those of the policy that looks at every frame, 0 to 1.
     pub ap50: Option<f64>,
@@ -56,9 +56,7 @@ fn verdict(
     let calls = policy.change(Figure::DetectorCalls);
     let mut verdict = Verdict {
         policy: policy.policy.clone(),
-        detector_calls_percent: calls
-            .filter(|change| !is_unclear(*change))
-            .map(|change| change.percent),
+        detector_calls_percent: calls.map(|change| change.percent),
         ap50: policy.mean(Figure::Ap50).map(|mean| mean.mean),
         kwh_a_year: kwh_a_year(comparison, variant),
         energy: summary.energy.clone(),
@@ -188,29 +186,41 @@ pub(super) fn paragraphs(comparison: &Comparison, summary: &Summary) -> Vec<Stri
         .iter()
         .map(|verdict| verdict.sentence.clone())
         .collect();
-    paragraphs.extend(choice(&verdicts));
+    paragraphs.extend(choice(&verdicts, summary));
     paragraphs
 }
 
 /// Of those that keep the boxes, the one with the fewest calls.
-fn choice(verdicts: &[Verdict]) -> Option<String> {
+fn choice(verdicts: &[Verdict], summary: &Summary) -> Option<String> {
     let judged: Vec<_> = (verdicts.iter())
         .filter_map(|verdict| Some((verdict, verdict.ap50?, verdict.detector_calls_percent?)))
         .filter(|(verdict, ..)| verdict.skips)
         .collect();
-    let kept = judged.iter().filter(|(_, ap50, _)| *ap50 >= KEPT_AP50);
-    match kept.min_by(|a, b| a.2.total_cmp(&b.2)) {
-        Some((best, ..)) => Some(format!(
+    let is_clear = |name: &str| {
+        let policy = summary.policies.iter().find(|found| found.policy == name);
+        let calls = policy.and_then(|found| found.change(Figure::DetectorCalls));
+        calls.is_some_and(|change| !is_unclear(change))
+    };
+    let mut kept = (judged.iter())
+        .filter(|(_, ap50, _)| *ap50 >= KEPT_AP50)
+        .peekable();
+    if judged.is_empty() {
+        return None;
+    }
+    if kept.peek().is_none() {
+        return Some(format!(
+            "On this clip none of them keeps AP@50 at {:.0} %: turn them down, or leave the detector to every frame.",
+            KEPT_AP50 * 100.0
+        ));
+    }
+    let clear = kept.filter(|(verdict, ..)| is_clear(&verdict.policy));
+    clear.min_by(|a, b| a.2.total_cmp(&b.2)).map(|(best, ..)| {
+        format!(
             "On this clip {} calls the detector least of those that keep AP@50 at {:.0} % or more.",
             best.policy,
             KEPT_AP50 * 100.0
-        )),
-        None if judged.is_empty() => None,
-        None => Some(format!(
-            "On this clip none of them keeps AP@50 at {:.0} %: turn them down, or leave the detector to every frame.",
-            KEPT_AP50 * 100.0
-        )),
-    }
+        )
+    })
 }
 
 #[cfg(test)]

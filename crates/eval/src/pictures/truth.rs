@@ -4,6 +4,7 @@ use crate::average_precision::TruthBox;
 use crate::data::{
     Clip, Clips, DataError, LoadReport, bdd100k, coco, kitti, mot_challenge, recorded,
 };
+use albireo_core::geometry::Corners;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
 
@@ -22,6 +23,9 @@ pub enum TruthFormat {
     /// The layout of `--save-detections`: a folder with sequences.json and groundtruth/.
     Recorded,
 }
+
+/// Ground truth and the regions that it leaves out, one entry a frame each.
+pub type FrameTruth = (Vec<Vec<TruthBox>>, Vec<Vec<Corners>>);
 
 /// Files of ground truth.
 #[derive(Clone, Debug)]
@@ -121,7 +125,7 @@ impl GroundTruth {
         clip: &Clip,
         alone: bool,
         report: &mut LoadReport,
-    ) -> Result<Option<Vec<Vec<TruthBox>>>, TruthError> {
+    ) -> Result<Option<FrameTruth>, TruthError> {
         for path in &self.paths {
             let mut read = self.read(path, clip.picture)?;
             let place = read.clips.iter().position(|truth| truth.name == clip.name);
@@ -162,7 +166,7 @@ impl GroundTruth {
             if first {
                 merge(report, read.report);
             }
-            return Ok(Some(truth));
+            return Ok(Some((truth, found.ignored)));
         }
         Ok(None)
     }

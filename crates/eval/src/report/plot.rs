@@ -4,15 +4,12 @@
 //! SVG files name the viewer's own sans-serif font.
 
 mod clips;
-mod power;
 mod states;
 mod style;
 mod tradeoff;
 
-pub use power::{PowerTrace, RibbonFrame};
 pub use tradeoff::Point;
 
-use crate::result::Provenance;
 use crate::spec::{BASELINE, split_label};
 use crate::summary::PolicySummary;
 use plotters::coord::Shift;
@@ -45,7 +42,6 @@ enum Content {
     Tradeoff(Tradeoff),
     States(Vec<states::Bar>),
     Clips(Vec<clips::Cloud>),
-    Power(Vec<PowerTrace>),
 }
 
 impl Figure {
@@ -105,7 +101,6 @@ impl Figure {
             Content::Tradeoff(tradeoff) => tradeoff.draw(area, scale)?,
             Content::States(bars) => states::draw(bars, area, scale)?,
             Content::Clips(clouds) => clips::draw(clouds, area, scale)?,
-            Content::Power(traces) => power::draw(traces, area, scale)?,
         }
         area.present()?;
         Ok(())
@@ -117,26 +112,8 @@ pub fn figures(report: &super::Report) -> Vec<Figure> {
     let summaries = &report.policies;
     let mut figures = Vec::new();
     let has_accuracy = summaries.iter().any(|summary| summary.ap50.is_some());
-    let energy = summaries.iter().find_map(|summary| summary.energy);
     let marks = "Whiskers: 95 % confidence interval of the difference to Vanilla, paired over clips, cut at the figure's edge. \
                  Thin line: Vanilla. Grey band: the Pareto frontier; filled markers are on it.";
-    if has_accuracy && let Some(energy) = energy {
-        figures.push(Figure {
-            name: "ap50-against-edp",
-            title: "Accuracy against energy-delay product".to_owned(),
-            caption: format!("Mean over clips{}. {marks}", of_kind(energy.provenance)),
-            size: (720, 430),
-            content: Content::Tradeoff(Tradeoff {
-                x_label: format!("EDP, J·ms per frame{}", of_kind(energy.provenance)),
-                y_label: "AP@50".to_owned(),
-                points: points(
-                    summaries,
-                    &|summary| Some(summary.energy?.edp),
-                    &|summary| summary.on_edp_frontier == Some(true),
-                ),
-            }),
-        });
-    }
     if has_accuracy {
         figures.push(Figure {
             name: "ap50-against-skip-rate",
@@ -146,11 +123,7 @@ pub fn figures(report: &super::Report) -> Vec<Figure> {
             content: Content::Tradeoff(Tradeoff {
                 x_label: "Frames without the detector, %".to_owned(),
                 y_label: "AP@50".to_owned(),
-                points: points(
-                    summaries,
-                    &|summary| Some(summary.skip_rate * 100.0),
-                    &|summary| summary.on_skip_frontier,
-                ),
+                points: points(summaries),
             }),
         });
     }
@@ -175,35 +148,10 @@ pub fn figures(report: &super::Report) -> Vec<Figure> {
             content: Content::Clips(clouds),
         });
     }
-    if let Some(first) = report.power.first() {
-        figures.push(Figure {
-            name: "power-of-a-clip",
-            title: format!("Power over the clip {}", first.clip),
-            caption: format!(
-                "Mean power{}; below, the state of every frame.",
-                of_kind(first.provenance)
-            ),
-            size: (720, 330),
-            content: Content::Power(report.power.clone()),
-        });
-    }
     figures
 }
 
-fn of_kind(provenance: Provenance) -> &'static str {
-    match provenance {
-        Provenance::Measured => "",
-        Provenance::Estimated => " (estimated)",
-        Provenance::Composed => " (composed)",
-        Provenance::Projected => " (projected)",
-    }
-}
-
-fn points(
-    summaries: &[PolicySummary],
-    x: &dyn Fn(&PolicySummary) -> Option<f64>,
-    on_frontier: &dyn Fn(&PolicySummary) -> bool,
-) -> Vec<Point> {
+fn points(summaries: &[PolicySummary]) -> Vec<Point> {
     summaries
         .iter()
         .filter_map(|summary| {
@@ -216,10 +164,10 @@ fn points(
             Some(Point {
                 family: family.to_owned(),
                 setting,
-                x: x(summary)?,
+                x: summary.skip_rate * 100.0,
                 y,
                 interval,
-                on_frontier: on_frontier(summary),
+                on_frontier: summary.on_skip_frontier,
                 baseline: summary.policy == BASELINE,
             })
         })

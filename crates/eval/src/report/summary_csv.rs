@@ -8,7 +8,7 @@ use crate::result::ClipResult;
 use crate::spec::BASELINE;
 use std::collections::HashMap;
 
-const HEADER: [&str; 36] = [
+const HEADER: [&str; 38] = [
     "sequence",
     "camera",
     "frames",
@@ -27,6 +27,8 @@ const HEADER: [&str; 36] = [
     "map_lastconf",
     "ap50",
     "map",
+    "ap75",
+    "f1_50",
     "precision",
     "recall",
     "delta_ap50",
@@ -71,7 +73,7 @@ fn cell(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
-fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> [String; 36] {
+fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> [String; 38] {
     let accuracy = result.accuracy;
     let last = result.accuracy_last_confidence;
     // Under the published scoring, and only there, both definitions exist.
@@ -102,6 +104,8 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> [String; 36] {
         cell(last.map(|a| a.map)),
         cell(accuracy.map(|a| a.ap50)),
         cell(accuracy.map(|a| a.map)),
+        cell(accuracy.map(|a| a.ap75)),
+        cell(accuracy.map(|a| a.f1_50)),
         cell(accuracy.map(|a| a.precision)),
         cell(accuracy.map(|a| a.recall)),
         cell(delta(|a| a.ap50)),

@@ -31,13 +31,26 @@ pub(super) fn frames(results: &[ClipResult]) -> Markup {
                     " The recording has detections and no pictures, so only boxes are drawn."
                 }
             }
-            @for policy in policies.into_iter().take(SHOWN_POLICIES) {
-                h3 { (short(policy)) }
-                div.frames {
-                    @for (clip, worst) in worst_of(results, policy) {
-                        (picture(clip, worst))
+            @for (index, policy) in policies.into_iter().take(SHOWN_POLICIES).enumerate() {
+                @if index == 0 {
+                    h3 { (short(policy)) }
+                    (frames_of(results, policy))
+                } @else {
+                    details {
+                        summary { (short(policy)) }
+                        (frames_of(results, policy))
                     }
                 }
+            }
+        }
+    }
+}
+
+fn frames_of(results: &[ClipResult], policy: &str) -> Markup {
+    html! {
+        div.frames {
+            @for (clip, worst) in worst_of(results, policy) {
+                (picture(clip, worst))
             }
         }
     }

@@ -11,7 +11,6 @@ use std::error::Error;
 use std::sync::OnceLock;
 
 static REGULAR: &[u8] = include_bytes!("../font/Roboto-Regular-subset.ttf");
-static BOLD: &[u8] = include_bytes!("../font/Roboto-Bold-subset.ttf");
 
 /// Ink of text.
 pub(crate) const INK: RGBColor = RGBColor(34, 40, 49);
@@ -58,10 +57,8 @@ impl Scale {
     /// `steps` a point. Registers the embedded font the first time.
     pub(crate) fn new(steps: u32) -> Result<Self, Box<dyn Error>> {
         static FONT: OnceLock<bool> = OnceLock::new();
-        let registered = FONT.get_or_init(|| {
-            register_font("sans-serif", FontStyle::Normal, REGULAR).is_ok()
-                && register_font("sans-serif", FontStyle::Bold, BOLD).is_ok()
-        });
+        let registered =
+            FONT.get_or_init(|| register_font("sans-serif", FontStyle::Normal, REGULAR).is_ok());
         if *registered {
             Ok(Self(f64::from(steps)))
         } else {
@@ -81,17 +78,12 @@ impl Scale {
 
     /// Text of `points` height.
     pub(crate) fn text(self, points: f64, color: RGBColor) -> TextStyle<'static> {
-        self.styled(points, color, FontStyle::Normal)
-    }
-
-    /// Bold text.
-    pub(crate) fn bold(self, points: f64, color: RGBColor) -> TextStyle<'static> {
-        self.styled(points, color, FontStyle::Bold)
-    }
-
-    fn styled(self, points: f64, color: RGBColor, style: FontStyle) -> TextStyle<'static> {
         // The library's font sizes are line heights: 1.24 of what other programs call the size.
-        let font = FontDesc::new(FontFamily::SansSerif, points * 1.24 * self.0, style);
+        let font = FontDesc::new(
+            FontFamily::SansSerif,
+            points * 1.24 * self.0,
+            FontStyle::Normal,
+        );
         let mut style = TextStyle::from(font);
         style.color = color.to_backend_color();
         style
