@@ -8,7 +8,7 @@ hub, seconds = sys.argv[1], float(sys.argv[2])
 now_ms = int(time.time() * 1000)
 paths = {
     "a page of nodes": "/api/v1/nodes?limit=50",
-    "nodes, worst first": "/api/v1/nodes?limit=50&sort=state",
+    "nodes, worst first": "/api/v1/nodes?limit=50&sort=state&down=true",
     "one node": "/api/v1/nodes/sim-000007",
     "last clips of a node": "/api/v1/clips?node=sim-000007&limit=20",
     "last clips": "/api/v1/clips?limit=50",

@@ -144,7 +144,7 @@ describe("the address", () => {
 describe("the rows of a fleet", () => {
   const filter = { state: "", search: "", select: "region=north", sort: "waiting", down: true };
   test("are asked for as the table shows them", () => {
-    expect(path(filter, 200, 100)).toBe("/api/v1/fleet?select=region%3Dnorth&sort=waiting&down=true&offset=200&limit=100");
+    expect(path(filter, 200, 100)).toBe("/api/v1/nodes?select=region%3Dnorth&sort=waiting&down=true&offset=200&limit=100");
   });
   test("are held only near what is seen", async () => {
     vi.stubGlobal("fetch", async (address: string) => {

@@ -10,9 +10,9 @@ mod events;
 mod health;
 mod live;
 mod metrics;
+mod node_list;
 mod nodes;
 mod order;
-mod page_rows;
 mod target;
 mod threshold;
 
@@ -219,11 +219,10 @@ fn described() -> OpenApiRouter<HubView> {
         .routes(routes!(health::readyz))
         .routes(routes!(http::caller))
         .routes(routes!(metrics::text))
-        .routes(routes!(nodes::list))
+        .routes(routes!(node_list::list))
         .routes(routes!(nodes::one, nodes::forget))
         .routes(routes!(live::live))
         .routes(routes!(live::picture))
-        .routes(routes!(page_rows::rows))
         .routes(routes!(clips::list))
         .routes(routes!(clips::csv))
         .routes(routes!(clips::set_aside))

@@ -11,7 +11,7 @@ mod tests;
 mod today;
 
 pub(crate) use fleet::Remembered;
-pub use fleet::{Fleet, FleetTallies, NodeView, Order};
+pub use fleet::{Fleet, FleetTallies, NodeView};
 pub use listen::ListenCounters;
 pub(crate) use listen::{ListenSetup, Notifier, listen};
 pub use state::{Facts, Limits, PresenceState, Token, judge};

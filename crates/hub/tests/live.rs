@@ -145,11 +145,9 @@ async fn nodes_are_sorted_by_what_they_used_today_also_after_a_restart() {
                 .map(|node| node["node"].as_str().unwrap().to_owned());
             names.collect()
         };
-        let page = hub.get("/api/v1/nodes?sort=joules").await;
+        let page = hub.get("/api/v1/nodes?sort=joules&down=true").await;
         assert_eq!(names(&page), ["car-2", "car-3", "car-1"], "{page}");
-        let rows = hub.get("/api/v1/fleet?sort=joules&down=true").await;
-        assert_eq!(names(&rows), ["car-2", "car-3", "car-1"]);
-        let rows = hub.get("/api/v1/fleet?sort=joules").await;
+        let rows = hub.get("/api/v1/nodes?sort=joules").await;
         assert_eq!(names(&rows), ["car-1", "car-3", "car-2"]);
         let today = &page["nodes"][0]["today"];
         assert_eq!(today["estimated_joules"], 0.0);

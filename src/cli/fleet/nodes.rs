@@ -88,20 +88,20 @@ async fn nodes(
     limit: usize,
 ) -> Result<Vec<Value>, Failure> {
     let mut found: Vec<Value> = Vec::new();
-    let mut after: Option<String> = None;
     while found.len() < limit.min(MOST) {
         let mut query = vec![("limit", PAGE.min(limit - found.len()).to_string())];
         query.push(("sort", sort.to_owned()));
-        query.extend(after.take().map(|after| ("cursor", after)));
+        // The worst, the last heard and the most waiting first.
+        query.push(("down", (sort != "name").to_string()));
+        query.push(("offset", found.len().to_string()));
         query.extend(state.map(|state| ("state", state.to_owned())));
         let page = context.client.get("/api/v1/nodes", &query).await?;
         let nodes = page["nodes"]
             .as_array()
             .ok_or_else(|| anyhow!("the hub gives no list of nodes"))?;
         found.extend(nodes.iter().cloned());
-        match page["next"].as_str() {
-            Some(next) if !nodes.is_empty() => after = Some(next.to_owned()),
-            _ => break,
+        if nodes.is_empty() || page["total"].as_u64() <= Some(found.len() as u64) {
+            break;
         }
     }
     Ok(found)
@@ -356,7 +356,11 @@ pub(super) async fn watch(context: &Context, arguments: WatchArguments) -> Resul
     let mut looks = 0;
     loop {
         // The hub counts, and puts those that are not well first: a page is enough however large the fleet is.
-        let query = [("sort", "state".to_owned()), ("limit", SHOWN.to_string())];
+        let query = [
+            ("sort", "state".to_owned()),
+            ("down", "true".to_owned()),
+            ("limit", SHOWN.to_string()),
+        ];
         let page = context.client.get("/api/v1/nodes", &query).await?;
         let known: u64 = page["counts"]
             .as_object()

@@ -2,7 +2,7 @@
 
 import { json } from "../shared/api";
 import { href } from "./route";
-import type { FleetRows, NodeView } from "./types";
+import type { NodeList, NodeView } from "./types";
 
 export const PAGE = 100;
 /** Pages held: what is scrolled past is let go. */
@@ -26,7 +26,7 @@ export function path(filter: Filter, offset: number, limit: number): string {
     offset: String(offset),
     limit: String(limit),
   });
-  return `/api/v1/fleet${query.slice(2)}`;
+  return `/api/v1/nodes${query.slice(2)}`;
 }
 
 export class Rows {
@@ -77,7 +77,7 @@ export class Rows {
     if (this.#loading.has(page)) return;
     this.#loading.add(page);
     try {
-      const found = await json<FleetRows>(path(this.filter, page * PAGE, PAGE), { signal: this.#stopped.signal });
+      const found = await json<NodeList>(path(this.filter, page * PAGE, PAGE), { signal: this.#stopped.signal });
       this.total = found.total;
       this.fault = "";
       this.#pages.set(page, found.nodes);
@@ -96,7 +96,7 @@ export async function names(filter: Filter, most: number): Promise<{ names: stri
   const found: string[] = [];
   let total = 0;
   do {
-    const page = await json<FleetRows>(path({ ...filter, sort: "name" }, found.length, 500));
+    const page = await json<NodeList>(path({ ...filter, sort: "name" }, found.length, 500));
     total = page.total;
     if (page.nodes.length === 0) break;
     found.push(...page.nodes.map((node) => node.node));

@@ -2,14 +2,14 @@
 
 import { signal } from "@preact/signals";
 import { every, follow, json } from "../shared/api";
-import type { Energy, EnergyGroup, FleetRows, StoredEvent } from "./types";
+import type { Energy, EnergyGroup, NodeList, StoredEvent } from "./types";
 
 /** Events that are remembered. */
 const MOST_EVENTS = 200;
 /** Shortest time between two looks because of events, milliseconds: four a second at most. */
 const LEAST_MS = 250;
 
-export const fleet = signal<Pick<FleetRows, "counts" | "waiting"> | undefined>(undefined);
+export const fleet = signal<Pick<NodeList, "counts" | "waiting"> | undefined>(undefined);
 export const today = signal<EnergyGroup[] | undefined>(undefined);
 /** What the audits of the fleet found today. */
 export const auditToday = signal<Energy["audit"] | undefined>(undefined);
@@ -40,7 +40,7 @@ export function lookSoon(): void {
 }
 
 async function lookAtFleet(): Promise<void> {
-  const { counts, waiting } = await json<FleetRows>("/api/v1/fleet?limit=0");
+  const { counts, waiting } = await json<NodeList>("/api/v1/nodes?limit=0");
   fleet.value = { counts, waiting };
 }
 

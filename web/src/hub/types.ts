@@ -4,7 +4,7 @@ import type { components } from "../api/hub";
 
 type Schemas = components["schemas"];
 
-export type FleetRows = Schemas["FleetRows"];
+export type NodeList = Schemas["NodeList"];
 export type NodeView = Schemas["NodeView"];
 export type NodeDetail = Schemas["NodeDetail"];
 export type InstanceView = Schemas["InstanceView"];

@@ -28,7 +28,7 @@ token = "a-token-that-may-look"
   const headers = { Authorization: "Bearer a-token-that-may-tune" };
   await until("all nodes online", async () => {
     if (fleet.exitCode !== null) throw new Error(fleet.said);
-    return (await (await fetch(`${address}/api/v1/fleet?limit=0`, { headers })).json()).counts.online === NODES;
+    return (await (await fetch(`${address}/api/v1/nodes?limit=0`, { headers })).json()).counts.online === NODES;
   });
   const page = await open(browser, address);
   const unlock = async (page, token) => {
@@ -41,7 +41,7 @@ token = "a-token-that-may-look"
   /** Waits until the table shows what the hub says of the selection. */
   const shows = (query) =>
     until(`the rows of ${query || "all"}`, async () => {
-      const hubs = await (await fetch(`${address}/api/v1/fleet?limit=1&${query}`, { headers })).json();
+      const hubs = await (await fetch(`${address}/api/v1/nodes?limit=1&${query}`, { headers })).json();
       if ((await total()) !== hubs.total) return false;
       // Rows of one energy or state change places by themselves; by name they do not.
       return /sort=/.test(query) || hubs.total === 0 || (await firstName()) === hubs.nodes[0].node;

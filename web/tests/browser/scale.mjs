@@ -26,7 +26,7 @@ const fleet = start(["simulate", "--nodes", String(NODES), "--sessions", "20", "
 const read = async (path) => (await fetch(address + path)).json();
 await until("all nodes known", async () => {
   if (fleet.exitCode !== null) throw new Error(fleet.said);
-  return (await read("/api/v1/fleet?limit=0")).total >= NODES;
+  return (await read("/api/v1/nodes?limit=0")).total >= NODES;
 }, 900_000);
 const browser = await launch();
 const page = await open(browser, address);

@@ -2,7 +2,7 @@
 
 use super::HubView;
 use crate::config::HubConfig;
-use crate::presence::{Order, PresenceState};
+use crate::presence::PresenceState;
 use crate::store::{Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::config;
@@ -11,6 +11,8 @@ use axum::extract::State;
 use axum::http::header::{CONTENT_DISPOSITION, CONTENT_TYPE};
 use axum::response::{IntoResponse, Response};
 use serde_json::{Value, json};
+use std::cmp::Reverse;
+use std::sync::Arc;
 
 /// Most nodes that are not well, most events and most changes in the archive.
 const MOST_NODES: usize = 1000;
@@ -39,12 +41,18 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         Ok(store) => (said(events(store).await), said(changes(store).await)),
         Err(_) => (away(), away()),
     };
-    let unwell = view
-        .fleet
-        .sorted(Order::WorstFirst, None, MOST_NODES, |_, state| {
-            state != PresenceState::Online
-        });
-    let unwell: Vec<_> = unwell.into_iter().map(|(_, node)| node).collect();
+    let mut unwell = Vec::new();
+    view.fleet.glance(|node| {
+        if node.state != PresenceState::Online {
+            unwell.push((node.state, Arc::clone(node.name)));
+        }
+    });
+    // The worst first.
+    unwell
+        .sort_by_key(|(state, _)| Reverse(PresenceState::ALL.iter().position(|one| one == state)));
+    let unwell: Vec<_> = (unwell.iter().take(MOST_NODES))
+        .filter_map(|(_, name)| view.fleet.view(name))
+        .collect();
     let states = PresenceState::ALL.map(PresenceState::as_str);
     let states: serde_json::Map<String, Value> = states
         .into_iter()

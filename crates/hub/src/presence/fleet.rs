@@ -79,36 +79,6 @@ pub(crate) struct Remembered {
     pub(crate) status: Option<String>,
 }
 
-/// An order of nodes beside that of their names, which decides among equals.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Order {
-    /// Offline before silent before degraded before online.
-    WorstFirst,
-    /// The longest not heard first; never heard before all.
-    LongestUnheard,
-    /// The last heard first.
-    LastHeard,
-    /// The most waiting reports first.
-    MostWaiting,
-    /// The most energy of today first, by the larger of measured and estimated.
-    MostJoules,
-}
-
-impl Order {
-    fn key(self, entry: &Entry, day: i64) -> i64 {
-        match self {
-            Self::WorstFirst => {
-                let place = PresenceState::ALL.iter().position(|s| *s == entry.state);
-                -(place.unwrap_or(0) as i64)
-            }
-            Self::LongestUnheard => entry.heard_ms.unwrap_or(i64::MIN),
-            Self::LastHeard => entry.heard_ms.map_or(i64::MAX, |at| -at),
-            Self::MostJoules => -entry.today.key(day),
-            Self::MostWaiting => -i64::try_from(entry.waiting).unwrap_or(i64::MAX),
-        }
-    }
-}
-
 /// What all nodes are counted by, beside their states.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FleetTallies {
@@ -437,50 +407,11 @@ impl Fleet {
         nodes.get(node).map(|entry| entry.view(node, day))
     }
 
-    /// Nodes after `after` in the order of their names, at most `most`, of those that `wanted` chooses by name and
-    /// state.
-    pub fn list(
-        &self,
-        after: Option<&str>,
-        most: usize,
-        wanted: impl Fn(&str, PresenceState) -> bool,
-    ) -> Vec<NodeView> {
-        let nodes = self.nodes.read();
-        let from = after.map_or(Unbounded, Excluded);
+    /// All nodes, in the order of their names.
+    pub(crate) fn views(&self) -> Vec<NodeView> {
         let day = day_of(unix_milliseconds());
-        nodes
-            .range::<str, _>((from, Unbounded))
-            .filter(|(name, entry)| wanted(name, entry.state))
-            .take(most)
+        (self.nodes.read().iter())
             .map(|(name, entry)| entry.view(name, day))
-            .collect()
-    }
-
-    /// Nodes in another order than that of their names: behind `after`, at most `most`, of those that `wanted` chooses.
-    /// Each with its key, which with its name is where the next page begins. Looks at every node, and sorts a page.
-    pub fn sorted(
-        &self,
-        order: Order,
-        after: Option<(i64, &str)>,
-        most: usize,
-        wanted: impl Fn(&str, PresenceState) -> bool,
-    ) -> Vec<(i64, NodeView)> {
-        let nodes = self.nodes.read();
-        let day = day_of(unix_milliseconds());
-        let mut found: Vec<(i64, &Arc<str>)> = nodes
-            .iter()
-            .filter(|(name, entry)| wanted(name, entry.state))
-            .map(|(name, entry)| (order.key(entry, day), name))
-            .filter(|(key, name)| after.is_none_or(|after| (*key, &***name) > after))
-            .collect();
-        if found.len() > most {
-            found.select_nth_unstable(most);
-            found.truncate(most);
-        }
-        found.sort_unstable();
-        found
-            .into_iter()
-            .filter_map(|(key, name)| Some((key, nodes.get(name)?.view(name, day))))
             .collect()
     }
 

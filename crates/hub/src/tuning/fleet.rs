@@ -28,7 +28,7 @@ pub trait Fleet: Send + Sync {
 
 impl Fleet for presence::Fleet {
     fn nodes(&self) -> Vec<NodeFacts> {
-        let views = self.list(None, usize::MAX, |_, _| true);
+        let views = self.views();
         views.into_iter().map(NodeFacts::from).collect()
     }
 

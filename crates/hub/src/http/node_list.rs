@@ -1,7 +1,6 @@
-//! The fleet as the rows of a table that the hub sorts, filters and cuts: a page then holds only what it shows.
+//! The list of nodes, which the hub sorts, filters and cuts: a client holds only what it shows.
 
 use super::body::unusable;
-use super::nodes::Counts;
 use super::{HubView, query};
 use crate::presence::{NodeView, PresenceState};
 use crate::tuning::selector::Selector;
@@ -15,8 +14,8 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use utoipa::{IntoParams, ToSchema};
 
-/// Most rows of one answer.
-const MOST: usize = 500;
+/// Most nodes of one answer.
+const MOST: usize = 1000;
 
 /// What rows are sorted by; those that are equal, by name.
 #[derive(Clone, Copy, Debug, Default, Deserialize, ToSchema)]
@@ -58,13 +57,26 @@ pub(super) struct Selection {
     /// Rows left out before the first one.
     #[serde(default)]
     offset: usize,
-    /// At most so many, 100 by default, 500 at most.
+    /// At most this many, 100 by default, 1000 at most.
     limit: Option<usize>,
 }
 
-/// Rows of the fleet.
+/// Nodes by state.
 #[derive(Serialize, ToSchema)]
-pub(super) struct FleetRows {
+struct Counts {
+    /// All its parts work.
+    online: u64,
+    /// Something of it is impaired.
+    degraded: u64,
+    /// Nothing was heard for a while.
+    silent: u64,
+    /// It is gone.
+    offline: u64,
+}
+
+/// Nodes of the fleet.
+#[derive(Serialize, ToSchema)]
+pub(super) struct NodeList {
     /// Nodes of the whole fleet by state.
     counts: Counts,
     /// Reports that wait in the outboxes of the whole fleet.
@@ -117,20 +129,20 @@ fn selector(text: Option<&str>) -> Result<Option<Selector>, Problem> {
     Ok(Some(selector))
 }
 
-/// The fleet as rows of a table
+/// The nodes of the fleet
 ///
-/// `curl 'http://127.0.0.1:8090/api/v1/fleet?state=degraded,silent&select=region=north&sort=waiting&down=true'`
+/// `curl 'http://127.0.0.1:8090/api/v1/nodes?state=degraded,silent&select=region=north&sort=waiting&down=true'`
 #[utoipa::path(
-    get, operation_id = "fleet_rows", path = "/api/v1/fleet", tag = "nodes", params(Selection),
+    get, operation_id = "list_nodes", path = "/api/v1/nodes", tag = "nodes", params(Selection),
     responses(
-        (status = 200, body = FleetRows),
+        (status = 200, body = NodeList),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
     )
 )]
-pub(super) async fn rows(
+pub(super) async fn list(
     State(view): State<HubView>,
     selection: Result<Query<Selection>, QueryRejection>,
-) -> Result<Json<FleetRows>, Problem> {
+) -> Result<Json<NodeList>, Problem> {
     let selection = query(selection)?;
     let wanted = states(selection.state.as_deref())?;
     let selector = selector(selection.select.as_deref())?;
@@ -180,7 +192,7 @@ pub(super) async fn rows(
     let [online, degraded, silent, offline] = view.fleet.by_state();
     let limit = selection.limit.unwrap_or(100).min(MOST);
     let nodes = found.iter().skip(selection.offset).take(limit);
-    Ok(Json(FleetRows {
+    Ok(Json(NodeList {
         counts: Counts {
             online,
             degraded,
