@@ -480,7 +480,7 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
-    "/api/v1/fleet": {
+    "/api/v1/nodes": {
         parameters: {
             query?: never;
             header?: never;
@@ -488,8 +488,8 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * The fleet as rows of a table
-         * @description `curl 'http://127.0.0.1:8090/api/v1/fleet?state=degraded,silent&select=region=north&sort=waiting&down=true'`
+         * The nodes of the fleet
+         * @description `curl 'http://127.0.0.1:8090/api/v1/nodes?state=degraded,silent&select=region=north&sort=waiting&down=true'`
          */
         get: {
             parameters: {
@@ -506,7 +506,7 @@ export interface paths {
                     down?: boolean;
                     /** @description Rows left out before the first one. */
                     offset?: number;
-                    /** @description At most so many, 100 by default, 500 at most. */
+                    /** @description At most this many, 100 by default, 1000 at most. */
                     limit?: number;
                 };
                 header?: never;
@@ -520,67 +520,7 @@ export interface paths {
                         [name: string]: unknown;
                     };
                     content: {
-                        "application/json": components["schemas"]["FleetRows"];
-                    };
-                };
-                "4XX": {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/problem+json": components["schemas"]["Problem"];
-                    };
-                };
-            };
-        };
-        put?: never;
-        post?: never;
-        delete?: never;
-        options?: never;
-        head?: never;
-        patch?: never;
-        trace?: never;
-    };
-    "/api/v1/nodes": {
-        parameters: {
-            query?: never;
-            header?: never;
-            path?: never;
-            cookie?: never;
-        };
-        /**
-         * The nodes of the fleet, page by page
-         * @description `curl 'http://127.0.0.1:8090/api/v1/nodes?state=degraded&limit=20'`
-         */
-        get: {
-            parameters: {
-                query?: {
-                    /** @description Of this state only: `online`, `degraded`, `silent`, `offline`. */
-                    state?: string;
-                    /** @description With this text in the name. */
-                    search?: string;
-                    /**
-                     * @description `name`, or: `state` (offline first), `heard` (the last heard first), `-heard` (the longest not heard first),
-                     *     `waiting` (the most waiting reports first), `joules` (the most energy of today first).
-                     */
-                    sort?: string;
-                    /** @description `next` of the page before. */
-                    cursor?: string;
-                    /** @description At most so many, 100 by default, 1000 at most. */
-                    limit?: number;
-                };
-                header?: never;
-                path?: never;
-                cookie?: never;
-            };
-            requestBody?: never;
-            responses: {
-                200: {
-                    headers: {
-                        [name: string]: unknown;
-                    };
-                    content: {
-                        "application/json": components["schemas"]["NodePage"];
+                        "application/json": components["schemas"]["NodeList"];
                     };
                 };
                 "4XX": {
@@ -1742,13 +1682,25 @@ export interface components {
         };
         /** @description Nodes by state. */
         Counts: {
-            /** Format: int64 */
+            /**
+             * Format: int64
+             * @description Something of it is impaired.
+             */
             degraded: number;
-            /** Format: int64 */
+            /**
+             * Format: int64
+             * @description It is gone.
+             */
             offline: number;
-            /** Format: int64 */
+            /**
+             * Format: int64
+             * @description All its parts work.
+             */
             online: number;
-            /** Format: int64 */
+            /**
+             * Format: int64
+             * @description Nothing was heard for a while.
+             */
             silent: number;
         };
         /** @description What a node can be told to hold. A node has one, so that each kind replaces the other. */
@@ -1967,21 +1919,6 @@ export interface components {
          * @enum {string}
          */
         Figure: "skip_rate" | "joules_measured" | "joules_estimated" | "edp_measured" | "edp_estimated" | "latency_p99" | "degraded" | "detector_errors" | "recall" | "precision";
-        /** @description Rows of the fleet. */
-        FleetRows: {
-            /** @description Nodes of the whole fleet by state. */
-            counts: components["schemas"]["Counts"];
-            nodes: components["schemas"]["NodeView"][];
-            /** @description Place of the first row of this answer among them. */
-            offset: number;
-            /** @description Rows there are of this selection. */
-            total: number;
-            /**
-             * Format: int64
-             * @description Reports that wait in the outboxes of the whole fleet.
-             */
-            waiting: number;
-        };
         /** @description How many frames had each state. */
         FrameStates: {
             /**
@@ -2219,13 +2156,20 @@ export interface components {
              */
             instances: components["schemas"]["InstanceView"][];
         };
-        /** @description A page of nodes. */
-        NodePage: {
-            /** @description Nodes of the fleet by state, whatever is selected. */
+        /** @description Nodes of the fleet. */
+        NodeList: {
+            /** @description Nodes of the whole fleet by state. */
             counts: components["schemas"]["Counts"];
-            /** @description What to give as `cursor` for the next page; absent on the last. */
-            next?: string | null;
             nodes: components["schemas"]["NodeView"][];
+            /** @description Place of the first row of this answer among them. */
+            offset: number;
+            /** @description Rows there are of this selection. */
+            total: number;
+            /**
+             * Format: int64
+             * @description Reports that wait in the outboxes of the whole fleet.
+             */
+            waiting: number;
         };
         /** @description Everything a hub shows of a node between reports. */
         NodeStatus: {
