@@ -206,9 +206,7 @@ async fn open(endpoint: &str, tls: Option<serde_json::Value>) -> zenoh::Result<S
 async fn acknowledged(session: &Session, node: &str, number: u64, limit: Duration) -> bool {
     let until = Instant::now() + limit;
     loop {
-        // An instance is 32 hexadecimal digits.
-        let instance = node.trim_start_matches("car-").repeat(32);
-        let answer = send(session, node, &instance, number..=number, now_ns()).await;
+        let answer = send(session, node, number..=number, now_ns()).await;
         if answer.is_some_and(|answer| answer.is_ok()) {
             return true;
         }

@@ -1,14 +1,13 @@
 //! A stand-in for a hub: commits what it is sent to a file, synced, and answers then. Its manners can be bad.
 
 use crate::support::PATIENCE;
-use albireo_wire::{
-    ClipReport, ReceivedBatch, RefusalReason, ReportAnswer, ReportRefusal, VERSION, read,
-};
-use std::collections::BTreeMap;
+use albireo_wire::{ClipReport, RefusalReason, ReportAnswer, ReportBatch, ReportRefusal, VERSION};
+use std::collections::BTreeSet;
 use std::io::Write;
 use std::path::Path;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
+use uuid::Uuid;
 use zenoh::query::Query;
 use zenoh::{Session, Wait};
 
@@ -28,10 +27,10 @@ pub(super) enum Manner {
 struct Inner {
     manner: Manner,
     file: tempfile::NamedTempFile,
-    /// Last number stored of each instance.
-    cursors: BTreeMap<String, u64>,
-    /// Instance, number and clip, in the order stored.
-    stored: Vec<(String, u64, String)>,
+    /// Ids of the reports stored.
+    known: BTreeSet<Uuid>,
+    /// Their running counts, in the order stored.
+    stored: Vec<u64>,
     asked: Vec<Instant>,
     /// Queries kept unanswered.
     held: Vec<Query>,
@@ -50,7 +49,7 @@ impl Hub {
         let inner = Arc::new(Mutex::new(Inner {
             manner,
             file: tempfile::NamedTempFile::new().unwrap(),
-            cursors: BTreeMap::new(),
+            known: BTreeSet::new(),
             stored: Vec::new(),
             asked: Vec::new(),
             held: Vec::new(),
@@ -106,12 +105,10 @@ impl Hub {
         inner.asked.windows(2).map(|two| two[1] - two[0]).collect()
     }
 
-    /// Exactly the numbers from 1 of one instance, each once, no clip twice.
+    /// Exactly the reports that were made first, each once and in order.
     pub(super) fn assert_gapless(&self, reports: usize) {
         let inner = self.inner.lock().unwrap();
-        let numbers: Vec<u64> = inner.stored.iter().map(|(_, number, _)| *number).collect();
-        assert_eq!(numbers, (1..=reports as u64).collect::<Vec<_>>());
-        assert_eq!(inner.cursors.len(), 1, "one instance");
+        assert_eq!(inner.stored, (1..=reports as u64).collect::<Vec<_>>());
     }
 }
 
@@ -137,8 +134,8 @@ impl Inner {
                 self.held.push(query);
             }
             Manner::Honest => {
-                let stored = self.commit(&query);
-                let answer = serde_json::to_vec(&ReportAnswer::new(stored, None)).unwrap();
+                self.commit(&query);
+                let answer = serde_json::to_vec(&ReportAnswer::new(Uuid::max())).unwrap();
                 query
                     .reply(query.key_expr().clone(), answer)
                     .wait()
@@ -147,30 +144,19 @@ impl Inner {
         }
     }
 
-    fn commit(&mut self, query: &Query) -> u64 {
+    fn commit(&mut self, query: &Query) {
         let payload = query.payload().unwrap().to_bytes();
         assert!(
             payload.len() < 1 << 20,
             "a batch is below 1 MiB on the wire"
         );
-        let batch = ReceivedBatch::from_payload(&payload).unwrap();
-        let cursor = self.cursors.entry(batch.instance.clone()).or_default();
-        for raw in &batch.reports {
-            let report: ClipReport = read(raw.get().as_bytes()).unwrap();
-            if report.report > *cursor {
-                *cursor = report.report;
-                writeln!(
-                    self.file,
-                    "{} {} {}",
-                    batch.instance, report.report, report.clip
-                )
-                .unwrap();
-                self.stored
-                    .push((batch.instance.clone(), report.report, report.clip));
+        for report in ReportBatch::from_payload(&payload).unwrap().reports {
+            if self.known.insert(report.id) {
+                writeln!(self.file, "{} {}", report.id, report.clip).unwrap();
+                self.stored.push(report.count.unwrap());
             }
         }
         self.file.as_file().sync_data().unwrap();
-        *cursor
     }
 }
 
@@ -187,17 +173,26 @@ pub(super) async fn router(endpoint: &str) -> Session {
     zenoh::open(config).await.unwrap()
 }
 
-/// Writes the last report of the file `times` times more, under the numbers that follow.
+/// Writes the last report of the file `times` times more, under ids and counts that follow.
 pub(super) fn multiply(file: &Path, times: u64) {
-    let db = rusqlite::Connection::open(file).unwrap();
-    db.execute(
-        "WITH RECURSIVE more(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM more WHERE n < ?1)
-         INSERT INTO report (instance, number, kept_ns, json)
-         SELECT instance, number + n, kept_ns, json FROM more, report
-         WHERE number = (SELECT max(number) FROM report)",
-        [times as i64],
-    )
-    .unwrap();
-    db.execute("UPDATE instance SET last = last + ?1", [times as i64])
-        .unwrap();
+    let mut db = rusqlite::Connection::open(file).unwrap();
+    let last = "SELECT json FROM report ORDER BY count DESC LIMIT 1";
+    let json: Vec<u8> = db.query_row(last, [], |row| row.get(0)).unwrap();
+    let mut report: ClipReport = serde_json::from_slice(&json).unwrap();
+    let (id, count) = (report.id.as_u128(), report.count.unwrap());
+    let writing = db.transaction().unwrap();
+    for more in 1..=times {
+        report.id = Uuid::from_u128(id.wrapping_add(u128::from(more)));
+        report.count = Some(count + more);
+        let row = (
+            report.id.as_bytes(),
+            (count + more).cast_signed(),
+            serde_json::to_vec(&report).unwrap(),
+        );
+        let insert = "INSERT INTO report (id, count, state, json) VALUES (?, ?, 0, ?)";
+        writing.execute(insert, row).unwrap();
+    }
+    let made = "UPDATE counter SET value = value + ? WHERE name = 'made'";
+    writing.execute(made, [times.cast_signed()]).unwrap();
+    writing.commit().unwrap();
 }

@@ -183,7 +183,7 @@ async fn clips_come_newest_first_by_camera_and_number() {
         let name = |clip: &serde_json::Value| clip["camera"].as_str().unwrap().to_owned();
         clips
             .iter()
-            .map(|clip| (name(clip), clip["report"].as_u64().unwrap()))
+            .map(|clip| (name(clip), clip["count"].as_u64().unwrap()))
             .collect()
     };
     let two = names(node.json("/api/v1/clips?limit=2").await);
@@ -335,7 +335,7 @@ async fn clips_are_read_page_by_page_and_only_the_new_ones() {
         let clips = answer["clips"].as_array().unwrap();
         clips
             .iter()
-            .map(|clip| clip["report"].as_u64().unwrap())
+            .map(|clip| clip["count"].as_u64().unwrap())
             .collect()
     };
     let first = node.json("/api/v1/clips?limit=2").await;

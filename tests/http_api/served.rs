@@ -206,10 +206,12 @@ pub(crate) fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
 pub(crate) fn clip(camera: &str, report: u64) -> ClipReport {
     ClipReport {
         v: 1,
+        id: uuid::Uuid::from_u128(report.into()),
         node: "car-7".to_owned(),
         camera: camera.to_owned(),
         clip: format!("window-{report}"),
-        report,
+        part: 0,
+        count: Some(report),
         ended_by: ClipEnd::Window,
         started_ns: 1_800_000_000_000_000_000,
         duration_s: 40.0,

@@ -12,6 +12,7 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, Command};
 use tokio::time::timeout;
+use uuid::{Builder, Uuid};
 
 /// `albireo hub`, running.
 pub(crate) struct HubProcess {
@@ -229,18 +230,13 @@ pub(crate) fn now_ns() -> u64 {
 pub(crate) async fn send(
     session: &zenoh::Session,
     node: &str,
-    instance: &str,
     numbers: std::ops::RangeInclusive<u64>,
     begun_ns: u64,
 ) -> Option<Result<ReportAnswer, ReportRefusal>> {
     let batch = ReportBatch {
         v: VERSION,
         node: node.to_owned(),
-        instance: instance.to_owned(),
-        machine: None,
-        first: *numbers.start(),
-        last: *numbers.end(),
-        lost: 0,
+        t_ms: now_ns() / 1_000_000,
         reports: numbers
             .map(|number| report(node, number, begun_ns))
             .collect(),
@@ -271,6 +267,14 @@ pub(crate) async fn send(
     None
 }
 
+/// An id of its own for each node, time and number.
+fn id(node: &str, number: u64, begun_ns: u64) -> Uuid {
+    let mut random = [0; 10];
+    random[..2].copy_from_slice(&node.bytes().map(u16::from).sum::<u16>().to_be_bytes());
+    random[2..].copy_from_slice(&number.to_be_bytes());
+    Builder::from_unix_timestamp_millis(begun_ns / 1_000_000, &random).into_uuid()
+}
+
 /// A report of that number.
 pub(crate) fn report(node: &str, number: u64, begun_ns: u64) -> ClipReport {
     let percentiles = Percentiles {
@@ -282,10 +286,12 @@ pub(crate) fn report(node: &str, number: u64, begun_ns: u64) -> ClipReport {
     };
     ClipReport {
         v: VERSION,
+        id: id(node, number, begun_ns),
         node: node.to_owned(),
         camera: "front".to_owned(),
         clip: format!("window-{number}"),
-        report: number,
+        part: 0,
+        count: Some(number),
         ended_by: ClipEnd::Window,
         started_ns: begun_ns + number * 1_000_000,
         duration_s: 40.0,

@@ -1,8 +1,8 @@
 //! Takes the nodes' reports, each exactly once.
 //!
-//! Zenoh's thread only hands a query over to a bounded queue, and answers "busy" when it is full. One task commits
-//! what waits, at most every `ingest.commit_ms`, and the answer goes out after the commit: so a slow or absent
-//! database holds acknowledgements back, and never fills the memory.
+//! Zenoh's thread only hands a query over to a bounded queue, and answers "busy" when it is full or when the node has sent
+//! more than its share. One thread reads what waits, another commits it, at most every `ingest.commit_ms`, and the answer
+//! goes out after the commit: so a slow or absent database holds acknowledgements back, and never fills the memory.
 
 mod clip;
 mod commit;
@@ -10,6 +10,7 @@ mod counters;
 mod decode;
 #[cfg(test)]
 mod fuzz;
+mod limits;
 mod plan;
 mod replies;
 #[cfg(test)]
@@ -20,108 +21,130 @@ pub(crate) use commit::Numbers;
 pub(crate) use counters::Queued;
 pub use counters::{IngestCounters, IngestSnapshot};
 pub(crate) use replies::{Replies, refusal};
-pub(crate) use writer::{IngestWriter, WriterSetup};
+pub(crate) use writer::{WriterSetup, start};
 
 use crate::config::IngestConfig;
 use albireo_wire::{FleetKeys, RefusalReason};
 use bytes::Bytes;
+use limits::{Admission, NodeLimits, Place};
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
 use std::time::{Duration, Instant};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use zenoh::query::Query;
+
+/// Largest batch as it is sent, bytes: one that a node makes is a tenth of that.
+const LARGEST_PAYLOAD: usize = 1 << 20;
 
 /// A batch that waits.
 #[derive(Debug)]
 pub(crate) struct Waiting {
-    /// The node of the key.
-    pub(crate) node: String,
-    /// What it sent.
+    /// What came.
     pub(crate) payload: Bytes,
     /// To be answered.
     pub(crate) query: Query,
     /// When it came.
     pub(crate) since: Instant,
-    /// Its place among the bytes that may wait.
-    _room: OwnedSemaphorePermit,
+    /// Its node, and its place among the batches of that.
+    pub(crate) place: Place,
     /// Its place among those that are counted.
     _queued: Queued,
 }
 
 /// What Zenoh calls for each batch.
 #[derive(Debug)]
-pub(crate) struct Intake {
-    queue: mpsc::Sender<Waiting>,
-    room: Arc<Semaphore>,
-    room_bytes: usize,
+pub(crate) struct ReportQueue {
+    queue: SyncSender<Waiting>,
+    limits: Arc<NodeLimits>,
+    most_bytes: u64,
     replies: Replies,
     busy_after: Duration,
-    busy_retry_ms: u64,
+    busy_retry: Duration,
     counters: Arc<IngestCounters>,
 }
 
-impl Intake {
-    /// An intake and the other end of its queue.
+impl ReportQueue {
+    /// A queue and its other end.
     pub(crate) fn new(
         config: &IngestConfig,
+        limits: Arc<NodeLimits>,
         replies: Replies,
         counters: Arc<IngestCounters>,
-    ) -> (Self, mpsc::Receiver<Waiting>) {
-        let (queue, waiting) = mpsc::channel(config.queue);
-        let room_bytes = config.queue_bytes.min(u32::MAX as usize);
-        let intake = Self {
+    ) -> (Self, Receiver<Waiting>) {
+        let (queue, waiting) = sync_channel(config.queue);
+        let queue = Self {
             queue,
-            room: Arc::new(Semaphore::new(room_bytes)),
-            room_bytes,
+            limits,
+            most_bytes: config.queue_bytes as u64,
             replies,
             busy_after: Duration::from_millis(config.busy_after_ms),
-            busy_retry_ms: config.busy_retry_ms,
+            busy_retry: Duration::from_millis(config.busy_retry_ms),
             counters,
         };
-        (intake, waiting)
+        (queue, waiting)
     }
 
     /// Takes a query over. Never waits.
     pub(crate) fn take(&self, mut query: Query) {
+        let now = Instant::now();
         let node = FleetKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
         let payload = query.payload_mut().map(std::mem::take);
         let (Some(node), Some(payload)) = (node, payload) else {
+            // Whoever it is, it is no node, and not answered.
+            return self.counters.refuse(RefusalReason::Unreadable);
+        };
+        if payload.len() > LARGEST_PAYLOAD {
             self.counters.refuse(RefusalReason::Unreadable);
-            let detail = "a query without a payload or for no single node";
-            return self
-                .replies
-                .refuse(query, refusal(RefusalReason::Unreadable, detail, None));
+            if self.limits.may_refuse(&node, now) {
+                let detail = format!("a batch of more than {LARGEST_PAYLOAD} bytes");
+                let refusal = refusal(RefusalReason::Unreadable, detail, None);
+                self.replies.refuse(query, refusal);
+            }
+            return;
+        }
+        let place = match self.limits.admit(&node, now) {
+            Admission::Taken(place) => place,
+            Admission::Later(told) => {
+                self.counters.refuse(RefusalReason::Busy);
+                if let Some((wait, why)) = told {
+                    self.busy(query, wait, why);
+                }
+                return;
+            }
         };
         // Written in time or not at all: what a node has given up waiting for it sends again.
-        if self.counters.waited() > self.busy_after {
-            return self.busy(query);
+        let full = self.counters.queued_bytes() + payload.len() as u64 > self.most_bytes;
+        if full || self.counters.waited() > self.busy_after {
+            self.counters.refuse(RefusalReason::Busy);
+            return self.busy(
+                query,
+                self.busy_retry,
+                "too many batches wait to be written",
+            );
         }
         // A copy, so that what waits holds no buffers of the network.
         let payload = Bytes::copy_from_slice(&payload.to_bytes());
-        let needed = u32::try_from(payload.len().clamp(1, self.room_bytes)).unwrap_or(u32::MAX);
-        let Ok(room) = Arc::clone(&self.room).try_acquire_many_owned(needed) else {
-            return self.busy(query);
-        };
-        let queued = self.counters.queue(payload.len());
         let waiting = Waiting {
-            node,
+            _queued: self.counters.queue(payload.len()),
             payload,
             query,
-            since: Instant::now(),
-            _room: room,
-            _queued: queued,
+            since: now,
+            place,
         };
-        if let Err(error) = self.queue.try_send(waiting) {
-            self.busy(error.into_inner().query);
+        if let Err(TrySendError::Full(waiting) | TrySendError::Disconnected(waiting)) =
+            self.queue.try_send(waiting)
+        {
+            self.counters.refuse(RefusalReason::Busy);
+            self.busy(
+                waiting.query,
+                self.busy_retry,
+                "too many batches wait to be written",
+            );
         }
     }
 
-    fn busy(&self, query: Query) {
-        self.counters.refuse(RefusalReason::Busy);
-        let refusal = refusal(
-            RefusalReason::Busy,
-            "too many batches wait to be written",
-            Some(self.busy_retry_ms),
-        );
+    fn busy(&self, query: Query, wait: Duration, why: &str) {
+        let wait_ms = u64::try_from(wait.as_millis()).unwrap_or(u64::MAX);
+        let refusal = refusal(RefusalReason::Busy, why, Some(wait_ms));
         self.replies.refuse(query, refusal);
     }
 }

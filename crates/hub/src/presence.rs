@@ -14,6 +14,7 @@ pub(crate) use fleet::Remembered;
 pub use fleet::{Fleet, FleetTallies, NodeView};
 pub use listen::ListenCounters;
 pub(crate) use listen::{ListenSetup, Notifier, listen};
+pub(crate) use news::News;
 pub use state::{Facts, Limits, PresenceState, Token, judge};
 pub use today::TodaysEnergy;
 pub(crate) use today::{Used, day_of};

@@ -4,7 +4,7 @@ use crate::config::{HubConfig, MAX_PAYLOAD_BYTES};
 use crate::error::HubError;
 use crate::events::EventsChanged;
 use crate::http::{self, HubView};
-use crate::ingest::{IngestWriter, Intake, Replies, WriterSetup};
+use crate::ingest::{self, Replies, WriterSetup};
 use crate::presence::{ListenSetup, Remembered, Used, day_of, listen};
 use crate::readiness::Readiness;
 use crate::store::{EnergyBy, EnergyQuery, Resolution, Store, StoreError};
@@ -160,9 +160,8 @@ async fn parts(
 
     let (replies, replier) = Replies::start(Arc::clone(&view.ingest))
         .map_err(HubError::system("the answering thread cannot be started"))?;
-    let (intake, queue) = Intake::new(&config.ingest, replies.clone(), Arc::clone(&view.ingest));
     let changed = EventsChanged::default();
-    let writer = IngestWriter::new(WriterSetup {
+    let (queue, written) = ingest::start(WriterSetup {
         config: config.ingest.clone(),
         history: config.history.clone(),
         store: store.clone(),
@@ -172,7 +171,8 @@ async fn parts(
         fleet: Arc::clone(&view.fleet),
         desires: Arc::clone(&view.desires),
         events: changed.clone(),
-    });
+    })
+    .map_err(HubError::system("the threads of ingest cannot be started"))?;
     // A hub that has lost a task would look well and do half of its work: it ends, and is started anew.
     // Their end ends the hub, so that no readiness has to name them.
     let mut tasks = Supervisor::new(
@@ -180,7 +180,7 @@ async fn parts(
         TaskTally::default(),
         shutdown.clone(),
     );
-    tasks.essential("writer", Span::none(), writer.run(queue));
+    tasks.essential("writer", Span::none(), written);
     tasks.essential(
         "events",
         Span::none(),
@@ -204,7 +204,7 @@ async fn parts(
     let reports = session
         .declare_queryable(config.keys()?.report())
         .complete(true)
-        .callback(move |query| intake.take(query))
+        .callback(move |query| queue.take(query))
         .await
         .map_err(HubError::declaration("reports cannot be taken"))?;
     // Without one the hub is being stopped: what was taken in the meantime is committed below.

@@ -3,26 +3,31 @@
 //! One connection writes, so that a commit holds whatever came in the meantime; others read. What was committed
 //! survives a power loss: `synchronous=FULL` in write-ahead mode, `synchronous_commit=on`.
 
+mod database;
 mod dialect;
 mod error;
 mod migrate;
+mod postgres;
 mod read;
+mod record;
 pub(crate) mod retention;
 pub(crate) mod rows;
+mod sqlite;
 pub(crate) mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
 mod write;
 
+pub(crate) use database::{Database, ReportKey, Transaction};
 pub(crate) use dialect::Dialect;
 pub use error::StoreError;
 pub use read::{
-    AuditCounts, ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, InstanceView, Resolution,
+    AuditCounts, ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, ReportCounts, Resolution,
     StoredClip, StoredEvent, StoredSetAside,
 };
 pub(crate) use rows::Key;
 pub(crate) use write::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, columns};
-pub(crate) use write::{Instance, Known, SetupKey, Writer, Writing};
+pub(crate) use write::{Writer, Writing};
 
 use crate::config::DatabaseConfig;
 use sqlx::any::AnyPoolOptions;
@@ -30,6 +35,7 @@ use sqlx::{AnyConnection, AnyPool, AssertSqlSafe, Connection as _, Executor as _
 use std::path::Path;
 use std::sync::{Arc, Once};
 use std::time::Duration;
+use uuid::Uuid;
 
 /// The database, opened.
 #[derive(Clone, Debug)]
@@ -120,6 +126,17 @@ impl Store {
         }
     }
 
+    /// The database for the thread that writes what nodes report. To be called on a thread of the runtime, and used on one
+    /// that is not.
+    pub(crate) fn database(&self) -> Box<dyn Database> {
+        match self.dialect {
+            Dialect::Sqlite => Box::new(sqlite::Sqlite::new(&self.url, self.timeout_ms)),
+            Dialect::Postgres => {
+                Box::new(postgres::PostgresServer::new(&self.url, self.timeout_ms))
+            }
+        }
+    }
+
     /// Which database it is.
     pub fn kind(&self) -> &'static str {
         self.dialect.as_str()
@@ -129,6 +146,13 @@ impl Store {
     pub async fn close(&self) {
         self.readers.close().await;
     }
+}
+
+/// The identity of a database as it is kept.
+fn identity_of(text: &str) -> Result<Uuid, StoreError> {
+    text.parse().map_err(|error| {
+        StoreError::Statement(format!("`{text}` is kept as its identity: {error}"))
+    })
 }
 
 async fn greet(

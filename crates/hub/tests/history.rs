@@ -1,17 +1,17 @@
 //! Sums, pages, files.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, Said, batch, config, deliver, instance, now_ns, sqlite, uplink};
+use crate::support::{Hub, batch, config, deliver, now_ns, sqlite, uplink};
 use std::collections::BTreeMap;
 
 async fn sums_are_exact(database: &str) {
     let hub = Hub::start(config(database)).await;
     let session = uplink(&hub.zenoh).await;
     let start = now_ns() - 90_000_000_000_000;
-    for (node, one) in [("car-1", instance('a')), ("car-2", instance('b'))] {
+    for (node, series) in [("car-1", 1), ("car-2", 2)] {
         for first in (0..200).step_by(50) {
-            let sent = batch(node, &one, first..=first + 49, start);
-            assert_eq!(deliver(&session, &sent).await, Said::Stored(first + 49));
+            let sent = batch(node, series, first..=first + 49, start);
+            deliver(&session, &sent).await.assert_stored();
         }
     }
     let clips = hub.get("/api/v1/clips?limit=1000").await;
@@ -83,9 +83,9 @@ async fn sums_are_exact(database: &str) {
         .map(|group| group["audit_joules"].as_f64().unwrap())
         .sum();
     assert!((joules - 100.0).abs() < 1e-6, "{joules}");
-    let one = clips.iter().find(|clip| clip["report"] == 2).unwrap();
+    let one = clips.iter().find(|clip| clip["count"] == 2).unwrap();
     assert_eq!(one["audit"]["recall"]["rate"], 0.8);
-    let other = clips.iter().find(|clip| clip["report"] == 3).unwrap();
+    let other = clips.iter().find(|clip| clip["count"] == 3).unwrap();
     assert!(other["audit"].is_null());
     let knobs = hub.get("/api/v1/energy?by=knob").await;
     assert!(
@@ -171,15 +171,10 @@ async fn a_reader_that_comes_back_gets_the_events_it_missed_and_is_told_to_look_
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let session = uplink(&hub.zenoh).await;
     let start = now_ns() - 3_600_000_000_000;
-    let one = instance('a');
-    assert_eq!(
-        deliver(&session, &batch("car-1", &one, 1..=1, start)).await,
-        Said::Stored(1)
-    );
-    assert_eq!(
-        deliver(&session, &batch("car-1", &one, 4..=4, start)).await,
-        Said::Stored(4)
-    );
+    for number in [1, 4] {
+        let sent = batch("car-1", 1, number..=number, start);
+        deliver(&session, &sent).await.assert_stored();
+    }
     let told = read_events(&hub, "0", "event: gap").await;
     assert!(
         told.contains("\"first\":2") && told.contains("id: "),
@@ -251,10 +246,8 @@ async fn the_archive_holds_what_a_hub_tells_of_itself() {
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let session = uplink(&hub.zenoh).await;
     let start = now_ns() - 3_600_000_000_000;
-    assert_eq!(
-        deliver(&session, &batch("car-1", &instance('a'), 1..=1, start)).await,
-        Said::Stored(1)
-    );
+    let sent = batch("car-1", 1, 1..=1, start);
+    deliver(&session, &sent).await.assert_stored();
     let answer = reqwest::get(format!("{}/api/v1/diag", hub.http)).await;
     let archive = answer.unwrap().bytes().await.unwrap();
     let text = String::from_utf8_lossy(&archive);

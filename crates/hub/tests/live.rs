@@ -1,7 +1,7 @@
 //! Watching one node through the hub: the node sends only while somebody looks.
 
 use crate::support::{
-    Hub, PATIENCE, batch, config, deliver, full_status, instance, now_ns, pull, sqlite, uplink,
+    Hub, PATIENCE, batch, config, deliver, full_status, now_ns, pull, sqlite, uplink,
 };
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -31,17 +31,14 @@ async fn a_node_hears_that_it_is_watched_and_what_it_sends_then_reaches_who_watc
         })
         .await
         .unwrap();
-    let status = serde_json::to_vec(&full_status(&instance('a'), 0, &[])).unwrap();
+    let status = serde_json::to_vec(&full_status(10, 0, &[])).unwrap();
     while hub.get("/api/v1/nodes/car-7").await["state"] != "online" {
         node.put("albireo/@status/car-7", status.clone())
             .await
             .unwrap();
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
-    assert_eq!(
-        pull(&node, "car-7", &instance('a')).await.watched_for_s,
-        None
-    );
+    assert_eq!(pull(&node, "car-7").await.watched_for_s, None);
     while notices.try_recv().is_ok() {}
 
     let mut live = reqwest::get(format!("{}/api/v1/nodes/car-7/live", hub.http))
@@ -49,10 +46,7 @@ async fn a_node_hears_that_it_is_watched_and_what_it_sends_then_reaches_who_watc
         .unwrap();
     assert_eq!(live.status(), 200);
     timeout(PATIENCE, notices.recv()).await.unwrap().unwrap();
-    let lease = pull(&node, "car-7", &instance('a'))
-        .await
-        .watched_for_s
-        .unwrap();
+    let lease = pull(&node, "car-7").await.watched_for_s.unwrap();
     assert!((1..=31).contains(&lease), "{lease}");
 
     // Now it sends, and what it sends is heard.
@@ -85,7 +79,7 @@ async fn a_picture_is_asked_of_the_node_and_of_nobody_else() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let node = uplink(&hub.zenoh).await;
-    let status = serde_json::to_vec(&full_status(&instance('a'), 0, &[])).unwrap();
+    let status = serde_json::to_vec(&full_status(10, 0, &[])).unwrap();
     while hub.get("/api/v1/nodes/car-7").await["state"] != "online" {
         node.put("albireo/@status/car-7", status.clone())
             .await
@@ -126,8 +120,8 @@ async fn nodes_are_sorted_by_what_they_used_today_also_after_a_restart() {
     let node = uplink(&hub.zenoh).await;
     // A clip each, of now: 100.4, 101.1 and 100.8 J measured in part, measured and estimated.
     let now = now_ns();
-    for (name, number, digit) in [("car-1", 1, 'a'), ("car-2", 3, 'b'), ("car-3", 2, 'c')] {
-        let mut one = batch(name, &instance(digit), number..=number, now);
+    for (name, number, series) in [("car-1", 1, 1), ("car-2", 3, 2), ("car-3", 2, 3)] {
+        let mut one = batch(name, series, number..=number, now);
         for report in &mut one.reports {
             report.started_ns = now;
         }

@@ -1,7 +1,7 @@
 //! Targets reach nodes as values do, and take their place; what a node cannot hold is refused in words.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, config, full_status, instance, now_ns, say, sqlite, uplink};
+use crate::support::{Hub, config, full_status, now_ns, say, sqlite, uplink};
 use crate::tuning::{Played, fleet, post, put, put_at, values};
 use albireo_wire::{
     CameraState, CameraStatus, NodeTarget, SettingSource, StatusMessage, Target, TargetStatus,
@@ -165,7 +165,7 @@ async fn postgres_a_target_reaches_the_selected_nodes_and_takes_the_place_of_a_v
 }
 
 /// A full status of a node with one camera at that `u`.
-fn told(one: &str, seq: u64, revision: u64, u: f64) -> StatusMessage {
+fn told(one: u32, seq: u64, revision: u64, u: f64) -> StatusMessage {
     let mut status = StatusMessage {
         revision,
         ..full_status(one, seq, &[])
@@ -184,14 +184,14 @@ async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
     let folder = tempfile::tempdir().unwrap();
     let hub = Hub::start(config(&sqlite(folder.path()))).await;
     let session = uplink(&hub.zenoh).await;
-    let one = instance('a');
-    say(&session, "car-1", &told(&one, 0, 0, 3e-4)).await;
+    let one = 10;
+    say(&session, "car-1", &told(one, 0, 0, 3e-4)).await;
     hub.until("/api/v1/nodes/car-1", |node| node["state"] == "online")
         .await;
     let body = json!({"target": {"recall": 0.9}, "select": "car-1", "wait_s": 0});
     let (_, answer) = put_at(&hub, "/api/v1/target", body).await;
     let change = answer["revision"].as_u64().unwrap();
-    let mut holds = told(&one, 1, change, 3e-4);
+    let mut holds = told(one, 1, change, 3e-4);
     holds.full.as_mut().unwrap().target = Some(NodeTarget {
         target: Target::Recall(0.9),
         source: SettingSource::Hub,
@@ -204,7 +204,7 @@ async fn a_target_that_was_switched_off_at_the_node_is_drift_with_its_reason() {
     })
     .await;
     assert_eq!(hub.get("/api/v1/drift").await, json!([]));
-    let mut turned = told(&one, 2, change, 7e-4);
+    let mut turned = told(one, 2, change, 7e-4);
     let off = "the threshold was set by hand";
     turned.full.as_mut().unwrap().target_off = Some(off.to_owned());
     say(&session, "car-1", &turned).await;

@@ -1,7 +1,7 @@
 //! Values reach nodes, rollouts go on, back and over a restart, trials compare: with simulated nodes over real sessions.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, PATIENCE, config, full_status, instance, say, sqlite, uplink};
+use crate::support::{Hub, PATIENCE, config, full_status, say, sqlite, uplink};
 use albireo_hub::config::HubConfig;
 use albireo_service::config::{NamedToken, Role, Token};
 use albireo_simulate::{Behaviour, Options};
@@ -217,7 +217,7 @@ async fn a_hub_with_an_empty_database_is_obeyed_by_nodes_that_had_orders_before(
     let session = uplink(&hub.zenoh).await;
     let liar = albireo_wire::StatusMessage {
         revision: 1 << 53,
-        ..full_status(&instance('a'), 1, &[])
+        ..full_status(10, 1, &[])
     };
     say(&session, "liar", &liar).await;
     hub.until("/api/v1/nodes", |nodes| {

@@ -10,7 +10,7 @@ use crate::camera::publishing::{self, Detections, PublishingThread};
 use crate::camera::{Camera, InPlace, MinConfidence};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::{ClipAccounts, Reporter};
-use crate::delivery::uplink::{DesiredKeeper, Uplink, UplinkSetup, Way};
+use crate::delivery::uplink::{DesiredKeeper, Route, Uplink, UplinkSetup};
 use crate::error::NodeError;
 use crate::input::receiver::{DropCounts, FrameReceiver, SequencedFrame, SourceFeed};
 use crate::input::source::{LiveSource, SourceSettings};
@@ -321,7 +321,7 @@ impl PreparedNode {
                 name.clone().hold(held, key, part.clone(), stop.clone())
             },
         );
-        let uplink = Uplink::start(UplinkSetup {
+        let (uplink, ended) = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             outbox: board.outbox().clone(),
             config: config.outbox.clone(),
@@ -329,16 +329,20 @@ impl PreparedNode {
             labels: config.node.labels.clone(),
             desired: DesiredKeeper::open(board.outbox(), config.node.hub_wins),
             limits: config.frame,
-            way: if config.uplink.is_set() {
-                Way::Own(config.uplink.clone())
+            route: if config.uplink.is_set() {
+                Route::Own(config.uplink.clone())
             } else {
-                Way::Local(session.clone())
+                Route::Local(session.clone())
             },
-        })
-        .map_err(|source| NodeError::System {
-            what: "the uplink's thread cannot be started",
-            source,
-        })?;
+        });
+        let stop = shutdown.clone();
+        // It outlives the other tasks: from the shutdown on it is not watched.
+        tasks.essential("uplink", tracing::info_span!("uplink"), async move {
+            tokio::select! {
+                () = ended => Err("it has ended"),
+                () = stop.cancelled() => Ok(()),
+            }
+        });
         drop(starting);
         Ok(Node {
             session,
@@ -414,14 +418,17 @@ impl Node {
         self.sampling.cancel();
         let (alive, session) = (self.alive.take().await, self.session);
         let (uplink, publishing) = (self.uplink, self.publishing);
-        let closed = tokio::task::spawn_blocking(move || {
-            publishing.flush(std::time::Instant::now() + FLUSH_LIMIT);
-            uplink.stop();
+        let closed = async move {
+            let flushed = tokio::task::spawn_blocking(move || {
+                publishing.flush(std::time::Instant::now() + FLUSH_LIMIT);
+            });
+            let _ = flushed.await;
+            uplink.stop().await;
             for token in alive {
-                let _ = token.undeclare().wait();
+                let _ = token.undeclare().await;
             }
-            session.close().wait()
-        });
+            session.close().await
+        };
         let closing = async {
             let screen = async {
                 if let Some(screen) = &self.screen {
@@ -429,7 +436,7 @@ impl Node {
                 }
             };
             let (closed, (), ()) = tokio::join!(closed, self.detector.stop(), screen);
-            if let Ok(Err(error)) = closed {
+            if let Err(error) = closed {
                 tracing::warn!(%error, "Zenoh session not closed cleanly");
             }
         };

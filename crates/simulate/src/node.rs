@@ -4,17 +4,16 @@ use super::options::{Behaviour, Options};
 use albireo_wire::{
     CameraState, CameraStatus, ClipEnd, ClipEnergy, ClipReport, Desired, DesiredSetting,
     DomainEnergy, DroppedFrames, EnergyQuality, FrameStates, HealthState, HealthStatus, Heartbeat,
-    NodeStatus, NodeTarget, OutboxStatus, Percentiles, RefusedDesired, ReportAnswer, ReportBatch,
-    SettingSource, StatusMessage, Target, TargetStatus, Threshold, VERSION,
+    NodeStatus, NodeTarget, OutboxStatus, Percentiles, RefusedDesired, ReportBatch, SettingSource,
+    StatusMessage, Target, TargetStatus, Threshold, VERSION,
 };
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use std::collections::BTreeMap;
+use uuid::{Builder, Uuid};
 
 /// The value that every node begins with.
 pub(crate) const FIRST_U: f64 = 3e-4;
-/// Number of an instance's first report.
-const FIRST_REPORT: u64 = 1;
 /// Its one camera.
 const CAMERA: &str = "front";
 /// Frames of a second.
@@ -34,7 +33,6 @@ const DETECTOR_WATTS: f64 = 9.0;
 #[derive(Debug)]
 pub(crate) struct SimNode {
     pub(crate) name: String,
-    instance: String,
     seed: u64,
     /// Region and model of its labels.
     labels: BTreeMap<String, String>,
@@ -69,7 +67,6 @@ impl SimNode {
         let backlog_ns = (options.backlog as f64 * options.clip_s * 1e9) as u64;
         Self {
             name: format!("{}{index:06}", options.name),
-            instance: format!("{:016x}{:016x}", mix(seed, 2), mix(seed, 3)),
             labels: [
                 ("region".to_owned(), region.to_owned()),
                 ("simulated".to_owned(), "yes".to_owned()),
@@ -103,9 +100,9 @@ impl SimNode {
         self.started_ns = self.started_ns.saturating_sub(clips_ns);
     }
 
-    /// Instance and revision, for a pull.
-    pub(crate) fn identity(&self) -> (&str, u64) {
-        (&self.instance, self.revision)
+    /// The revision in force.
+    pub(crate) const fn revision(&self) -> u64 {
+        self.revision
     }
 
     /// Reports that wait.
@@ -113,31 +110,22 @@ impl SimNode {
         self.made - self.acknowledged
     }
 
-    /// The oldest reports that wait, at most `most`.
-    pub(crate) fn batch(&self, most: u64) -> Option<ReportBatch> {
+    /// The oldest reports that wait at the time `now_ns`, at most `most`.
+    pub(crate) fn batch(&self, most: u64, now_ns: u64) -> Option<ReportBatch> {
         let count = self.waiting().min(most);
         (count > 0).then(|| ReportBatch {
             v: VERSION,
             node: self.name.clone(),
-            instance: self.instance.clone(),
-            machine: Some(self.instance[..8].to_owned()),
-            first: FIRST_REPORT + self.acknowledged,
-            last: FIRST_REPORT + self.acknowledged + count - 1,
-            lost: 0,
+            t_ms: (now_ns + self.clock_error_ns) / 1_000_000,
             reports: (self.acknowledged..self.acknowledged + count)
                 .map(|n| self.report(n))
                 .collect(),
         })
     }
 
-    /// Takes an acknowledgement. Returns how many reports it was for.
-    pub(crate) fn answered(&mut self, answer: &ReportAnswer) -> u64 {
-        let upto = (answer.stored + 1)
-            .saturating_sub(FIRST_REPORT)
-            .min(self.made);
-        let news = upto.saturating_sub(self.acknowledged);
-        self.acknowledged += news;
-        news
+    /// The oldest reports that wait are acknowledged, that many of them.
+    pub(crate) fn answered(&mut self, reports: u64) {
+        self.acknowledged = (self.acknowledged + reports).min(self.made);
     }
 
     /// Takes what is desired. Returns whether the status has to be told at once.
@@ -226,7 +214,9 @@ impl SimNode {
         if message.full.is_some() || !told {
             return serde_json::to_vec(&message);
         }
-        let (run, seq, waiting) = (message.run(), message.seq, message.waiting);
+        let StatusMessage {
+            run, seq, waiting, ..
+        } = message;
         Heartbeat { run, seq, waiting }.to_payload()
     }
 
@@ -237,8 +227,7 @@ impl SimNode {
         self.seq += 1;
         StatusMessage {
             v: VERSION,
-            instance: self.instance.clone(),
-            machine: Some(self.instance[..8].to_owned()),
+            run: mix(self.seed, 2) as u32,
             started_ns: self.started_ns + self.clock_error_ns,
             seq,
             t_ns: now_ns + self.clock_error_ns,
@@ -271,6 +260,7 @@ impl SimNode {
             outbox: OutboxStatus {
                 waiting: self.waiting(),
                 lost: 0,
+                undeliverable: 0,
                 durable: false,
             },
             refused: self.refused.clone(),
@@ -331,10 +321,12 @@ impl SimNode {
             self.started_ns + self.clock_error_ns + (number as f64 * self.clip_s * 1e9) as u64;
         ClipReport {
             v: VERSION,
+            id: self.report_id(number, started),
+            count: Some(number + 1),
             node: self.name.clone(),
             camera: CAMERA.to_owned(),
             clip: format!("window-{number}"),
-            report: FIRST_REPORT + number,
+            part: 0,
             ended_by: ClipEnd::Window,
             started_ns: started,
             duration_s: self.clip_s,
@@ -374,6 +366,17 @@ impl SimNode {
             board: None,
             audit: None,
         }
+    }
+}
+
+impl SimNode {
+    /// The identity of a report of a clip that began at `started_ns`: drawn from the node's seed and its time.
+    fn report_id(&self, number: u64, started_ns: u64) -> Uuid {
+        let drawn = mix(self.seed, 2_000_000 + number).to_le_bytes();
+        let mut random = [0; 10];
+        random[..8].copy_from_slice(&drawn);
+        let made_ms = (started_ns as f64 / 1e6 + self.clip_s * 1e3) as u64;
+        Builder::from_unix_timestamp_millis(made_ms, &random).into_uuid()
     }
 }
 
@@ -464,7 +467,7 @@ mod tests {
         });
         node.take(&desired(1, 1e-2));
         node.made += 2;
-        let batch = node.batch(10).unwrap();
+        let batch = node.batch(10, 0).unwrap();
         let values: Vec<_> = batch
             .reports
             .iter()
@@ -506,7 +509,7 @@ mod tests {
                 let mut node = SimNode::new(index, &Options::default(), started);
                 node.begin_within(8);
                 let last = node
-                    .batch(10)
+                    .batch(10, started)
                     .map(|batch| batch.reports[batch.reports.len() - 1].started_ns);
                 assert!(last.is_none_or(|last| last < started));
                 node.waiting()
@@ -517,19 +520,24 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_is_acknowledged_no_report_is_skipped_or_sent_after_it(steps in prop::collection::vec((0u64..5, 1u64..8, 0u64..12), 1..50)) {
+        fn every_report_is_sent_until_it_is_acknowledged_under_one_identity(steps in prop::collection::vec((0u64..5, 1u64..8, any::<bool>()), 1..50)) {
             let mut node = node(Options::default());
-            for (more, most, stored) in steps {
+            let (mut sent, mut acknowledged) = (std::collections::BTreeSet::new(), 0);
+            for (more, most, answered) in steps {
                 node.made += more;
-                if let Some(batch) = node.batch(most) {
-                    prop_assert_eq!(batch.first, FIRST_REPORT + node.acknowledged);
-                    prop_assert!(batch.last < FIRST_REPORT + node.made);
-                    prop_assert_eq!(batch.reports.len() as u64, batch.last - batch.first + 1);
-                    let before = node.acknowledged;
-                    node.answered(&ReportAnswer::new(stored, None));
-                    prop_assert!(node.acknowledged >= before && node.acknowledged <= node.made);
+                if let Some(batch) = node.batch(most, 1_000_000_000_000_000_000) {
+                    let counts: Vec<_> = batch.reports.iter().filter_map(|report| report.count).collect();
+                    let wanted: Vec<_> = (acknowledged + 1..).take(counts.len()).collect();
+                    prop_assert_eq!(&counts, &wanted);
+                    sent.extend(batch.reports.iter().map(|report| report.id));
+                    if answered {
+                        acknowledged += counts.len() as u64;
+                        node.answered(counts.len() as u64);
+                    }
+                    prop_assert!(node.acknowledged == acknowledged && acknowledged <= node.made);
                 }
             }
+            prop_assert!(sent.len() as u64 >= acknowledged && sent.len() as u64 <= node.made);
         }
     }
 }

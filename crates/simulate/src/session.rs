@@ -5,8 +5,8 @@ use super::node::{SimNode, mix, unit};
 use super::options::Options;
 use super::totals::{Totals, count};
 use albireo_wire::{
-    BatchCompression, ConfigChanged, Desired, FleetKeys, PullRequest, RefusalReason, ReportAnswer,
-    ReportRefusal, VERSION,
+    ConfigChanged, Desired, FleetKeys, PullRequest, RefusalReason, ReportAnswer, ReportRefusal,
+    VERSION,
 };
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -43,7 +43,8 @@ enum Due {
 enum Heard {
     ConfigChanged(usize, u64),
     Desired(usize, Desired),
-    Acknowledged(usize, ReportAnswer, Duration),
+    /// So many reports, and what else was answered.
+    Acknowledged(usize, u64, ReportAnswer, Duration),
     /// Not acknowledged; when to try again, if the hub said so.
     Refused(usize, Option<RefusalReason>, Option<Duration>),
 }
@@ -298,7 +299,7 @@ impl Player {
                 self.pull(index);
             }
             Heard::Desired(index, desired) => self.take(index, &desired),
-            Heard::Acknowledged(index, answer, took) => {
+            Heard::Acknowledged(index, reports, answer, took) => {
                 self.totals.answers.add(took);
                 if !self.ending && self.settled <= Instant::now() {
                     self.totals.settled.add(took);
@@ -306,12 +307,9 @@ impl Player {
                 let place = &mut self.places[index];
                 place.sending = false;
                 place.pause = FIRST_PAUSE;
-                let news = place.node.answered(&answer);
-                count(&self.totals.acknowledged, news);
-                if news == 0 {
-                    // An answer that acknowledges nothing: the same batch again, but not at once.
-                    self.later(index, None);
-                } else if place.node.waiting() >= self.options.gather
+                place.node.answered(reports);
+                count(&self.totals.acknowledged, reports);
+                if place.node.waiting() >= self.options.gather
                     || (self.ending && place.node.waiting() > 0)
                 {
                     self.send(index, false);
@@ -345,11 +343,11 @@ impl Player {
 
     fn take(&mut self, index: usize, desired: &Desired) {
         let node = &mut self.places[index].node;
-        let before = node.identity().1;
+        let before = node.revision();
         if !node.take(desired) {
             return;
         }
-        let taken = node.identity().1 > before;
+        let taken = node.revision() > before;
         if taken || desired.revision > before {
             self.totals.decided(desired.revision, taken);
         }
@@ -383,7 +381,7 @@ impl Player {
             self.later(index, None);
             return;
         }
-        let Some(batch) = place.node.batch(self.options.batch) else {
+        let Some(batch) = place.node.batch(self.options.batch, now_ns()) else {
             return;
         };
         place.sending = true;
@@ -392,7 +390,10 @@ impl Player {
         tokio::spawn(async move {
             let began = Instant::now();
             let heard = match report(&session, key, &batch, &totals).await {
-                Some(Ok(answer)) => Heard::Acknowledged(index, answer, began.elapsed()),
+                Some(Ok(answer)) => {
+                    let reports = batch.reports.len() as u64;
+                    Heard::Acknowledged(index, reports, answer, began.elapsed())
+                }
                 Some(Err(refusal)) => Heard::Refused(
                     index,
                     Some(refusal.reason),
@@ -407,11 +408,9 @@ impl Player {
 
     fn pull(&self, index: usize) {
         let place = &self.places[index];
-        let (instance, revision) = place.node.identity();
         let request = PullRequest {
             v: VERSION,
-            instance: instance.to_owned(),
-            revision,
+            revision: place.node.revision(),
         };
         let Ok(payload) = serde_json::to_vec(&request) else {
             return;
@@ -436,7 +435,9 @@ async fn report(
     totals: &Totals,
 ) -> Option<Result<ReportAnswer, ReportRefusal>> {
     // What a batch costs its sender is multiplied by all the nodes that are played here.
-    let payload = batch.to_payload(BatchCompression::Quick).ok()?;
+    let payload = batch
+        .to_payload(albireo_wire::BatchCompression::Quick)
+        .ok()?;
     count(&totals.batches, 1);
     count(&totals.bytes, payload.len() as u64);
     let answer = ask(session, key, payload, Encoding::APPLICATION_JSON).await?;

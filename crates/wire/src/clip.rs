@@ -3,6 +3,7 @@
 use crate::{AuditReport, DroppedFrames, FrameStates, Threshold, ThresholdChange};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+use uuid::Uuid;
 
 /// Middle and tail of a set of durations, milliseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -29,7 +30,8 @@ pub enum EnergyQuality {
     Partial,
     /// Computed from utilisation; no meter was read.
     Estimated,
-    /// No figure at all.
+    /// No figure at all, or of a quality that a later version knows.
+    #[serde(other)]
     Unavailable,
 }
 
@@ -114,6 +116,11 @@ pub enum ClipEnd {
     Silence,
     /// The node stopped.
     Shutdown,
+    /// It lasted longer than one report tells of (`clip.longest_s`): the next part of it follows.
+    Length,
+    /// For another reason, which a later version knows.
+    #[serde(other)]
+    Other,
 }
 
 /// The report of one clip.
@@ -121,15 +128,23 @@ pub enum ClipEnd {
 pub struct ClipReport {
     /// Version.
     pub v: u32,
+    /// Identity, a UUID of version 7: made with the report, of the node's clock at that time, and never changed.
+    #[schema(value_type = String, format = "uuid")]
+    pub id: Uuid,
     /// Node.
     pub node: String,
     /// Camera.
     pub camera: String,
     /// Clip id: the camera's own, or `window-N`.
     pub clip: String,
-    /// Number of this report within the instance of the node that made it, from 1, without a restart: instance and
-    /// number tell two deliveries of the same report from two reports.
-    pub report: u64,
+    /// Number of this part of the clip, from 0: a clip that lasts long is reported in parts.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub part: u32,
+    /// Reports that the node has made so far, with this one: numbers that never come tell how many are missing. Absent
+    /// where the node could not read how many there were before. Whatever happens to the count, the identity is the
+    /// report's own.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub count: Option<u64>,
     /// Why it ended.
     pub ended_by: ClipEnd,
     /// First frame's capture time, nanoseconds since the Unix epoch.
@@ -173,6 +188,12 @@ pub struct ClipReport {
     /// What the detector, looking afterwards, found on skipped frames; absent without an audit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditReport>,
+}
+
+// A reference, as serde gives it.
+#[allow(clippy::trivially_copy_pass_by_ref)]
+const fn is_zero(number: &u32) -> bool {
+    *number == 0
 }
 
 /// The state of the board during a clip, as far as the board tells: the same clip costs differently in

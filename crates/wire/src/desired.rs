@@ -47,8 +47,6 @@ pub struct ConfigChanged {
 pub struct PullRequest {
     /// Version.
     pub v: u32,
-    /// Instance of the node.
-    pub instance: String,
     /// Revision it has, 0 for none.
     pub revision: u64,
 }

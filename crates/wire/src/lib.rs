@@ -36,13 +36,14 @@ pub use keys::{
     stream_tokens,
 };
 pub use report::{
-    BatchCompression, BatchError, LARGEST_BATCH_BYTES, REPORT_DICTIONARY, ReceivedBatch,
-    RefusalReason, ReportAnswer, ReportBatch, ReportRefusal,
+    BatchCompression, BatchError, IDENTITY_DAYS, LARGEST_BATCH_BYTES, LARGEST_REPORT_BYTES,
+    MOST_REPORTS, REPORT_DICTIONARY, RefusalReason, RefusedReport, ReportAnswer, ReportBatch,
+    ReportRefusal, decompress_batch,
 };
 pub use states::{DetectorCalls, DroppedFrames, FrameStates};
 pub use status::{
     CameraState, CameraStatus, HealthState, HealthStatus, Heartbeat, NodeStatus, OutboxStatus,
-    RefusedDesired, SettingSource, StatusMessage, run_number,
+    RefusedDesired, SettingSource, StatusMessage,
 };
 pub use target::{NodeTarget, TargetMessage, TargetReport};
 pub use threshold::{OtherThreshold, Threshold, ThresholdChange, ThresholdMessage, ThresholdName};

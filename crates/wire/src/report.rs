@@ -1,74 +1,48 @@
-//! The delivery contract of clip reports, `{prefix}/@report/{node}`.
+//! The delivery of clip reports, `{prefix}/@report/{node}`.
 //!
-//! A node keeps every report on its disk, numbered without a gap by its instance, before it sends anything. It sends
-//! [`ReportBatch`]es as queries with a payload. A hub answers with [`ReportAnswer`] **after** it has committed; only
-//! then does the node remove what is acknowledged. No reply, [`ReportRefusal`] or a time-out is not an
-//! acknowledgement: the same batch is sent again, after a pause that grows. So a report is delivered at least once,
-//! and the hub's cursor (the last number stored of an instance) makes it exactly once.
+//! A report has an identity from birth ([`ClipReport::id`]). A node keeps each report on its disk before it sends
+//! anything, and sends [`ReportBatch`]es as queries with a payload. A hub stores each identity once and answers with a
+//! [`ReportAnswer`] **after** it has committed. No reply, a [`ReportRefusal`] or a time-out is no acknowledgement: the
+//! reports are sent again after a pause that grows. So a report is delivered at least once, and its identity makes that
+//! exactly once, whatever disks are copied, restored or lost.
 
 mod compression;
 
-pub use compression::{BatchCompression, REPORT_DICTIONARY};
+pub use compression::{BatchCompression, REPORT_DICTIONARY, decompress_batch};
 
 use crate::version::{MessageError, VERSION};
 use crate::{ClipReport, Desired};
 use serde::{Deserialize, Serialize};
-use serde_json::value::RawValue;
 use utoipa::ToSchema;
+use uuid::Uuid;
 
-/// Most bytes of a batch once it is decompressed. A report is about 1 kB, so that a node sends a few hundred at
-/// a time; the bound is what a hub is willing to hold of one that is not a node.
-pub const LARGEST_BATCH_BYTES: u64 = 4 << 20;
+/// Most bytes of a batch once it is decompressed. A report is one to three kilobytes, so that a node sends a few hundred
+/// at a time.
+pub const LARGEST_BATCH_BYTES: usize = 2 << 20;
 
-/// Reports of one node, in the order of their numbers. On the wire it is JSON compressed with Zstandard against an example
-/// batch, `crates/wire/src/report/dictionary-1.json`, behind a byte with that example's number.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
+/// Most reports of a batch.
+pub const MOST_REPORTS: usize = 1000;
+
+/// Most bytes of a report as JSON.
+pub const LARGEST_REPORT_BYTES: usize = 64 << 10;
+
+/// Days for which a hub knows the identities of the reports that it has stored. An older report is refused, for nobody can
+/// tell whether it was stored before.
+pub const IDENTITY_DAYS: u32 = 30;
+
+/// Reports of one node, the oldest first. On the wire it is JSON compressed with Zstandard against an example batch,
+/// `crates/wire/src/report/dictionary-1.json`, behind a byte with that example's number.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportBatch {
     /// Version.
     pub v: u32,
-    /// Node.
+    /// Node; the same in each of the reports.
     pub node: String,
-    /// Instance of the node, 32 hexadecimal digits: made at its first start, and anew when its state directory is found
-    /// on another machine or went back in time. Numbers count within it.
-    pub instance: String,
-    /// A short digest of the machine's identity, so that one instance on two machines is noticed; absent
-    /// where the machine has none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub machine: Option<String>,
-    /// Number of the first report.
-    pub first: u64,
-    /// Number of the last report.
-    pub last: u64,
-    /// Reports that were lost before they could be sent (the outbox was full or its disk broken), since the
-    /// instance began. A hub sees from it that a gap is known to the node.
-    #[serde(default)]
-    pub lost: u64,
-    /// The reports: [`ClipReport::report`] is its number.
+    /// The node's clock when it sent the batch, milliseconds since the Unix epoch: a hub sees from it whether the times in
+    /// the reports can be believed.
+    pub t_ms: u64,
+    /// The reports.
     pub reports: Vec<ClipReport>,
-}
-
-/// A batch as a hub reads it: the reports are kept as they came, so that one which cannot be read is set aside
-/// alone.
-#[derive(Debug, Deserialize)]
-pub struct ReceivedBatch {
-    /// Version.
-    pub v: u32,
-    /// Node.
-    pub node: String,
-    /// Instance of the node.
-    pub instance: String,
-    /// Digest of the machine's identity.
-    #[serde(default)]
-    pub machine: Option<String>,
-    /// Number of the first report.
-    pub first: u64,
-    /// Number of the last report.
-    pub last: u64,
-    /// Reports the node lost before it could send them.
-    #[serde(default)]
-    pub lost: u64,
-    /// The reports, unread.
-    pub reports: Vec<Box<RawValue>>,
 }
 
 /// Why a batch cannot be read or written.
@@ -86,9 +60,6 @@ pub enum BatchError {
     /// Not the message expected.
     #[error(transparent)]
     Message(#[from] MessageError),
-    /// Its own members contradict each other.
-    #[error("{0}")]
-    Inconsistent(&'static str),
 }
 
 impl ReportBatch {
@@ -100,55 +71,56 @@ impl ReportBatch {
         let json = serde_json::to_vec(self).map_err(MessageError::from)?;
         Ok(compression.compress(&json)?)
     }
-}
 
-impl ReceivedBatch {
     /// Reads a payload.
     ///
     /// # Errors
     /// [`BatchError`] when it is not a batch of a version known here, or larger than [`LARGEST_BATCH_BYTES`].
     pub fn from_payload(payload: &[u8]) -> Result<Self, BatchError> {
-        let json = compression::decompress(payload, LARGEST_BATCH_BYTES)?;
-        let batch: Self = crate::read(&json)?;
-        if batch.instance.len() != 32 || !batch.instance.bytes().all(|b| b.is_ascii_hexdigit()) {
-            return Err(BatchError::Inconsistent(
-                "instance must have 32 hexadecimal digits",
-            ));
-        }
-        if batch.reports.is_empty() {
-            return Err(BatchError::Inconsistent("no reports"));
-        }
-        let span = batch.last.checked_sub(batch.first);
-        if span.is_none_or(|span| span < batch.reports.len() as u64 - 1) {
-            return Err(BatchError::Inconsistent(
-                "more reports than numbers from first to last",
-            ));
-        }
-        Ok(batch)
+        Ok(crate::read(&decompress_batch(payload)?)?)
     }
 }
 
-/// The acknowledgement of a batch, sent after the hub's commit.
+/// A report that a hub will never store.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct RefusedReport {
+    /// Its identity.
+    #[schema(value_type = String, format = "uuid")]
+    pub id: Uuid,
+    /// Why, in words.
+    pub reason: String,
+}
+
+/// The acknowledgement of a batch, sent after the hub's commit: every report of it is stored, but those that are refused.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportAnswer {
     /// Version.
     pub v: u32,
-    /// Every report of the instance up to this number is stored and may be removed: the batch's last number, or a lower
-    /// one where the rest must be sent again. Numbers begin at 1, so that 0 says that nothing is stored. Above the
-    /// node's own last number it says that the node's state went back in time.
-    pub stored: u64,
+    /// Identity of the hub's database. One that the node does not know has none of its reports: it sends again what it
+    /// still has.
+    #[schema(value_type = String, format = "uuid")]
+    pub database: Uuid,
+    /// Reports that will never be stored: they are too old, or make no sense.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub refused: Vec<RefusedReport>,
+    /// Running counts of the node ([`ClipReport::count`]) that never came, from the first to the last of each range: the node
+    /// sends again what it still has of them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub missing: Vec<(u64, u64)>,
     /// What the hub desires of the node, so that a lost notice costs one report.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub desired: Option<Desired>,
 }
 
 impl ReportAnswer {
-    /// The acknowledgement of everything up to `stored`.
-    pub const fn new(stored: u64, desired: Option<Desired>) -> Self {
+    /// The acknowledgement of a whole batch by that database.
+    pub const fn new(database: Uuid) -> Self {
         Self {
             v: VERSION,
-            stored,
-            desired,
+            database,
+            refused: Vec::new(),
+            missing: Vec::new(),
+            desired: None,
         }
     }
 }
@@ -157,16 +129,12 @@ impl ReportAnswer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RefusalReason {
-    /// Too much to do; the same batch is welcome later.
+    /// The hub has too much to do, or the node has sent more than its share; the same batch is welcome later.
     Busy,
     /// The database cannot be reached or written; the same batch is welcome later.
     Unavailable,
     /// The batch cannot be read; sending it again changes nothing, but it is not acknowledged.
     Unreadable,
-    /// Its first number is taken by another report of the instance: the node's state went back in time (a restored
-    /// disk), or another machine has a copy of it. The node makes a new instance, numbers what waits anew, and
-    /// sends it again.
-    Conflict,
 }
 
 /// The answer when a batch was not taken, sent as an error reply. Nothing of it is acknowledged.

@@ -1,5 +1,4 @@
-//! How a node is, `{prefix}/@status/{node}`: in full when something changed, otherwise a short heartbeat every
-//! 30 seconds.
+//! How a node is, `{prefix}/@status/{node}`: in full when something changed, otherwise a heartbeat every 30 seconds.
 
 use crate::version::{MessageError, VERSION};
 use crate::{EnergyQuality, NodeTarget, Threshold};
@@ -7,18 +6,15 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
-/// How a node is, with the full status when it changed or was asked for. Where nothing but the number of waiting reports has
-/// changed, a [`Heartbeat`] is sent instead.
+/// A heartbeat with the full status when it changed or was asked for. Where nothing but the number of waiting reports has
+/// changed, a [`Heartbeat`] goes out instead.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StatusMessage {
     /// Version.
     pub v: u32,
-    /// Instance of the node.
-    pub instance: String,
-    /// A short digest of the machine's identity; absent where the machine has none.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub machine: Option<String>,
-    /// When the process started, nanoseconds since the Unix epoch: tells two runs of one instance apart.
+    /// A random number of this run of the process: tells two runs, and two nodes of one name, from each other.
+    pub run: u32,
+    /// When the process started, nanoseconds since the Unix epoch.
     pub started_ns: u64,
     /// Number of this message within the run, from 0; a gap makes the hub ask for the full status.
     pub seq: u64,
@@ -35,15 +31,9 @@ pub struct StatusMessage {
     pub full: Option<Box<NodeStatus>>,
 }
 
-impl StatusMessage {
-    /// The number of its run; see [`run_number`].
-    pub fn run(&self) -> u32 {
-        run_number(&self.instance, self.machine.as_deref(), self.started_ns)
-    }
-}
-
-/// Says that a node lives and that nothing has changed since its last status but the number of waiting reports: on the key of
-/// the status, the array `[v, run, seq, waiting]`, some twenty bytes instead of two hundred, twice a minute.
+/// The short sign of life of a run in which nothing has changed since its last status but the number of reports that wait:
+/// some twenty bytes, twice a minute for as long as a node lives. On the wire the array `[v, run, seq, waiting]`, on the
+/// key of the status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
     /// The run whose last status still holds.
@@ -79,23 +69,6 @@ impl Heartbeat {
     pub fn is_one(payload: &[u8]) -> bool {
         payload.first() == Some(&b'[')
     }
-}
-
-/// A number for a run of a node's process, the same at both ends: FNV-1a (32 bits) over instance, machine and time of the
-/// start, with a zero byte between them.
-pub fn run_number(instance: &str, machine: Option<&str>, started_ns: u64) -> u32 {
-    let started = started_ns.to_le_bytes();
-    let parts = [
-        instance.as_bytes(),
-        &[0],
-        machine.unwrap_or_default().as_bytes(),
-        &[0],
-        &started,
-    ];
-    let bytes = parts.into_iter().flatten();
-    bytes.fold(0x811c_9dc5, |hash, byte| {
-        (hash ^ u32::from(*byte)).wrapping_mul(0x0100_0193)
-    })
 }
 
 /// Whether a node works as it should.
@@ -207,8 +180,11 @@ pub struct CameraStatus {
 pub struct OutboxStatus {
     /// Reports that wait.
     pub waiting: u64,
-    /// Reports lost since the instance began: the outbox was full or its disk broken.
+    /// Reports lost: the outbox was full or its disk broken.
     pub lost: u64,
+    /// Reports that the hub refused for good.
+    #[serde(default)]
+    pub undeliverable: u64,
     /// Whether reports survive a power loss; `false` without a state directory or when its disk fails.
     pub durable: bool,
 }
@@ -219,19 +195,15 @@ mod tests {
 
     #[test]
     fn a_heartbeat_is_an_array_of_four_numbers_and_no_status() {
-        let beat = Heartbeat {
-            run: run_number(
-                "0123456789abcdef0123456789abcdef",
-                Some("01234567"),
-                1_795_333_414_616_000_000,
-            ),
+        let heartbeat = Heartbeat {
+            run: 509_983_003,
             seq: 33,
             waiting: 3,
         };
-        let payload = beat.to_payload().unwrap();
+        let payload = heartbeat.to_payload().unwrap();
         assert_eq!(payload, b"[1,509983003,33,3]");
         assert!(Heartbeat::is_one(&payload));
-        assert_eq!(Heartbeat::read(&payload).unwrap(), beat);
+        assert_eq!(Heartbeat::read(&payload).unwrap(), heartbeat);
         assert!(!Heartbeat::is_one(b"{\"v\":1}"));
         for wrong in [&b"[2,1,33,3]"[..], b"[1,1,33]", b"[1,-1,33,3]", b"[]", b"["] {
             assert!(Heartbeat::read(wrong).is_err());

@@ -62,11 +62,6 @@ export function Node({ name }: { name: string }) {
               {is.why ? `: ${is.why}` : ""}
               <span class="quiet"> · heard {is.heard_ms ? ago(Math.max(0, (Date.now() - is.heard_ms) / 1000)) : "never"}</span>
             </p>
-            {is.instances.length > 1 && (
-              <p class="message wait">
-                {is.instances.length} instances were heard under this name: its state was made anew, or two nodes have one name.
-              </p>
-            )}
             <dl class="pairs">
               <dt>policy, model</dt>
               <dd>{status ? `${status.policy}, ${status.model}` : "–"}</dd>
@@ -167,33 +162,21 @@ export function Node({ name }: { name: string }) {
           </table>
         </div>
       </Section>
-      <Section id="instances" title="Instances" wide>
-        <div class="scroll" tabIndex={0} role="group" aria-label="table of instances">
-          <table>
-            <thead>
-              <tr>
-                <th scope="col" class="left">instance</th>
-                <th scope="col" class="left">machine</th>
-                {["reports stored", "never came", "lost at the node", "set aside", "conflicts", "first", "last"].map((head) => <th key={head} scope="col">{head}</th>)}
-              </tr>
-            </thead>
-            <tbody>
-              {(is?.instances ?? []).map((instance) => (
-                <tr key={instance.instance}>
-                  <td class="left"><code>{instance.instance.slice(0, 12)}</code></td>
-                  <td class="left">{instance.machine ?? "–"}</td>
-                  <td>{count(instance.reports)}</td>
-                  <td class={instance.missing ? "bad" : ""}>{count(instance.missing)}</td>
-                  <td class={instance.lost ? "bad" : ""}>{count(instance.lost)}</td>
-                  <td class={instance.set_aside ? "bad" : ""}>{count(instance.set_aside)}</td>
-                  <td class={instance.conflicts ? "bad" : ""}>{count(instance.conflicts)}</td>
-                  <td>{dateTime(instance.first_ms)}</td>
-                  <td>{dateTime(instance.last_ms)}</td>
-                </tr>
-              ))}
-            </tbody>
-          </table>
-        </div>
+      <Section id="reports" title="Reports">
+        <dl class="pairs">
+          <dt>stored</dt>
+          <dd>{count(is?.reports?.stored ?? 0)}</dd>
+          <dt>never came</dt>
+          <dd class={is?.reports?.missing ? "bad" : ""}>{count(is?.reports?.missing ?? 0)}</dd>
+          <dt>set aside</dt>
+          <dd class={is?.reports?.set_aside ? "bad" : ""}>{count(is?.reports?.set_aside ?? 0)}</dd>
+          <dt>refused: too old</dt>
+          <dd class={is?.reports?.refused ? "bad" : ""}>{count(is?.reports?.refused ?? 0)}</dd>
+          <dt>count began again</dt>
+          <dd>{count(is?.reports?.resets ?? 0)}</dd>
+          <dt>first, last</dt>
+          <dd>{is?.reports ? `${dateTime(is.reports.first_ms)}, ${dateTime(is.reports.last_ms)}` : "–"}</dd>
+        </dl>
       </Section>
       <Section id="node-changes" title="Changes" wide>
         <Fault text={changes.fault} />

@@ -105,7 +105,7 @@ export function Clips() {
             </thead>
             <tbody>
               {rows.slice(0, SHOWN).map((clip) => (
-                <tr key={`${clip.camera} ${clip.report}`}>
+                <tr key={clip.id}>
                   {shown.map((column) => (
                     <td key={column.id} class={column.left ? "left" : ""}>
                       {column.cell(clip)}

@@ -145,11 +145,11 @@ token = "a-token-that-may-look"
     quiet(page);
   });
 
-  await test("one node's own page shows it with clips, instances and changes", async () => {
+  await test("one node's own page shows it with clips, reports and changes", async () => {
     await page.goto(`${address}/#/nodes/sim-000003`);
     await page.getByRole("heading", { name: "sim-000003" }).waitFor();
     await page.locator("#node-changes").getByText("a test of the page").waitFor();
-    await page.locator("#instances td").first().waitFor();
+    await page.locator("#reports dd").first().waitFor();
     await until("a clip of it", async () => (await page.locator("#clips tbody tr").count()) > 0);
     await accessible(page, "a node of the fleet");
     quiet(page);

@@ -122,6 +122,8 @@ pub struct IngestConfig {
     /// A batch that comes while those before it wait longer than this is answered "busy" at once, milliseconds. To be
     /// well below the time nodes wait for an answer: what is written after that is sent once more for nothing.
     pub busy_after_ms: u64,
+    /// Bytes of reports that a node may send a day for each of its cameras; above it is told when to come again.
+    pub camera_bytes_per_day: u64,
     /// What a node is told to wait when it is answered "busy", milliseconds.
     pub busy_retry_ms: u64,
     /// What a node is told to wait when the database cannot be written, milliseconds.
@@ -136,6 +138,7 @@ impl Default for IngestConfig {
             commit_ms: 100,
             commit_reports: 4000,
             busy_after_ms: 3_000,
+            camera_bytes_per_day: 10_000_000,
             busy_retry_ms: 2_000,
             unavailable_retry_ms: 5_000,
         }
@@ -159,6 +162,12 @@ impl IngestConfig {
             100_000,
         );
         findings.count("ingest.busy_after_ms", self.busy_after_ms, 1, 3_600_000);
+        findings.count(
+            "ingest.camera_bytes_per_day",
+            self.camera_bytes_per_day,
+            100_000,
+            1 << 40,
+        );
         findings.count("ingest.busy_retry_ms", self.busy_retry_ms, 1, 3_600_000);
         findings.count(
             "ingest.unavailable_retry_ms",

@@ -98,7 +98,7 @@ impl Reader {
 
 /// What happens in the fleet, as server-sent events
 ///
-/// Kinds: `node` (its state changed), `gap`, `conflict`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node), and `resync`: more was
+/// Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node), and `resync`: more was
 /// missed than is told again, so look anew at how things stand.
 /// `curl -N http://127.0.0.1:8090/api/v1/events`
 #[utoipa::path(

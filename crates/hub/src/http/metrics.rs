@@ -129,18 +129,23 @@ pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
         ),
         (
             "albireo_hub_reports_set_aside_total",
-            "Reports that could not be read",
+            "Reports that make no sense",
             one.set_aside,
         ),
         (
             "albireo_hub_reports_missing_total",
-            "Numbers found missing",
+            "Running counts of nodes found missing",
             one.missing,
         ),
         (
-            "albireo_hub_conflicts_total",
-            "Batches with a number that belongs to another report",
-            one.conflicts,
+            "albireo_hub_reports_too_old_total",
+            "Reports refused because they are older than identities are known",
+            one.too_old,
+        ),
+        (
+            "albireo_hub_count_resets_total",
+            "Running counts that began anew: the state of a node was made anew, went back or was copied",
+            one.resets,
         ),
         (
             "albireo_hub_clock_off_total",
@@ -239,7 +244,6 @@ pub(super) fn written(view: &HubView, sessions: Option<usize>) -> String {
             ("{reason=\"busy\"}", one.refused_busy as f64),
             ("{reason=\"unavailable\"}", one.refused_unavailable as f64),
             ("{reason=\"unreadable\"}", one.refused_unreadable as f64),
-            ("{reason=\"conflict\"}", one.refused_conflict as f64),
         ],
     );
     family(

@@ -2,7 +2,7 @@
 
 use super::{HubView, unavailable};
 use crate::presence::{NodeView, PresenceState};
-use crate::store::InstanceView;
+use crate::store::ReportCounts;
 use albireo_service::http::{Caller, Problem};
 use axum::Json;
 use axum::extract::{Extension, Path, State};
@@ -10,17 +10,17 @@ use axum::http::StatusCode;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// A node with its instances.
+/// A node with what is known of its reports.
 #[derive(Serialize, ToSchema)]
 pub(super) struct NodeDetail {
     #[serde(flatten)]
     node: NodeView,
-    /// Its instances, the last heard first: more than one after its state was made anew, or when two nodes have this
-    /// name.
-    instances: Vec<InstanceView>,
+    /// What is known of its reports; absent where none came.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    reports: Option<ReportCounts>,
 }
 
-/// One node with its instances
+/// One node with what is known of its reports
 ///
 /// `curl http://127.0.0.1:8090/api/v1/nodes/car-7`
 #[utoipa::path(
@@ -35,15 +35,15 @@ pub(super) async fn one(
     State(view): State<HubView>,
     Path(node): Path<String>,
 ) -> Result<Json<NodeDetail>, Problem> {
-    let instances = view
+    let reports = view
         .store()?
-        .instances(&node)
+        .report_counts(&node)
         .await
         .map_err(|error| unavailable(&error))?;
     let known = view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
     Ok(Json(NodeDetail {
         node: known,
-        instances,
+        reports,
     }))
 }
 

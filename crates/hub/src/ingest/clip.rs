@@ -1,35 +1,38 @@
 //! A report as the row of a clip: figures in whole microjoules, microseconds and parts per million, each checked.
 
-use crate::store::SetupKey;
+use super::plan::Present;
 use crate::store::rows::text;
-use crate::store::tables::ClipRow;
+use crate::store::tables::{ClipRow, SetupKey};
 use albireo_wire::{AuditReport, ClipEnd, ClipReport, EnergyQuality};
-use serde_json::json;
 
 /// Largest energy of a clip, joules: about 3 kWh.
 const MOST_JOULES: f64 = 1e7;
-/// Longest time of all calls or frames of a clip, microseconds: nine thousand such clips still fit into a sum.
-const MOST_TIME_US: i64 = 100_000_000_000_000;
+/// Longest time of all calls or frames of a clip, microseconds.
+const MOST_TIME_US: i64 = 1_000_000_000_000;
 /// Longest clip and latency, seconds.
-const MOST_SECONDS: f64 = 10.0 * 86_400.0;
-/// Most of anything that an audit counts in a clip: nine thousand such clips still fit into a sum.
-const MOST_AUDITED: i64 = 1_000_000_000_000_000;
+const MOST_SECONDS: f64 = 86_400.0;
+/// Most that an audit sums up in a clip: squares, overlaps in millionths.
+const MOST_AUDITED: i64 = 10_000_000_000_000;
 /// Most frames of a clip, and of any other count.
-const MOST_COUNT: u64 = 1_000_000_000;
+const MOST_COUNT: u64 = 10_000_000;
+/// The range of an energy-delay product: its square is no number that a database refuses.
+const EDP: std::ops::RangeInclusive<f64> = 1e-9..=1e12;
+/// Longest text, bytes.
+const LONGEST_TEXT: usize = 256;
 /// A clip that began later than this after it was received has a clock that is off, milliseconds.
 const FUTURE_MS: i64 = 3_600_000;
 /// A clip that began earlier than this before it was received, too.
 const PAST_MS: i64 = 400 * 86_400_000;
 
-/// Where the clock of a node is believed: the time a clip is filed under, and whether it is the node's own.
-pub(crate) fn filed_under(started_ns: u64, received_ms: i64) -> (i64, bool) {
-    let told = i64::try_from(started_ns / 1_000_000).unwrap_or(i64::MAX);
-    let believable =
-        (received_ms - PAST_MS..=received_ms.saturating_add(FUTURE_MS)).contains(&told);
-    if believable {
-        (told, true)
+/// The time that a clip is filed under, milliseconds since the Unix epoch, and whether it is the node's own.
+pub(crate) fn filed_under(started_ns: u64, present: Present) -> (i64, bool) {
+    let now_ms = present.hub_ms;
+    let started_ms = i64::try_from(started_ns / 1_000_000).unwrap_or(i64::MAX);
+    let believable = (now_ms - PAST_MS..=now_ms.saturating_add(FUTURE_MS)).contains(&started_ms);
+    if believable && present.clocks_agree() {
+        (started_ms, true)
     } else {
-        (received_ms, false)
+        (now_ms, false)
     }
 }
 
@@ -45,20 +48,21 @@ pub(crate) const fn quality_code(quality: EnergyQuality) -> i64 {
 
 /// What a report says, before its names have numbers.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) struct Facts {
+pub(crate) struct ClipRecord {
+    pub(crate) camera: String,
     pub(crate) setup: SetupKey,
-    /// With 0 in the place of camera, instance and setup.
+    /// With 0 in the place of day, camera and setup.
     pub(crate) row: ClipRow,
     /// Whether the node's clock is believed.
     pub(crate) clock: bool,
 }
 
-/// Reads the figures of a report received at `received_ms`.
+/// Reads the figures of a report.
 ///
 /// # Errors
 /// Which figure cannot be, in words: the report is then set aside.
-pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Result<Facts, String> {
-    let (at_ms, clock) = filed_under(report.started_ns, received_ms);
+pub(crate) fn record(report: &ClipReport, present: Present) -> Result<ClipRecord, String> {
+    let (at_ms, clock) = filed_under(report.started_ns, present);
     let energy = &report.energy;
     let (total, detector) = (&report.total_latency_ms, &report.detector_latency_ms);
     let states = &report.states;
@@ -110,7 +114,7 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
             .filter(|product| *product <= MOST_TIME_US)
             .ok_or_else(|| "a mean latency times its count is too large".to_owned())
     };
-    let edp = energy.edp.filter(|edp| edp.is_finite());
+    let edp = energy.edp.filter(|edp| EDP.contains(edp));
     let audit = report.audit.as_ref().map(audited).transpose()?;
     let audit = |index: usize| audit.map(|counts| counts[index]);
     let audit_uj = joules(
@@ -118,19 +122,23 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
         report.audit.as_ref().and_then(|audit| audit.joules),
     )?;
     let row = ClipRow {
+        day: 0,
+        report_id: report.id,
+        count: report.count.and_then(|count| i64::try_from(count).ok()),
         camera_id: 0,
-        instance_id: 0,
         setup_id: 0,
-        report: number,
         at_ms,
-        received_ms,
+        received_ms: present.hub_ms,
         started_ns: i64::try_from(report.started_ns).unwrap_or(i64::MAX),
-        clip: text(&report.clip),
+        clip: name("clip", &report.clip)?,
+        part: report.part.into(),
         ended_by: match report.ended_by {
             ClipEnd::NextClip => "next_clip",
             ClipEnd::Window => "window",
             ClipEnd::Silence => "silence",
             ClipEnd::Shutdown => "shutdown",
+            ClipEnd::Length => "length",
+            ClipEnd::Other => "other",
         }
         .to_owned(),
         duration_us,
@@ -164,7 +172,7 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
         edp,
         samples: count("energy.samples", energy.samples)?,
         coverage_ppm: micro("energy.coverage", energy.coverage, 1.0 + 1e-6)?,
-        details: details(report),
+        threshold_changed: i64::from(report.threshold_changes.len() > 1),
         audit_frames: audit(0),
         audit_missed: audit(1),
         audit_missed_boxes: audit(2),
@@ -182,19 +190,33 @@ pub(crate) fn facts(report: &ClipReport, number: i64, received_ms: i64) -> Resul
     };
     let threshold = report.threshold;
     let setup = SetupKey {
-        policy: text(&report.policy),
+        policy: name("policy", &report.policy)?,
         knob: threshold
             .map(|threshold| threshold.name.to_string())
             .unwrap_or_default(),
         value: threshold
             .map(|threshold| threshold.value.to_string())
             .unwrap_or_default(),
-        model: text(&report.model),
-        provider: text(&report.provider),
-        power_source: text(&energy.source),
-        total_from: text(&energy.total_from),
+        model: name("model", &report.model)?,
+        provider: name("provider", &report.provider)?,
+        power_source: name("energy.source", &energy.source)?,
+        total_from: name("energy.total_from", &energy.total_from)?,
     };
-    Ok(Facts { setup, row, clock })
+    Ok(ClipRecord {
+        camera: name("camera", &report.camera)?,
+        setup,
+        row,
+        clock,
+    })
+}
+
+/// A text that both databases keep.
+fn name(what: &str, given: &str) -> Result<String, String> {
+    if given.len() > LONGEST_TEXT {
+        let length = given.len();
+        return Err(format!("{what} has {length} bytes, above {LONGEST_TEXT}"));
+    }
+    Ok(text(given))
 }
 
 /// The counts of an audit, in the order of the columns.
@@ -226,21 +248,6 @@ fn audited(audit: &AuditReport) -> Result<[i64; 13], String> {
         return Err("audit: more pairs than boxes".to_owned());
     }
     Ok(checked)
-}
-
-/// What is not summed: changes of the knob within the clip, the board, frames that were dropped by kind.
-fn details(report: &ClipReport) -> Option<String> {
-    let mut details = serde_json::Map::new();
-    if report.threshold_changes.len() > 1 {
-        details.insert("threshold_changes".into(), json!(report.threshold_changes));
-    }
-    if let Some(board) = &report.board {
-        details.insert("board".into(), json!(board));
-    }
-    if dropped_total(report) != Some(0) {
-        details.insert("dropped".into(), json!(report.dropped));
-    }
-    (!details.is_empty()).then(|| text(&serde_json::Value::Object(details).to_string()))
 }
 
 fn dropped_total(report: &ClipReport) -> Option<u64> {

@@ -1,51 +1,153 @@
-//! Commits a group of batches in one transaction: cursors, clips, sums, what was set aside, events.
+//! Writes a group of batches into one transaction: identities, clips, sums, counts, what was set aside, events.
 
-use super::clip::{Facts, facts};
-use super::decode::{Batch, Unread, unread};
-use super::plan::{Outcome, Plan, below, plan};
-use crate::config::HistoryConfig;
+use super::decode::{Batch, NotTaken, Taken};
+use super::limits::EventLimits;
+use super::plan::{Counts, Seen};
 use crate::presence::Used;
 use crate::store::rows::text;
-use crate::store::tables::ClipRow;
-use crate::store::tables::{EventRow, GapRow, InstanceRow, SetAsideRow, SumRow};
-use crate::store::{Instance, SetupKey, StoreError, Writing};
-use albireo_wire::EnergyQuality;
+use crate::store::tables::{ClipRow, EventRow, ReportCountsRow, SetAsideRow, SetupKey, SumRow};
+use crate::store::{StoreError, Transaction};
+use albireo_wire::{EnergyQuality, RefusedReport};
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-
-const DAY_MS: i64 = 86_400_000;
 
 /// Length of the short sums, seconds.
 const FIVE_MINUTES: i64 = 300;
 /// Length of the long sums, seconds: days of UTC.
 const DAY: i64 = 86_400;
 
-/// Names whose numbers are known. Forgotten after a failure: a number that was rolled back means nothing.
-#[derive(Debug, Default)]
-pub(crate) struct Numbers {
-    nodes: HashMap<String, i64>,
-    cameras: HashMap<(i64, String), i64>,
-    setups: HashMap<SetupKey, i64>,
-}
+/// Most cameras of a node.
+pub(crate) const MOST_CAMERAS: usize = 64;
 
 /// Most setups remembered: whoever turns a knob all day must not fill the memory.
 const MOST_SETUPS: usize = 10_000;
 
+/// Names whose numbers are known. Forgotten after a failure: a number that was rolled back means nothing.
+#[derive(Debug, Default)]
+pub(crate) struct Numbers {
+    nodes: HashMap<String, i64>,
+    cameras: HashMap<i64, HashMap<String, i64>>,
+    setups: HashMap<SetupKey, i64>,
+}
+
+impl Numbers {
+    /// Forgets everything.
+    pub(crate) fn forget(&mut self) {
+        *self = Self::default();
+    }
+
+    /// The number of each of these nodes, in order, made where it is new at `now_ms`.
+    pub(crate) fn nodes(
+        &mut self,
+        writing: &mut dyn Transaction,
+        names: &[&str],
+        now_ms: i64,
+    ) -> Result<Vec<i64>, StoreError> {
+        let new: BTreeSet<&str> = (names.iter().copied())
+            .filter(|name| !self.nodes.contains_key(*name))
+            .collect();
+        let new: Vec<&str> = new.into_iter().collect();
+        if !new.is_empty() {
+            let ids = writing.nodes(&new, now_ms)?;
+            let named = new.iter().map(|name| (*name).to_owned()).zip(ids);
+            self.nodes.extend(named);
+        }
+        let found = names.iter().map(|name| self.nodes.get(*name).copied());
+        found.collect::<Option<_>>().ok_or_else(|| lost("a node"))
+    }
+
+    /// Learns the cameras of nodes, and makes those that are new where there is room for them.
+    fn cameras(
+        &mut self,
+        writing: &mut dyn Transaction,
+        wanted: &BTreeSet<(i64, &str)>,
+    ) -> Result<(), StoreError> {
+        let nodes: BTreeSet<i64> = (wanted.iter())
+            .map(|(node, _)| *node)
+            .filter(|node| !self.cameras.contains_key(node))
+            .collect();
+        let nodes: Vec<i64> = nodes.into_iter().collect();
+        if !nodes.is_empty() {
+            self.cameras
+                .extend(nodes.iter().map(|node| (*node, HashMap::new())));
+            for (node, name, id) in writing.cameras_of(&nodes)? {
+                self.cameras.entry(node).or_default().insert(name, id);
+            }
+        }
+        let mut new = Vec::new();
+        for (node, name) in wanted {
+            let known = self.cameras.entry(*node).or_default();
+            if known.len() < MOST_CAMERAS && !known.contains_key(*name) {
+                // Its number follows.
+                known.insert((*name).to_owned(), 0);
+                new.push((*node, *name));
+            }
+        }
+        if !new.is_empty() {
+            for ((node, name), id) in new.iter().zip(writing.add_cameras(&new)?) {
+                self.cameras
+                    .entry(*node)
+                    .or_default()
+                    .insert((*name).to_owned(), id);
+            }
+        }
+        Ok(())
+    }
+
+    fn setups(
+        &mut self,
+        writing: &mut dyn Transaction,
+        wanted: BTreeSet<&SetupKey>,
+    ) -> Result<(), StoreError> {
+        if self.setups.len() > MOST_SETUPS {
+            self.setups.clear();
+        }
+        let new: Vec<&SetupKey> = wanted
+            .into_iter()
+            .filter(|setup| !self.setups.contains_key(*setup))
+            .collect();
+        if !new.is_empty() {
+            let ids = writing.setups(&new)?;
+            self.setups.extend(new.into_iter().cloned().zip(ids));
+        }
+        Ok(())
+    }
+}
+
+fn lost(what: &str) -> StoreError {
+    StoreError::Statement(format!("{what} has no number after it was written"))
+}
+
+/// What the node of a batch is answered.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Outcome {
+    /// Reports that are not stored.
+    pub(crate) refused: Vec<RefusedReport>,
+    /// Counts of the node that never came.
+    pub(crate) missing: Vec<(u64, u64)>,
+    /// Cameras of the node.
+    pub(crate) cameras: usize,
+}
+
 /// What came of a group.
 #[derive(Debug, Default)]
 pub(crate) struct Committed {
-    /// What each batch's node is told, in the order of the batches.
+    /// What is answered to each batch, in order.
     pub(crate) outcomes: Vec<Outcome>,
+    /// Events to be written.
+    pub(crate) events: Vec<EventRow>,
     /// Clips written.
     pub(crate) clips: u64,
     /// Reports that were there already.
     pub(crate) again: u64,
-    /// Reports set aside.
+    /// Reports that make no sense.
     pub(crate) set_aside: u64,
-    /// Numbers found missing.
+    /// Reports refused because they are too old.
+    pub(crate) too_old: u64,
+    /// Counts found missing.
     pub(crate) missing: u64,
-    /// Conflicts found.
-    pub(crate) conflicts: u64,
+    /// Counts that began anew.
+    pub(crate) resets: u64,
     /// Clips of a node whose clock is off.
     pub(crate) clock_off: u64,
     /// Frames of the clips written.
@@ -56,8 +158,6 @@ pub(crate) struct Committed {
     pub(crate) audit: Audited,
     /// Energy of the clips written that have a figure, microjoules.
     pub(crate) energy_uj: u64,
-    /// Whether there are new events.
-    pub(crate) events: bool,
     /// Energy of the clips written, each with its node's place among the batches and the time it is filed under.
     pub(crate) used: Vec<(usize, i64, Used)>,
 }
@@ -72,125 +172,183 @@ pub(crate) struct Audited {
     pub(crate) paired: u64,
 }
 
-impl Audited {
-    fn add(&mut self, clip: &ClipRow) {
-        let number = |column: Option<i64>| column.map_or(0, |n| u64::try_from(n).unwrap_or(0));
-        self.frames += number(clip.audit_frames);
-        self.missed += number(clip.audit_missed);
-        self.detected += number(clip.audit_detected);
-        self.shown += number(clip.audit_shown);
-        self.paired += number(clip.audit_paired);
+impl Committed {
+    fn count(&mut self, place: usize, taken: &Taken, clip: &ClipRow) {
+        let number = |column: i64| u64::try_from(column).unwrap_or(0);
+        let of = |column: Option<i64>| column.map_or(0, number);
+        self.clips += 1;
+        self.clock_off += u64::from(!taken.record.clock);
+        self.frames += number(clip.frames);
+        self.skipped += number(clip.frames_e + clip.frames_p - clip.degraded);
+        self.audit.frames += of(clip.audit_frames);
+        self.audit.missed += of(clip.audit_missed);
+        self.audit.detected += of(clip.audit_detected);
+        self.audit.shown += of(clip.audit_shown);
+        self.audit.paired += of(clip.audit_paired);
+        self.energy_uj += of(clip.energy_uj);
+        if let Some(uj) = clip.energy_uj {
+            let estimated = clip.quality == super::clip::quality_code(EnergyQuality::Estimated);
+            self.used.push((place, clip.at_ms, Used { uj, estimated }));
+        }
     }
 }
 
-impl Numbers {
-    /// Forgets everything.
-    pub(crate) fn forget(&mut self) {
-        *self = Self::default();
-    }
-
-    /// The numbers of these nodes, looked up where they are not known.
-    pub(crate) async fn nodes(
-        &mut self,
-        writing: &mut Writing<'_>,
-        names: impl Iterator<Item = &str>,
-        now_ms: i64,
-    ) -> Result<(), StoreError> {
-        let new: BTreeSet<String> = names
-            .filter(|name| !self.nodes.contains_key(*name))
-            .map(str::to_owned)
-            .collect();
-        let new: Vec<String> = new.into_iter().collect();
-        self.nodes.extend(writing.nodes(&new, now_ms).await?);
-        Ok(())
-    }
-
-    /// The number of a node that was looked up.
-    pub(crate) fn node(&self, name: &str) -> Result<i64, StoreError> {
-        self.nodes
-            .get(name)
-            .copied()
-            .ok_or_else(|| lost("node", name))
-    }
-}
-
-fn lost(what: &str, name: &str) -> StoreError {
-    StoreError::Statement(format!(
-        "the {what} `{name}` has no number after it was written"
-    ))
-}
-
-/// A report that is to be written, with the instance it belongs to.
-struct Pending {
-    node: i64,
-    instance: i64,
-    camera: String,
-    facts: Facts,
-}
-
-/// Writes `batches` into the transaction. Each is of another instance.
-pub(crate) async fn write(
-    writing: &mut Writing<'_>,
+/// Writes `batches` into the transaction. What is to be told of them is returned, to be written and answered by the caller.
+pub(crate) fn write(
+    writing: &mut dyn Transaction,
     numbers: &mut Numbers,
+    limits: &mut EventLimits,
     batches: &[Batch],
-    history: &HistoryConfig,
     now_ms: i64,
 ) -> Result<Committed, StoreError> {
-    let names = batches.iter().map(|batch| batch.node.as_str());
-    numbers.nodes(writing, names, now_ms).await?;
-    let mut wanted = Vec::with_capacity(batches.len());
-    for batch in batches {
-        wanted.push((numbers.node(&batch.node)?, batch.instance.clone()));
-    }
-    let instances = writing.instances(&wanted, now_ms).await?;
-    let mut found = Vec::with_capacity(batches.len());
-    for key in &wanted {
-        found.push(instances.get(key).ok_or_else(|| lost("instance", &key.1))?);
-    }
-    let suspects: Vec<(i64, i64)> = batches
-        .iter()
-        .zip(&found)
-        .flat_map(|(batch, instance)| below(batch, instance).map(|number| (instance.id, number)))
-        .collect();
-    let known = writing.known(&suspects).await?;
-    let kept_since_ms = now_ms - i64::from(history.clips_days.min(history.set_aside_days)) * DAY_MS;
-
-    let mut group = Group::default();
     let mut committed = Committed::default();
-    for (place, ((batch, instance), (node, _))) in
-        batches.iter().zip(&found).zip(&wanted).enumerate()
-    {
-        group.place = place;
-        let plan = plan(batch, instance, &known, kept_since_ms);
-        group.add(batch, instance, *node, &plan, now_ms);
-        committed.again += plan.again as u64;
-        committed.missing += plan.missing.unsigned_abs();
-        committed.conflicts += u64::from(plan.conflict.is_some());
-        committed.outcomes.push(plan.outcome);
+    if batches.is_empty() {
+        return Ok(committed);
     }
-    committed.clock_off = group.clock_off;
-    committed.set_aside = writing.insert_new("set_aside", &group.set_aside).await?;
-    writing.insert("gaps", &group.gaps).await?;
-    writing.update_instances(&group.instances).await?;
-    let clips = group.clips(writing, numbers).await?;
-    committed.clips = writing.insert("clips", &clips).await?;
-    for clip in &clips {
-        let skipped = clip.frames_e + clip.frames_p - clip.degraded;
-        committed.frames += u64::try_from(clip.frames).unwrap_or(0);
-        committed.skipped += u64::try_from(skipped).unwrap_or(0);
-        committed.audit.add(clip);
-        committed.energy_uj += clip
-            .energy_uj
-            .map_or(0, |uj| u64::try_from(uj).unwrap_or(0));
+    let names: Vec<&str> = batches.iter().map(|batch| batch.node.as_str()).collect();
+    let nodes = numbers.nodes(writing, &names, now_ms)?;
+    let distinct: BTreeSet<i64> = nodes.iter().copied().collect();
+    let distinct: Vec<i64> = distinct.into_iter().collect();
+    let mut known = writing.report_counts(&distinct)?;
+    let mut taken: Vec<(i64, &Taken)> = Vec::new();
+    for (batch, node) in batches.iter().zip(&nodes) {
+        let content = batch.reports.iter().map(|report| report.content.as_ref());
+        taken.extend(content.flatten().map(|content| (*node, content)));
     }
-    writing
-        .add_sums("sums_5m", &sums(&clips, FIVE_MINUTES))
-        .await?;
-    writing.add_sums("sums_day", &sums(&clips, DAY)).await?;
-    committed.events = !group.events.is_empty();
-    committed.used = std::mem::take(&mut group.used);
-    writing.events(&group.events).await?;
+    let keys = taken.iter().map(|(_, taken)| taken.key).collect();
+    let mut new = writing.new_reports(&keys)?;
+    taken.retain(|(_, taken)| new.contains(&taken.key.id));
+    let cameras = taken
+        .iter()
+        .map(|(node, taken)| (*node, taken.record.camera.as_str()));
+    numbers.cameras(writing, &cameras.collect())?;
+    let setups = taken.iter().map(|(_, taken)| &taken.record.setup);
+    numbers.setups(writing, setups.collect())?;
+
+    let (mut clips, mut aside) = (Vec::new(), Vec::new());
+    for (place, (batch, node)) in batches.iter().zip(&nodes).enumerate() {
+        let row = known
+            .entry(*node)
+            .or_insert_with(|| new_counts(*node, now_ms));
+        let (mut counts, mut outcome) = (Counts::of(row), Outcome::default());
+        let (mut senseless, before) = (0, committed.clock_off);
+        let node_cameras = numbers.cameras.get(node);
+        for report in &batch.reports {
+            let mut is_new = false;
+            let refused = match &report.content {
+                Ok(taken) => {
+                    // The same twice in one group is stored once.
+                    is_new = new.remove(&taken.key.id);
+                    let camera = node_cameras.and_then(|all| all.get(&taken.record.camera));
+                    match (is_new, camera) {
+                        (false, _) => {
+                            committed.again += 1;
+                            None
+                        }
+                        (true, None) => {
+                            let cause = format!("the node has {MOST_CAMERAS} cameras already");
+                            Some((cause, Some(String::new())))
+                        }
+                        (true, Some(camera)) => {
+                            let mut clip = taken.record.row.clone();
+                            clip.day = taken.key.day.max(0);
+                            clip.camera_id = *camera;
+                            clip.setup_id = *(numbers.setups.get(&taken.record.setup))
+                                .ok_or_else(|| lost("a setup"))?;
+                            committed.count(place, taken, &clip);
+                            row.stored += 1;
+                            clips.push(clip);
+                            None
+                        }
+                    }
+                }
+                Err(NotTaken::TooOld(reason)) => {
+                    committed.too_old += 1;
+                    row.refused += 1;
+                    Some((reason.clone(), None))
+                }
+                Err(NotTaken::Senseless { cause, body }) => {
+                    Some((cause.clone(), Some(body.clone())))
+                }
+            };
+            if let Some((reason, body)) = refused {
+                if let Some(body) = body {
+                    senseless += 1;
+                    row.set_aside += 1;
+                    if limits.may_set_aside(&batch.node, now_ms) {
+                        aside.push(SetAsideRow {
+                            node_id: *node,
+                            report_id: report.id.map(|id| id.to_string()),
+                            received_ms: now_ms,
+                            cause: text(&reason),
+                            body: text(&body),
+                        });
+                    }
+                }
+                if let Some(id) = report.id {
+                    outcome.refused.push(RefusedReport { id, reason });
+                }
+                // A report that is not stored counts as one that never came.
+                continue;
+            }
+            let event = match report.count.map(|count| counts.see(count, is_new)) {
+                Some(Seen::Gap(first, last)) => {
+                    committed.missing += last - first + 1;
+                    Some(("gap", json!({ "first": first, "last": last })))
+                }
+                Some(Seen::Reset) => {
+                    committed.resets += 1;
+                    row.resets += 1;
+                    Some(("reset", json!({ "count": report.count })))
+                }
+                Some(Seen::Expected) | None => None,
+            };
+            if let Some((kind, detail)) = event {
+                limits.event(&mut committed.events, now_ms, kind, &batch.node, detail);
+            }
+        }
+        committed.set_aside += senseless;
+        let off = committed.clock_off - before;
+        for (kind, detail) in [
+            ("set_aside", json!({ "reports": senseless })),
+            ("clock_off", json!({ "clips": off })),
+        ] {
+            let happened = if kind == "set_aside" { senseless } else { off };
+            if happened > 0 {
+                limits.event(&mut committed.events, now_ms, kind, &batch.node, detail);
+            }
+        }
+        row.last_ms = now_ms.max(row.last_ms);
+        counts.write(row);
+        outcome.missing = counts.missing().to_vec();
+        outcome.cameras = node_cameras.map_or(0, HashMap::len);
+        committed.outcomes.push(outcome);
+    }
+    let rows: Vec<ReportCountsRow> = distinct
+        .iter()
+        .filter_map(|node| known.remove(node))
+        .collect();
+    writing.write_report_counts(&rows)?;
+    writing.insert_rows("set_aside", &aside)?;
+    writing.insert_rows("clips", &clips)?;
+    writing.add_sums("sums_5m", &sums(&clips, FIVE_MINUTES))?;
+    writing.add_sums("sums_day", &sums(&clips, DAY))?;
     Ok(committed)
+}
+
+fn new_counts(node_id: i64, now_ms: i64) -> ReportCountsRow {
+    ReportCountsRow {
+        node_id,
+        first_ms: now_ms,
+        last_ms: now_ms,
+        stored: 0,
+        set_aside: 0,
+        refused: 0,
+        resets: 0,
+        base: 0,
+        highest: 0,
+        missing: "[]".to_owned(),
+    }
 }
 
 /// The sums of these clips over spans of so many seconds, in the order of their keys.
@@ -199,170 +357,9 @@ pub(crate) fn sums(clips: &[ClipRow], seconds: i64) -> Vec<SumRow> {
     for clip in clips {
         let bucket = clip.at_ms.div_euclid(seconds * 1000) * seconds;
         let one = SumRow::of(clip, bucket);
-        sums.entry(one.key())
+        sums.entry(one.key)
             .and_modify(|sum| sum.add(&one))
             .or_insert(one);
     }
     sums.into_values().collect()
-}
-
-/// What a group of batches writes.
-#[derive(Default)]
-struct Group {
-    /// Place of the batch that is added.
-    place: usize,
-    used: Vec<(usize, i64, Used)>,
-    pending: Vec<Pending>,
-    set_aside: Vec<SetAsideRow>,
-    gaps: Vec<GapRow>,
-    instances: Vec<InstanceRow>,
-    events: Vec<EventRow>,
-    clock_off: u64,
-}
-
-impl Group {
-    fn add(&mut self, batch: &Batch, instance: &Instance, node: i64, plan: &Plan, now_ms: i64) {
-        let mut latest = instance.latest_started_ns;
-        let (mut clips, mut aside, mut off) = (0, 0, 0);
-        for report in plan
-            .store
-            .iter()
-            .filter_map(|place| batch.reports.get(*place))
-        {
-            let read = match &report.content {
-                Err(Unread { cause, body }) => Err((cause.clone(), body.clone())),
-                Ok(content) => facts(content, report.number, now_ms)
-                    .map(|facts| (content, facts))
-                    .map_err(|cause| {
-                        let raw = serde_json::to_string(content).unwrap_or_default();
-                        let Unread { cause, body } = unread(cause, &raw);
-                        (cause, body)
-                    }),
-            };
-            match read {
-                Ok((content, facts)) => {
-                    clips += 1;
-                    if facts.clock {
-                        latest = latest.max(facts.row.started_ns);
-                    } else {
-                        off += 1;
-                    }
-                    if let Some(uj) = facts.row.energy_uj {
-                        let estimated = content.energy.quality == EnergyQuality::Estimated;
-                        let used = Used { uj, estimated };
-                        self.used.push((self.place, facts.row.at_ms, used));
-                    }
-                    self.pending.push(Pending {
-                        node,
-                        instance: instance.id,
-                        camera: content.camera.clone(),
-                        facts,
-                    });
-                }
-                Err((cause, body)) => {
-                    aside += 1;
-                    self.set_aside.push(SetAsideRow {
-                        node_id: node,
-                        instance_id: Some(instance.id),
-                        report: Some(report.number),
-                        received_ms: now_ms,
-                        cause: text(&cause),
-                        body: text(&body),
-                    });
-                }
-            }
-        }
-        for gap in &plan.gaps {
-            self.gaps.push(GapRow {
-                instance_id: instance.id,
-                first_report: gap.first,
-                last_report: gap.last,
-                noticed_ms: now_ms,
-                cause: gap.cause.to_owned(),
-            });
-            let detail = json!({ "instance": batch.instance, "first": gap.first, "last": gap.last, "cause": gap.cause });
-            self.tell(now_ms, "gap", batch, detail);
-        }
-        if let Some(reason) = &plan.conflict {
-            let detail =
-                json!({ "instance": batch.instance, "machine": batch.machine, "reason": reason });
-            self.tell(now_ms, "conflict", batch, detail);
-        }
-        if aside > 0 {
-            let detail = json!({ "instance": batch.instance, "reports": aside });
-            self.tell(now_ms, "set_aside", batch, detail);
-        }
-        if off > 0 {
-            let detail = json!({ "instance": batch.instance, "clips": off });
-            self.tell(now_ms, "clock_off", batch, detail);
-        }
-        self.clock_off += off;
-        self.instances.push(InstanceRow {
-            id: instance.id,
-            machine: instance
-                .machine
-                .clone()
-                .or_else(|| batch.machine.as_deref().map(text)),
-            next_report: plan.next_report,
-            last_ms: now_ms.max(instance.last_ms),
-            latest_started_ns: latest,
-            reports: instance.reports + clips,
-            set_aside: instance.set_aside + aside,
-            missing: instance.missing + plan.missing,
-            lost: instance.lost.max(batch.lost),
-            conflicts: instance.conflicts + i64::from(plan.conflict.is_some()),
-        });
-    }
-
-    fn tell(&mut self, at_ms: i64, kind: &str, batch: &Batch, detail: serde_json::Value) {
-        self.events.push(EventRow {
-            at_ms,
-            kind: kind.to_owned(),
-            node: Some(batch.node.clone()),
-            detail: text(&detail.to_string()),
-        });
-    }
-
-    /// The rows of the clips, with the numbers of their cameras and setups.
-    async fn clips(
-        &mut self,
-        writing: &mut Writing<'_>,
-        numbers: &mut Numbers,
-    ) -> Result<Vec<ClipRow>, StoreError> {
-        let cameras: BTreeSet<(i64, String)> = self
-            .pending
-            .iter()
-            .map(|pending| (pending.node, pending.camera.clone()))
-            .filter(|camera| !numbers.cameras.contains_key(camera))
-            .collect();
-        let cameras: Vec<_> = cameras.into_iter().collect();
-        numbers.cameras.extend(writing.cameras(&cameras).await?);
-        if numbers.setups.len() > MOST_SETUPS {
-            numbers.setups.clear();
-        }
-        let setups: BTreeSet<SetupKey> = self
-            .pending
-            .iter()
-            .map(|pending| pending.facts.setup.clone())
-            .filter(|setup| !numbers.setups.contains_key(setup))
-            .collect();
-        let setups: Vec<_> = setups.into_iter().collect();
-        numbers.setups.extend(writing.setups(&setups).await?);
-        let mut rows = Vec::with_capacity(self.pending.len());
-        for pending in self.pending.drain(..) {
-            let camera = (pending.node, pending.camera);
-            let mut row = pending.facts.row;
-            row.instance_id = pending.instance;
-            row.camera_id = *numbers
-                .cameras
-                .get(&camera)
-                .ok_or_else(|| lost("camera", &camera.1))?;
-            row.setup_id = *numbers
-                .setups
-                .get(&pending.facts.setup)
-                .ok_or_else(|| lost("setup", &pending.facts.setup.policy))?;
-            rows.push(row);
-        }
-        Ok(rows)
-    }
 }

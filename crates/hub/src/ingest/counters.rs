@@ -66,10 +66,12 @@ counters! {
     again,
     /// Reports set aside.
     set_aside,
-    /// Numbers found missing.
+    /// Reports refused because they are too old.
+    too_old,
+    /// Counts found missing.
     missing,
-    /// Batches with a number that belongs to another report.
-    conflicts,
+    /// Counts that began anew: the state of a node was made anew, went back or was copied.
+    resets,
     /// Clips of a node whose clock is off.
     clock_off,
     /// Frames of the clips written.
@@ -88,14 +90,12 @@ counters! {
     audit_paired,
     /// Energy of the clips written that have a figure, microjoules.
     energy_uj,
-    /// Batches refused because too many wait.
+    /// Batches refused because too many wait, or their node has sent more than its share.
     refused_busy,
     /// Batches refused because the database could not be written.
     refused_unavailable,
     /// Batches refused because they cannot be read.
     refused_unreadable,
-    /// Batches refused because their numbers belong to other reports.
-    refused_conflict,
     /// Commits.
     commits,
     /// Transactions that failed.
@@ -110,7 +110,6 @@ impl IngestCounters {
             RefusalReason::Busy => self.refused_busy(1),
             RefusalReason::Unavailable => self.refused_unavailable(1),
             RefusalReason::Unreadable => self.refused_unreadable(1),
-            RefusalReason::Conflict => self.refused_conflict(1),
         }
     }
 
@@ -132,6 +131,11 @@ impl IngestCounters {
     pub(crate) fn waited(&self) -> Duration {
         let since = *self.in_hand_since.lock();
         since.map_or(Duration::ZERO, |since| since.elapsed())
+    }
+
+    /// Compressed bytes of the batches that wait.
+    pub(crate) fn queued_bytes(&self) -> u64 {
+        self.queued_bytes.load(Ordering::Relaxed)
     }
 
     /// Counts a batch among those that wait, until what is returned is dropped.

@@ -2,17 +2,19 @@
 
 use super::commit::{Numbers, write};
 use super::decode::decode;
-use super::plan::Outcome;
-use crate::config::{DatabaseConfig, HistoryConfig};
+use super::limits::EventLimits;
+use crate::config::DatabaseConfig;
 use crate::store::Store;
 use albireo_wire::{
     BatchCompression, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates,
-    Percentiles, VERSION,
+    Percentiles, REPORT_DICTIONARY, ReportBatch, VERSION,
 };
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde_json::{Value, json};
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeSet;
+use std::io::Write as _;
+use uuid::{Builder, Uuid};
 
 /// Batches of one run. More by hand: `ALBIREO_BATCHES=100000`.
 fn batches() -> u64 {
@@ -22,19 +24,15 @@ fn batches() -> u64 {
 
 /// Batches of one transaction.
 const GROUP: usize = 250;
-/// Instances that the batches are of: few, so that they meet their own cursors.
-const INSTANCES: u64 = 40;
+/// Identities of the reports: few, so that some come again.
+const REPORTS: u64 = 4000;
 const NOW_MS: i64 = 1_790_000_000_000;
 
 fn batch(random: &mut Pcg64Mcg) -> Value {
-    let first = 1 + random.next_u64() % 40;
+    let first = 1 + random.next_u64() % REPORTS;
     let count = 1 + random.next_u64() % 3;
     let reports: Vec<Value> = (first..first + count).map(report).collect();
-    json!({
-        "v": VERSION, "node": "car-1", "instance": format!("{:032x}", random.next_u64() % INSTANCES),
-        "machine": if random.next_u64().is_multiple_of(4) { json!("m2") } else { json!("m1") },
-        "first": first, "last": first + count - 1, "lost": 0, "reports": reports,
-    })
+    json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": reports })
 }
 
 /// A report as a node makes it.
@@ -46,12 +44,15 @@ fn report(number: u64) -> Value {
         p95: 6.0,
         p99: 7.0,
     };
+    let made_ms = NOW_MS.unsigned_abs() + number;
     let report = ClipReport {
         v: VERSION,
+        id: Builder::from_unix_timestamp_millis(made_ms, &[3; 10]).into_uuid(),
+        count: Some(number),
         node: "car-1".into(),
         camera: "front".into(),
         clip: format!("w{number}"),
-        report: number,
+        part: 0,
         ended_by: ClipEnd::Window,
         started_ns: 1_780_000_000_000_000_000 + number,
         duration_s: 40.0,
@@ -163,7 +164,7 @@ fn payload(random: &mut Pcg64Mcg) -> Vec<u8> {
         let place = random.next_u64() as usize % text.len();
         text[place] = random.next_u64() as u8;
     }
-    let mut packed = BatchCompression::Quick.compress(&text).unwrap();
+    let mut packed = zstd(&text);
     match random.next_u64() % 24 {
         0 => packed.truncate(random.next_u64() as usize % packed.len()),
         1 => {
@@ -176,6 +177,13 @@ fn payload(random: &mut Pcg64Mcg) -> Vec<u8> {
     packed
 }
 
+/// As a node compresses it, whatever it is.
+fn zstd(text: &[u8]) -> Vec<u8> {
+    let mut encoder = zstd::Encoder::new(vec![REPORT_DICTIONARY], 1).unwrap();
+    encoder.write_all(text).unwrap();
+    encoder.finish().unwrap()
+}
+
 #[tokio::test]
 async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for() {
     let batches = batches();
@@ -185,77 +193,79 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
         ..DatabaseConfig::default()
     };
     let store = Store::open(&config).await.unwrap();
-    let mut writer = store.writer();
-    let mut numbers = Numbers::default();
+    let mut database = store.database();
+    let (mut numbers, mut limits) = (Numbers::default(), EventLimits::default());
     let mut random = Pcg64Mcg::seed_from_u64(20_261_122);
-    let (mut refused, mut conflicts, mut group) = (0_u64, 0_u64, Vec::new());
-    let (mut clips, mut aside, mut stored) = (0, 0, BTreeMap::<String, i64>::new());
+    let (mut unreadable, mut group) = (0_u64, Vec::new());
+    let (mut clips, mut again, mut aside, mut refused) = (0, 0, 0, 0);
+    let mut stored = BTreeSet::<Uuid>::new();
     for number in 1..=batches {
-        match decode("car-1", &payload(&mut random)) {
+        match decode("car-1", &payload(&mut random), NOW_MS) {
             Ok(batch) => group.push(batch),
             Err(error) => {
                 assert!(!error.to_string().is_empty());
-                refused += 1;
+                unreadable += 1;
             }
         }
         if group.len() < GROUP && number < batches {
             continue;
         }
-        // One batch of an instance in a transaction, as the writer does it.
-        let mut rest = std::mem::take(&mut group);
-        while !rest.is_empty() {
-            let mut met = HashSet::new();
-            let (now, later): (Vec<_>, Vec<_>) = rest
-                .into_iter()
-                .partition(|batch| met.insert(batch.instance.clone()));
-            rest = later;
-            let mut writing = writer.begin().await.unwrap();
-            let done = write(
-                &mut writing,
-                &mut numbers,
-                &now,
-                &HistoryConfig::default(),
-                NOW_MS,
-            )
-            .await;
-            let done = done.expect("whatever a batch holds, the database takes what is made of it");
-            writing.commit().await.unwrap();
-            (clips, aside) = (clips + done.clips, aside + done.set_aside);
-            for (batch, outcome) in now.iter().zip(&done.outcomes) {
-                match outcome {
-                    Outcome::Stored(upto) => {
-                        assert!(*upto <= batch.last);
-                        let highest = stored.entry(batch.instance.clone()).or_default();
-                        *highest = (*highest).max(*upto);
-                    }
-                    Outcome::Conflict(reason) => {
-                        assert!(!reason.is_empty());
-                        conflicts += 1;
-                    }
-                }
-            }
+        let group = std::mem::take(&mut group);
+        let mut writing = database.begin().unwrap();
+        let done = write(&mut *writing, &mut numbers, &mut limits, &group, NOW_MS);
+        let done = done.expect("whatever a batch holds, the database takes what is made of it");
+        writing.events(&done.events).unwrap();
+        writing.commit().unwrap();
+        clips += done.clips;
+        again += done.again;
+        aside += done.set_aside;
+        assert_eq!(done.outcomes.len(), group.len());
+        for (batch, outcome) in group.iter().zip(&done.outcomes) {
+            refused += outcome.refused.len() as u64;
+            let no: BTreeSet<Uuid> = outcome.refused.iter().map(|report| report.id).collect();
+            let ids = batch.reports.iter().filter(|report| report.content.is_ok());
+            stored.extend(
+                ids.filter_map(|report| report.id)
+                    .filter(|id| !no.contains(id)),
+            );
         }
     }
-    writer.close().await;
     println!(
-        "{batches} batches: {refused} refused whole, {conflicts} in conflict, {clips} clips, {aside} reports set aside, \
-         {} instances",
-        stored.len()
+        "{batches} batches: {unreadable} not read, {clips} clips, {again} again, {aside} reports set aside, \
+         {refused} refused by name"
     );
-    assert!(refused > batches / 20 && clips > 0 && aside > 0 && conflicts > 0);
-    // Nothing is acknowledged that the cursor has not passed, and the counts are those of the rows.
-    let instances = store.instances("car-1").await.unwrap();
-    assert_eq!(instances.len(), stored.len());
-    for instance in &instances {
-        let upto = stored.get(&instance.instance).copied().unwrap_or(0);
-        assert!(upto < instance.next_report, "{instance:?}: {upto}");
-    }
-    let rows: u64 = instances.iter().map(|one| one.reports.unsigned_abs()).sum();
-    assert_eq!(rows, clips);
-    let rows: u64 = instances
-        .iter()
-        .map(|one| one.set_aside.unsigned_abs())
-        .sum();
-    assert_eq!(rows, aside);
+    assert!(unreadable > batches / 20 && clips > 0 && again > 0 && aside > 0 && refused > 0);
+    // What is acknowledged is there, once; the counts are those of the rows.
+    assert_eq!(stored.len() as u64, clips);
+    let counts = store.report_counts("car-1").await.unwrap().unwrap();
+    assert_eq!(counts.stored.unsigned_abs(), clips);
+    assert_eq!(counts.set_aside.unsigned_abs(), aside);
+    assert!(store.set_aside(None, None, 1000).await.unwrap().len() <= 100);
     store.close().await;
+}
+
+#[test]
+fn a_batch_of_nothing_and_one_of_too_much_are_refused_whole() {
+    let of = |reports: Value| {
+        let batch = json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": reports });
+        decode("car-1", &zstd(batch.to_string().as_bytes()), NOW_MS).map(|_| ())
+    };
+    assert_eq!(of(json!([])).unwrap_err().to_string(), "no reports");
+    let zeros = vec![0; 200_000];
+    let error = of(json!(zeros)).unwrap_err().to_string();
+    assert_eq!(error, "200000 reports, above 1000");
+    let mut other = report(1);
+    other["node"] = "car-2".into();
+    let batch = json!({ "v": VERSION, "node": "car-1", "t_ms": NOW_MS, "reports": [other] });
+    let batch = decode("car-1", &zstd(batch.to_string().as_bytes()), NOW_MS).unwrap();
+    assert!(batch.reports[0].content.is_err(), "another node's report");
+    let all: ReportBatch = serde_json::from_value(
+        json!({ "v": 1, "node": "car-1", "t_ms": 0, "reports": [report(1)] }),
+    )
+    .unwrap();
+    let payload = all.to_payload(BatchCompression::Best).unwrap();
+    assert!(
+        decode("car-2", &payload, NOW_MS).is_err(),
+        "another node's batch"
+    );
 }

@@ -1,166 +1,154 @@
-//! What is to be done with a batch, by what is known of its instance. Pure: no database, no clock.
+//! Decides what is stored. No clock, no database.
 
-use super::decode::Batch;
-use crate::store::{Instance, Known};
-use std::collections::HashMap;
+use crate::store::ReportKey;
+use crate::store::tables::ReportCountsRow;
+use albireo_wire::IDENTITY_DAYS;
+use uuid::Uuid;
 
-/// What a node is told, once it is committed.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Outcome {
-    /// Everything up to this number is stored.
-    Stored(i64),
-    /// The batch's first number belongs to another report.
-    Conflict(String),
+const DAY_MS: i64 = 86_400_000;
+
+/// The first day of 2026, milliseconds since the Unix epoch: no identity is older.
+const FIRST_MS: i64 = 1_767_225_600_000;
+
+/// Ranges of missing counts that are kept of a node; beyond it the oldest are forgotten.
+const MOST_RANGES: usize = 32;
+
+/// The largest count that is taken.
+const LARGEST_COUNT: u64 = 1 << 53;
+
+/// The present by the clocks of the hub and of the node that sent a batch, milliseconds since the Unix epoch.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Present {
+    pub(crate) hub_ms: i64,
+    pub(crate) node_ms: i64,
 }
 
-/// Numbers that did not come.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Gap {
-    pub(crate) first: i64,
-    pub(crate) last: i64,
-    pub(crate) cause: &'static str,
+impl Present {
+    /// Whether both are right, as far as anybody can tell.
+    pub(crate) const fn clocks_agree(self) -> bool {
+        self.hub_ms.saturating_sub(self.node_ms).saturating_abs() <= DAY_MS
+    }
 }
 
-/// What is to be done.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Plan {
-    /// Places in the batch of the reports to write.
-    pub(crate) store: Vec<usize>,
-    /// Reports that were there already.
-    pub(crate) again: usize,
-    /// Numbers that did not come.
-    pub(crate) gaps: Vec<Gap>,
-    /// Of these, how many nobody can account for otherwise: they count as missing.
-    pub(crate) missing: i64,
-    /// The cursor afterwards.
-    pub(crate) next_report: i64,
-    /// What a conflict is about; the answer may still be [`Outcome::Stored`] for what came before it.
-    pub(crate) conflict: Option<String>,
-    /// What the node is told.
-    pub(crate) outcome: Outcome,
-}
-
-/// Numbers of a batch below the cursor: what is known of them must be looked up before [`plan`].
-pub(crate) fn below<'b>(batch: &'b Batch, instance: &Instance) -> impl Iterator<Item = i64> + 'b {
-    let cursor = instance.next_report;
-    batch
-        .reports
-        .iter()
-        .map(|report| report.number)
-        .take_while(move |number| *number < cursor)
-}
-
-/// Decides. `kept_since_ms`: clips received before may have been deleted.
-pub(crate) fn plan(
-    batch: &Batch,
-    instance: &Instance,
-    known: &HashMap<(i64, i64), Known>,
-    kept_since_ms: i64,
-) -> Plan {
-    let cursor = instance.next_report;
-    let stranger = match (&instance.machine, &batch.machine) {
-        (Some(first), Some(now)) => first != now,
-        _ => false,
+/// Where a report of that identity is kept. The day is that of the identity itself, unless its clock cannot be believed:
+/// then it is the day of receipt.
+///
+/// # Errors
+/// When it is older than identities are known, in words: it may have been stored before.
+pub(crate) fn key(id: Uuid, present: Present) -> Result<ReportKey, String> {
+    let today = present.hub_ms.div_euclid(DAY_MS);
+    // The first 48 bits of a UUID of version 7 are its time.
+    let made_ms = i64::try_from(id.as_u128() >> 80).unwrap_or(i64::MAX);
+    let own_day = made_ms.div_euclid(DAY_MS);
+    let undated = ReportKey {
+        day: -today,
+        id,
+        own_day,
     };
-    let mut store = Vec::new();
-    let mut again = 0;
-    let mut conflict = None;
-    let mut stored = None;
-    for (place, report) in batch.reports.iter().enumerate() {
-        let number = report.number;
-        let started = report
-            .content
-            .as_ref()
-            .ok()
-            .map(|report| i64::try_from(report.started_ns).unwrap_or(i64::MAX));
-        let new = if number >= cursor {
-            Ok(true)
-        } else {
-            match known.get(&(instance.id, number)) {
-                Some(Known::SetAside) => Ok(false),
-                Some(Known::Clip(there)) if started == Some(*there) => Ok(false),
-                Some(Known::Clip(_)) => Err(format!(
-                    "report {number} is another than the one stored under this number: the node's state went back in \
-                     time, or was copied"
-                )),
-                // Nothing of this instance can have been deleted yet: the number was missing, and comes late.
-                None if instance.first_ms > kept_since_ms => Ok(true),
-                None if started.is_some_and(|started| started > instance.latest_started_ns) => {
-                    Err(format!(
-                        "report {number} is newer than everything stored, and its number lies below {cursor}: the \
-                         node's state went back in time"
-                    ))
-                }
-                None => Ok(false),
+    let believable = FIRST_MS..=present.hub_ms.saturating_add(DAY_MS);
+    if id.get_version_num() != 7 || !believable.contains(&made_ms) {
+        return Ok(undated);
+    }
+    let age = today - own_day;
+    if age <= i64::from(IDENTITY_DAYS) {
+        return Ok(ReportKey {
+            day: own_day,
+            ..undated
+        });
+    }
+    if present.clocks_agree() {
+        return Err(format!(
+            "made {age} days ago: whether a report older than {IDENTITY_DAYS} days was stored before is not known any more"
+        ));
+    }
+    Ok(undated)
+}
+
+/// What a running count says of its node's reports.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Seen {
+    /// It is the next, or one that was missing.
+    Expected,
+    /// These did not come, from the first to the last.
+    Gap(u64, u64),
+    /// It was seen before: the node's state was made anew, went back or was copied. Missing ones are told from here.
+    Reset,
+}
+
+/// The running counts of a node's reports.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Counts {
+    /// Counts below are not known; 0 before the first.
+    base: u64,
+    /// The highest since then.
+    highest: u64,
+    /// Those in between that did not come.
+    missing: Vec<(u64, u64)>,
+}
+
+impl Counts {
+    /// Those of a row.
+    pub(crate) fn of(row: &ReportCountsRow) -> Self {
+        Self {
+            base: row.base.unsigned_abs(),
+            highest: row.highest.unsigned_abs(),
+            missing: serde_json::from_str(&row.missing).unwrap_or_default(),
+        }
+    }
+
+    /// Writes them to a row.
+    pub(crate) fn write(&self, row: &mut ReportCountsRow) {
+        row.base = i64::try_from(self.base).unwrap_or(i64::MAX);
+        row.highest = i64::try_from(self.highest).unwrap_or(i64::MAX);
+        row.missing = serde_json::to_string(&self.missing).unwrap_or_default();
+    }
+
+    /// Counts that did not come, in ranges from the first to the last.
+    pub(crate) fn missing(&self) -> &[(u64, u64)] {
+        &self.missing
+    }
+
+    /// Takes the count of a report, which was `new` or known before.
+    pub(crate) fn see(&mut self, count: u64, new: bool) -> Seen {
+        if count == 0 || count > LARGEST_COUNT {
+            return Seen::Expected;
+        }
+        if self.base == 0 {
+            (self.base, self.highest) = (count, count);
+            return Seen::Expected;
+        }
+        if count > self.highest {
+            let gap = (self.highest + 1, count - 1);
+            self.highest = count;
+            if gap.0 > gap.1 {
+                return Seen::Expected;
             }
+            if self.missing.len() == MOST_RANGES {
+                self.missing.remove(0);
+            }
+            self.missing.push(gap);
+            return Seen::Gap(gap.0, gap.1);
+        }
+        if let Some(place) = self
+            .missing
+            .iter()
+            .position(|(first, last)| (*first..=*last).contains(&count))
+        {
+            let (first, last) = self.missing.remove(place);
+            let rest = [(first, count - 1), (count + 1, last)];
+            let rest = rest.into_iter().filter(|(first, last)| first <= last);
+            self.missing.splice(place..place, rest);
+            self.missing.truncate(MOST_RANGES);
+            return Seen::Expected;
+        }
+        if !new || count < self.base {
+            return Seen::Expected;
+        }
+        *self = Self {
+            base: count,
+            highest: count,
+            missing: Vec::new(),
         };
-        match new {
-            Ok(true) if stranger => {
-                conflict = Some(format!(
-                    "instance {} is bound to the machine {}, and this is {}: its state was copied",
-                    batch.instance,
-                    instance.machine.as_deref().unwrap_or("unknown"),
-                    batch.machine.as_deref().unwrap_or("unknown"),
-                ));
-            }
-            Ok(true) => store.push(place),
-            Ok(false) => again += 1,
-            Err(reason) => conflict = Some(reason),
-        }
-        if conflict.is_some() {
-            break;
-        }
-        stored = Some(number);
+        Seen::Reset
     }
-    let outcome = match (&conflict, stored) {
-        (None, _) => Outcome::Stored(batch.last),
-        (Some(_), Some(number)) => Outcome::Stored(number),
-        (Some(reason), None) => Outcome::Conflict(reason.clone()),
-    };
-    let (gaps, missing) = if conflict.is_none() {
-        gaps(batch, instance)
-    } else {
-        (Vec::new(), 0)
-    };
-    Plan {
-        store,
-        again,
-        gaps,
-        missing,
-        next_report: match conflict {
-            None => cursor.max(batch.last + 1),
-            Some(_) => cursor,
-        },
-        conflict,
-        outcome,
-    }
-}
-
-/// The numbers from the cursor to the batch's last that are not in it.
-fn gaps(batch: &Batch, instance: &Instance) -> (Vec<Gap>, i64) {
-    let mut expected = instance.next_report;
-    let mut ranges = Vec::new();
-    let numbers = batch.reports.iter().map(|report| report.number);
-    for number in numbers.chain([batch.last + 1]) {
-        if number > expected {
-            ranges.push((expected, number - 1));
-        }
-        expected = expected.max(number.saturating_add(1));
-    }
-    let unknown = instance.next_report <= 1 && instance.reports + instance.set_aside == 0;
-    let total: i64 = ranges.iter().map(|(first, last)| last - first + 1).sum();
-    let lost = batch.lost.saturating_sub(instance.lost).max(0);
-    let cause = if lost >= total {
-        "the node lost them before it could send them"
-    } else if unknown {
-        "sent before this database knew the instance"
-    } else {
-        "nobody says where they are"
-    };
-    let missing = if unknown && lost < total { 0 } else { total };
-    let gaps = ranges
-        .into_iter()
-        .map(|(first, last)| Gap { first, last, cause })
-        .collect();
-    (gaps, missing)
 }

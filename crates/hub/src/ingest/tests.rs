@@ -1,121 +1,143 @@
-//! What is decided of a batch, by table.
+//! What is decided of a report, by table.
 
-use super::decode::{Batch, Numbered, Unread};
-use super::plan::{Outcome, plan};
-use crate::store::{Instance, Known};
-use std::collections::HashMap;
+use super::plan::{Counts, Present, Seen, key};
+use proptest::prelude::*;
+use std::collections::BTreeSet;
+use uuid::{Builder, Uuid};
 
-fn instance(next_report: i64) -> Instance {
-    Instance {
-        id: 7,
-        machine: Some("m1".into()),
-        next_report,
-        first_ms: 1_000,
-        last_ms: 2_000,
-        latest_started_ns: 50,
-        reports: next_report - 1,
-        set_aside: 0,
-        missing: 0,
-        lost: 0,
-        conflicts: 0,
+const DAY_MS: i64 = 86_400_000;
+/// Day 20,780 is the 23rd of November 2026.
+const NOW_MS: i64 = 20_780 * DAY_MS + 1_000;
+
+fn id(made_ms: i64) -> Uuid {
+    Builder::from_unix_timestamp_millis(made_ms.unsigned_abs(), &[7; 10]).into_uuid()
+}
+
+/// The present by a hub, and by a node whose clock is that much ahead.
+fn present(ahead_ms: i64) -> Present {
+    Present {
+        hub_ms: NOW_MS,
+        node_ms: NOW_MS + ahead_ms,
     }
 }
 
-/// A batch of reports that cannot be read: what is decided does not depend on their content.
-fn batch(numbers: &[i64], last: i64) -> Batch {
-    let unread = || Unread {
-        cause: "c".into(),
-        body: "b".into(),
+#[test]
+fn the_day_of_a_report_is_that_of_its_identity_unless_that_cannot_be_believed() {
+    let day = |made_ms: i64, ahead_ms: i64| key(id(made_ms), present(ahead_ms)).unwrap().day;
+    for days in [0, 1, 30] {
+        assert_eq!(day(NOW_MS - days * DAY_MS, 0), 20_780 - days);
+    }
+    // A little ahead, as clocks are.
+    assert_eq!(day(NOW_MS + 3_600_000, 3_600_000), 20_780);
+    // The clock of the board at its boot, one of another decade, one that ran ahead.
+    for made_ms in [0, 1_600_000_000_000, NOW_MS + 2 * DAY_MS, NOW_MS * 2] {
+        assert_eq!(day(made_ms, made_ms - NOW_MS), -20_780);
+    }
+    // An identity that tells no time.
+    let random = Builder::from_random_bytes([9; 16]).into_uuid();
+    assert_eq!(key(random, present(0)).unwrap().day, -20_780);
+}
+
+#[test]
+fn a_report_older_than_identities_are_known_is_refused_where_the_clocks_agree() {
+    let old = id(NOW_MS - 31 * DAY_MS);
+    let reason = key(old, present(0)).unwrap_err();
+    assert!(reason.contains("made 31 days ago"), "{reason}");
+    // A node whose clock is a month behind makes such identities today.
+    assert_eq!(key(old, present(-31 * DAY_MS)).unwrap().day, -20_780);
+    // And a hub whose clock is a hundred days ahead refuses nothing.
+    let hub = Present {
+        hub_ms: NOW_MS + 100 * DAY_MS,
+        node_ms: NOW_MS,
     };
-    Batch {
-        node: "n".into(),
-        instance: "i".into(),
-        machine: Some("m1".into()),
-        last,
-        lost: 0,
-        reports: numbers
-            .iter()
-            .map(|number| Numbered {
-                number: *number,
-                content: Err(unread()),
-            })
-            .collect(),
+    assert_eq!(key(id(NOW_MS), hub).unwrap().day, -20_880);
+}
+
+/// What is seen of counts of reports that are new.
+fn see(counts: &mut Counts, given: &[u64]) -> Vec<Seen> {
+    given.iter().map(|count| counts.see(*count, true)).collect()
+}
+
+#[test]
+fn counts_that_are_left_out_are_missing_until_they_come() {
+    let mut counts = Counts::default();
+    let seen = see(&mut counts, &[400, 401, 405, 409]);
+    assert_eq!(
+        seen,
+        [
+            Seen::Expected,
+            Seen::Expected,
+            Seen::Gap(402, 404),
+            Seen::Gap(406, 408)
+        ]
+    );
+    assert_eq!(counts.missing(), [(402, 404), (406, 408)]);
+    assert_eq!(see(&mut counts, &[403, 406]), [Seen::Expected; 2]);
+    assert_eq!(counts.missing(), [(402, 402), (404, 404), (407, 408)]);
+    assert_eq!(see(&mut counts, &[402, 404, 407, 408]), [Seen::Expected; 4]);
+    assert!(counts.missing().is_empty());
+}
+
+#[test]
+fn a_known_count_under_a_new_identity_begins_anew_and_misses_nothing_of_before() {
+    let mut counts = Counts::default();
+    see(&mut counts, &[1, 2, 3, 9]);
+    // The same report again is no other report.
+    assert_eq!(counts.see(2, false), Seen::Expected);
+    assert_eq!(counts.missing(), [(4, 8)]);
+    assert_eq!(counts.see(2, true), Seen::Reset);
+    assert_eq!(see(&mut counts, &[3, 4]), [Seen::Expected; 2]);
+    assert!(counts.missing().is_empty());
+    assert_eq!(counts.see(6, true), Seen::Gap(5, 5));
+}
+
+#[test]
+fn reports_of_before_this_database_are_neither_missing_nor_another_beginning() {
+    let mut counts = Counts::default();
+    see(&mut counts, &[101, 102]);
+    assert_eq!(see(&mut counts, &[50, 51, 60]), [Seen::Expected; 3]);
+    assert_eq!(counts.see(103, true), Seen::Expected);
+    assert!(counts.missing().is_empty());
+}
+
+#[test]
+fn two_boards_with_copies_of_one_state_make_nothing_missing() {
+    let mut counts = Counts::default();
+    see(&mut counts, &[100]);
+    for more in 1..50 {
+        for (count, new) in [(100 + more, true), (100 + more, true), (100 + more, false)] {
+            counts.see(count, new);
+        }
+        assert!(counts.missing().is_empty());
     }
 }
 
 #[test]
-fn what_follows_the_cursor_is_stored() {
-    let plan = plan(&batch(&[5, 6], 6), &instance(5), &HashMap::new(), 0);
-    assert_eq!((plan.store, plan.next_report), (vec![0, 1], 7));
-    assert_eq!(plan.outcome, Outcome::Stored(6));
-    assert!(plan.gaps.is_empty() && plan.missing == 0);
+fn counts_that_nobody_makes_fill_no_memory() {
+    let mut counts = Counts::default();
+    for count in 1..10_000 {
+        counts.see(count * 3, true);
+    }
+    assert!(counts.missing().len() <= 32);
+    for count in [0, u64::MAX] {
+        assert_eq!(counts.see(count, true), Seen::Expected);
+    }
 }
 
-#[test]
-fn numbers_that_are_left_out_are_counted_wherever_they_lie() {
-    let plan = plan(&batch(&[7, 9], 11), &instance(5), &HashMap::new(), 0);
-    let ranges: Vec<_> = plan.gaps.iter().map(|gap| (gap.first, gap.last)).collect();
-    assert_eq!(ranges, [(5, 6), (8, 8), (10, 11)]);
-    assert_eq!((plan.missing, plan.next_report), (5, 12));
-}
-
-#[test]
-fn a_gap_that_the_node_accounts_for_says_so() {
-    let mut lossy = batch(&[7], 7);
-    lossy.lost = 2;
-    let plan = plan(&lossy, &instance(5), &HashMap::new(), 0);
-    assert_eq!(
-        plan.gaps[0].cause,
-        "the node lost them before it could send them"
-    );
-}
-
-#[test]
-fn an_instance_that_the_database_does_not_know_has_lost_nothing() {
-    let mut new = instance(1);
-    new.reports = 0;
-    let plan = plan(&batch(&[400], 400), &new, &HashMap::new(), 0);
-    assert_eq!((plan.gaps.len(), plan.missing), (1, 0));
-}
-
-#[test]
-fn what_was_set_aside_is_known() {
-    let known = HashMap::from([((7, 3), Known::SetAside)]);
-    let plan = plan(&batch(&[3, 5], 5), &instance(5), &known, 0);
-    assert_eq!((plan.store, plan.again), (vec![1], 1));
-    assert_eq!(plan.outcome, Outcome::Stored(5));
-}
-
-#[test]
-fn another_report_under_a_known_number_is_a_conflict_and_moves_no_cursor() {
-    let known = HashMap::from([((7, 3), Known::SetAside), ((7, 4), Known::Clip(1))]);
-    let first = plan(&batch(&[3, 4, 5], 5), &instance(5), &known, 0);
-    assert_eq!((first.outcome, first.next_report), (Outcome::Stored(3), 5));
-    let then = plan(&batch(&[4, 5], 5), &instance(5), &known, 0);
-    assert!(matches!(then.outcome, Outcome::Conflict(_)));
-    assert_eq!((then.store.len(), then.next_report), (0, 5));
-}
-
-#[test]
-fn where_clips_may_have_been_deleted_an_old_report_counts_as_known() {
-    let nothing = HashMap::new();
-    // Nothing of the instance can have been deleted: the number was missing, and comes late.
-    assert_eq!(
-        plan(&batch(&[3], 3), &instance(5), &nothing, 500).store,
-        [0]
-    );
-    let old = plan(&batch(&[3], 3), &instance(5), &nothing, 5_000);
-    assert_eq!((old.store.len(), old.again), (0, 1));
-}
-
-#[test]
-fn a_copy_on_another_machine_stores_nothing_of_its_own() {
-    let mut copy = batch(&[5], 5);
-    copy.machine = Some("m2".into());
-    assert!(matches!(
-        plan(&copy, &instance(5), &HashMap::new(), 0).outcome,
-        Outcome::Conflict(_)
-    ));
-    copy.machine = None;
-    assert_eq!(plan(&copy, &instance(5), &HashMap::new(), 0).store, [0]);
+proptest! {
+    #[test]
+    fn what_is_missing_is_what_never_came(came in prop::collection::vec(1_u64..60, 1..80)) {
+        let mut counts = Counts::default();
+        let mut known = BTreeSet::new();
+        let base = came[0];
+        for count in came {
+            // No count twice under another identity.
+            let seen = counts.see(count, known.insert(count));
+            prop_assert!(seen != Seen::Reset);
+        }
+        let highest = known.last().copied().unwrap_or(0);
+        let wanted: Vec<u64> = (base..=highest).filter(|count| !known.contains(count)).collect();
+        let missing: Vec<u64> = counts.missing().iter().flat_map(|(first, last)| *first..=*last).collect();
+        prop_assert_eq!(missing, wanted);
+    }
 }

@@ -1,28 +1,44 @@
-//! The task that writes: it gathers what waits, commits it, and lets the answers go.
+//! The threads of ingest: one reads what waits, the other commits it and lets the answers go.
 
 use super::commit::{Committed, Numbers, write};
 use super::decode::{Batch, decode};
-use super::plan::Outcome;
-use super::{IngestCounters, Replies, Waiting, refusal};
+use super::limits::{ClockCheck, EventLimits, NodeLimits};
+use super::{IngestCounters, Replies, ReportQueue, Waiting, refusal};
 use crate::config::{HistoryConfig, IngestConfig};
 use crate::desired::Desires;
 use crate::events::EventsChanged;
-use crate::presence::Fleet;
+use crate::presence::{Fleet, News};
 use crate::readiness::Readiness;
-use crate::store::retention::STEP;
-use crate::store::{Store, StoreError, Writer};
+use crate::store::retention::{STEP, retain};
+use crate::store::{Database, Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{RefusalReason, ReportAnswer};
-use std::collections::{HashSet, VecDeque};
+use std::future::Future;
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
-use tokio::sync::mpsc;
-use tokio::time::sleep;
+use tokio::sync::oneshot;
+use uuid::Uuid;
 
 /// Time between two looks for what is too old, when nothing was found.
 const RETENTION: Duration = Duration::from_secs(60);
 
-/// What the task needs.
+/// Presence is written also when no report comes.
+const IDLE: Duration = Duration::from_millis(250);
+
+/// Pause after the database could not be used.
+const DATABASE_PAUSE: Duration = Duration::from_millis(500);
+
+/// Batches that are read and wait to be committed.
+const READY: usize = 16;
+
+/// What a batch that cannot be read costs its node, bytes.
+const UNREADABLE_COST: usize = 64 << 10;
+
+/// Bytes of JSON of the batches of one commit.
+const COMMIT_BYTES: usize = 16 << 20;
+
+/// What the threads need.
 pub(crate) struct WriterSetup {
     pub(crate) config: IngestConfig,
     pub(crate) history: HistoryConfig,
@@ -35,132 +51,162 @@ pub(crate) struct WriterSetup {
     pub(crate) events: EventsChanged,
 }
 
-/// The task.
-pub(crate) struct IngestWriter {
+/// Starts the threads. They end when the queue is dropped and empty; what is returned beside it is ready then.
+///
+/// # Errors
+/// When the system gives no thread.
+pub(crate) fn start(
     setup: WriterSetup,
-    writer: Writer,
+) -> std::io::Result<(ReportQueue, impl Future<Output = ()>)> {
+    let camera_bytes = setup.config.camera_bytes_per_day;
+    let busy_retry = Duration::from_millis(setup.config.busy_retry_ms);
+    let limits = NodeLimits::new(camera_bytes, busy_retry);
+    let (queue, waiting) = ReportQueue::new(
+        &setup.config,
+        Arc::clone(&limits),
+        setup.replies.clone(),
+        Arc::clone(&setup.counters),
+    );
+    let (sender, ready) = sync_channel(READY);
+    let reader = Reader {
+        limits: Arc::clone(&limits),
+        replies: setup.replies.clone(),
+        counters: Arc::clone(&setup.counters),
+        fleet: Arc::clone(&setup.fleet),
+        event_limits: EventLimits::default(),
+        ready: sender,
+    };
+    let database = setup.store.database();
+    let writer = Writer {
+        database,
+        identity: None,
+        limits,
+        numbers: Numbers::default(),
+        event_limits: EventLimits::default(),
+        clock: ClockCheck::new(Instant::now(), unix_milliseconds()),
+        retention_due: Instant::now(),
+        setup,
+    };
+    let reading = thread("reports", move || reader.run(&waiting))?;
+    let writing = thread("writer", move || writer.run(&ready))?;
+    let ended = async move {
+        let _ = reading.await;
+        let _ = writing.await;
+    };
+    Ok((queue, ended))
+}
+
+/// A thread whose end can be awaited.
+fn thread(
+    name: &str,
+    run: impl FnOnce() + Send + 'static,
+) -> std::io::Result<oneshot::Receiver<()>> {
+    let (running, ended) = oneshot::channel();
+    let builder = std::thread::Builder::new().name(name.to_owned());
+    builder.spawn(move || {
+        let _running: oneshot::Sender<()> = running;
+        run();
+    })?;
+    Ok(ended)
+}
+
+/// Reads batches.
+struct Reader {
+    limits: Arc<NodeLimits>,
+    replies: Replies,
+    counters: Arc<IngestCounters>,
+    fleet: Arc<Fleet>,
+    event_limits: EventLimits,
+    ready: SyncSender<(Waiting, Batch)>,
+}
+
+impl Reader {
+    fn run(mut self, queue: &Receiver<Waiting>) {
+        while let Ok(waiting) = queue.recv() {
+            let node = waiting.place.node();
+            match decode(node, &waiting.payload, unix_milliseconds()) {
+                Ok(batch) => {
+                    self.limits.charge(node, batch.bytes);
+                    if self.ready.send((waiting, batch)).is_err() {
+                        return;
+                    }
+                }
+                Err(error) => {
+                    self.limits.charge(node, UNREADABLE_COST);
+                    let (reason, error) = (RefusalReason::Unreadable, error.to_string());
+                    self.counters.refuse(reason);
+                    let now_ms = unix_milliseconds();
+                    if self.event_limits.is_first(node, "refused", now_ms) {
+                        tracing::warn!(node, error, "a batch cannot be read");
+                        self.fleet.unreadable(node, &error, now_ms);
+                    }
+                    self.replies
+                        .refuse(waiting.query, refusal(reason, error, None));
+                }
+            }
+        }
+    }
+}
+
+/// Commits batches, and what presence has for the database.
+struct Writer {
+    setup: WriterSetup,
+    database: Box<dyn Database>,
+    identity: Option<Uuid>,
+    limits: Arc<NodeLimits>,
     numbers: Numbers,
-    /// Read, and not written yet.
-    ready: VecDeque<(Waiting, Batch)>,
+    event_limits: EventLimits,
+    clock: ClockCheck,
     retention_due: Instant,
 }
 
-impl IngestWriter {
-    pub(crate) fn new(setup: WriterSetup) -> Self {
-        let writer = setup.store.writer();
-        Self {
-            setup,
-            writer,
-            numbers: Numbers::default(),
-            ready: VecDeque::new(),
-            retention_due: Instant::now(),
-        }
-    }
-
-    /// Runs until the queue is closed and empty.
-    pub(crate) async fn run(mut self, mut queue: mpsc::Receiver<Waiting>) {
+impl Writer {
+    /// Runs until nothing is read any more.
+    fn run(mut self, ready: &Receiver<(Waiting, Batch)>) {
         let pause = Duration::from_millis(self.setup.config.commit_ms);
-        let mut open = true;
-        while open || !self.ready.is_empty() {
+        loop {
+            let first = ready.recv_timeout(IDLE.max(pause));
             let begun = Instant::now();
-            if self.ready.is_empty() {
-                if queue.is_empty() {
-                    self.setup.counters.in_hand(None);
-                }
-                // Presence is written also when no report comes.
-                let idle = Duration::from_millis(250).max(pause);
-                tokio::select! {
-                    waiting = queue.recv() => match waiting {
-                        Some(waiting) => self.read(waiting),
-                        None => open = false,
-                    },
-                    () = sleep(idle) => {}
-                }
+            let ended = matches!(first, Err(RecvTimeoutError::Disconnected));
+            let (mut waiting, mut batches) = (Vec::new(), Vec::new());
+            let (mut reports, mut bytes) = (0, 0);
+            let mut next = first.ok();
+            while let Some((one, batch)) = next {
+                self.setup.counters.in_hand(Some(one.since));
+                reports += batch.reports.len();
+                bytes += batch.bytes;
+                waiting.push(one);
+                batches.push(batch);
+                let full = reports >= self.setup.config.commit_reports || bytes >= COMMIT_BYTES;
+                next = if full { None } else { ready.try_recv().ok() };
             }
-            open &= self.gather(&mut queue);
-            self.commit().await;
-            let rest = pause.saturating_sub(begun.elapsed());
-            if open && !rest.is_zero() {
-                sleep(rest).await;
+            self.commit(waiting, &batches);
+            self.setup.counters.in_hand(None);
+            if ended {
+                return;
             }
-        }
-        self.commit().await;
-        self.writer.close().await;
-    }
-
-    /// Takes what waits, as much as one commit may have; whether more may come.
-    fn gather(&mut self, queue: &mut mpsc::Receiver<Waiting>) -> bool {
-        let mut reports: usize = self
-            .ready
-            .iter()
-            .map(|(_, batch)| batch.reports.len())
-            .sum();
-        while reports < self.setup.config.commit_reports {
-            match queue.try_recv() {
-                Ok(waiting) => {
-                    let before = self.ready.len();
-                    self.read(waiting);
-                    if self.ready.len() > before {
-                        reports += self
-                            .ready
-                            .back()
-                            .map_or(0, |(_, batch)| batch.reports.len());
-                    }
-                }
-                Err(mpsc::error::TryRecvError::Empty) => return true,
-                Err(mpsc::error::TryRecvError::Disconnected) => return false,
-            }
-        }
-        true
-    }
-
-    fn read(&mut self, waiting: Waiting) {
-        self.setup.counters.in_hand(Some(waiting.since));
-        match decode(&waiting.node, &waiting.payload) {
-            Ok(batch) => self.ready.push_back((waiting, batch)),
-            Err(error) => {
-                let reason = RefusalReason::Unreadable;
-                self.setup.counters.refuse(reason);
-                tracing::warn!(node = waiting.node, %error, "a batch cannot be read");
-                self.setup
-                    .fleet
-                    .unreadable(&waiting.node, &error.to_string(), unix_milliseconds());
-                let refusal = refusal(reason, error.to_string(), None);
-                self.setup.replies.refuse(waiting.query, refusal);
-            }
+            std::thread::sleep(pause.saturating_sub(begun.elapsed()));
         }
     }
 
-    /// Commits a group: batches of different instances, since a second one of the same depends on the first.
-    async fn commit(&mut self) {
-        let mut instances = HashSet::new();
-        let (mut group, mut later) = (Vec::new(), VecDeque::new());
-        for (waiting, batch) in self.ready.drain(..) {
-            if instances.insert((batch.node.clone(), batch.instance.clone())) {
-                group.push((waiting, batch));
-            } else {
-                later.push_back((waiting, batch));
-            }
-        }
-        self.ready = later;
+    /// Commits a group of batches; where the database takes no group, each batch alone.
+    fn commit(&mut self, waiting: Vec<Waiting>, batches: &[Batch]) {
         let retention = self.retention_due <= Instant::now();
-        if group.is_empty() && !retention && !self.setup.fleet.has_news() {
+        if batches.is_empty() && !retention && !self.setup.fleet.has_news() {
             return;
         }
-        let (waiting, batches): (Vec<_>, Vec<_>) = group.into_iter().unzip();
-        let done = self.transaction(&batches, retention).await;
-        match done {
+        match self.transaction(batches, retention) {
             Ok(committed) => {
                 self.setup.readiness.release("database");
-                self.acknowledge(waiting, &batches, committed);
+                self.acknowledge(waiting, batches, committed);
             }
             Err(error) if !error.passes() && batches.len() > 1 => {
                 tracing::error!(%error, "a group of batches is refused; each is tried alone");
                 for (waiting, batch) in waiting.into_iter().zip(batches) {
-                    let alone = [batch];
-                    match self.transaction(&alone, false).await {
-                        Ok(committed) => self.acknowledge(vec![waiting], &alone, committed),
-                        Err(error) => self.refuse(vec![waiting], &error),
+                    let (waiting, alone) = (vec![waiting], std::slice::from_ref(batch));
+                    match self.transaction(alone, false) {
+                        Ok(committed) => self.acknowledge(waiting, alone, committed),
+                        Err(error) => self.refuse(waiting, &error),
                     }
                 }
             }
@@ -168,89 +214,72 @@ impl IngestWriter {
                 self.refuse(waiting, &error);
                 if error.passes() {
                     self.setup.readiness.hold("database", &error.to_string());
-                    sleep(Duration::from_millis(500)).await;
+                    std::thread::sleep(DATABASE_PAUSE);
                 }
             }
         }
     }
 
-    async fn transaction(
-        &mut self,
-        batches: &[Batch],
-        retention: bool,
-    ) -> Result<Committed, StoreError> {
+    fn transaction(&mut self, batches: &[Batch], retention: bool) -> Result<Committed, StoreError> {
         let begun = Instant::now();
-        let done = self.try_transaction(batches, retention).await;
-        if done.is_ok() {
-            self.setup.counters.committed_in(begun.elapsed());
-        }
-        if let Err(error) = &done {
-            self.setup.counters.database_errors(1);
-            tracing::error!(%error, batches = batches.len(), "nothing was committed");
-            // What was handed out under this transaction means nothing any more.
-            self.numbers.forget();
-            self.writer.give_up().await;
+        let news = self.setup.fleet.take_news();
+        let done = self.try_transaction(batches, &news, retention);
+        let counters = &self.setup.counters;
+        match &done {
+            Ok(_) => {
+                counters.commits(1);
+                counters.committed_in(begun.elapsed());
+            }
+            Err(error) => {
+                counters.database_errors(1);
+                tracing::error!(%error, batches = batches.len(), "nothing was committed");
+                self.setup.fleet.give_back(news);
+                // What was handed out under this transaction means nothing any more.
+                self.numbers.forget();
+                self.database.disconnect();
+            }
         }
         done
     }
 
-    async fn try_transaction(
+    fn try_transaction(
         &mut self,
         batches: &[Batch],
+        news: &News,
         retention: bool,
     ) -> Result<Committed, StoreError> {
-        let now_ms = unix_milliseconds();
-        let mut writing = self.writer.begin().await?;
-        let mut committed = write(
-            &mut writing,
-            &mut self.numbers,
-            batches,
-            &self.setup.history,
-            now_ms,
-        )
-        .await?;
-        let news = self.setup.fleet.take_news();
-        let written = news.write(&mut writing, &mut self.numbers, now_ms).await;
-        let mut deleted = 0;
-        let ended = match written {
-            Ok(events) => {
-                committed.events |= events;
-                let retained = if retention {
-                    writing.retain(&self.setup.history, now_ms).await
-                } else {
-                    Ok(0)
-                };
-                match retained {
-                    Ok(rows) => {
-                        deleted = rows;
-                        writing.commit().await
-                    }
-                    Err(error) => Err(error),
-                }
-            }
-            Err(error) => Err(error),
-        };
-        if let Err(error) = ended {
-            self.setup.fleet.give_back(news);
-            return Err(error);
+        if self.identity.is_none() {
+            self.identity = Some(self.database.identity()?);
         }
+        let now_ms = unix_milliseconds();
+        let mut writing = self.database.begin()?;
+        let (numbers, limits) = (&mut self.numbers, &mut self.event_limits);
+        let mut events = news.write(&mut *writing, numbers, now_ms)?;
+        let mut committed = write(&mut *writing, numbers, limits, batches, now_ms)?;
+        events.append(&mut committed.events);
+        let mut deleted = 0;
+        if retention && self.clock.is_believed(Instant::now(), now_ms) {
+            deleted = retain(&mut *writing, &self.setup.history, now_ms)?;
+        }
+        writing.events(&events)?;
+        writing.commit()?;
         if retention {
             let more = deleted >= STEP.unsigned_abs();
             let pause = if more { Duration::ZERO } else { RETENTION };
             self.retention_due = Instant::now() + pause;
         }
-        self.setup.counters.commits(1);
+        committed.events = events;
         Ok(committed)
     }
 
-    fn acknowledge(&self, waiting: Vec<Waiting>, batches: &[Batch], committed: Committed) {
-        let setup = &self.setup;
-        let counters = &setup.counters;
+    fn acknowledge(&mut self, waiting: Vec<Waiting>, batches: &[Batch], committed: Committed) {
+        let (setup, counters) = (&self.setup, &self.setup.counters);
         counters.clips(committed.clips);
         counters.again(committed.again);
         counters.set_aside(committed.set_aside);
+        counters.too_old(committed.too_old);
         counters.missing(committed.missing);
-        counters.conflicts(committed.conflicts);
+        counters.resets(committed.resets);
         counters.clock_off(committed.clock_off);
         counters.frames(committed.frames);
         counters.frames_skipped(committed.skipped);
@@ -260,10 +289,11 @@ impl IngestWriter {
         counters.audit_shown(committed.audit.shown);
         counters.audit_paired(committed.audit.paired);
         counters.energy_uj(committed.energy_uj);
-        if committed.events {
+        if !committed.events.is_empty() {
             setup.events.tell();
         }
         for batch in batches {
+            self.clock.hear(&batch.node, batch.clocks_agree);
             setup.fleet.reported(&batch.node, unix_milliseconds());
         }
         for (place, at_ms, used) in committed.used {
@@ -271,24 +301,20 @@ impl IngestWriter {
                 setup.fleet.used(&batch.node, at_ms, used);
             }
         }
-        for ((waiting, batch), outcome) in waiting.into_iter().zip(batches).zip(committed.outcomes)
-        {
-            match outcome {
-                Outcome::Stored(number) => {
-                    counters.batches(1);
-                    counters.acknowledged_after(waiting.since.elapsed());
-                    let mut desired = setup.desires.of(&batch.node);
-                    desired.send_full_status = setup.fleet.needs_full_status(&batch.node);
-                    let answer = ReportAnswer::new(number.unsigned_abs(), Some(desired));
-                    setup.replies.answer(waiting.query, &answer);
-                }
-                Outcome::Conflict(reason) => {
-                    tracing::warn!(node = batch.node, reason, "a batch is in conflict");
-                    counters.refuse(RefusalReason::Conflict);
-                    let refusal = refusal(RefusalReason::Conflict, reason, None);
-                    setup.replies.refuse(waiting.query, refusal);
-                }
-            }
+        let outcomes = batches.iter().zip(committed.outcomes);
+        for (waiting, (batch, outcome)) in waiting.into_iter().zip(outcomes) {
+            self.limits.has_cameras(&batch.node, outcome.cameras);
+            counters.batches(1);
+            counters.acknowledged_after(waiting.since.elapsed());
+            let mut desired = setup.desires.of(&batch.node);
+            desired.send_full_status = setup.fleet.needs_full_status(&batch.node);
+            let answer = ReportAnswer {
+                refused: outcome.refused,
+                missing: outcome.missing,
+                desired: Some(desired),
+                ..ReportAnswer::new(self.identity.unwrap_or_default())
+            };
+            setup.replies.answer(waiting.query, &answer);
         }
     }
 

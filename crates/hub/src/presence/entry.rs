@@ -4,9 +4,7 @@ use super::fleet::{NodeView, Remembered};
 use super::news::NodeNews;
 use super::state::{PresenceState, Token};
 use super::today::Today;
-use albireo_wire::{
-    HealthState, Heartbeat, NodeStatus, StatusMessage, TargetStatus, VERSION, run_number,
-};
+use albireo_wire::{HealthState, Heartbeat, NodeStatus, StatusMessage, TargetStatus, VERSION};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -14,41 +12,18 @@ use std::time::{Duration, Instant};
 const NOTIFY_EVERY: Duration = Duration::from_secs(5);
 
 /// One run of a node's process.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Run {
-    instance: String,
-    machine: Option<String>,
+    number: u32,
     started_ns: u64,
 }
 
 impl Run {
     pub(super) fn of(message: &StatusMessage) -> Self {
         Self {
-            instance: message.instance.clone(),
-            machine: message.machine.clone(),
+            number: message.run,
             started_ns: message.started_ns,
         }
-    }
-
-    /// What a heartbeat of this run says, with what its last status said; nothing when it is of another run.
-    fn alive(&self, sign: Heartbeat) -> Option<StatusMessage> {
-        let Self {
-            instance,
-            machine,
-            started_ns,
-        } = self;
-        (run_number(instance, machine.as_deref(), *started_ns) == sign.run).then(|| StatusMessage {
-            v: VERSION,
-            instance: instance.clone(),
-            machine: machine.clone(),
-            started_ns: *started_ns,
-            seq: sign.seq,
-            t_ns: 0,
-            health: HealthState::Ready,
-            waiting: sign.waiting,
-            revision: 0,
-            full: None,
-        })
     }
 }
 
@@ -124,9 +99,8 @@ impl Entry {
         entry.why = node.why;
         entry.heard = node.state.is_heard().then_some(now);
         entry.heard_ms = node.heard_ms;
-        entry.run = node.instance.map(|instance| Run {
-            instance,
-            machine: node.machine,
+        entry.run = node.run.map(|number| Run {
+            number: u32::try_from(number).unwrap_or(0),
             started_ns: node.started_ns.map_or(0, i64::unsigned_abs),
         });
         entry.revision = node.revision.unsigned_abs();
@@ -152,39 +126,35 @@ impl Entry {
 
     /// A heartbeat as the status it stands for: all but its numbers is as before. Nothing when it is of a run that is
     /// not known.
-    pub(super) fn alive(&self, sign: Heartbeat) -> Option<StatusMessage> {
+    pub(super) fn alive(&self, heartbeat: Heartbeat) -> Option<StatusMessage> {
+        let run = self.run.filter(|run| run.number == heartbeat.run)?;
         Some(StatusMessage {
+            v: VERSION,
+            run: run.number,
+            started_ns: run.started_ns,
+            seq: heartbeat.seq,
+            t_ns: 0,
             health: self.health,
+            waiting: heartbeat.waiting,
             revision: self.revision,
-            ..self.run.as_ref()?.alive(sign)?
+            full: None,
         })
     }
 
     /// Another run than before. One after the other is a restart; a run that comes back after another was heard lives
     /// beside it.
     pub(super) fn another_run(&mut self, run: Run, now: Instant, silent: Duration) {
-        let Some(before) = self.run.replace(run.clone()) else {
+        let Some(before) = self.run.replace(run) else {
             return;
         };
         let back = self.other.as_ref().is_some_and(|(other, heard)| {
             *other == run && now.saturating_duration_since(*heard) < silent
         });
         if back {
-            let unknown = || "unknown".to_owned();
-            let what = if before.instance != run.instance {
-                format!(
-                    "two nodes have this name: instances {} and {}",
-                    run.instance, before.instance
-                )
-            } else if before.machine != run.machine {
-                format!(
-                    "one instance is on two machines: {} and {}",
-                    run.machine.unwrap_or_else(unknown),
-                    before.machine.clone().unwrap_or_else(unknown)
-                )
-            } else {
-                "two processes run as this node".to_owned()
-            };
+            let what = format!(
+                "two nodes have this name: runs {} and {}",
+                run.number, before.number
+            );
             self.identity = Some((what, now + silent.saturating_mul(2)));
         }
         self.other = Some((before, self.heard.unwrap_or(now)));
@@ -220,8 +190,7 @@ impl Entry {
             since_ms: self.since_ms,
             why: self.why.clone(),
             heard_ms: self.heard_ms,
-            instance: run.map(|run| run.instance.clone()),
-            machine: run.and_then(|run| run.machine.clone()),
+            run: run.map(|run| run.number.into()),
             started_ns: run.and_then(|run| i64::try_from(run.started_ns).ok()),
             revision: i64::try_from(self.revision).unwrap_or(i64::MAX),
             status,
@@ -241,7 +210,6 @@ impl Entry {
             since_ms: self.since_ms,
             why: self.why.clone(),
             heard_ms: self.heard_ms,
-            instance: self.run.as_ref().map(|run| run.instance.clone()),
             waiting: self.waiting,
             revision: self.revision,
             today: self.today.energy(day),

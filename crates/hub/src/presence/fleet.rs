@@ -35,9 +35,6 @@ pub struct NodeView {
     /// When the last status came, milliseconds since the Unix epoch.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub heard_ms: Option<i64>,
-    /// Its instance.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub instance: Option<String>,
     /// Reports that wait in its outbox.
     pub waiting: u64,
     /// Revision of the desired value in force.
@@ -72,8 +69,7 @@ pub(crate) struct Remembered {
     pub(crate) since_ms: i64,
     pub(crate) why: String,
     pub(crate) heard_ms: Option<i64>,
-    pub(crate) instance: Option<String>,
-    pub(crate) machine: Option<String>,
+    pub(crate) run: Option<i64>,
     pub(crate) started_ns: Option<i64>,
     pub(crate) revision: i64,
     pub(crate) status: Option<String>,
@@ -184,12 +180,18 @@ impl Fleet {
     }
 
     /// Takes a heartbeat; whether the node should be notified to tell all.
-    pub(crate) fn alive(&self, node: &str, sign: Heartbeat, now: Instant, now_ms: i64) -> bool {
+    pub(crate) fn alive(
+        &self,
+        node: &str,
+        heartbeat: Heartbeat,
+        now: Instant,
+        now_ms: i64,
+    ) -> bool {
         let known = self
             .nodes
             .read()
             .get(node)
-            .and_then(|entry| entry.alive(sign));
+            .and_then(|entry| entry.alive(heartbeat));
         if let Some(message) = known {
             return self.heard(node, &message, now, now_ms);
         }

@@ -4,7 +4,7 @@ use super::state::PresenceState;
 use crate::ingest::Numbers;
 use crate::store::rows::text;
 use crate::store::tables::{EventRow, NodeRow};
-use crate::store::{StoreError, Writing};
+use crate::store::{StoreError, Transaction};
 use serde_json::json;
 use std::collections::HashMap;
 
@@ -15,8 +15,7 @@ pub(crate) struct NodeNews {
     pub(super) since_ms: i64,
     pub(super) why: String,
     pub(super) heard_ms: Option<i64>,
-    pub(super) instance: Option<String>,
-    pub(super) machine: Option<String>,
+    pub(super) run: Option<i64>,
     pub(super) started_ns: Option<i64>,
     pub(super) revision: i64,
     /// The full status; absent when it did not change.
@@ -51,35 +50,36 @@ pub(crate) struct News {
 }
 
 impl News {
-    /// Writes it; whether there are events.
-    pub(crate) async fn write(
+    /// Writes it; the events to be written with it.
+    pub(crate) fn write(
         &self,
-        writing: &mut Writing<'_>,
+        writing: &mut dyn Transaction,
         numbers: &mut Numbers,
         now_ms: i64,
-    ) -> Result<bool, StoreError> {
-        let names = self.nodes.iter().map(|(name, _)| name.as_str());
-        numbers.nodes(writing, names, now_ms).await?;
+    ) -> Result<Vec<EventRow>, StoreError> {
+        let names: Vec<&str> = self.nodes.iter().map(|(name, _)| name.as_str()).collect();
+        let ids = numbers.nodes(writing, &names, now_ms)?;
         let mut rows = Vec::with_capacity(self.nodes.len());
         let mut by_id = HashMap::new();
-        for (name, node) in &self.nodes {
-            let id = numbers.node(name)?;
+        for (id, (name, node)) in ids.into_iter().zip(&self.nodes) {
             by_id.insert(id, (name, node));
-            let kept = |value: &Option<String>| value.as_deref().map(text);
             rows.push(NodeRow {
                 id,
                 state: node.state.as_str().to_owned(),
                 since_ms: node.since_ms,
                 why: text(&node.why),
                 heard_ms: node.heard_ms,
-                instance: kept(&node.instance),
-                machine: kept(&node.machine),
+                run: node.run,
                 started_ns: node.started_ns,
                 revision: node.revision,
-                status: kept(&node.status),
+                status: node.status.as_deref().map(text),
             });
         }
-        let changed = writing.update_nodes(&rows).await?;
+        let changed = if rows.is_empty() {
+            Vec::new()
+        } else {
+            writing.update_nodes(&rows)?
+        };
         let mut events: Vec<EventRow> = changed
             .into_iter()
             .filter_map(|(id, before)| {
@@ -99,7 +99,6 @@ impl News {
             node: Some(notice.node.clone()),
             detail: json!({ "reason": notice.reason }).to_string(),
         }));
-        writing.events(&events).await?;
-        Ok(!events.is_empty())
+        Ok(events)
     }
 }

@@ -134,8 +134,7 @@ fn the_state_is_what_the_table_in_the_documentation_says() {
 fn life(seq: u64) -> StatusMessage {
     StatusMessage {
         v: VERSION,
-        instance: "0".repeat(32),
-        machine: None,
+        run: 7,
         started_ns: 1,
         seq,
         t_ns: 0,
@@ -176,8 +175,7 @@ fn a_node_that_was_silent_when_the_hub_stopped_gets_offline_after_its_time() {
         since_ms: 100_000,
         why: "no status for 95 s".to_owned(),
         heard_ms: Some(5_000),
-        instance: None,
-        machine: None,
+        run: None,
         started_ns: None,
         revision: 0,
         status: None,
@@ -202,7 +200,7 @@ fn a_notice_for_a_lost_status_comes_at_most_every_few_seconds() {
 }
 
 #[test]
-fn a_sign_of_life_stands_for_the_last_status_of_its_run_and_one_of_another_run_asks_for_all() {
+fn a_heartbeat_stands_for_the_last_status_of_its_run_and_one_of_another_run_asks_for_all() {
     let fleet = Fleet::new(&PresenceConfig::default());
     let start = Instant::now();
     let at = |seconds| start + Duration::from_secs(seconds);
@@ -218,7 +216,7 @@ fn a_sign_of_life_stands_for_the_last_status_of_its_run_and_one_of_another_run_a
         ..life(0)
     };
     assert!(!fleet.heard("a", &first, at(0), 0));
-    let (run, waiting) = (first.run(), 3);
+    let (run, waiting) = (first.run, 3);
     let sign = |seq| Heartbeat { run, seq, waiting };
     assert!(!fleet.alive("a", sign(1), at(90), 90_000));
     fleet.sweep(at(180), 180_000);

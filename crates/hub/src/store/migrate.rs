@@ -1,20 +1,13 @@
-//! Brings the tables to this program's version. What is not a hub's database, or is of a newer program, is refused:
-//! an older program would not know what it overwrites.
+//! Makes the tables. What is not a hub's database, or is of another version of the tables, is refused and left as it is.
 
 use super::{Dialect, StoreError};
 use sqlx::{AnyConnection, Connection as _, Executor as _, Row as _};
+use uuid::Uuid;
 
-/// The steps, the first makes a new database. A step that was released is never changed.
-const STEPS: [&str; 5] = [
-    include_str!("schema/0001.sql"),
-    include_str!("schema/0002.sql"),
-    include_str!("schema/0003.sql"),
-    include_str!("schema/0004.sql"),
-    include_str!("schema/0005.sql"),
-];
-
-/// The version that this program writes.
-pub(crate) const VERSION: i64 = STEPS.len() as i64;
+/// The version of the tables that this program makes. Up to 5 were those of 0.1.0.
+const VERSION: i64 = 6;
+/// The versions of 0.1.0.
+const BEFORE: i64 = 5;
 
 /// What stands in the table `hub_meta` of a hub's database.
 const MARK: &str = "albireo-hub";
@@ -49,12 +42,19 @@ pub(super) async fn migrate(
              {VERSION}: run the newer program, or give this one another database.url"
         )));
     }
-    for (step, text) in (1_i64..).zip(STEPS) {
-        if step > found {
-            run(dialect, &mut transaction, text).await?;
-        }
+    if (1..=BEFORE).contains(&found) {
+        return Err(StoreError::Refused(
+            "the database was written by albireo 0.1.0, whose tables this one does not go on with: take it over with \
+             `albireo hub move`, or give the hub another database.url"
+                .to_owned(),
+        ));
     }
     if found < VERSION {
+        let tables = match dialect {
+            Dialect::Sqlite => include_str!("schema/sqlite.sql"),
+            Dialect::Postgres => include_str!("schema/postgres.sql"),
+        };
+        transaction.execute(sqlx::raw_sql(tables)).await?;
         sqlx::query(
             "INSERT INTO hub_meta (key, value) VALUES ('version', $1) \
              ON CONFLICT (key) DO UPDATE SET value = excluded.value",
@@ -64,15 +64,6 @@ pub(super) async fn migrate(
         .await?;
     }
     transaction.commit().await?;
-    Ok(())
-}
-
-async fn run(
-    dialect: Dialect,
-    connection: &mut AnyConnection,
-    text: &str,
-) -> Result<(), StoreError> {
-    connection.execute(sqlx::raw_sql(dialect.sql(text))).await?;
     Ok(())
 }
 
@@ -104,10 +95,13 @@ async fn version(
                     "CREATE TABLE hub_meta (key TEXT NOT NULL PRIMARY KEY, value TEXT NOT NULL)",
                 )
                 .await?;
-            sqlx::query("INSERT INTO hub_meta (key, value) VALUES ('program', $1)")
-                .bind(MARK)
-                .execute(&mut *connection)
-                .await
+            sqlx::query(
+                "INSERT INTO hub_meta (key, value) VALUES ('program', $1), ('identity', $2)",
+            )
+            .bind(MARK)
+            .bind(Uuid::now_v7().to_string())
+            .execute(&mut *connection)
+            .await
         };
         made.await.map_err(Err)?;
         return Ok(0);

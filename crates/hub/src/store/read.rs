@@ -6,7 +6,7 @@ mod history;
 
 pub use audit::AuditCounts;
 pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution};
-pub use history::{ClipQuery, InstanceView, StoredClip, StoredEvent, StoredSetAside};
+pub use history::{ClipQuery, ReportCounts, StoredClip, StoredEvent, StoredSetAside};
 
 use super::{Store, StoreError};
 use crate::presence::{PresenceState, Remembered};
@@ -40,8 +40,7 @@ impl Store {
                     since_ms: row.try_get("since_ms")?,
                     why: row.try_get("why")?,
                     heard_ms: row.try_get("heard_ms")?,
-                    instance: row.try_get("instance")?,
-                    machine: row.try_get("machine")?,
+                    run: row.try_get("run")?,
                     started_ns: row.try_get("started_ns")?,
                     revision: row.try_get("revision")?,
                     status: row.try_get("status")?,

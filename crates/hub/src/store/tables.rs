@@ -1,18 +1,22 @@
 //! The rows of the tables that grow.
 
-use super::rows::{Row as _, row};
+use super::record::{Cell, Record, record};
+use super::rows::row;
+use uuid::Uuid;
 
-row! {
-    /// One clip. `docs/hub-schema.md` says what each column is.
+record! {
+    /// One clip, or a part of a long one. `docs/hub-schema.md` says what each column is.
     pub(crate) struct ClipRow {
+        day: i64,
+        report_id: Uuid,
+        count: Option<i64>,
         camera_id: i64,
-        instance_id: i64,
         setup_id: i64,
-        report: i64,
         at_ms: i64,
         received_ms: i64,
         started_ns: i64,
         clip: String,
+        part: i64,
         ended_by: String,
         duration_us: i64,
         frames: i64,
@@ -45,7 +49,7 @@ row! {
         edp: Option<f64>,
         samples: i64,
         coverage_ppm: i64,
-        details: Option<String>,
+        threshold_changed: i64,
         audit_frames: Option<i64>,
         audit_missed: Option<i64>,
         audit_missed_boxes: Option<i64>,
@@ -63,171 +67,111 @@ row! {
     }
 }
 
-row! {
-    /// Sums over the clips of one camera, setup and energy quality in one span of time.
-    pub(crate) struct SumRow {
-        bucket_s: i64,
-        camera_id: i64,
-        setup_id: i64,
-        quality: i64,
-        clips: i64,
-        duration_us: i64,
-        frames: i64,
-        frames_e: i64,
-        frames_p: i64,
-        frames_ei: i64,
-        frames_i: i64,
-        frames_ai: i64,
-        degraded: i64,
-        dropped: i64,
-        latency_us: i64,
-        detector_calls: i64,
-        detector_us: i64,
-        avoided_calls: i64,
-        unpriced_calls: i64,
-        avoided_uj: i64,
-        energy_uj: i64,
-        gpu_uj: i64,
-        cpu_uj: i64,
-        io_mem_uj: i64,
-        audit_frames: i64,
-        audit_missed: i64,
-        audit_missed_boxes: i64,
-        audit_calls: i64,
-        audit_us: i64,
-        audit_uj: i64,
-        audit_detected: i64,
-        audit_shown: i64,
-        audit_paired: i64,
-        audit_detected_sq: i64,
-        audit_detected_x: i64,
-        audit_shown_sq: i64,
-        audit_paired_sq: i64,
-        audit_shown_x: i64,
-    }
-}
+/// What is summed over clips: the column, and what a clip adds to it. A long clip is counted at its first part.
+const SUMMED: [(&str, fn(&ClipRow) -> i64); 34] = [
+    ("clips", |clip| i64::from(clip.part == 0)),
+    ("duration_us", |clip| clip.duration_us),
+    ("frames", |clip| clip.frames),
+    ("frames_e", |clip| clip.frames_e),
+    ("frames_p", |clip| clip.frames_p),
+    ("frames_ei", |clip| clip.frames_ei),
+    ("frames_i", |clip| clip.frames_i),
+    ("frames_ai", |clip| clip.frames_ai),
+    ("degraded", |clip| clip.degraded),
+    ("dropped", |clip| clip.dropped),
+    ("latency_us", |clip| clip.latency_us),
+    ("detector_calls", |clip| clip.detector_calls),
+    ("detector_us", |clip| clip.detector_us),
+    ("avoided_calls", |clip| clip.avoided_calls),
+    ("unpriced_calls", |clip| match clip.avoided_uj {
+        Some(_) => 0,
+        None => clip.avoided_calls,
+    }),
+    ("avoided_uj", |clip| clip.avoided_uj.unwrap_or(0)),
+    ("energy_uj", |clip| clip.energy_uj.unwrap_or(0)),
+    ("gpu_uj", |clip| clip.gpu_uj.unwrap_or(0)),
+    ("cpu_uj", |clip| clip.cpu_uj.unwrap_or(0)),
+    ("io_mem_uj", |clip| clip.io_mem_uj.unwrap_or(0)),
+    ("audit_frames", |clip| clip.audit_frames.unwrap_or(0)),
+    ("audit_missed", |clip| clip.audit_missed.unwrap_or(0)),
+    ("audit_missed_boxes", |clip| {
+        clip.audit_missed_boxes.unwrap_or(0)
+    }),
+    ("audit_calls", |clip| clip.audit_calls.unwrap_or(0)),
+    ("audit_us", |clip| clip.audit_us.unwrap_or(0)),
+    ("audit_uj", |clip| clip.audit_uj.unwrap_or(0)),
+    ("audit_detected", |clip| clip.audit_detected.unwrap_or(0)),
+    ("audit_shown", |clip| clip.audit_shown.unwrap_or(0)),
+    ("audit_paired", |clip| clip.audit_paired.unwrap_or(0)),
+    ("audit_detected_sq", |clip| {
+        clip.audit_detected_sq.unwrap_or(0)
+    }),
+    ("audit_detected_x", |clip| {
+        clip.audit_detected_x.unwrap_or(0)
+    }),
+    ("audit_shown_sq", |clip| clip.audit_shown_sq.unwrap_or(0)),
+    ("audit_paired_sq", |clip| clip.audit_paired_sq.unwrap_or(0)),
+    ("audit_shown_x", |clip| clip.audit_shown_x.unwrap_or(0)),
+];
 
-/// Columns of [`SumRow`] that tell which clips; the rest is summed.
-pub(crate) const SUM_KEYS: usize = 4;
+/// The largest sum: there it stays, so that no sum is ever too large for a column.
+pub(crate) const LARGEST_SUM: i64 = 1 << 62;
 
-/// The names of the columns that are summed.
-pub(crate) fn summed() -> impl Iterator<Item = &'static str> {
-    SumRow::COLUMNS.iter().skip(SUM_KEYS).map(|(name, _)| *name)
+/// Sums over the clips of one camera, setup and energy quality in one span of time.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct SumRow {
+    /// The beginning of the span in seconds since the Unix epoch, camera, setup, quality.
+    pub(crate) key: [i64; 4],
+    sums: [i64; SUMMED.len()],
 }
 
 impl SumRow {
+    /// The columns of the key.
+    pub(crate) const KEY: [&str; 4] = ["bucket_s", "camera_id", "setup_id", "quality"];
+
     /// The sums of one clip in the span that begins at `bucket_s`.
     pub(crate) fn of(clip: &ClipRow, bucket_s: i64) -> Self {
         Self {
-            bucket_s,
-            camera_id: clip.camera_id,
-            setup_id: clip.setup_id,
-            quality: clip.quality,
-            clips: 1,
-            duration_us: clip.duration_us,
-            frames: clip.frames,
-            frames_e: clip.frames_e,
-            frames_p: clip.frames_p,
-            frames_ei: clip.frames_ei,
-            frames_i: clip.frames_i,
-            frames_ai: clip.frames_ai,
-            degraded: clip.degraded,
-            dropped: clip.dropped,
-            latency_us: clip.latency_us,
-            detector_calls: clip.detector_calls,
-            detector_us: clip.detector_us,
-            avoided_calls: clip.avoided_calls,
-            unpriced_calls: if clip.avoided_uj.is_none() {
-                clip.avoided_calls
-            } else {
-                0
-            },
-            avoided_uj: clip.avoided_uj.unwrap_or(0),
-            energy_uj: clip.energy_uj.unwrap_or(0),
-            gpu_uj: clip.gpu_uj.unwrap_or(0),
-            cpu_uj: clip.cpu_uj.unwrap_or(0),
-            io_mem_uj: clip.io_mem_uj.unwrap_or(0),
-            audit_frames: clip.audit_frames.unwrap_or(0),
-            audit_missed: clip.audit_missed.unwrap_or(0),
-            audit_missed_boxes: clip.audit_missed_boxes.unwrap_or(0),
-            audit_calls: clip.audit_calls.unwrap_or(0),
-            audit_us: clip.audit_us.unwrap_or(0),
-            audit_uj: clip.audit_uj.unwrap_or(0),
-            audit_detected: clip.audit_detected.unwrap_or(0),
-            audit_shown: clip.audit_shown.unwrap_or(0),
-            audit_paired: clip.audit_paired.unwrap_or(0),
-            audit_detected_sq: clip.audit_detected_sq.unwrap_or(0),
-            audit_detected_x: clip.audit_detected_x.unwrap_or(0),
-            audit_shown_sq: clip.audit_shown_sq.unwrap_or(0),
-            audit_paired_sq: clip.audit_paired_sq.unwrap_or(0),
-            audit_shown_x: clip.audit_shown_x.unwrap_or(0),
+            key: [bucket_s, clip.camera_id, clip.setup_id, clip.quality],
+            sums: SUMMED.map(|(_, of)| of(clip)),
         }
-    }
-
-    /// What tells one row of sums from another.
-    pub(crate) fn key(&self) -> (i64, i64, i64, i64) {
-        (self.bucket_s, self.camera_id, self.setup_id, self.quality)
     }
 
     /// Adds the sums of more clips of the same key.
     pub(crate) fn add(&mut self, more: &Self) {
-        self.clips += more.clips;
-        self.duration_us += more.duration_us;
-        self.frames += more.frames;
-        self.frames_e += more.frames_e;
-        self.frames_p += more.frames_p;
-        self.frames_ei += more.frames_ei;
-        self.frames_i += more.frames_i;
-        self.frames_ai += more.frames_ai;
-        self.degraded += more.degraded;
-        self.dropped += more.dropped;
-        self.latency_us += more.latency_us;
-        self.detector_calls += more.detector_calls;
-        self.detector_us += more.detector_us;
-        self.avoided_calls += more.avoided_calls;
-        self.unpriced_calls += more.unpriced_calls;
-        self.avoided_uj += more.avoided_uj;
-        self.energy_uj += more.energy_uj;
-        self.gpu_uj += more.gpu_uj;
-        self.cpu_uj += more.cpu_uj;
-        self.io_mem_uj += more.io_mem_uj;
-        self.audit_frames += more.audit_frames;
-        self.audit_missed += more.audit_missed;
-        self.audit_missed_boxes += more.audit_missed_boxes;
-        self.audit_calls += more.audit_calls;
-        self.audit_us += more.audit_us;
-        self.audit_uj += more.audit_uj;
-        self.audit_detected += more.audit_detected;
-        self.audit_shown += more.audit_shown;
-        self.audit_paired += more.audit_paired;
-        self.audit_detected_sq += more.audit_detected_sq;
-        self.audit_detected_x += more.audit_detected_x;
-        self.audit_shown_sq += more.audit_shown_sq;
-        self.audit_paired_sq += more.audit_paired_sq;
-        self.audit_shown_x += more.audit_shown_x;
+        for (sum, more) in self.sums.iter_mut().zip(more.sums) {
+            *sum = sum.saturating_add(more).min(LARGEST_SUM);
+        }
+    }
+
+    /// The columns that are summed.
+    pub(crate) fn summed() -> impl Iterator<Item = &'static str> {
+        SUMMED.iter().map(|(name, _)| *name)
     }
 }
 
-row! {
-    /// A report that could not be read.
+impl Record for SumRow {
+    fn columns() -> Vec<&'static str> {
+        Self::KEY.into_iter().chain(Self::summed()).collect()
+    }
+
+    fn cells(&self) -> Vec<Cell> {
+        self.key
+            .iter()
+            .chain(&self.sums)
+            .map(|n| (*n).into())
+            .collect()
+    }
+}
+
+record! {
+    /// A report that makes no sense.
     pub(crate) struct SetAsideRow {
         node_id: i64,
-        instance_id: Option<i64>,
-        report: Option<i64>,
+        report_id: Option<String>,
         received_ms: i64,
         cause: String,
         body: String,
-    }
-}
-
-row! {
-    /// Numbers of an instance that never came.
-    pub(crate) struct GapRow {
-        instance_id: i64,
-        first_report: i64,
-        last_report: i64,
-        noticed_ms: i64,
-        cause: String,
     }
 }
 
@@ -241,23 +185,39 @@ row! {
     }
 }
 
-row! {
-    /// What is known of an instance after a batch.
-    pub(crate) struct InstanceRow {
-        id: i64,
-        machine: Option<String>,
-        next_report: i64,
-        last_ms: i64,
-        latest_started_ns: i64,
-        reports: i64,
-        set_aside: i64,
-        missing: i64,
-        lost: i64,
-        conflicts: i64,
+impl Record for EventRow {
+    fn columns() -> Vec<&'static str> {
+        vec!["at_ms", "kind", "node", "detail"]
+    }
+
+    fn cells(&self) -> Vec<Cell> {
+        let Self {
+            at_ms,
+            kind,
+            node,
+            detail,
+        } = self.clone();
+        vec![at_ms.into(), kind.into(), node.into(), detail.into()]
     }
 }
 
-row! {
+record! {
+    /// What is known of the reports of a node.
+    pub(crate) struct ReportCountsRow {
+        node_id: i64,
+        first_ms: i64,
+        last_ms: i64,
+        stored: i64,
+        set_aside: i64,
+        refused: i64,
+        resets: i64,
+        base: i64,
+        highest: i64,
+        missing: String,
+    }
+}
+
+record! {
     /// What is known of a node between reports.
     pub(crate) struct NodeRow {
         id: i64,
@@ -265,10 +225,54 @@ row! {
         since_ms: i64,
         why: String,
         heard_ms: Option<i64>,
-        instance: Option<String>,
-        machine: Option<String>,
+        run: Option<i64>,
         started_ns: Option<i64>,
         revision: i64,
         status: Option<String>,
+    }
+}
+
+/// With what a clip was made. Clips with the same have one number in the place of seven texts.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct SetupKey {
+    /// Policy.
+    pub(crate) policy: String,
+    /// Name of the knob; empty without one.
+    pub(crate) knob: String,
+    /// Its value as it is written shortest; empty without one.
+    pub(crate) value: String,
+    /// Detector model.
+    pub(crate) model: String,
+    /// Execution provider.
+    pub(crate) provider: String,
+    /// Where the energy comes from.
+    pub(crate) power_source: String,
+    /// How its total came about.
+    pub(crate) total_from: String,
+}
+
+impl SetupKey {
+    /// Its columns, in order.
+    pub(crate) const COLUMNS: [&str; 7] = [
+        "policy",
+        "knob",
+        "value",
+        "model",
+        "provider",
+        "power_source",
+        "total_from",
+    ];
+
+    /// Its texts, in the order of the columns.
+    pub(crate) fn texts(&self) -> [&str; 7] {
+        [
+            &self.policy,
+            &self.knob,
+            &self.value,
+            &self.model,
+            &self.provider,
+            &self.power_source,
+            &self.total_from,
+        ]
     }
 }

@@ -1,14 +1,11 @@
-//! Writing: one connection, one transaction at a time, a few statements with many rows each.
+//! What tuning writes: one connection, one transaction at a time.
 
-mod names;
-mod tallies;
 mod tuning;
 
-pub(crate) use names::SetupKey;
-pub(crate) use tallies::{Instance, Known};
 pub(crate) use tuning::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, columns};
 
 use super::rows::{Bound, Row, Values, insert, statements};
+use super::tables::EventRow;
 use super::{Dialect, Store, StoreError};
 use sqlx::{Any, AnyConnection, Connection as _, Transaction};
 
@@ -57,11 +54,6 @@ impl Writer {
                 tokio::time::timeout(std::time::Duration::from_secs(1), connection.close()).await;
         }
     }
-
-    /// Closes the connection; SQLite's log is then in its file.
-    pub(crate) async fn close(mut self) {
-        self.give_up().await;
-    }
 }
 
 /// A transaction. Nothing of it is there until [`Writing::commit`] has returned.
@@ -90,41 +82,23 @@ impl Writing<'_> {
         Ok(touched)
     }
 
-    /// The rows a statement on those rows gives. Each row is looked up for itself: no statement gathers several.
-    async fn ask<T: Values>(
-        &mut self,
-        text: &str,
-        rows: &[T],
-    ) -> Result<Vec<sqlx::any::AnyRow>, StoreError> {
-        let mut found = Vec::new();
-        for query in statements(self.dialect, text, rows)? {
-            found.extend(query.fetch_all(&mut *self.transaction).await?);
-        }
-        Ok(found)
-    }
-
     /// Inserts rows into `table`.
-    pub(crate) async fn insert<R: Row>(
-        &mut self,
-        table: &str,
-        rows: &[R],
-    ) -> Result<u64, StoreError> {
+    async fn insert<R: Row>(&mut self, table: &str, rows: &[R]) -> Result<u64, StoreError> {
         self.with(&insert::<R>(table), rows).await
     }
 
-    /// Inserts rows into `table`, but those that are there already.
-    pub(crate) async fn insert_new<R: Row>(
-        &mut self,
-        table: &str,
-        rows: &[R],
-    ) -> Result<u64, StoreError> {
-        let text = insert::<R>(table) + " ON CONFLICT DO NOTHING";
-        self.with(&text, rows).await
+    /// Writes events and gives them their numbers, in order.
+    pub(crate) async fn events(&mut self, events: &[EventRow]) -> Result<(), StoreError> {
+        if events.is_empty() {
+            return Ok(());
+        }
+        self.events_in_order().await?;
+        self.insert("events", events).await.map(drop)
     }
 
     /// From here to the commit no other hub writes events: their numbers then grow in the order of commits, so that
     /// who reads after a number misses none.
-    pub(crate) async fn events_in_order(&mut self) -> Result<(), StoreError> {
+    async fn events_in_order(&mut self) -> Result<(), StoreError> {
         /// Number of the lock.
         const LOCK: i64 = 0x0a1b_14e1;
         if self.dialect == Dialect::Postgres {

@@ -20,6 +20,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
+use uuid::{Builder, Uuid};
 
 /// The longest any single thing may take on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -124,9 +125,25 @@ pub async fn uplink(endpoint: &str) -> zenoh::Session {
 /// What came back of a batch.
 #[derive(Debug, PartialEq)]
 pub enum Said {
-    Stored(u64),
+    Answer(ReportAnswer),
     Refused(ReportRefusal),
     Nothing,
+}
+
+impl Said {
+    /// The acknowledgement.
+    pub fn answer(self) -> ReportAnswer {
+        match self {
+            Self::Answer(answer) => answer,
+            said => panic!("{said:?}"),
+        }
+    }
+
+    /// Says that everything was stored.
+    pub fn assert_stored(self) {
+        let answer = self.answer();
+        assert!(answer.refused.is_empty(), "{answer:?}");
+    }
 }
 
 /// Sends a payload on the key of `node`.
@@ -141,9 +158,7 @@ pub async fn send(session: &zenoh::Session, node: &str, payload: Vec<u8>) -> Sai
     while let Ok(reply) = replies.recv_async().await {
         match reply.result() {
             Ok(sample) => {
-                let answer: ReportAnswer =
-                    albireo_wire::read(&sample.payload().to_bytes()).unwrap();
-                return Said::Stored(answer.stored);
+                return Said::Answer(albireo_wire::read(&sample.payload().to_bytes()).unwrap());
             }
             Err(error) => {
                 if let Ok(refusal) = albireo_wire::read(&error.payload().to_bytes()) {
@@ -158,27 +173,16 @@ pub async fn send(session: &zenoh::Session, node: &str, payload: Vec<u8>) -> Sai
 /// Sends a batch, again and again until somebody answers.
 pub async fn deliver(session: &zenoh::Session, batch: &ReportBatch) -> Said {
     let until = Instant::now() + PATIENCE;
+    let payload = batch.to_payload(albireo_wire::BatchCompression::Best);
+    let payload = payload.unwrap();
     loop {
-        match send(
-            session,
-            &batch.node,
-            batch
-                .to_payload(albireo_wire::BatchCompression::Best)
-                .unwrap(),
-        )
-        .await
-        {
+        match send(session, &batch.node, payload.clone()).await {
             Said::Nothing => {}
             said => return said,
         }
         assert!(Instant::now() < until, "nobody answers");
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-}
-
-/// 32 hexadecimal digits made of one.
-pub fn instance(digit: char) -> String {
-    std::iter::repeat_n(digit, 32).collect()
 }
 
 /// Now, nanoseconds since the Unix epoch.
@@ -208,8 +212,16 @@ fn audit(number: u64) -> AuditReport {
     }
 }
 
-/// A report of that number that began `number` × 40 s after `started_ns`.
-pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
+/// An identity of its own for each number of a series, of that time.
+pub fn id(series: u8, number: u64, made_ns: u64) -> Uuid {
+    let mut random = [series; 10];
+    random[2..].copy_from_slice(&number.to_be_bytes());
+    Builder::from_unix_timestamp_millis(made_ns / 1_000_000, &random).into_uuid()
+}
+
+/// A report of that number of a series that began `number` × 40 s after `started_ns`.
+pub fn report(node: &str, series: u8, number: u64, started_ns: u64) -> ClipReport {
+    let begun_ns = started_ns + number * 40_000_000_000;
     let joules = 100.1 + number as f64 / 3.0;
     let percentiles = |count, mean| Percentiles {
         count,
@@ -220,12 +232,14 @@ pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
     };
     ClipReport {
         v: VERSION,
+        id: id(series, number, begun_ns + 40_000_000_000),
         node: node.into(),
         camera: "front".into(),
         clip: format!("window-{number}"),
-        report: number,
+        part: 0,
+        count: Some(number),
         ended_by: ClipEnd::Window,
-        started_ns: started_ns + number * 40_000_000_000,
+        started_ns: begun_ns,
         duration_s: 40.0,
         frames: 1200,
         states: FrameStates {
@@ -274,33 +288,42 @@ pub fn report(node: &str, number: u64, started_ns: u64) -> ClipReport {
     }
 }
 
-/// The batch of the reports of those numbers.
+/// The batch of the reports of those numbers of a series.
 pub fn batch(
     node: &str,
-    instance: &str,
+    series: u8,
     numbers: std::ops::RangeInclusive<u64>,
     started_ns: u64,
 ) -> ReportBatch {
     ReportBatch {
         v: VERSION,
         node: node.into(),
-        instance: instance.into(),
-        machine: None,
-        first: *numbers.start(),
-        last: *numbers.end(),
-        lost: 0,
+        t_ms: now_ns() / 1_000_000,
         reports: numbers
-            .map(|number| report(node, number, started_ns))
+            .map(|number| report(node, series, number, started_ns))
             .collect(),
     }
 }
 
-/// A heartbeat.
-pub fn status(instance: &str, seq: u64) -> StatusMessage {
+/// The running counts of the clips of a node that the hub shows, in order.
+pub async fn counts(hub: &Hub, node: &str) -> Vec<u64> {
+    let clips = hub
+        .get(&format!("/api/v1/clips?node={node}&limit=1000"))
+        .await;
+    let clips = clips["clips"].as_array().unwrap();
+    let mut counts: Vec<u64> = clips
+        .iter()
+        .map(|clip| clip["count"].as_u64().unwrap())
+        .collect();
+    counts.sort_unstable();
+    counts
+}
+
+/// A status without its rest.
+pub fn status(run: u32, seq: u64) -> StatusMessage {
     StatusMessage {
         v: VERSION,
-        instance: instance.into(),
-        machine: None,
+        run,
         started_ns: 1,
         seq,
         t_ns: now_ns(),
@@ -312,7 +335,7 @@ pub fn status(instance: &str, seq: u64) -> StatusMessage {
 }
 
 /// A full status.
-pub fn full_status(instance: &str, seq: u64, reasons: &[(&str, &str)]) -> StatusMessage {
+pub fn full_status(run: u32, seq: u64, reasons: &[(&str, &str)]) -> StatusMessage {
     let state = if reasons.is_empty() {
         HealthState::Ready
     } else {
@@ -342,7 +365,7 @@ pub fn full_status(instance: &str, seq: u64, reasons: &[(&str, &str)]) -> Status
     StatusMessage {
         health: state,
         full: Some(Box::new(full)),
-        ..status(instance, seq)
+        ..status(run, seq)
     }
 }
 
@@ -356,10 +379,9 @@ pub async fn say(session: &zenoh::Session, node: &str, status: &StatusMessage) {
 }
 
 /// What the hub answers when the node asks what is desired.
-pub async fn pull(session: &zenoh::Session, node: &str, instance: &str) -> Desired {
+pub async fn pull(session: &zenoh::Session, node: &str) -> Desired {
     let request = PullRequest {
         v: VERSION,
-        instance: instance.into(),
         revision: 0,
     };
     let replies = session

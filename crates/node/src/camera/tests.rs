@@ -282,7 +282,6 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let meta = ClipMeta {
         node: "node".to_owned(),
         camera: "front".to_owned(),
-        report: 1,
         policy: policy.to_owned(),
         model: String::new(),
         provider: String::new(),

@@ -66,11 +66,6 @@ impl NodeConfig {
     fn check_outbox(&self, findings: &mut Findings) {
         let outbox = &self.outbox;
         findings.count("outbox.max_bytes", outbox.max_bytes, 1 << 16, 1 << 40);
-        findings.count("outbox.max_age_days", outbox.max_age_days.into(), 1, 36_500);
-        let figure = outbox.memory_reports as u64;
-        findings.count("outbox.memory_reports", figure, 1, 1_000_000);
-        let figure = outbox.batch_reports as u64;
-        findings.count("outbox.batch_reports", figure, 1, 1000);
         let figure = outbox.gather_reports as u64;
         findings.count("outbox.gather_reports", figure, 1, 1000);
         findings.count("outbox.gather_s", outbox.gather_s, 0, 86_400);
@@ -89,7 +84,6 @@ impl NodeConfig {
             3_600_000,
         );
         findings.count("outbox.status_s", outbox.status_s, 1, 86_400);
-        findings.path("outbox.machine_id", Some(&outbox.machine_id));
     }
 
     fn check_models(&self, findings: &mut Findings) {
@@ -123,7 +117,11 @@ impl NodeConfig {
         }
         findings.above_zero("audit.wait_s", self.audit.wait_s, DAY_S);
         findings.above_zero("clip.window_s", self.clip.window_s, DAY_S);
+        findings.above_zero("clip.longest_s", self.clip.longest_s, 3600.0);
         findings.above_zero("clip.silence_s", self.clip.silence_s, DAY_S);
+        if self.clip.window_s > self.clip.longest_s && self.clip.window_s <= DAY_S {
+            findings.add("clip.window_s", "is above clip.longest_s: raise that too");
+        }
         let frame = &self.frame;
         findings.count(
             "frame.max_payload_bytes",

@@ -1,5 +1,5 @@
-//! From closed clips to reports. Each camera's loop keeps its accounts; behind them a task adds the energy, keeps the
-//! report in the outbox and publishes it for whoever listens.
+//! Makes reports of closed clips: each camera's loop counts its open clip, and a task behind it waits for the energy, keeps
+//! the report in the outbox and publishes it for whoever listens.
 
 use crate::camera::audit::CameraAudit;
 use crate::camera::clip::{ClipMeta, ClipTracker, ClosedClip, FrameArrival, FrameResult};
@@ -9,7 +9,6 @@ use crate::delivery::outbox::Outbox;
 use crate::input::receiver::DropCounts;
 use crate::state::board::Board;
 use albireo_vision::detector::DetectorHandle;
-use albireo_wire::ClipReport;
 use std::sync::Arc;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
@@ -110,36 +109,27 @@ pub(crate) struct Reporter {
 }
 
 /// Clips that are kept together when they end faster than a disk syncs.
-const TOGETHER: usize = 256;
+const MAX_BATCH: usize = 256;
 
 impl Reporter {
     /// Reports until the accounts are gone and the last clip is kept.
     pub(crate) async fn run(&self, clips: &mut mpsc::UnboundedReceiver<ClosedClip>) {
         let mut closed = Vec::new();
-        while clips.recv_many(&mut closed, TOGETHER).await > 0 {
+        while clips.recv_many(&mut closed, MAX_BATCH).await > 0 {
             self.report(std::mem::take(&mut closed)).await;
         }
     }
 
-    /// Keeps the reports first, as far as they are known; then adds the energy, which may take a moment.
+    /// Waits for the clips' energy, keeps their reports, and publishes them.
     async fn report(&self, closed: Vec<ClosedClip>) {
-        let provisional = closed
-            .iter()
-            .map(|clip| clip.without_energy(self.meta(0)))
-            .collect();
-        let Some((tickets, kept)) = self
-            .on_disk(provisional, |outbox, reports| outbox.keep(reports))
-            .await
-        else {
-            return;
-        };
-        let mut reports = Vec::with_capacity(kept.len());
-        for (clip, kept) in closed.into_iter().zip(kept) {
-            let mut report = clip.into_report(self.meta(kept.report)).await;
+        let mut reports = Vec::with_capacity(closed.len());
+        for clip in closed {
+            let mut report = clip.into_report(self.meta()).await;
             report.round();
             tracing::info!(
                 camera = self.camera,
                 clip = report.clip,
+                part = report.part,
                 frames = report.frames,
                 skip_rate = report.skip_rate,
                 joules = report.energy.joules,
@@ -148,12 +138,16 @@ impl Reporter {
             );
             reports.push(report);
         }
-        let settled = self
-            .on_disk(reports, move |outbox, reports| {
-                outbox.settle(&tickets, reports);
-            })
-            .await;
-        for report in settled.into_iter().flat_map(|((), reports)| reports) {
+        let outbox = self.outbox.clone();
+        let kept = tokio::task::spawn_blocking(move || {
+            outbox.insert(&mut reports);
+            reports
+        });
+        let kept = kept.await.unwrap_or_else(|error| {
+            tracing::error!(camera = self.camera, %error, "clip reports lost");
+            Vec::new()
+        });
+        for report in kept {
             match serde_json::to_vec(&report) {
                 Ok(json) => self.listeners.publish(json),
                 Err(error) => {
@@ -164,31 +158,13 @@ impl Reporter {
         }
     }
 
-    fn meta(&self, number: u64) -> ClipMeta {
+    fn meta(&self) -> ClipMeta {
         ClipMeta {
             node: self.board.node().to_owned(),
             camera: self.camera.clone(),
-            report: number,
             policy: self.board.policy().to_owned(),
             model: self.detector.model_name().to_owned(),
             provider: self.detector.provider().as_str().to_owned(),
         }
-    }
-
-    /// Lets the outbox work on `reports` where a disk may take its time.
-    async fn on_disk<T: Send + 'static>(
-        &self,
-        mut reports: Vec<ClipReport>,
-        work: impl FnOnce(&Outbox, &mut [ClipReport]) -> T + Send + 'static,
-    ) -> Option<(T, Vec<ClipReport>)> {
-        let outbox = self.outbox.clone();
-        let worked = tokio::task::spawn_blocking(move || {
-            let result = work(&outbox, &mut reports);
-            (result, reports)
-        });
-        worked
-            .await
-            .inspect_err(|error| tracing::error!(camera = self.camera, %error, "clip reports lost"))
-            .ok()
     }
 }

@@ -1,14 +1,12 @@
-//! The node's side of the hub: reports as queries that are answered after the hub's commit, status, and what the hub
-//! desires. One thread, for each of these may wait.
+//! The node's side of the hub: sends reports and the status, takes what is desired.
 //!
-//! Only an answer acknowledges. No reply, an error, a refusal and a time-out all mean: keep, and try again after a
-//! pause that doubles, with jitter.
+//! Reports go as queries that are answered after the hub's commit; only such an answer acknowledges. No reply, an error,
+//! a refusal and a time-out all mean: keep, and try again after a pause.
 
 mod backoff;
-mod delivery;
 mod desired;
-mod gathering;
 mod query;
+mod schedule;
 mod status;
 mod watched;
 
@@ -20,30 +18,35 @@ use crate::state::readiness;
 use albireo_service::config::UplinkConfig;
 use albireo_service::session;
 use albireo_vision::picture::FrameLimits;
-use albireo_wire::{Desired, FleetKeys, PullRequest, VERSION};
+use albireo_wire::{BatchCompression, Desired, FleetKeys, PullRequest, ReportAnswer, VERSION};
 use backoff::Backoff;
-use delivery::Delivery;
-use gathering::Gathering;
-use query::{Asked, Patience, ask};
+use query::{Asked, ask};
+use schedule::{Outcome, Schedule};
 use status::StatusTeller;
 use std::collections::BTreeMap;
+use std::future::Future;
+use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+use tokio::sync::{Notify, mpsc, oneshot};
+use tokio::task::{JoinHandle, spawn_blocking};
+use tokio::time::sleep;
+use tokio_util::sync::CancellationToken;
+use tracing::Instrument;
 use watched::Watched;
 use zenoh::Session;
-use zenoh::Wait;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::Querier;
 
-/// How often the status is looked at for changes.
-const LOOK: Duration = Duration::from_secs(1);
+/// How often the status is compared with the one sent last.
+const POLL_EVERY: Duration = Duration::from_secs(1);
 
 /// How long the last reports may take to reach a hub when the node stops: what is not there then is kept.
 const LAST_TRY: Duration = Duration::from_millis(1500);
 
 /// A session that served for so long ended for another reason than the one before.
-const LASTED: Duration = Duration::from_secs(10);
+const MIN_UPTIME: Duration = Duration::from_secs(10);
 
 /// What the uplink works with.
 pub(crate) struct UplinkSetup {
@@ -51,7 +54,7 @@ pub(crate) struct UplinkSetup {
     pub board: Arc<Board>,
     /// What is delivered.
     pub outbox: Outbox,
-    /// The manners.
+    /// How it is delivered.
     pub config: OutboxConfig,
     /// Keys toward the hub.
     pub keys: FleetKeys,
@@ -62,347 +65,373 @@ pub(crate) struct UplinkSetup {
     /// Limits for decoding pictures that are asked for.
     pub limits: FrameLimits,
     /// Where the hub is found.
-    pub way: Way,
+    pub route: Route,
 }
 
-/// The way to the hub.
-pub(crate) enum Way {
+/// The route to the hub.
+pub(crate) enum Route {
     /// The local session serves both.
     Local(Session),
     /// A session of its own, opened anew when it has gone stale.
     Own(UplinkConfig),
 }
 
-/// The uplink's thread. Ends when told.
+/// The running uplink.
 pub(crate) struct Uplink {
-    stop: Arc<AtomicBool>,
-    outbox: Outbox,
-    thread: Option<std::thread::JoinHandle<()>>,
+    stop: CancellationToken,
+    task: JoinHandle<()>,
 }
 
 impl Uplink {
-    /// Starts the thread.
-    ///
-    /// # Errors
-    /// When the system has no thread left.
-    pub(crate) fn start(setup: UplinkSetup) -> std::io::Result<Self> {
-        let stop = Arc::new(AtomicBool::new(false));
-        let outbox = setup.outbox.clone();
-        let node = setup.board.node().to_owned();
-        let mut worker = Worker {
-            teller: StatusTeller::new(setup.labels.clone()),
-            watched: Watched::new(setup.limits),
-            gathering: Gathering::new(&setup.config),
-            delivery: Delivery::new(outbox.clone(), node, &setup.config),
-            reconnect: Backoff::new(setup.config.retry_min_ms, setup.config.retry_max_ms),
-            setup,
-            stop: Arc::clone(&stop),
-            notified: Arc::new(AtomicU64::new(0)),
-            pull_due: true,
-            last_answer: Instant::now(),
+    /// Starts the task. What is returned beside it is ready once the task has ended.
+    pub(crate) fn start(setup: UplinkSetup) -> (Self, impl Future<Output = ()>) {
+        let stop = CancellationToken::new();
+        let worker = Worker::new(setup, stop.clone());
+        let (running, ended) = oneshot::channel::<()>();
+        let run = async move {
+            let _running = running;
+            worker.run().await;
         };
-        let thread = std::thread::Builder::new()
-            .name("uplink".to_owned())
-            .spawn(move || worker.run())?;
-        Ok(Self {
-            stop,
-            outbox,
-            thread: Some(thread),
-        })
+        let task = tokio::spawn(run.instrument(tracing::info_span!("uplink")));
+        let ended = async move {
+            let _ = ended.await;
+        };
+        (Self { stop, task }, ended)
     }
 
-    /// Tells the thread to try once more and end; blocks until it has.
-    pub(crate) fn stop(mut self) {
-        self.tell();
-        if let Some(thread) = self.thread.take()
-            && thread.join().is_err()
-        {
-            tracing::error!("the uplink failed");
+    /// Lets the task try once more, and waits until it has ended.
+    pub(crate) async fn stop(self) {
+        self.stop.cancel();
+        if let Err(error) = self.task.await {
+            tracing::error!(%error, "the uplink failed");
         }
-    }
-
-    fn tell(&self) {
-        self.stop.store(true, Ordering::Release);
-        self.outbox.wake();
-    }
-}
-
-impl Drop for Uplink {
-    fn drop(&mut self) {
-        self.tell();
     }
 }
 
 struct Worker {
-    setup: UplinkSetup,
+    setup: Arc<UplinkSetup>,
+    stop: CancellationToken,
     teller: StatusTeller,
-    delivery: Delivery,
+    watched: Watched,
+    schedule: Schedule,
     /// Pauses between sessions that could not be opened or failed.
     reconnect: Backoff,
-    stop: Arc<AtomicBool>,
-    /// Highest revision that was notified.
-    notified: Arc<AtomicU64>,
-    pull_due: bool,
-    last_answer: Instant,
-    watched: Watched,
-    /// The hub that answered in this session reads heartbeats.
-    gathering: Gathering,
+    retry_disk_at: Instant,
 }
 
+/// Why a session is served no longer.
 enum Served {
     Stopped,
     Stale,
-    Failed(zenoh::Error),
+}
+
+/// What came of a query.
+enum Ended {
+    Batch(Outcome, Option<Desired>),
+    Pull(Outcome, Option<Desired>),
 }
 
 impl Worker {
-    fn run(&mut self) {
+    fn new(setup: UplinkSetup, stop: CancellationToken) -> Self {
+        // Each state is keyed by the operating system's random numbers.
+        let random = RandomState::new().hash_one("uplink");
+        let config = &setup.config;
+        let run = (random >> 32) as u32;
+        Self {
+            teller: StatusTeller::new(setup.labels.clone(), run),
+            watched: Watched::new(),
+            schedule: Schedule::new(config, Instant::now()),
+            reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms),
+            retry_disk_at: Instant::now(),
+            setup: Arc::new(setup),
+            stop,
+        }
+    }
+
+    async fn run(mut self) {
         let part = self.setup.board.readiness().part(readiness::UPLINK);
         loop {
-            self.look_after_disk();
-            let session = match &self.setup.way {
-                Way::Local(session) => session.clone(),
-                Way::Own(uplink) => match session::open_uplink(uplink) {
-                    Ok(session) => session,
-                    Err(error) => {
-                        tracing::warn!("{error:#}");
-                        part.degraded("the hub's router cannot be reached");
-                        if self.pause() {
-                            return;
-                        }
-                        continue;
-                    }
-                },
-            };
-            part.works();
-            let began = Instant::now();
-            self.last_answer = began;
-            let served = self.serve(&session);
-            if began.elapsed() > LASTED {
-                self.reconnect.reset();
-            }
-            let own = matches!(self.setup.way, Way::Own(..));
-            if own && let Err(error) = session.close().wait() {
-                tracing::debug!(%error, "uplink not closed cleanly");
-            }
-            match served {
-                Served::Stopped => return,
-                Served::Stale => {
-                    tracing::warn!("the uplink brought no answer for long: opened anew")
-                }
-                Served::Failed(error) => {
-                    tracing::error!(
-                        error = session::plain(&error),
-                        "the hub cannot be spoken to"
-                    );
-                    if self.pause() {
+            let session = match &self.setup.route {
+                Route::Local(session) => Ok(session.clone()),
+                Route::Own(uplink) => {
+                    let uplink = uplink.clone();
+                    let opening = spawn_blocking(move || session::open_uplink(&uplink));
+                    let Some(opened) = self.unless_stopped(opening).await else {
                         return;
+                    };
+                    opened.unwrap_or_else(|failed| Err(failed.into()))
+                }
+            };
+            let failed = match session {
+                Ok(session) => {
+                    part.works();
+                    let began = Instant::now();
+                    let served = self.serve(&session).await;
+                    if began.elapsed() > MIN_UPTIME {
+                        self.reconnect.reset();
+                    }
+                    if matches!(self.setup.route, Route::Own(_))
+                        && let Err(error) = session.close().await
+                    {
+                        tracing::debug!(%error, "uplink not closed cleanly");
+                    }
+                    match served {
+                        Ok(Served::Stopped) => return,
+                        Ok(Served::Stale) => {
+                            tracing::warn!("the uplink brought no answer for long: opened anew");
+                            false
+                        }
+                        Err(error) => {
+                            let error = session::plain(&error);
+                            tracing::error!(error, "the hub cannot be spoken to");
+                            true
+                        }
                     }
                 }
+                Err(error) => {
+                    tracing::warn!("{error:#}");
+                    part.degraded("the hub's router cannot be reached");
+                    true
+                }
+            };
+            let pause = self.reconnect.next(None);
+            if failed && self.unless_stopped(sleep(pause)).await.is_none() {
+                return;
             }
         }
     }
 
-    /// Waits a while with jitter; whether to stop.
-    fn pause(&mut self) -> bool {
-        let until = Instant::now() + self.reconnect.next(None);
-        let mut revision = 0;
-        while Instant::now() < until {
-            if self.stop.load(Ordering::Acquire) {
-                return true;
+    /// Waits for `work`, and looks after the disk meanwhile; `None` when the node stops before.
+    async fn unless_stopped<T>(&mut self, work: impl Future<Output = T>) -> Option<T> {
+        let mut work = std::pin::pin!(work);
+        loop {
+            tokio::select! {
+                biased;
+                () = self.stop.clone().cancelled_owned() => return None,
+                done = &mut work => return Some(done),
+                () = sleep(POLL_EVERY) => self.retry_disk().await,
             }
-            self.look_after_disk();
-            let look = until.min(Instant::now() + LOOK);
-            revision = self.setup.outbox.wait_for_change(revision, look);
         }
-        self.stop.load(Ordering::Acquire)
     }
 
     /// Tries a disk that failed again, and compares settings that can be read only now.
-    fn look_after_disk(&self) {
-        let setup = &self.setup;
-        setup.outbox.look_after_disk();
-        if setup.outbox.settings_returned() {
-            setup.desired.read_again(&setup.board, &setup.outbox);
+    async fn retry_disk(&mut self) {
+        let setup = Arc::clone(&self.setup);
+        if setup.outbox.counts().failing.is_none() || Instant::now() < self.retry_disk_at {
+            return;
         }
+        self.retry_disk_at = Instant::now() + POLL_EVERY;
+        let tried = spawn_blocking(move || {
+            setup.outbox.retry_disk();
+            if setup.outbox.settings_returned() {
+                setup.desired.read_again(&setup.board, &setup.outbox);
+            }
+        });
+        let _ = tried.await;
     }
 
-    fn serve(&mut self, session: &Session) -> Served {
-        match self.serve_until(session) {
-            Ok(served) => served,
-            Err(error) => Served::Failed(error),
-        }
-    }
-
-    fn serve_until(&mut self, session: &Session) -> zenoh::Result<Served> {
-        let keys = self.setup.keys.clone();
-        let timeout = Duration::from_millis(self.setup.config.answer_timeout_ms);
-        let querier = |key: String| -> zenoh::Result<Querier<'static>> {
-            session
+    async fn serve(&mut self, session: &Session) -> zenoh::Result<Served> {
+        let setup = Arc::clone(&self.setup);
+        let (keys, outbox) = (&setup.keys, &setup.outbox);
+        let timeout = Duration::from_millis(setup.config.answer_timeout_ms);
+        let querier = async |key: String| -> zenoh::Result<Arc<Querier<'static>>> {
+            let querier = session
                 .declare_querier(key)
                 .timeout(timeout)
                 .congestion_control(CongestionControl::Block)
                 .priority(Priority::DataLow)
-                .wait()
+                .await?;
+            Ok(Arc::new(querier))
         };
-        let reports = querier(keys.report())?;
-        let pulls = querier(keys.pull())?;
-        let notifier = self.setup.outbox.clone();
-        let _listener = reports
+        let reports = querier(keys.report()).await?;
+        let pulls = querier(keys.pull()).await?;
+        let (notified, wake) = (Arc::new(AtomicBool::new(false)), Arc::new(Notify::new()));
+        let found = Arc::clone(&wake);
+        let _hub = reports
             .matching_listener()
-            .callback(move |_| notifier.wake())
-            .wait()?;
+            .callback(move |_| found.notify_one())
+            .await?;
         let status = session
             .declare_publisher(keys.status())
             .congestion_control(CongestionControl::Drop)
             .priority(crate::camera::publishing::COUNTERS)
-            .wait()?;
-        let (notifier, notified) = (self.setup.outbox.clone(), Arc::clone(&self.notified));
-        let _notice = session
+            .await?;
+        let (by, news) = (Arc::clone(&notified), Arc::clone(&wake));
+        let _pokes = session
             .declare_subscriber(keys.changed())
-            .callback(move |sample| {
-                let revision =
-                    albireo_wire::read::<albireo_wire::ConfigChanged>(&sample.payload().to_bytes())
-                        .map_or(1, |notice| notice.revision.max(1));
-                notified.fetch_max(revision, Ordering::AcqRel);
-                notifier.wake();
+            .callback(move |_| {
+                by.store(true, Ordering::Release);
+                news.notify_one();
             })
-            .wait()?;
-        let mut shown = None;
-        let _alive = match &self.setup.way {
-            Way::Own(uplink) if uplink.liveliness => {
-                Some(session.liveliness().declare_token(keys.alive()).wait()?)
+            .await?;
+        let _alive = match &setup.route {
+            Route::Own(uplink) if uplink.liveliness => {
+                Some(session.liveliness().declare_token(keys.alive()).await?)
             }
             _ => None,
         };
-
-        let mut revision = 0;
+        let stale = match &setup.route {
+            Route::Own(uplink) => Duration::from_secs(uplink.reopen_s.max(10)),
+            Route::Local(_) => Duration::MAX,
+        };
+        let mut shown = None;
         let mut last_try = None;
-        self.pull_due = true;
-        self.gathering.begin();
+        let (sender, mut ended) = mpsc::channel(4);
+        self.schedule.begin(Instant::now());
         loop {
-            let stopping = self.stop.load(Ordering::Acquire);
-            self.look_after_disk();
-            let connected = reports.matching_status().wait()?.matching();
-            if self.notified.swap(0, Ordering::AcqRel) > 0 {
-                self.pull_due = true;
-            }
-            if !stopping {
-                self.tell_status(&status)?;
-                self.watched.serve(session, &self.setup, &mut shown)?;
-                if self.pull_due && pulls.matching_status().wait()?.matching() {
-                    self.pull(&pulls);
-                }
-            }
-            let mut again = false;
-            // Once the node stops, a pause is over: there is no later.
-            let last_chance = stopping && last_try.is_none();
+            self.retry_disk().await;
             let now = Instant::now();
-            let waiting = self.setup.outbox.counts().waiting;
-            let worth_it = self.gathering.is_worth_it(waiting, now)
-                || (waiting > 0 && self.watched.is_on(now));
-            if connected && (last_chance || (worth_it && self.delivery.is_due(now))) {
-                again = self.deliver(&reports);
+            let counts = outbox.counts();
+            let watched = self.watched.is_on(now);
+            let connected = reports.matching_status().await?.matching();
+            if notified.swap(false, Ordering::AcqRel) {
+                self.schedule.want_pull();
             }
-            if stopping {
-                let until = *last_try.get_or_insert_with(|| Instant::now() + LAST_TRY);
-                if !again || Instant::now() >= until {
-                    return Ok(Served::Stopped);
+            if connected && let Some(again) = self.schedule.next_batch(&counts, watched, now) {
+                let (setup, reports) = (Arc::clone(&setup), Arc::clone(&reports));
+                let sender = sender.clone();
+                tokio::spawn(async move {
+                    let ended = send_batch(&setup, &reports, again).await;
+                    let _ = sender.send(ended).await;
+                });
+            }
+            match last_try {
+                None => {
+                    self.send_status(&status).await?;
+                    self.watched.serve(session, &setup, &mut shown).await?;
+                    if pulls.matching_status().await?.matching() && self.schedule.next_pull(now) {
+                        let (setup, pulls) = (Arc::clone(&setup), Arc::clone(&pulls));
+                        let sender = sender.clone();
+                        tokio::spawn(async move {
+                            let ended = pull(&setup, &pulls).await;
+                            let _ = sender.send(ended).await;
+                        });
+                    }
+                }
+                Some(until) => {
+                    if !self.schedule.sends() || now >= until {
+                        return Ok(Served::Stopped);
+                    }
                 }
             }
-            if let Way::Own(uplink) = &self.setup.way {
-                let stale = Duration::from_secs(uplink.reopen_s.max(10));
-                if !worth_it {
-                    self.last_answer = Instant::now();
-                } else if self.last_answer.elapsed() > stale {
-                    return Ok(Served::Stale);
-                }
+            if connected && self.schedule.is_stale(stale, now) {
+                return Ok(Served::Stale);
             }
-            if !again {
-                let now = Instant::now();
-                let mut until = now + LOOK;
-                if connected {
-                    until = self.delivery.next_look(now, until);
+            let latest = last_try.unwrap_or(now + POLL_EVERY);
+            let look = self.schedule.next_look(latest, now);
+            tokio::select! {
+                () = self.stop.cancelled(), if last_try.is_none() => {
+                    last_try = Some(Instant::now() + LAST_TRY);
+                    self.schedule.hurry();
                 }
-                revision = self.setup.outbox.wait_for_change(revision, until);
+                Some(ended) = ended.recv() => self.take(ended).await,
+                () = outbox.changed() => {}
+                () = wake.notified() => {}
+                Some((camera, query)) = self.watched.question() => {
+                    let setup = Arc::clone(&setup);
+                    spawn_blocking(move || {
+                        watched::answer(&camera, &query, &setup.board, &setup.limits);
+                    });
+                }
+                () = tokio::time::sleep_until(look.into()) => {}
             }
         }
     }
 
-    /// Sends the oldest batch; whether there may be more to send at once.
-    fn deliver(&mut self, reports: &Querier<'_>) -> bool {
-        let patience = Patience {
-            stop: &self.stop,
-            then: LAST_TRY,
-        };
-        let delivered = self.delivery.send(reports, patience);
-        if delivered.answered {
-            self.last_answer = Instant::now();
-        }
-        if delivered.again {
-            self.gathering.sent();
-        }
-        if delivered.new_instance {
-            self.teller.full_is_due();
-        }
-        if let Some(desired) = &delivered.desired {
-            self.take(desired);
-        }
-        delivered.again
-    }
-
-    fn pull(&mut self, pulls: &Querier<'_>) {
-        let request = PullRequest {
-            v: VERSION,
-            instance: self.setup.outbox.instance(),
-            revision: self.setup.desired.revision(),
-        };
-        let Ok(json) = serde_json::to_vec(&request) else {
-            return;
-        };
-        let timeout = Duration::from_millis(self.setup.config.answer_timeout_ms);
-        let patience = Patience {
-            stop: &self.stop,
-            then: LAST_TRY,
-        };
-        match ask::<Desired>(pulls, json, timeout, patience) {
-            Asked::Answered(desired) => {
-                self.pull_due = false;
-                self.last_answer = Instant::now();
-                self.take(&desired);
+    async fn take(&mut self, ended: Ended) {
+        let now = Instant::now();
+        let desired = match ended {
+            Ended::Batch(outcome, desired) => {
+                self.schedule.batch_ended(outcome, now);
+                desired
             }
-            Asked::Refused(refusal) => tracing::debug!(refusal.detail, "nothing pulled"),
-            Asked::Nobody(reason) => tracing::debug!(reason, "nothing pulled"),
-        }
-    }
-
-    fn take(&mut self, desired: &Desired) {
-        if self
-            .setup
-            .desired
-            .take(desired, &self.setup.board, &self.setup.outbox)
-        {
-            self.teller.full_is_due();
-        }
+            Ended::Pull(outcome, desired) => {
+                self.schedule.pull_ended(outcome, now);
+                desired
+            }
+        };
+        let Some(desired) = desired else { return };
         if desired.send_full_status {
             self.teller.full_is_due();
         }
         if let Some(seconds) = desired.watched_for_s {
             self.watched.extend(seconds);
         }
+        // It is written down.
+        let setup = Arc::clone(&self.setup);
+        let taken =
+            spawn_blocking(move || (setup.desired).take(&desired, &setup.board, &setup.outbox));
+        if taken.await.unwrap_or(false) {
+            self.teller.full_is_due();
+        }
     }
 
-    fn tell_status(&mut self, status: &zenoh::pubsub::Publisher<'_>) -> zenoh::Result<()> {
-        let period = Duration::from_secs(self.setup.config.status_s.max(1));
-        let message = self.teller.due(
-            period,
-            &self.setup.board,
-            &self.setup.outbox,
-            &self.setup.desired,
-        );
+    async fn send_status(&mut self, status: &zenoh::pubsub::Publisher<'_>) -> zenoh::Result<()> {
+        let setup = &self.setup;
+        let period = Duration::from_secs(setup.config.status_s.max(1));
+        let message = (self.teller).due(period, &setup.board, &setup.outbox, &setup.desired);
         match message {
-            Ok(Some(payload)) => status.put(payload).wait(),
+            Ok(Some(payload)) => status.put(payload).await,
             _ => Ok(()),
+        }
+    }
+}
+
+/// Sends the oldest reports, and takes the answer to the outbox.
+async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool) -> Ended {
+    let prepare = Arc::clone(setup);
+    let prepared = spawn_blocking(move || {
+        let batch = prepare.outbox.batch(prepare.board.node(), again)?;
+        match batch.to_payload(BatchCompression::Best) {
+            Ok(payload) => Some((batch, payload)),
+            Err(error) => {
+                tracing::error!(%error, "clip reports cannot be written");
+                None
+            }
+        }
+    });
+    let Ok(Some((batch, payload))) = prepared.await else {
+        return Ended::Batch(Outcome::Nothing, None);
+    };
+    match ask::<ReportAnswer>(reports, payload).await {
+        Asked::Answered(answer) => {
+            let outbox = setup.outbox.clone();
+            let taken = spawn_blocking(move || {
+                let stored = outbox.answered(&batch, &answer);
+                tracing::debug!(stored, "clip reports acknowledged");
+                answer.desired
+            });
+            Ended::Batch(Outcome::Done, taken.await.ok().flatten())
+        }
+        Asked::Refused(refusal) => {
+            tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub did not take clip reports");
+            let at_least = refusal.retry_after_ms.map(Duration::from_millis);
+            Ended::Batch(Outcome::Refused(at_least), None)
+        }
+        Asked::Nobody(reason) => {
+            tracing::debug!(reason, "clip reports not acknowledged");
+            Ended::Batch(Outcome::Unanswered, None)
+        }
+    }
+}
+
+/// Asks what is desired.
+async fn pull(setup: &UplinkSetup, pulls: &Querier<'_>) -> Ended {
+    let request = PullRequest {
+        v: VERSION,
+        revision: setup.desired.revision(),
+    };
+    let payload = serde_json::to_vec(&request).unwrap_or_default();
+    match ask::<Desired>(pulls, payload).await {
+        Asked::Answered(desired) => Ended::Pull(Outcome::Done, Some(desired)),
+        Asked::Refused(refusal) => {
+            tracing::debug!(refusal.detail, "nothing pulled");
+            let at_least = refusal.retry_after_ms.map(Duration::from_millis);
+            Ended::Pull(Outcome::Refused(at_least), None)
+        }
+        Asked::Nobody(reason) => {
+            tracing::debug!(reason, "nothing pulled");
+            Ended::Pull(Outcome::Unanswered, None)
         }
     }
 }

@@ -34,11 +34,11 @@ use parking_lot::Mutex;
 use power_past::PowerPast;
 use savings::SavingsSince;
 use std::collections::{BTreeMap, VecDeque};
-use std::ops::Range;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::{broadcast, watch};
 use tokio::time::Instant;
+use uuid::Uuid;
 
 /// Clip reports kept for readers; older ones are forgotten.
 pub(crate) const RECENT_CLIPS: usize = 256;
@@ -280,21 +280,25 @@ impl Board {
 
     /// The newest clip reports, newest first: of one camera or of all, at most `limit`.
     pub fn recent_clips(&self, camera: Option<&str>, limit: usize) -> Vec<Arc<ClipReport>> {
-        self.clips_between(camera, 0..u64::MAX, limit)
+        self.clips_between(camera, None, None, limit)
     }
 
-    /// The newest clip reports whose numbers are in `numbers`, newest first: of one camera or of all, at most `limit`.
+    /// The newest clip reports, newest first: of one camera or of all, at most `limit`; those older than `before` and newer
+    /// than `after`. Of reports that are not in memory nothing is older, and all are newer.
     pub(crate) fn clips_between(
         &self,
         camera: Option<&str>,
-        numbers: Range<u64>,
+        before: Option<Uuid>,
+        after: Option<Uuid>,
         limit: usize,
     ) -> Vec<Arc<ClipReport>> {
-        self.clips
-            .lock()
-            .iter()
-            .rev()
-            .filter(|report| numbers.contains(&report.report))
+        let clips = self.clips.lock();
+        let mut newest_first = clips.iter().rev();
+        if let Some(before) = before {
+            newest_first.by_ref().find(|report| report.id == before);
+        }
+        newest_first
+            .take_while(|report| Some(report.id) != after)
             .filter(|report| camera.is_none_or(|name| report.camera == name))
             .take(limit)
             .cloned()

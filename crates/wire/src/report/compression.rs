@@ -1,80 +1,68 @@
-//! How a batch of reports is compressed: by Zstandard against an example batch that node and hub both have, so that names and
-//! usual words are not sent at all.
+//! Compresses a batch with Zstandard against an example batch that node and hub both have, so that names and usual words
+//! are not sent at all.
 
-use super::BatchError;
+use super::{BatchError, LARGEST_BATCH_BYTES};
 use std::io::{Read, Write};
 use std::sync::LazyLock;
 use zstd::dict::{DecoderDictionary, EncoderDictionary};
 
-/// The dictionary that this program has: the first byte of every payload.
+/// The dictionary of this program: the first byte of each payload.
 pub const REPORT_DICTIONARY: u8 = 1;
 
-/// Dictionary 1: reports as several boards make them. What was once released is never changed; a better one gets the
-/// next number.
+/// Dictionary 1: reports as several boards make them. Once released it is never changed; a better one gets the next
+/// number.
 static DICTIONARY: &[u8] = include_bytes!("dictionary-1.json");
 
-/// Zstandard's level for a node: a batch is some ten kilobytes and goes out once in minutes, so that some milliseconds
-/// are nothing beside a tenth of its bytes.
-const BEST: i32 = 19;
-
-/// The level for a program that plays thousands of nodes.
-const QUICK: i32 = 9;
-
 /// Largest window that is accepted of a sender, as a power of two: no more than a batch may hold.
-const WINDOW_LOG: u32 = super::LARGEST_BATCH_BYTES.ilog2();
+const WINDOW_LOG: u32 = LARGEST_BATCH_BYTES.ilog2();
 
 static BEST_ENCODER: LazyLock<EncoderDictionary<'static>> =
-    LazyLock::new(|| EncoderDictionary::copy(DICTIONARY, BEST));
+    LazyLock::new(|| EncoderDictionary::copy(DICTIONARY, 19));
 static QUICK_ENCODER: LazyLock<EncoderDictionary<'static>> =
-    LazyLock::new(|| EncoderDictionary::copy(DICTIONARY, QUICK));
+    LazyLock::new(|| EncoderDictionary::copy(DICTIONARY, 9));
 static DECODER: LazyLock<DecoderDictionary<'static>> =
     LazyLock::new(|| DecoderDictionary::copy(DICTIONARY));
 
-/// How much effort goes into a batch's compression.
+/// How much work goes into a batch.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum BatchCompression {
-    /// The smallest payload.
+    /// For a node: a batch is some ten kilobytes and goes out once in minutes, so that some milliseconds are nothing beside
+    /// a tenth of its bytes.
     #[default]
     Best,
-    /// Some 15 % larger, in a tenth of the time.
+    /// For a program that plays thousands of nodes: some 15 % larger, in a tenth of the time.
     Quick,
 }
 
 impl BatchCompression {
-    /// The payload of a batch that is JSON already.
-    ///
-    /// # Errors
-    /// None that can happen: memory takes all that is written.
-    pub fn compress(self, json: &[u8]) -> std::io::Result<Vec<u8>> {
-        match self {
-            Self::Best => against(&BEST_ENCODER, json),
-            Self::Quick => against(&QUICK_ENCODER, json),
-        }
+    pub(super) fn compress(self, json: &[u8]) -> std::io::Result<Vec<u8>> {
+        let dictionary = match self {
+            Self::Best => &BEST_ENCODER,
+            Self::Quick => &QUICK_ENCODER,
+        };
+        let payload = vec![REPORT_DICTIONARY];
+        let mut encoder = zstd::Encoder::with_prepared_dictionary(payload, dictionary)?;
+        encoder.include_checksum(true)?;
+        encoder.set_pledged_src_size(Some(json.len() as u64))?;
+        encoder.write_all(json)?;
+        encoder.finish()
     }
 }
 
-fn against(dictionary: &EncoderDictionary<'_>, json: &[u8]) -> std::io::Result<Vec<u8>> {
-    let payload = vec![REPORT_DICTIONARY];
-    let mut encoder = zstd::Encoder::with_prepared_dictionary(payload, dictionary)?;
-    encoder.include_checksum(true)?;
-    encoder.set_pledged_src_size(Some(json.len() as u64))?;
-    encoder.write_all(json)?;
-    encoder.finish()
-}
-
-/// The JSON of a payload.
-pub(super) fn decompress(payload: &[u8], most: u64) -> Result<Vec<u8>, BatchError> {
+/// The JSON of a batch's payload, at most [`LARGEST_BATCH_BYTES`].
+///
+/// # Errors
+/// [`BatchError`] when it is not compressed with a dictionary known here, breaks off, or is too large.
+pub fn decompress_batch(payload: &[u8]) -> Result<Vec<u8>, BatchError> {
+    let (dictionary, compressed) = payload.split_first().unwrap_or((&0, &[]));
+    if *dictionary != REPORT_DICTIONARY {
+        return Err(BatchError::UnknownDictionary(*dictionary));
+    }
+    let mut decoder = zstd::Decoder::with_prepared_dictionary(compressed, &DECODER)?;
+    decoder.window_log_max(WINDOW_LOG)?;
     let mut json = Vec::new();
-    match payload.split_first() {
-        Some((&REPORT_DICTIONARY, compressed)) => {
-            let mut decoder = zstd::Decoder::with_prepared_dictionary(compressed, &DECODER)?;
-            decoder.window_log_max(WINDOW_LOG)?;
-            decoder.take(most + 1).read_to_end(&mut json)?;
-        }
-        Some((&number, _)) => return Err(BatchError::UnknownDictionary(number)),
-        None => return Err(BatchError::Inconsistent("the payload is empty")),
-    }
-    if json.len() as u64 > most {
+    (decoder.take(LARGEST_BATCH_BYTES as u64 + 1)).read_to_end(&mut json)?;
+    if json.len() > LARGEST_BATCH_BYTES {
         return Err(BatchError::TooLarge);
     }
     Ok(json)

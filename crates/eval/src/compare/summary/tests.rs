@@ -26,10 +26,12 @@ pub(crate) fn run(round: usize, variant: usize, calls: u64, joules: Option<f64>)
         advice: None,
         report: ClipReport {
             v: 1,
+            id: Default::default(),
             node: "compare".to_owned(),
             camera: "camera".to_owned(),
             clip: "measured".to_owned(),
-            report: 0,
+            part: 0,
+            count: None,
             ended_by: ClipEnd::Shutdown,
             started_ns: 0,
             duration_s,

@@ -25,6 +25,8 @@ pub enum EnergyBy {
     Policy,
     /// Policy and value of its knob.
     Knob,
+    /// Camera and name of the clip: the parts of a long clip are added. Of clips that are still kept one by one.
+    Clip,
 }
 
 /// How long the spans are that the sums were made from.
@@ -59,7 +61,7 @@ pub struct EnergyQuery {
 /// Sums of one group and one quality.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct EnergyGroup {
-    /// Node, camera (`node/camera`), day (seconds since the Unix epoch), policy, or policy and value (`albireo u=0.0003`);
+    /// Node, camera (`node/camera`), day (seconds since the Unix epoch), policy, policy and value (`albireo u=0.0003`), or clip (`node/camera/clip`);
     /// empty for the sum over all.
     pub group: String,
     /// `measured`, `partial`, `estimated` or `unavailable`: sums of different qualities are never added.
@@ -98,15 +100,20 @@ pub struct EnergyGroup {
     pub audit_counts: AuditCounts,
 }
 
+/// Clips one by one, as sums of their own.
+const CLIPS: &str = "(SELECT c.*, c.at_ms / 1000 AS bucket_s, CASE c.part WHEN 0 THEN 1 ELSE 0 END AS clips, \
+    CASE WHEN c.avoided_uj IS NULL THEN c.avoided_calls ELSE 0 END AS unpriced_calls FROM clips c)";
+
 impl Store {
     /// Sums, in the order of the groups.
     ///
     /// # Errors
     /// When the database cannot be read.
     pub async fn energy(&self, wanted: &EnergyQuery) -> Result<Vec<EnergyGroup>, StoreError> {
-        let table = match wanted.resolution {
-            Resolution::FiveMinutes => "sums_5m",
-            Resolution::Day => "sums_day",
+        let table = match (wanted.by, wanted.resolution) {
+            (EnergyBy::Clip, _) => CLIPS,
+            (_, Resolution::FiveMinutes) => "sums_5m",
+            (_, Resolution::Day) => "sums_day",
         };
         let cameras = "JOIN cameras m ON m.id = t.camera_id JOIN nodes n ON n.id = m.node_id";
         let setups = "JOIN setups s ON s.id = t.setup_id";
@@ -123,6 +130,10 @@ impl Store {
                 "s.policy || CASE WHEN s.knob = '' THEN '' ELSE ' ' || s.knob || '=' || s.value END",
                 setups.to_owned(),
             ),
+            EnergyBy::Clip => (
+                "n.name || '/' || m.name || '/' || t.clip",
+                cameras.to_owned(),
+            ),
         };
         let mut filter = String::new();
         if wanted.node.is_some() {
@@ -131,7 +142,9 @@ impl Store {
                 joins = format!("{joins} {cameras}");
             }
         }
-        let sum = |column: &str| format!("CAST(SUM(t.{column}) AS BIGINT) AS {column}");
+        let sum = |column: &str| {
+            format!("CAST(COALESCE({{SUM_OF}}(t.{column})), 0) AS BIGINT) AS {column}")
+        };
         let sums: Vec<String> = [
             "clips",
             "duration_us",

@@ -1,4 +1,4 @@
-//! Clips, events, instances, and what was set aside.
+//! Clips, events, what is known of reports, and what was set aside.
 
 use super::audit::AuditCounts;
 use crate::store::{Store, StoreError};
@@ -7,6 +7,7 @@ use serde::Serialize;
 use sqlx::Row as _;
 use sqlx::any::AnyRow;
 use utoipa::ToSchema;
+use uuid::Uuid;
 
 /// Which clips.
 #[derive(Clone, Debug, Default)]
@@ -34,10 +35,10 @@ pub struct StoredClip {
     pub node: String,
     /// Camera.
     pub camera: String,
-    /// Instance of the node.
-    pub instance: String,
-    /// Number of the report within the instance.
-    pub report: i64,
+    /// Identity of the report.
+    pub report_id: String,
+    /// Running count of the report at its node.
+    pub count: Option<i64>,
     /// The time it is filed under, milliseconds since the Unix epoch: when it began, or when it was received where the
     /// node's clock is off.
     pub at_ms: i64,
@@ -45,6 +46,8 @@ pub struct StoredClip {
     pub received_ms: i64,
     /// Clip id.
     pub clip: String,
+    /// Number of this part of the clip, from 0.
+    pub part: i64,
     /// Why it ended.
     pub ended_by: String,
     /// Its length, seconds.
@@ -106,9 +109,9 @@ pub(super) fn quality_name(code: i64) -> &'static str {
     }
 }
 
-const CLIPS: &str = "SELECT c.*, n.name AS node, m.name AS camera, i.instance, s.policy, s.knob, s.value, s.model, \
+const CLIPS: &str = "SELECT c.*, n.name AS node, m.name AS camera, s.policy, s.knob, s.value, s.model, \
     s.provider, s.power_source FROM clips c JOIN cameras m ON m.id = c.camera_id JOIN nodes n ON n.id = m.node_id \
-    JOIN instances i ON i.id = c.instance_id JOIN setups s ON s.id = c.setup_id";
+    JOIN setups s ON s.id = c.setup_id";
 
 fn clip(row: &AnyRow) -> Result<StoredClip, StoreError> {
     let number = |name: &str| row.try_get::<i64, _>(name);
@@ -118,11 +121,12 @@ fn clip(row: &AnyRow) -> Result<StoredClip, StoreError> {
         id: number("id")?,
         node: row.try_get("node")?,
         camera: row.try_get("camera")?,
-        instance: row.try_get("instance")?,
-        report: number("report")?,
+        report_id: report_id(row)?,
+        count: row.try_get("count")?,
         at_ms: number("at_ms")?,
         received_ms: number("received_ms")?,
         clip: row.try_get("clip")?,
+        part: number("part")?,
         ended_by: row.try_get("ended_by")?,
         duration_s: number("duration_us")? as f64 / 1e6,
         frames: number("frames")?,
@@ -152,6 +156,12 @@ fn clip(row: &AnyRow) -> Result<StoredClip, StoreError> {
     })
 }
 
+fn report_id(row: &AnyRow) -> Result<String, StoreError> {
+    let bytes: Vec<u8> = row.try_get("report_id")?;
+    let id = Uuid::from_slice(&bytes).map_err(|error| StoreError::Statement(error.to_string()))?;
+    Ok(id.to_string())
+}
+
 /// Something that happened.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct StoredEvent {
@@ -159,7 +169,7 @@ pub struct StoredEvent {
     pub id: i64,
     /// When, milliseconds since the Unix epoch.
     pub at_ms: i64,
-    /// What kind: `node`, `gap`, `conflict`, `set_aside`, `clock_off`, `refused`.
+    /// What kind: `node`, `gap`, `reset`, `set_aside`, `clock_off`, `refused`.
     pub kind: String,
     /// The node it is about.
     pub node: Option<String>,
@@ -167,46 +177,40 @@ pub struct StoredEvent {
     pub detail: serde_json::Value,
 }
 
-/// A report that could not be read.
+/// A report that makes no sense.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct StoredSetAside {
     /// Its number.
     pub id: i64,
     /// The node that sent it.
     pub node: String,
-    /// Number of the report within its instance.
-    pub report: Option<i64>,
+    /// Identity of the report.
+    pub report_id: Option<String>,
     /// When it came.
     pub received_ms: i64,
-    /// Why it cannot be read.
+    /// Why it is not taken.
     pub cause: String,
-    /// What came, at most 64 KiB of it.
+    /// What came, at most 2 KiB of it.
     pub body: String,
 }
 
-/// An instance of a node, with what is counted of it.
-#[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
-pub struct InstanceView {
-    /// Its identity.
-    pub instance: String,
-    /// Digest of the machine it was first heard from.
-    pub machine: Option<String>,
-    /// Number of the first report that is not stored.
-    pub next_report: i64,
-    /// When a batch came first.
+/// What is known of the reports of a node.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, ToSchema)]
+pub struct ReportCounts {
+    /// When a batch came first, milliseconds since the Unix epoch.
     pub first_ms: i64,
     /// When a batch came last.
     pub last_ms: i64,
-    /// Clips stored.
-    pub reports: i64,
-    /// Reports set aside.
+    /// Reports stored.
+    pub stored: i64,
+    /// Reports that make no sense.
     pub set_aside: i64,
-    /// Reports that never came.
-    pub missing: i64,
-    /// Reports that the node says it lost.
-    pub lost: i64,
-    /// Batches with a number that belongs to another report.
-    pub conflicts: i64,
+    /// Reports refused, because they were too old.
+    pub refused: i64,
+    /// Running counts that never came.
+    pub missing: u64,
+    /// How often the running count began anew: the node's state was made anew, went back in time or was copied.
+    pub resets: i64,
 }
 
 impl Store {
@@ -305,7 +309,7 @@ impl Store {
                 Ok(StoredSetAside {
                     id: row.try_get("id")?,
                     node: row.try_get("node")?,
-                    report: row.try_get("report")?,
+                    report_id: row.try_get("report_id")?,
                     received_ms: row.try_get("received_ms")?,
                     cause: row.try_get("cause")?,
                     body: row.try_get("body")?,
@@ -314,34 +318,27 @@ impl Store {
             .collect()
     }
 
-    /// The instances of a node.
+    /// What is known of the reports of a node; nothing where none came.
     ///
     /// # Errors
     /// When the database cannot be read.
-    pub async fn instances(&self, node: &str) -> Result<Vec<InstanceView>, StoreError> {
+    pub async fn report_counts(&self, node: &str) -> Result<Option<ReportCounts>, StoreError> {
         let query = self
-            .query(
-                "SELECT i.* FROM instances i JOIN nodes n ON n.id = i.node_id WHERE n.name = $1 \
-                 ORDER BY i.last_ms DESC, i.id DESC LIMIT 100",
-            )
+            .query("SELECT r.* FROM report_counts r JOIN nodes n ON n.id = r.node_id WHERE n.name = $1")
             .bind(node.to_owned());
-        self.all(query)
-            .await?
-            .iter()
-            .map(|row| {
-                Ok(InstanceView {
-                    instance: row.try_get("instance")?,
-                    machine: row.try_get("machine")?,
-                    next_report: row.try_get("next_report")?,
-                    first_ms: row.try_get("first_ms")?,
-                    last_ms: row.try_get("last_ms")?,
-                    reports: row.try_get("reports")?,
-                    set_aside: row.try_get("set_aside")?,
-                    missing: row.try_get("missing")?,
-                    lost: row.try_get("lost")?,
-                    conflicts: row.try_get("conflicts")?,
-                })
+        let read = |row: &AnyRow| {
+            let missing: String = row.try_get("missing")?;
+            let missing: Vec<(u64, u64)> = serde_json::from_str(&missing)?;
+            Ok(ReportCounts {
+                first_ms: row.try_get("first_ms")?,
+                last_ms: row.try_get("last_ms")?,
+                stored: row.try_get("stored")?,
+                set_aside: row.try_get("set_aside")?,
+                refused: row.try_get("refused")?,
+                missing: missing.iter().map(|(first, last)| last - first + 1).sum(),
+                resets: row.try_get("resets")?,
             })
-            .collect()
+        };
+        self.all(query).await?.first().map(read).transpose()
     }
 }

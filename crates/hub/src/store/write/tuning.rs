@@ -476,7 +476,7 @@ impl Store {
              JOIN setups s ON s.id = c.setup_id \
              WHERE s.knob = CAST(r.value ->> 1 AS TEXT) AND s.value = CAST(r.value ->> 2 AS TEXT) \
              AND c.received_ms >= CAST(r.value ->> 3 AS BIGINT) AND c.received_ms <= CAST(r.value ->> 4 AS BIGINT) \
-             AND (c.details IS NULL OR c.details NOT LIKE '%threshold_changes%') GROUP BY n.name, c.quality",
+             AND c.threshold_changed = 0 GROUP BY n.name, c.quality",
             sums.join(", ")
         );
         let mut found = Vec::new();

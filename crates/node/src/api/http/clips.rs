@@ -11,6 +11,7 @@ use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use utoipa::{IntoParams, ToSchema};
+use uuid::Uuid;
 
 /// Which clips.
 #[derive(Deserialize, IntoParams)]
@@ -22,10 +23,12 @@ pub(super) struct Selection {
     /// At most this many; 50 without it.
     #[param(minimum = 1, maximum = 256)]
     limit: Option<usize>,
-    /// Reports with a lower number only: `next` of an answer, for the clips before those.
-    before: Option<u64>,
-    /// Reports with a higher number only: the highest number seen, for the clips since.
-    after: Option<u64>,
+    /// Reports older than the one of this identity only: `next` of an answer, for the clips before those.
+    #[param(value_type = Option<String>, format = "uuid")]
+    before: Option<Uuid>,
+    /// Reports newer than the one of this identity only: the newest that is known, for the clips since.
+    #[param(value_type = Option<String>, format = "uuid")]
+    after: Option<Uuid>,
 }
 
 /// Recent clip reports, newest first.
@@ -36,7 +39,8 @@ pub(super) struct Clips {
     clips: Vec<ArcReport>,
     /// To be given as `before` for the clips before these; absent when there are none in memory.
     #[serde(skip_serializing_if = "Option::is_none")]
-    next: Option<u64>,
+    #[schema(value_type = Option<String>, format = "uuid")]
+    next: Option<Uuid>,
 }
 
 /// A shared report; serialised as the report itself.
@@ -50,7 +54,7 @@ impl Serialize for ArcReport {
 
 /// Recent clip reports, newest first
 ///
-/// The node keeps the newest 256 in memory. `before` and `after` take the numbers of reports (`report`), which grow.
+/// The node keeps the newest 256 in memory. `before` and `after` take the identities of reports (`id`).
 /// `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
 #[utoipa::path(
     get, operation_id = "list_clips", path = "/api/v1/clips", tag = "clips", params(Selection),
@@ -75,14 +79,13 @@ pub(super) async fn list(
     if let Some(camera) = &selection.camera {
         shared.camera(camera)?;
     }
-    let first = selection.after.map_or(0, |after| after.saturating_add(1));
-    let numbers = first..selection.before.unwrap_or(u64::MAX);
+    let Selection { before, after, .. } = selection;
     // One more than asked for tells whether there are more.
     let board = shared.board();
-    let mut clips = board.clips_between(selection.camera.as_deref(), numbers, limit + 1);
+    let mut clips = board.clips_between(selection.camera.as_deref(), before, after, limit + 1);
     let more = clips.len() > limit;
     clips.truncate(limit);
-    let next = clips.last().map(|clip| clip.report).filter(|_| more);
+    let next = clips.last().map(|clip| clip.id).filter(|_| more);
     Ok(Json(Clips {
         clips: clips.into_iter().map(ArcReport).collect(),
         next,

@@ -200,6 +200,11 @@ impl BoardCollector {
                 counts.in_memory,
             ),
             (
+                "outbox_again",
+                "Clip reports that a hub had and has lost, to be sent again",
+                counts.again,
+            ),
+            (
                 "outbox_durable",
                 "Whether clip reports survive a power loss",
                 u64::from(counts.durable),
@@ -220,8 +225,13 @@ impl BoardCollector {
             ),
             (
                 "outbox_lost",
-                "Clip reports lost since the instance began: the outbox was full or its disk broken",
+                "Clip reports lost: the outbox was full or its disk broken",
                 counts.lost,
+            ),
+            (
+                "outbox_undeliverable",
+                "Clip reports that a hub refused for good, or that could not be read",
+                counts.undeliverable,
             ),
             (
                 "outbox_disk_failures",

@@ -8,6 +8,8 @@ use serde::{Deserialize, Serialize};
 pub struct ClipConfig {
     /// Seconds of one clip of a camera that names none (BDD100K clips have 40).
     pub window_s: f64,
+    /// Most seconds of one report: a clip that lasts longer is reported in parts, so that a power cut costs at most one.
+    pub longest_s: f64,
     /// Seconds without a frame after which the open clip ends.
     pub silence_s: f64,
 }
@@ -16,6 +18,7 @@ impl Default for ClipConfig {
     fn default() -> Self {
         Self {
             window_s: 40.0,
+            longest_s: 300.0,
             silence_s: 5.0,
         }
     }

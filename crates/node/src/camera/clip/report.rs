@@ -3,7 +3,7 @@
 use super::latencies::Latencies;
 use crate::camera::audit::AuditCount;
 use albireo_power::{Domain, Energy, Measured, Measurement};
-use albireo_service::clock::milliseconds;
+use albireo_service::clock::{milliseconds, unix_nanoseconds};
 use albireo_wire::{
     AuditReport, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, FULL_COVERAGE, FrameStates,
     Threshold, ThresholdChange, VERSION,
@@ -11,6 +11,7 @@ use albireo_wire::{
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
+use uuid::{NoContext, Timestamp, Uuid};
 
 /// How long the last report may wait for its energy when the node stops: for two samples at usual intervals.
 const PATIENCE_AT_THE_END: Duration = Duration::from_millis(300);
@@ -41,6 +42,8 @@ impl ClosedAudit {
 pub(crate) struct ClosedClip {
     /// The camera's own name, or `window-N`.
     pub clip: Arc<str>,
+    /// Number of this part of it, from 0.
+    pub part: u32,
     /// Why it ended.
     pub ended_by: ClipEnd,
     /// Capture time of its first frame, nanoseconds since the Unix epoch.
@@ -78,8 +81,6 @@ pub(crate) struct ClipMeta {
     pub node: String,
     /// Camera.
     pub camera: String,
-    /// Number of the report within the node's life.
-    pub report: u64,
     /// Policy.
     pub policy: String,
     /// Detector model: file name.
@@ -94,16 +95,17 @@ impl ClosedClip {
         self.end.saturating_duration_since(self.start)
     }
 
-    /// The report as far as it is known at once, without energy: what a hub is told should the node die before the
-    /// meter has answered.
-    pub(crate) fn without_energy(&self, meta: ClipMeta) -> ClipReport {
+    /// The report as far as it is known at once, without energy.
+    fn without_energy(&self, meta: ClipMeta) -> ClipReport {
         let duration = self.duration();
         ClipReport {
             v: VERSION,
+            id: new_id(),
             node: meta.node,
             camera: meta.camera,
             clip: self.clip.to_string(),
-            report: meta.report,
+            part: self.part,
+            count: None,
             ended_by: self.ended_by,
             started_ns: self.started_ns,
             duration_s: duration.as_secs_f64(),
@@ -133,7 +135,7 @@ impl ClosedClip {
         let mut report = self.without_energy(meta);
         let patience = match self.ended_by {
             ClipEnd::Shutdown => PATIENCE_AT_THE_END,
-            ClipEnd::NextClip | ClipEnd::Window | ClipEnd::Silence => Duration::MAX,
+            _ => Duration::MAX,
         };
         let duration = self.duration();
         if let Some(measured) = self.energy.finish(self.end, patience).await {
@@ -157,6 +159,14 @@ fn unmeasured() -> Measured {
         saved_joules: None,
         board: None,
     }
+}
+
+/// An id that no other report has, of the present time.
+fn new_id() -> Uuid {
+    let now_ns = unix_nanoseconds();
+    let (seconds, nanoseconds) = (now_ns / 1_000_000_000, now_ns % 1_000_000_000);
+    let nanoseconds = u32::try_from(nanoseconds).unwrap_or(0);
+    Uuid::new_v7(Timestamp::from_unix(NoContext, seconds, nanoseconds))
 }
 
 /// The energy section of a report. Where samples do not cover the whole clip there is no energy-delay product: the energy

@@ -141,7 +141,7 @@ fn a_frame_after_silence_begins_a_new_window_at_its_own_arrival() {
 fn a_window_shorter_than_a_pause_never_ends_before_its_first_frame() {
     let mut camera = Camera::with(ClipConfig {
         window_s: 2.0,
-        silence_s: 5.0,
+        ..ClipConfig::default()
     });
     for at in [0, 1000, 1900] {
         assert!(camera.frame(at, None).is_none());
@@ -155,6 +155,50 @@ fn a_window_shorter_than_a_pause_never_ends_before_its_first_frame() {
     let closed = camera.tracker.shutdown(camera.at(6100)).unwrap();
     assert_eq!(closed.start, camera.at(6000));
     assert!(closed.end >= camera.at(6000));
+}
+
+#[test]
+fn a_long_clip_is_reported_in_parts_that_tile_its_time() {
+    let mut camera = Camera::with(ClipConfig {
+        longest_s: 60.0,
+        ..ClipConfig::default()
+    });
+    let mut closed = Vec::new();
+    for i in 0..1500 {
+        closed.extend(camera.frame(i * 100, Some("drive")));
+    }
+    closed.extend(camera.tracker.shutdown(camera.at(150_000)));
+    let told: Vec<_> = (closed.iter())
+        .map(|part| (&*part.clip, part.part, part.ended_by, part.duration()))
+        .collect();
+    assert_eq!(
+        told,
+        [
+            ("drive", 0, ClipEnd::Length, ms(60_000)),
+            ("drive", 1, ClipEnd::Length, ms(60_000)),
+            ("drive", 2, ClipEnd::Shutdown, ms(30_000)),
+        ]
+    );
+    assert_eq!(closed[0].end, closed[1].start);
+    assert_eq!(closed[1].end, closed[2].start);
+    let frames: u64 = closed.iter().map(|part| part.states.frames()).sum();
+    assert_eq!(frames, 1500);
+}
+
+#[test]
+fn a_name_that_comes_back_after_a_silence_is_a_new_clip_and_no_part() {
+    let mut camera = Camera::with(ClipConfig {
+        longest_s: 60.0,
+        ..ClipConfig::default()
+    });
+    for i in 0..600 {
+        assert!(camera.frame(i * 100, Some("drive")).is_none());
+    }
+    let closed = camera.tracker.tick(camera.at(60_000)).unwrap();
+    assert_eq!((closed.part, closed.ended_by), (0, ClipEnd::Length));
+    assert!(camera.frame(70_000, Some("drive")).is_none());
+    let closed = camera.tracker.shutdown(camera.at(70_100)).unwrap();
+    assert_eq!((closed.part, closed.start), (0, camera.at(70_000)));
 }
 
 #[test]
@@ -238,7 +282,10 @@ fn events() -> impl Strategy<Value = Vec<Event>> {
 proptest! {
     #[test]
     fn no_frame_is_lost_between_clips_and_no_time_is_counted_twice(events in events()) {
-        let mut camera = Camera::new();
+        let mut camera = Camera::with(ClipConfig {
+            longest_s: 50.0,
+            ..ClipConfig::default()
+        });
         let mut closed: Vec<ClosedClip> = Vec::new();
         let (mut now, mut frames, mut dropped) = (0, 0, 0);
         for event in events {

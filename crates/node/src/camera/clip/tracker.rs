@@ -1,9 +1,9 @@
 //! When a clip begins and ends, and what is counted in between.
 //!
-//! A clip that the camera names ends when the camera names another. Otherwise clips are windows of
-//! `window_s`; while frames keep coming, a window begins where the last one ended, so that no time and no
-//! energy falls between two windows. Every clip also ends when the camera has been silent for `silence_s`,
-//! and on shutdown; it then ends one mean frame interval after its last frame arrived (or when that frame
+//! A clip that the camera names ends when the camera names another, and is reported in parts of at most `longest_s`.
+//! Otherwise clips are windows of `window_s`. While frames keep coming, a window or a part begins where the last one
+//! ended, so that no time and no energy falls between two. Every clip also ends when the camera has been silent for
+//! `silence_s`, and on shutdown; it then ends one mean frame interval after its last frame arrived (or when that frame
 //! was answered, if that is later), so that the silence itself is not charged to it.
 
 use super::config::ClipConfig;
@@ -52,6 +52,7 @@ pub(crate) struct FrameResult {
 #[derive(Debug)]
 struct OpenClip {
     clip: Arc<str>,
+    part: u32,
     windowed: bool,
     started_ns: u64,
     start: Instant,
@@ -85,13 +86,23 @@ pub(crate) struct ClipTracker {
     energy: CameraEnergy,
     audit: Option<Audited>,
     window: Duration,
+    longest: Duration,
     silence: Duration,
     windows: u64,
     open: Option<OpenClip>,
     /// Drops counted while no clip was open: they go to the next.
     pending: DroppedFrames,
-    /// End of the last window, where the next one begins if frames keep coming.
-    last_window_end: Option<Instant>,
+    /// The window or part that was full last: what follows begins where it ended, if frames keep coming.
+    full: Option<FullClip>,
+}
+
+/// A window or a part that ended because it was full.
+#[derive(Debug)]
+struct FullClip {
+    clip: Arc<str>,
+    part: u32,
+    windowed: bool,
+    end: Instant,
 }
 
 impl ClipTracker {
@@ -103,11 +114,12 @@ impl ClipTracker {
             energy,
             audit: None,
             window: seconds(config.window_s, 0.001),
+            longest: seconds(config.longest_s, 0.001),
             silence: seconds(config.silence_s, 0.001),
             windows: 0,
             open: None,
             pending: DroppedFrames::default(),
-            last_window_end: None,
+            full: None,
         }
     }
 
@@ -201,24 +213,31 @@ impl ClipTracker {
     /// When [`tick`](Self::tick) should be called, should no frame arrive before.
     pub(crate) fn deadline(&self) -> Option<Instant> {
         let open = self.open.as_ref()?;
-        let silent = open.last_arrival + self.silence;
-        Some(if open.windowed {
-            silent.min(open.start + self.window)
-        } else {
-            silent
-        })
+        Some((open.last_arrival + self.silence).min(open.start + self.limit(open)))
     }
 
-    /// Ends the clip whose window is full or whose camera has been silent for long enough. To be called
+    /// How long the open clip, or its part, may last.
+    fn limit(&self, open: &OpenClip) -> Duration {
+        if open.windowed {
+            self.window
+        } else {
+            self.longest
+        }
+    }
+
+    /// Ends the clip whose window or part is full or whose camera has been silent for long enough. To be called
     /// while no frame is being processed.
     pub(crate) fn tick(&mut self, now: Instant) -> Option<ClosedClip> {
         let open = self.open.as_ref()?;
-        if open.windowed && now >= open.start + self.window {
-            // A camera that stopped during the window ends it by its silence, not by the clock.
-            let window_end = open.start + self.window;
-            if window_end <= open.last_arrival + self.silence {
-                return self.close(ClipEnd::Window, window_end);
-            }
+        let full = open.start + self.limit(open);
+        // A camera that stopped before ends it by its silence, not by the clock.
+        if now >= full && full <= open.last_arrival + self.silence {
+            let ended_by = if open.windowed {
+                ClipEnd::Window
+            } else {
+                ClipEnd::Length
+            };
+            return self.close(ended_by, full);
         }
         if now >= open.last_arrival + self.silence {
             let end = open.natural_end().min(now);
@@ -251,22 +270,21 @@ impl ClipTracker {
 
     fn begin(&mut self, frame: &FrameArrival<'_>) {
         let windowed = frame.clip.is_none();
-        let clip = match frame.clip {
-            Some(name) => Arc::from(name),
-            None => {
+        // What was full goes on where frames keep coming; and what begins there is not over before the frame came.
+        let full = self.full.take().filter(|full| {
+            let limit = if windowed { self.window } else { self.longest };
+            full.windowed == windowed
+                && frame.clip.is_none_or(|clip| clip == &*full.clip)
+                && frame.arrival.saturating_duration_since(full.end) < self.silence.min(limit)
+        });
+        let start = full.as_ref().map_or(frame.arrival, |full| full.end);
+        let (clip, part) = match (frame.clip, full) {
+            (Some(_), Some(full)) => (full.clip, full.part.saturating_add(1)),
+            (Some(name), None) => (Arc::from(name), 0),
+            (None, _) => {
                 self.windows += 1;
-                format!("window-{}", self.windows - 1).into()
+                (format!("window-{}", self.windows - 1).into(), 0)
             }
-        };
-        // Frames keep coming; and the window that begins there is not over before the frame came.
-        let keeps_coming = self.silence.min(self.window);
-        let start = match self.last_window_end.take() {
-            Some(end)
-                if windowed && frame.arrival.saturating_duration_since(end) < keeps_coming =>
-            {
-                end
-            }
-            _ => frame.arrival,
         };
         let arrival = frame.arrival.max(start);
         let energy = self.energy.measure(start);
@@ -275,6 +293,7 @@ impl ClipTracker {
         let pending = audit.map(|audit| std::mem::take(&mut audit.pending));
         self.open = Some(OpenClip {
             clip,
+            part,
             windowed,
             started_ns: frame.t_ns,
             start,
@@ -297,9 +316,16 @@ impl ClipTracker {
 
     fn close(&mut self, ended_by: ClipEnd, end: Instant) -> Option<ClosedClip> {
         let open = self.open.take()?;
-        self.last_window_end = (ended_by == ClipEnd::Window).then_some(end);
+        let full = matches!(ended_by, ClipEnd::Window | ClipEnd::Length);
+        self.full = full.then(|| FullClip {
+            clip: Arc::clone(&open.clip),
+            part: open.part,
+            windowed: open.windowed,
+            end,
+        });
         Some(ClosedClip {
             clip: open.clip,
+            part: open.part,
             ended_by,
             started_ns: open.started_ns,
             start: open.start,

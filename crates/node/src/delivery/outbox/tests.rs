@@ -1,16 +1,24 @@
-use super::batch::{BATCH_BYTES, LARGEST_REPORT};
+use super::disk::FILE;
+use super::waiting::{BATCH_BYTES, MOST_IN_MEMORY, Now, Waiting};
 use super::*;
-use albireo_wire::{ClipEnd, ClipEnergy, EnergyQuality, VERSION};
-use std::sync::mpsc::channel;
+use albireo_wire::{
+    ClipEnd, ClipEnergy, EnergyQuality, LARGEST_REPORT_BYTES, RefusedReport, VERSION,
+};
 use std::time::Duration;
+use uuid::Uuid;
+
+/// The database of the hub that answers.
+const HUB: Uuid = Uuid::from_u128(1);
 
 fn report(clip: u64) -> ClipReport {
     ClipReport {
         v: VERSION,
+        id: Uuid::from_u128(u128::from(clip) + 100),
         node: "n".into(),
         camera: "front".into(),
         clip: format!("window-{clip}"),
-        report: 0,
+        part: 0,
+        count: None,
         ended_by: ClipEnd::Window,
         started_ns: 0,
         duration_s: 1.0,
@@ -51,15 +59,9 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let folder = tempfile::tempdir().unwrap();
-        let machine_id = folder.path().join("machine-id");
-        std::fs::write(&machine_id, "one").unwrap();
         Self {
-            config: OutboxConfig {
-                machine_id,
-                ..OutboxConfig::default()
-            },
-            folder,
+            folder: tempfile::tempdir().unwrap(),
+            config: OutboxConfig::default(),
         }
     }
 
@@ -75,125 +77,203 @@ impl Bench {
         Outbox::open(&self.config, Some(&self.state())).unwrap()
     }
 
-    fn become_machine(&self, id: &str) {
-        std::fs::write(&self.config.machine_id, id).unwrap();
+    /// Takes the disk away; something stands in its place, so that no folder is made anew.
+    fn take_disk(&self) {
+        std::fs::rename(self.state(), self.folder.path().join("away")).unwrap();
+        std::fs::write(self.state(), b"").unwrap();
+    }
+
+    fn return_disk(&self, outbox: &Outbox) {
+        std::fs::remove_file(self.state()).unwrap();
+        std::fs::rename(self.folder.path().join("away"), self.state()).unwrap();
+        outbox.disk_is_due();
+        outbox.retry_disk();
     }
 }
 
 fn keep(outbox: &Outbox, clips: std::ops::Range<u64>) {
     for clip in clips {
-        let mut reports = [report(clip)];
-        let tickets = outbox.keep(&mut reports);
-        outbox.settle(&tickets, &mut reports);
+        outbox.insert(&mut [report(clip)]);
     }
 }
 
-fn clips(batch: &Batch) -> Vec<String> {
-    batch
-        .message
-        .reports
-        .iter()
-        .map(|r| r.clip.clone())
-        .collect()
+fn batch(outbox: &Outbox) -> Option<ReportBatch> {
+    outbox.batch("n", true)
 }
 
-/// The batches that go out when a hub takes everything.
-fn drain(outbox: &Outbox) -> Vec<Batch> {
+fn clips(batch: &ReportBatch) -> Vec<&str> {
+    batch.reports.iter().map(|r| r.clip.as_str()).collect()
+}
+
+fn counts(batch: &ReportBatch) -> Vec<Option<u64>> {
+    batch.reports.iter().map(|r| r.count).collect()
+}
+
+fn acknowledge(outbox: &Outbox, batch: &ReportBatch) -> u64 {
+    outbox.answered(batch, &ReportAnswer::new(HUB))
+}
+
+/// The clips that go out when a hub takes everything.
+fn drain(outbox: &Outbox) -> Vec<String> {
     let mut sent = Vec::new();
-    while let Some(batch) = outbox.batch("n") {
-        outbox.acknowledge(&batch, batch.message.last);
-        sent.push(batch);
+    while let Some(batch) = batch(outbox) {
+        acknowledge(outbox, &batch);
+        sent.extend(clips(&batch).into_iter().map(str::to_owned));
     }
     sent
 }
 
 #[test]
-fn report_numbers_go_on_after_a_restart_even_when_all_were_acknowledged() {
+fn the_count_of_reports_goes_on_after_a_restart_even_when_all_were_acknowledged() {
     let bench = Bench::new();
     let outbox = bench.open();
-    let instance = outbox.instance();
     keep(&outbox, 0..3);
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!((batch.message.first, batch.message.last), (1, 3));
-    assert_eq!(outbox.acknowledge(&batch, 3), Acknowledged::Removed(3));
-    assert!(outbox.batch("n").is_none());
+    let sent = batch(&outbox).unwrap();
+    assert_eq!(counts(&sent), [Some(1), Some(2), Some(3)]);
+    assert_eq!(acknowledge(&outbox, &sent), 3);
+    assert!(batch(&outbox).is_none());
     drop(outbox);
     let outbox = bench.open();
     keep(&outbox, 3..4);
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!(batch.message.instance, instance);
-    assert_eq!((batch.message.first, batch.message.last), (4, 4));
+    assert_eq!(counts(&batch(&outbox).unwrap()), [Some(4)]);
 }
 
 #[test]
-fn a_report_is_removed_only_when_it_is_acknowledged() {
+fn a_report_is_sent_until_it_is_acknowledged_and_one_that_is_refused_never_again() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..5);
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!(outbox.acknowledge(&batch, 0), Acknowledged::Nothing);
-    assert_eq!(outbox.acknowledge(&batch, 2), Acknowledged::Removed(2));
+    let mut sent = batch(&outbox).unwrap();
+    sent.reports.truncate(2);
+    let answer = ReportAnswer {
+        refused: vec![RefusedReport {
+            id: sent.reports[1].id,
+            reason: "too old".into(),
+        }],
+        ..ReportAnswer::new(HUB)
+    };
+    assert_eq!(outbox.answered(&sent, &answer), 1);
     drop(outbox);
     let outbox = bench.open();
-    assert_eq!(
-        clips(&outbox.batch("n").unwrap()),
-        ["window-2", "window-3", "window-4"]
-    );
-    assert_eq!(outbox.counts().waiting, 3);
+    let counts = outbox.counts();
+    assert_eq!((counts.waiting, counts.undeliverable), (3, 1));
+    assert_eq!(drain(&outbox), ["window-2", "window-3", "window-4"]);
 }
 
 #[test]
-fn a_report_without_its_energy_is_not_sent_and_survives_a_kill() {
+fn a_state_directory_that_had_another_name_delivers_under_the_present_one() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..1);
-    outbox.keep(&mut [report(1)]);
-    keep(&outbox, 2..3);
-    // It stands in the way of later ones, so that numbers go out in order.
-    assert_eq!(clips(&outbox.batch("n").unwrap()), ["window-0"]);
-    drop(outbox);
-    assert_eq!(bench.open().batch("n").unwrap().message.reports.len(), 3);
-}
-
-#[test]
-fn a_cloned_state_directory_is_a_new_instance_and_the_old_reports_keep_theirs() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    let first = outbox.instance();
-    keep(&outbox, 0..2);
-    drop(outbox);
-    bench.become_machine("two");
-    let outbox = bench.open();
-    assert_ne!(outbox.instance(), first);
-    keep(&outbox, 2..3);
-    let old = outbox.batch("n").unwrap();
-    assert_eq!(old.message.instance, first);
-    assert_eq!(clips(&old), ["window-0", "window-1"]);
-    // The hub may have more of the old instance, from the machine it was cloned from.
-    assert_eq!(outbox.acknowledge(&old, 9), Acknowledged::Removed(2));
-    let new = outbox.batch("n").unwrap();
+    let before = batch(&outbox).unwrap();
+    let now = outbox.batch("renamed", false).unwrap();
     assert_eq!(
-        (new.message.first, clips(&new)),
-        (1, vec!["window-2".to_owned()])
+        (now.node.as_str(), now.reports[0].node.as_str()),
+        ("renamed", "renamed")
     );
-    assert_eq!(new.message.instance, outbox.instance());
+    assert_eq!(now.reports[0].id, before.reports[0].id);
 }
 
 #[test]
-fn a_state_directory_that_went_back_in_time_begins_a_new_instance_and_loses_nothing() {
+fn what_a_hub_has_lost_is_sent_again_once_and_after_what_none_had() {
     let bench = Bench::new();
     let outbox = bench.open();
-    let first = outbox.instance();
-    keep(&outbox, 0..3);
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!(outbox.acknowledge(&batch, 20), Acknowledged::NewInstance);
-    let batch = outbox.batch("n").unwrap();
-    assert_ne!(batch.message.instance, first);
-    assert_eq!((batch.message.first, batch.message.last), (1, 3));
-    assert_eq!(clips(&batch).len(), 3);
-    let instance = outbox.instance();
-    drop(outbox);
-    assert_eq!(bench.open().instance(), instance);
+    keep(&outbox, 0..5);
+    drain(&outbox);
+    keep(&outbox, 5..7);
+    let sent = batch(&outbox).unwrap();
+    let answer = ReportAnswer {
+        missing: vec![(2, 3), (5, 5), (90, 99)],
+        ..ReportAnswer::new(HUB)
+    };
+    outbox.answered(&sent, &answer);
+    assert_eq!((outbox.counts().waiting, outbox.counts().again), (0, 3));
+    keep(&outbox, 7..8);
+    assert_eq!(clips(&outbox.batch("n", false).unwrap()), ["window-7"]);
+    let sent = batch(&outbox).unwrap();
+    assert_eq!(
+        clips(&sent),
+        ["window-7", "window-1", "window-2", "window-4"]
+    );
+    acknowledge(&outbox, &sent);
+    assert!(batch(&outbox).is_none());
+}
+
+#[test]
+fn a_hub_with_another_database_is_sent_once_what_is_still_here() {
+    let bench = Bench::new();
+    let outbox = bench.open();
+    keep(&outbox, 0..4);
+    drain(&outbox);
+    keep(&outbox, 4..5);
+    let other = ReportAnswer::new(Uuid::from_u128(2));
+    let sent = batch(&outbox).unwrap();
+    outbox.answered(&sent, &other);
+    assert_eq!((outbox.counts().waiting, outbox.counts().again), (0, 4));
+    let sent = batch(&outbox).unwrap();
+    assert_eq!(sent.reports.len(), 4);
+    outbox.answered(&sent, &other);
+    // Both are known now, whoever answers.
+    for answer in [ReportAnswer::new(HUB), other] {
+        keep(&outbox, 5..6);
+        if let Some(sent) = batch(&outbox) {
+            outbox.answered(&sent, &answer);
+        }
+        assert_eq!(outbox.counts().again, 0);
+    }
+}
+
+#[test]
+fn no_step_of_the_clock_costs_a_report() {
+    const DAY_MS: i64 = 86_400_000;
+    let bench = Bench::new();
+    let at = |days: i64| Now {
+        at: Instant::now(),
+        unix_ms: 1_795_000_000_000 + days * DAY_MS,
+    };
+    for steps in [[-3 * 365, 0], [0, 200], [200, -3 * 365], [-20_000, 20_000]] {
+        let disk = StateFile::new(&bench.state().join(format!("{steps:?}")));
+        let mut waiting = Waiting::new(Some(Box::new(disk)), 64 << 20);
+        waiting.open(at(0)).unwrap();
+        let reports: Vec<_> = (0..20).map(report).collect();
+        for (report, day) in reports
+            .iter()
+            .zip([0, steps[0], steps[1], 0].iter().cycle())
+        {
+            waiting.insert(&mut [report.clone()], at(*day));
+        }
+        // What is acknowledged at one time takes nothing with it at another.
+        let mut sent = waiting.batch("n", true, at(steps[0])).unwrap();
+        sent.reports.truncate(4);
+        for day in steps {
+            waiting.answered(&sent, &ReportAnswer::new(HUB), at(day));
+        }
+        assert_eq!((waiting.counts().waiting, waiting.counts().lost), (16, 0));
+        let left = waiting.batch("n", true, at(steps[1])).unwrap();
+        assert_eq!(left.reports.len(), 16);
+    }
+}
+
+#[test]
+fn acknowledged_reports_are_kept_for_a_week() {
+    const DAY_MS: i64 = 86_400_000;
+    let bench = Bench::new();
+    let mut waiting = Waiting::new(Some(Box::new(StateFile::new(&bench.state()))), 64 << 20);
+    let at = |day: i64| Now {
+        at: Instant::now(),
+        unix_ms: 1_795_000_000_000 + day * DAY_MS,
+    };
+    waiting.open(at(0)).unwrap();
+    for day in 0..20_i64 {
+        waiting.insert(&mut [report(day.unsigned_abs())], at(day));
+        let sent = waiting.batch("n", true, at(day)).unwrap();
+        waiting.answered(&sent, &ReportAnswer::new(HUB), at(day));
+    }
+    // Another database asks for all that is there.
+    waiting.insert(&mut [report(20)], at(19));
+    let sent = waiting.batch("n", true, at(19)).unwrap();
+    waiting.answered(&sent, &ReportAnswer::new(Uuid::from_u128(2)), at(19));
+    assert_eq!(waiting.counts().again, 8);
 }
 
 #[test]
@@ -210,36 +290,39 @@ fn a_second_node_with_the_same_state_directory_refuses_to_start() {
 }
 
 #[test]
-fn a_foreign_file_is_refused_in_words() {
-    let bench = Bench::new();
-    std::fs::create_dir(bench.state()).unwrap();
-    let db = rusqlite::Connection::open(bench.file()).unwrap();
-    db.execute_batch("CREATE TABLE other (x)").unwrap();
-    drop(db);
-    let error = Outbox::open(&bench.config, Some(&bench.state())).unwrap_err();
-    assert!(error.to_string().contains("another program's"), "{error}");
+fn a_foreign_file_and_one_of_the_first_version_are_refused_in_words() {
+    for (statements, wanted) in [
+        ("CREATE TABLE other (x)", "another program's"),
+        (
+            "CREATE TABLE instance (id); PRAGMA application_id = 0x616c6269; PRAGMA user_version = 1",
+            "such as 0.1.0",
+        ),
+    ] {
+        let bench = Bench::new();
+        std::fs::create_dir(bench.state()).unwrap();
+        let db = rusqlite::Connection::open(bench.file()).unwrap();
+        db.execute_batch(statements).unwrap();
+        drop(db);
+        let error = Outbox::open(&bench.config, Some(&bench.state())).unwrap_err();
+        assert!(error.to_string().contains(wanted), "{error}");
+    }
 }
 
 #[test]
-fn a_damaged_file_is_set_aside_and_what_can_be_read_is_saved() {
+fn a_damaged_file_is_set_aside() {
     let bench = Bench::new();
     let outbox = bench.open();
-    let first = outbox.instance();
     keep(&outbox, 0..400);
     drop(outbox);
     let mut bytes = std::fs::read(bench.file()).unwrap();
-    let pages = bytes.len() / 4096;
-    let torn = (pages * 2 / 3) * 4096;
-    bytes[torn..torn + 4096].fill(0xa5);
+    bytes[4096..].fill(0xa5);
     std::fs::write(bench.file(), bytes).unwrap();
     let outbox = bench.open();
+    keep(&outbox, 400..401);
     let counts = outbox.counts();
-    assert!(counts.disk_failures > 0);
-    assert!((100..400).contains(&counts.waiting), "{counts:?}");
-    assert_ne!(outbox.instance(), first, "what was lost cannot be known");
+    assert!(counts.disk_failures > 0 && counts.durable, "{counts:?}");
     assert!(bench.state().join("node.db.damaged-0").exists());
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!(batch.message.instance, first);
+    assert_eq!(drain(&outbox), ["window-400"]);
 }
 
 #[test]
@@ -258,103 +341,116 @@ fn a_disk_that_vanishes_and_returns_keeps_what_came_meanwhile() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);
-    let away = bench.folder.path().join("away");
-    std::fs::rename(bench.state(), &away).unwrap();
-    // Something stands where the folder was, so that it cannot be made anew.
-    std::fs::write(bench.state(), b"").unwrap();
+    bench.take_disk();
     keep(&outbox, 2..4);
     let counts = outbox.counts();
     assert!(!counts.durable && counts.failing.is_some());
     assert_eq!((counts.in_memory, counts.waiting), (2, 4));
-    // What is on the disk has lower numbers: nothing may overtake it.
-    assert!(outbox.batch("n").is_none());
-    std::fs::remove_file(bench.state()).unwrap();
-    std::fs::rename(&away, bench.state()).unwrap();
-    outbox.disk_is_due();
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!((batch.message.first, batch.message.last), (1, 4));
+    bench.return_disk(&outbox);
     let counts = outbox.counts();
-    assert!(counts.durable && counts.in_memory == 0);
+    assert!(counts.durable && counts.in_memory == 0, "{counts:?}");
     drop(outbox);
-    assert_eq!(bench.open().counts().waiting, 4);
+    let outbox = bench.open();
+    assert_eq!(outbox.counts().waiting, 4);
+    assert_eq!(
+        super::tests::counts(&batch(&outbox).unwrap()),
+        [Some(1), Some(2), Some(3), Some(4)]
+    );
 }
 
 #[test]
-fn a_full_outbox_loses_the_oldest_and_counts_them() {
-    let mut bench = Bench::new();
-    let size = serde_json::to_vec(&report(1)).unwrap().len() as u64;
-    bench.config.max_bytes = 10 * size + size / 2;
+fn reports_made_before_the_disk_came_have_no_count_and_are_delivered() {
+    let bench = Bench::new();
+    keep(&bench.open(), 0..3);
+    bench.take_disk();
+    let state = bench.state().join("below");
+    let outbox = Outbox::open(&bench.config, Some(&state)).unwrap();
+    keep(&outbox, 3..4);
+    std::fs::remove_file(bench.state()).unwrap();
+    std::fs::create_dir(bench.state()).unwrap();
+    std::fs::rename(bench.folder.path().join("away"), &state).unwrap();
+    outbox.disk_is_due();
+    outbox.retry_disk();
+    keep(&outbox, 4..5);
+    let sent = batch(&outbox).unwrap();
+    assert_eq!(sent.reports.len(), 5);
+    let of = |clip: &str| sent.reports.iter().find(|report| report.clip == clip);
+    assert_eq!(of("window-3").unwrap().count, None);
+    assert_eq!(of("window-4").unwrap().count, Some(4));
+}
+
+#[test]
+fn what_was_acknowledged_while_the_disk_was_away_is_not_sent_from_it_again() {
+    let bench = Bench::new();
     let outbox = bench.open();
-    keep(&outbox, 0..30);
+    keep(&outbox, 0..2);
+    let sent = batch(&outbox).unwrap();
+    bench.take_disk();
+    keep(&outbox, 2..3);
+    assert_eq!(acknowledge(&outbox, &sent), 2);
+    assert_eq!(clips(&batch(&outbox).unwrap()), ["window-2"]);
+    assert_eq!(outbox.counts().waiting, 1);
+    bench.return_disk(&outbox);
+    assert_eq!(drain(&outbox), ["window-2"]);
+    // Another disk is put in, with reports of its own.
+    let other = Bench::new();
+    keep(&other.open(), 10..12);
+    std::fs::rename(bench.state(), bench.folder.path().join("first")).unwrap();
+    keep(&outbox, 3..4);
+    std::fs::remove_dir_all(bench.state()).ok();
+    std::fs::rename(other.state(), bench.state()).unwrap();
+    outbox.disk_is_due();
+    outbox.retry_disk();
+    let mut sent = drain(&outbox);
+    sent.sort();
+    assert_eq!(sent, ["window-10", "window-11", "window-3"]);
+}
+
+#[test]
+fn a_full_outbox_gives_away_what_a_hub_has_and_then_loses_the_oldest_and_counts_them() {
+    let mut bench = Bench::new();
+    bench.config.max_bytes = 128 << 10;
+    let outbox = bench.open();
+    keep(&outbox, 0..40);
+    drain(&outbox);
+    keep(&outbox, 40..60);
     let counts = outbox.counts();
-    assert!(
-        counts.waiting <= 10 && counts.lost + counts.waiting == 30,
-        "{counts:?}"
-    );
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!(batch.message.last, 30);
-    assert_eq!(batch.message.lost, counts.lost);
+    assert_eq!((counts.waiting, counts.lost), (20, 0));
+    keep(&outbox, 60..400);
+    let counts = outbox.counts();
+    assert!(counts.lost > 0 && counts.waiting > 20, "{counts:?}");
+    assert_eq!(counts.lost + counts.waiting, 360);
+    assert!(counts.last_loss.is_some());
+    assert_eq!(drain(&outbox).last().unwrap(), "window-399");
+    let size = std::fs::metadata(bench.file()).unwrap().len();
+    assert!(size < 256 << 10, "{size}");
     drop(outbox);
     assert_eq!(bench.open().counts().lost, counts.lost);
 }
 
 #[test]
 fn without_a_state_directory_reports_wait_in_memory_within_bounds() {
-    let config = OutboxConfig {
-        memory_reports: 5,
-        ..OutboxConfig::default()
-    };
-    let outbox = Outbox::open(&config, None).unwrap();
-    keep(&outbox, 0..8);
+    let outbox = Outbox::open(&OutboxConfig::default(), None).unwrap();
+    let most = MOST_IN_MEMORY as u64;
+    keep(&outbox, 0..most + 3);
     let counts = outbox.counts();
-    assert_eq!((counts.waiting, counts.lost, counts.durable), (5, 3, false));
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!((batch.message.first, batch.message.last), (4, 8));
-    assert_eq!(outbox.acknowledge(&batch, 8), Acknowledged::Removed(5));
-    assert!(outbox.batch("n").is_none());
-}
-
-#[test]
-fn thresholds_of_an_earlier_version_are_taken_over_once() {
-    let bench = Bench::new();
-    std::fs::create_dir(bench.state()).unwrap();
-    let old = bench.state().join("thresholds.json");
-    std::fs::write(
-        &old,
-        r#"{"v":1,"cameras":{"front":{"knob":"u","value":5e-4,"configured":3e-4}}}"#,
-    )
-    .unwrap();
-    let outbox = bench.open();
-    let kept: serde_json::Value = outbox.setting("threshold/front").unwrap();
-    assert_eq!(kept["value"], 5e-4);
-    assert!(!old.exists());
-    drop(outbox);
-    assert!(
-        bench
-            .open()
-            .setting::<serde_json::Value>("threshold/front")
-            .is_some()
+    assert_eq!(
+        (counts.waiting, counts.lost, counts.durable),
+        (most, 3, false)
     );
+    let sent = drain(&outbox);
+    assert_eq!((sent.len() as u64, sent[0].as_str()), (most, "window-3"));
 }
 
-#[test]
-fn reports_of_an_earlier_version_are_taken_over() {
-    let bench = Bench::new();
-    let folder = bench.state().join("clip-reports/front");
-    std::fs::create_dir_all(&folder).unwrap();
-    for clip in 0..3 {
-        let name = format!("{:020}-{clip:08}.json", 7);
-        std::fs::write(
-            folder.join(name),
-            serde_json::to_vec(&report(clip)).unwrap(),
-        )
+/// SQLite's own error of a full disk: no more than so many pages beyond those there are.
+fn limit_pages(outbox: &Outbox, pages: i64) {
+    let waiting = outbox.shared.waiting.lock();
+    let db = waiting.table().connection();
+    let now: i64 = db
+        .pragma_query_value(None, "page_count", |row| row.get(0))
         .unwrap();
-    }
-    let outbox = bench.open();
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!(clips(&batch), ["window-0", "window-1", "window-2"]);
-    assert_eq!(batch.message.last, 3);
-    assert!(!bench.state().join("clip-reports").exists());
+    let limit = format!("PRAGMA max_page_count = {}", now + pages);
+    db.query_row(&limit, [], |_| Ok(())).unwrap();
 }
 
 #[test]
@@ -362,61 +458,76 @@ fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);
-    let limit = |pages| {
-        let state = outbox.0.state.lock();
-        state.store.as_ref().unwrap().limit_pages(pages);
-    };
-    // SQLite's own error of a full disk.
-    limit(0);
+    limit_pages(&outbox, 0);
     keep(&outbox, 2..60);
     let counts = outbox.counts();
     assert!(counts.in_memory > 0 && counts.waiting == 60, "{counts:?}");
     assert!(counts.failing.unwrap().contains("full"));
-    // What is on disk can still be read and goes first, also after a look that found the disk as full as before.
+    // What is on disk can still be read, also after an attempt that found the disk as full as before.
     for _ in 0..2 {
-        let batch = outbox.batch("n").unwrap();
-        assert_eq!(batch.message.first, 1);
-        assert!(batch.message.last < 60);
+        assert_eq!(batch(&outbox).unwrap().reports.len(), 60);
         outbox.disk_is_due();
+        outbox.retry_disk();
     }
     assert!(!outbox.counts().durable);
-    limit(1000);
+    limit_pages(&outbox, 1000);
     outbox.disk_is_due();
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!((batch.message.first, batch.message.last), (1, 60));
-    assert!(outbox.counts().durable);
+    outbox.retry_disk();
+    let counts = outbox.counts();
+    assert!(counts.durable && counts.in_memory == 0);
+    assert_eq!(drain(&outbox).len(), 60);
 }
 
 #[test]
-fn a_disk_that_cannot_be_written_delivers_what_is_on_it_and_then_what_is_in_memory() {
+fn a_disk_that_failed_is_tried_again_within_seconds_however_long_it_failed() {
     let bench = Bench::new();
     let outbox = bench.open();
     keep(&outbox, 0..2);
-    let mut unsettled = [report(2)];
-    let tickets = outbox.keep(&mut unsettled);
+    limit_pages(&outbox, 0);
+    keep(&outbox, 2..60);
+    let mut waiting = outbox.shared.waiting.lock();
+    let mut now = Now::system();
+    for _ in 0..20 {
+        now.at = waiting.retry_at;
+        waiting.retry_disk(now);
+        assert!(waiting.retry_at - now.at <= Duration::from_secs(2));
+    }
+}
+
+#[test]
+fn a_full_disk_takes_the_room_of_reports_that_a_hub_has() {
+    let bench = Bench::new();
+    let outbox = bench.open();
+    keep(&outbox, 0..200);
+    drain(&outbox);
+    limit_pages(&outbox, 0);
+    keep(&outbox, 200..300);
+    let counts = outbox.counts();
+    assert!(counts.durable && counts.in_memory == 0, "{counts:?}");
+}
+
+#[test]
+fn a_disk_that_cannot_be_written_delivers_what_is_on_it_and_what_is_in_memory() {
+    let bench = Bench::new();
+    let outbox = bench.open();
+    keep(&outbox, 0..3);
     // Somebody else writes and does not end: opening the file anew is of no use.
     let other = rusqlite::Connection::open(bench.file()).unwrap();
     other.execute_batch("BEGIN IMMEDIATE").unwrap();
-    unsettled[0].policy = "settled".into();
-    outbox.settle(&tickets, &mut unsettled);
     keep(&outbox, 3..5);
-    outbox.disk_is_due();
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!(clips(&batch), ["window-0", "window-1", "window-2"]);
-    assert_eq!(batch.message.reports[2].policy, "settled");
-    assert_eq!(outbox.acknowledge(&batch, 3), Acknowledged::Removed(3));
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!((batch.message.first, batch.message.last), (4, 5));
-    assert_eq!(outbox.acknowledge(&batch, 4), Acknowledged::Removed(1));
+    let mut sent = batch(&outbox).unwrap();
+    assert_eq!(sent.reports.len(), 5);
+    sent.reports.truncate(4);
+    assert_eq!(acknowledge(&outbox, &sent), 4);
     assert_eq!(outbox.counts().waiting, 1);
+    assert_eq!(clips(&batch(&outbox).unwrap()), ["window-4"]);
     other.execute_batch("ROLLBACK").unwrap();
     outbox.disk_is_due();
-    assert_eq!(clips(&outbox.batch("n").unwrap()), ["window-4"]);
+    outbox.retry_disk();
     let counts = outbox.counts();
     assert!(counts.durable && counts.waiting == 1 && counts.in_memory == 0);
     drop(outbox);
-    let outbox = bench.open();
-    assert_eq!(clips(&outbox.batch("n").unwrap()), ["window-4"]);
+    assert_eq!(drain(&bench.open()), ["window-4"]);
 }
 
 #[test]
@@ -425,232 +536,90 @@ fn a_file_that_has_become_read_only_is_read_and_opened_anew() {
     let outbox = bench.open();
     keep(&outbox, 0..2);
     {
-        let state = outbox.0.state.lock();
-        state.store.as_ref().unwrap().refuse_writes();
+        let waiting = outbox.shared.waiting.lock();
+        let db = waiting.table().connection();
+        db.pragma_update(None, "query_only", true).unwrap();
     }
     keep(&outbox, 2..3);
     assert!(outbox.counts().failing.unwrap().contains("readonly"));
-    assert_eq!(outbox.batch("n").unwrap().message.last, 2);
+    assert_eq!(batch(&outbox).unwrap().reports.len(), 3);
     outbox.disk_is_due();
-    assert_eq!(outbox.batch("n").unwrap().message.last, 3);
-    assert!(outbox.counts().durable);
-}
-
-#[test]
-fn energy_that_is_known_while_the_disk_is_away_is_there_when_it_returns() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    let mut reports = [report(0), report(1)];
-    let tickets = outbox.keep(&mut reports);
-    let away = bench.folder.path().join("away");
-    std::fs::rename(bench.state(), &away).unwrap();
-    reports[0].policy = "settled".into();
-    outbox.settle(&tickets, &mut reports);
-    assert!(outbox.counts().failing.is_some());
-    std::fs::remove_dir_all(bench.state()).ok();
-    std::fs::rename(&away, bench.state()).unwrap();
-    outbox.disk_is_due();
-    outbox.look_after_disk();
-    drop(outbox);
-    let batch = bench.open().batch("n").unwrap();
-    assert_eq!(batch.message.reports[0].policy, "settled");
-}
-
-#[test]
-fn energy_finds_its_clip_when_a_new_instance_has_begun_meanwhile() {
-    let bench = Bench::new();
-    for outbox in [bench.open(), Outbox::in_memory()] {
-        let first = outbox.instance();
-        keep(&outbox, 0..3);
-        let mut waiting = [report(3)];
-        let tickets = outbox.keep(&mut waiting);
-        let batch = outbox.batch("n").unwrap();
-        assert_eq!(outbox.acknowledge(&batch, 2), Acknowledged::Removed(2));
-        let batch = outbox.batch("n").unwrap();
-        assert!(outbox.conflict(&batch));
-        assert_ne!(outbox.instance(), first);
-        // Two more, so that the number of before is another clip's now.
-        keep(&outbox, 4..6);
-        waiting[0].policy = "settled".into();
-        outbox.settle(&tickets, &mut waiting);
-        assert_eq!(waiting[0].report, 2);
-        let batch = outbox.batch("n").unwrap();
-        assert_eq!(
-            clips(&batch),
-            ["window-2", "window-3", "window-4", "window-5"]
-        );
-        let settled: Vec<_> = (batch.message.reports.iter())
-            .filter(|report| report.policy == "settled")
-            .map(|report| report.clip.as_str())
-            .collect();
-        assert_eq!(settled, ["window-3"]);
-    }
-}
-
-#[test]
-fn what_a_hub_has_of_one_file_is_not_removed_from_another() {
-    let bench = Bench::new();
-    let other = Bench::new();
-    let outbox = other.open();
-    keep(&outbox, 0..5);
-    drop(outbox);
-    let outbox = bench.open();
-    keep(&outbox, 0..4);
-    let batch = outbox.batch("n").unwrap();
-    std::fs::rename(bench.state(), bench.folder.path().join("away")).unwrap();
-    std::fs::write(bench.state(), b"").unwrap();
-    keep(&outbox, 4..5);
-    assert_eq!(outbox.acknowledge(&batch, 4), Acknowledged::Removed(4));
-    // Another disk is put in: its instance has the same row there.
-    std::fs::remove_file(bench.state()).unwrap();
-    std::fs::rename(other.state(), bench.state()).unwrap();
-    outbox.disk_is_due();
-    let sent = drain(&outbox);
-    let numbers: Vec<_> = sent
-        .iter()
-        .map(|b| (b.message.first, b.message.last))
-        .collect();
-    assert_eq!(numbers, [(1, 5), (5, 5)]);
-    assert_ne!(sent[0].message.instance, sent[1].message.instance);
+    outbox.retry_disk();
+    let counts = outbox.counts();
+    assert!(counts.durable && counts.in_memory == 0, "{counts:?}");
 }
 
 #[test]
 fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
-    let outbox = Outbox::in_memory();
-    for clip in 0..20 {
-        let mut reports = [report(clip)];
-        reports[0].policy = "x".repeat(300 << 10);
-        let tickets = outbox.keep(&mut reports);
-        outbox.settle(&tickets, &mut reports);
+    let bench = Bench::new();
+    for outbox in [bench.open(), Outbox::in_memory()] {
+        for clip in 0..60 {
+            let mut one = report(clip);
+            one.policy = "x".repeat(50 << 10);
+            outbox.insert(&mut [one]);
+        }
+        let mut sent = Vec::new();
+        while let Some(batch) = batch(&outbox) {
+            assert!(serde_json::to_vec(&batch).unwrap().len() < BATCH_BYTES + 2000);
+            acknowledge(&outbox, &batch);
+            sent.extend(batch.reports);
+        }
+        assert_eq!(sent.len(), 60);
     }
-    let sent = drain(&outbox);
-    let size = |batch: &Batch| serde_json::to_vec(&batch.message).unwrap().len();
-    assert!(sent.iter().all(|batch| size(batch) < BATCH_BYTES + 2000));
-    assert_eq!(sent.iter().flat_map(clips).count(), 20);
 }
 
 #[test]
-fn a_report_that_no_hub_would_take_is_counted_as_lost_and_the_rest_goes() {
+fn a_report_that_no_hub_would_take_is_counted_and_the_rest_goes() {
     let bench = Bench::new();
     for outbox in [bench.open(), Outbox::in_memory()] {
         for clip in 0..3 {
-            let mut reports = [report(clip)];
+            let mut one = report(clip);
             if clip == 1 {
-                reports[0].policy = "x".repeat(LARGEST_REPORT);
+                one.policy = "x".repeat(LARGEST_REPORT_BYTES);
             }
-            let tickets = outbox.keep(&mut reports);
-            outbox.settle(&tickets, &mut reports);
+            outbox.insert(&mut [one]);
         }
-        let sent: Vec<_> = drain(&outbox).iter().flat_map(clips).collect();
-        assert_eq!(sent, ["window-0", "window-2"]);
+        assert_eq!(drain(&outbox), ["window-0", "window-2"]);
         let counts = outbox.counts();
-        assert_eq!((counts.lost, counts.waiting), (1, 0));
-        assert!(counts.last_loss.is_some());
+        assert_eq!((counts.undeliverable, counts.waiting), (1, 0));
     }
 }
 
 #[test]
-fn waking_the_sender_never_waits_for_a_disk() {
-    let outbox = Outbox::in_memory();
-    // As while a disk is written.
-    let writing = outbox.0.state.lock();
-    let (woken, seen) = channel();
-    let sender = outbox.clone();
-    let thread = std::thread::spawn(move || {
-        sender.wake();
-        let revision = sender.wait_for_change(0, Instant::now() + Duration::from_secs(60));
-        woken.send(revision).unwrap();
-    });
-    let woken = seen.recv_timeout(Duration::from_secs(20));
-    drop(writing);
-    assert_eq!(woken.unwrap(), 1);
-    thread.join().unwrap();
-}
-
-#[test]
-fn the_pauses_between_looks_at_a_failed_disk_grow_up_to_a_bound() {
+fn a_kept_report_that_cannot_be_read_is_counted_and_the_rest_goes() {
     let bench = Bench::new();
-    std::fs::write(bench.folder.path().join("not a folder"), b"").unwrap();
-    let state = bench.folder.path().join("not a folder/state");
-    let outbox = Outbox::open(&bench.config, Some(&state)).unwrap();
-    let mut pauses = Vec::new();
-    for _ in 0..6 {
-        outbox.disk_is_due();
-        outbox.look_after_disk();
-        pauses.push(outbox.0.state.lock().retry_pause.as_secs());
-    }
-    assert_eq!(pauses, [4, 8, 16, 30, 30, 30]);
-}
-
-#[test]
-fn a_report_of_an_old_instance_that_cannot_be_read_is_counted_lost_and_the_rest_goes() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    keep(&outbox, 0..3);
-    drop(outbox);
+    keep(&bench.open(), 0..3);
     let db = rusqlite::Connection::open(bench.file()).unwrap();
-    db.execute("UPDATE report SET json = x'00' WHERE number = 2", [])
+    db.execute("UPDATE report SET json = x'00' WHERE count = 2", [])
         .unwrap();
     drop(db);
     let outbox = bench.open();
-    let batch = outbox.batch("n").unwrap();
-    assert_eq!(clips(&batch), ["window-0", "window-2"]);
-    assert_eq!(outbox.counts().lost, 1);
+    assert_eq!(drain(&outbox), ["window-0", "window-2"]);
+    assert_eq!(outbox.counts().undeliverable, 1);
 }
 
 #[test]
-fn reports_whose_numbers_another_has_taken_get_a_new_instance() {
+fn a_copy_of_the_state_delivers_the_same_identities() {
     let bench = Bench::new();
-    let outbox = bench.open();
-    let first = outbox.instance();
-    keep(&outbox, 0..2);
-    drop(outbox);
-    bench.become_machine("two");
-    let outbox = bench.open();
-    keep(&outbox, 2..4);
-    // First of the old instance, then of the present one.
-    let old = outbox.batch("n").unwrap();
-    assert_eq!(old.message.instance, first);
-    assert!(outbox.conflict(&old));
-    let mut seen = Vec::new();
-    while let Some(batch) = outbox.batch("n") {
-        assert_ne!(batch.message.instance, first);
-        assert_eq!(batch.message.first, 1);
-        seen.extend(clips(&batch));
-        outbox.acknowledge(&batch, batch.message.last);
-    }
-    assert_eq!(seen, ["window-2", "window-3", "window-0", "window-1"]);
-    keep(&outbox, 4..5);
-    let batch = outbox.batch("n").unwrap();
-    assert!(outbox.conflict(&batch));
-    assert_eq!(clips(&outbox.batch("n").unwrap()), ["window-4"]);
+    keep(&bench.open(), 0..3);
+    let copy = Bench::new();
+    std::fs::create_dir(copy.state()).unwrap();
+    std::fs::copy(bench.file(), copy.file()).unwrap();
+    let ids = |outbox: &Outbox| -> Vec<Uuid> {
+        let batch = outbox.batch("n", true).unwrap();
+        batch.reports.iter().map(|report| report.id).collect()
+    };
+    assert_eq!(ids(&bench.open()), ids(&copy.open()));
 }
 
-#[test]
-fn a_report_that_grows_by_its_energy_is_counted_with_its_size() {
-    let bench = Bench::new();
-    let outbox = bench.open();
-    for clip in 0..3 {
-        let mut reports = [report(clip)];
-        let tickets = outbox.keep(&mut reports);
-        reports[0].policy = "a longer name than the one it was kept with".into();
-        outbox.settle(&tickets, &mut reports);
-        let batch = outbox.batch("n").unwrap();
-        let state = outbox.0.state.lock();
-        let waiting = state.store.as_ref().unwrap().waiting();
-        assert_eq!(
-            waiting.bytes,
-            serde_json::to_vec(&reports[0]).unwrap().len() as u64
-        );
-        drop(state);
-        assert_eq!(
-            outbox.acknowledge(&batch, clip + 1),
-            Acknowledged::Removed(1)
-        );
-        let state = outbox.0.state.lock();
-        assert_eq!(
-            state.store.as_ref().unwrap().waiting(),
-            store::Waiting::default()
-        );
-    }
+#[tokio::test]
+async fn counts_and_waking_the_sender_never_wait_for_a_disk() {
+    let outbox = Outbox::in_memory();
+    keep(&outbox, 0..1);
+    // As while a disk is written.
+    let writing = outbox.shared.waiting.lock();
+    assert_eq!(outbox.counts().waiting, 1);
+    let woken = tokio::time::timeout(Duration::from_secs(20), outbox.changed());
+    woken.await.unwrap();
+    drop(writing);
 }

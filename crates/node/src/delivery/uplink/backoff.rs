@@ -4,6 +4,7 @@ use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
 /// Doubles the pause at each failure, between half and one and a half of that, so that nodes spread out.
+#[derive(Debug)]
 pub(super) struct Backoff {
     first_ms: u64,
     longest_ms: u64,

@@ -307,7 +307,7 @@ mod tests {
         std::fs::remove_file(&disk).unwrap();
         std::fs::rename(folder.path().join("away"), &disk).unwrap();
         late.outbox().disk_is_due();
-        late.outbox().look_after_disk();
+        late.outbox().retry_disk();
         keeper.read_again(&late, late.outbox());
         assert_eq!((target(&late), keeper.revision()), (half, 7));
     }
@@ -354,7 +354,7 @@ mod tests {
             std::fs::rename(self.folder.path().join("away"), &disk).unwrap();
             let outbox = self.board.outbox();
             outbox.disk_is_due();
-            outbox.look_after_disk();
+            outbox.retry_disk();
             assert!(outbox.settings_returned());
             self.keeper.read_again(&self.board, outbox);
             assert!(!outbox.settings_returned());

@@ -6,7 +6,6 @@ use crate::state::board::Board;
 use albireo_service::clock::unix_nanoseconds;
 use albireo_wire::{
     CameraState, CameraStatus, Heartbeat, NodeStatus, StatusMessage, TargetStatus, VERSION,
-    run_number,
 };
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -20,6 +19,7 @@ const LEAST_PAUSE: Duration = Duration::from_secs(1);
 /// Decides when to tell what.
 pub(super) struct StatusTeller {
     labels: BTreeMap<String, String>,
+    run: u32,
     started_ns: u64,
     seq: u64,
     told: Option<NodeStatus>,
@@ -30,9 +30,11 @@ pub(super) struct StatusTeller {
 }
 
 impl StatusTeller {
-    pub(super) fn new(labels: BTreeMap<String, String>) -> Self {
+    /// `run` is a random number.
+    pub(super) fn new(labels: BTreeMap<String, String>, run: u32) -> Self {
         Self {
             labels,
+            run,
             started_ns: unix_nanoseconds(),
             seq: 0,
             told: None,
@@ -47,7 +49,8 @@ impl StatusTeller {
         self.full_due = true;
     }
 
-    /// The payload of a message, if one is due: in full at a change, a heartbeat every `period`.
+    /// The payload of a message, if one is due: in full at a change, and every `period` a heartbeat where nothing but
+    /// numbers has changed.
     ///
     /// # Errors
     /// None that can happen: a status can always be written.
@@ -70,19 +73,16 @@ impl StatusTeller {
         let revision = desired.revision_in_force();
         let waiting = status.outbox.waiting;
         let short = !changed && !self.full_due && self.told_revision == Some(revision);
-        let seq = self.seq;
+        let (run, seq) = (self.run, self.seq);
         self.seq += 1;
         self.told_revision = Some(revision);
         self.told_at = Some(Instant::now());
         if short {
-            let (instance, machine) = (outbox.instance(), outbox.machine());
-            let run = run_number(&instance, machine.as_deref(), self.started_ns);
             return Heartbeat { run, seq, waiting }.to_payload().map(Some);
         }
         let message = StatusMessage {
             v: VERSION,
-            instance: outbox.instance(),
-            machine: outbox.machine(),
+            run,
             started_ns: self.started_ns,
             seq,
             t_ns: unix_nanoseconds(),

@@ -1,13 +1,13 @@
 //! What a node sends over the uplink while somebody watches it through the hub, and only then: counters once a second, and
 //! pictures that are asked for.
 
-use super::{UplinkSetup, Way};
+use super::{Route, UplinkSetup};
 use crate::state::board::{Board, LatestFrame};
 use albireo_service::clock::unix_nanoseconds;
 use albireo_vision::picture::{FrameLimits, PictureFormat, to_jpeg};
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
+use tokio::sync::mpsc::{Receiver, Sender, channel};
 use zenoh::bytes::Encoding;
 use zenoh::pubsub::Publisher;
 use zenoh::qos::CongestionControl;
@@ -22,15 +22,14 @@ const WAITING: usize = 4;
 const PERIOD: Duration = Duration::from_millis(950);
 
 /// A question for the picture of a camera.
-type Asked = (Arc<str>, Query);
+pub(super) type PictureQuery = (Arc<str>, Query);
 
 /// Whether somebody watches, and what is sent then.
 pub(super) struct Watched {
     until: Option<Instant>,
     counted_at: Option<Instant>,
-    limits: FrameLimits,
-    asked: SyncSender<Asked>,
-    questions: Receiver<Asked>,
+    asked: Sender<PictureQuery>,
+    questions: Receiver<PictureQuery>,
 }
 
 /// What is declared while somebody watches; undeclared when dropped.
@@ -42,12 +41,11 @@ pub(super) struct Shown {
 
 impl Watched {
     /// Nobody watches yet.
-    pub(super) fn new(limits: FrameLimits) -> Self {
-        let (asked, questions) = sync_channel(WAITING);
+    pub(super) fn new() -> Self {
+        let (asked, questions) = channel(WAITING);
         Self {
             until: None,
             counted_at: None,
-            limits,
             asked,
             questions,
         }
@@ -68,7 +66,7 @@ impl Watched {
     ///
     /// # Errors
     /// When Zenoh refuses something.
-    pub(super) fn serve(
+    pub(super) async fn serve(
         &mut self,
         session: &Session,
         setup: &UplinkSetup,
@@ -79,19 +77,21 @@ impl Watched {
             return Ok(());
         }
         if shown.is_none() {
-            *shown = Some(self.declare(session, setup)?);
+            *shown = Some(self.declare(session, setup).await?);
         }
         if let Some(shown) = shown {
-            self.tell_counters(shown, &setup.board)?;
-        }
-        while let Ok((camera, query)) = self.questions.try_recv() {
-            self.answer(&camera, &query, &setup.board);
+            self.tell_counters(shown, &setup.board).await?;
         }
         Ok(())
     }
 
-    fn declare(&self, session: &Session, setup: &UplinkSetup) -> zenoh::Result<Shown> {
-        let own = matches!(setup.way, Way::Own(_));
+    /// The next question for a picture.
+    pub(super) async fn question(&mut self) -> Option<PictureQuery> {
+        self.questions.recv().await
+    }
+
+    async fn declare(&self, session: &Session, setup: &UplinkSetup) -> zenoh::Result<Shown> {
+        let own = matches!(setup.route, Route::Own(_));
         let (mut counters, mut pictures) = (Vec::new(), Vec::new());
         for camera in setup.board.cameras() {
             let Ok(keys) = setup.keys.camera(camera.name()) else {
@@ -102,20 +102,18 @@ impl Watched {
                     .declare_publisher(keys.counters())
                     .congestion_control(CongestionControl::Drop)
                     .priority(crate::camera::publishing::COUNTERS)
-                    .wait()?;
+                    .await?;
                 counters.push((camera.name().to_owned(), publisher));
             }
-            let (asked, bell) = (self.asked.clone(), setup.outbox.clone());
+            let asked = self.asked.clone();
             let name: Arc<str> = camera.name().into();
             let queryable = session
                 .declare_queryable(keys.picture())
                 .callback(move |query| {
                     // Zenoh's thread must not encode a picture; a question too many ends unanswered.
-                    if asked.try_send((Arc::clone(&name), query)).is_ok() {
-                        bell.wake();
-                    }
+                    let _ = asked.try_send((Arc::clone(&name), query));
                 })
-                .wait()?;
+                .await?;
             pictures.push(queryable);
         }
         Ok(Shown {
@@ -125,7 +123,7 @@ impl Watched {
     }
 
     /// Once a second.
-    fn tell_counters(&mut self, shown: &Shown, board: &Board) -> zenoh::Result<()> {
+    async fn tell_counters(&mut self, shown: &Shown, board: &Board) -> zenoh::Result<()> {
         let now = Instant::now();
         let early = |at: Instant| now.duration_since(at) < PERIOD;
         if self.counted_at.is_some_and(early) {
@@ -138,35 +136,36 @@ impl Watched {
             };
             let message = board.counters(camera, unix_nanoseconds());
             if let Ok(json) = serde_json::to_vec(&message) {
-                publisher.put(json).wait()?;
+                publisher.put(json).await?;
             }
         }
         Ok(())
     }
+}
 
-    fn answer(&self, camera: &str, query: &Query, board: &Board) {
-        let answered = match board
-            .camera(camera)
-            .and_then(|camera| camera.latest_frame())
-        {
-            None => query.reply_err("no frame has come yet").wait(),
-            Some(LatestFrame { seq, picture }) => {
-                let file = match picture.format {
-                    PictureFormat::Jpeg => Ok(picture.bytes),
-                    _ => to_jpeg(&picture, &self.limits),
-                };
-                match file {
-                    Ok(file) => query
-                        .reply(query.key_expr().clone(), file.to_vec())
-                        .encoding(Encoding::IMAGE_JPEG)
-                        .attachment(seq.to_string())
-                        .wait(),
-                    Err(fault) => query.reply_err(fault.to_string()).wait(),
-                }
+/// Answers a question for a picture. Encodes one: to be called away from async workers.
+pub(super) fn answer(camera: &str, query: &Query, board: &Board, limits: &FrameLimits) {
+    let latest = board
+        .camera(camera)
+        .and_then(|camera| camera.latest_frame());
+    let answered = match latest {
+        None => query.reply_err("no frame has come yet").wait(),
+        Some(LatestFrame { seq, picture }) => {
+            let file = match picture.format {
+                PictureFormat::Jpeg => Ok(picture.bytes),
+                _ => to_jpeg(&picture, limits),
+            };
+            match file {
+                Ok(file) => query
+                    .reply(query.key_expr().clone(), file.to_vec())
+                    .encoding(Encoding::IMAGE_JPEG)
+                    .attachment(seq.to_string())
+                    .wait(),
+                Err(fault) => query.reply_err(fault.to_string()).wait(),
             }
-        };
-        if let Err(error) = answered {
-            tracing::debug!(camera, %error, "a picture was not sent");
         }
+    };
+    if let Err(error) = answered {
+        tracing::debug!(camera, %error, "a picture was not sent");
     }
 }

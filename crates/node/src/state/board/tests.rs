@@ -128,22 +128,6 @@ fn a_changed_threshold_survives_a_restart() {
 }
 
 #[test]
-fn broken_thresholds_of_an_earlier_version_are_set_aside() {
-    for broken in ["", "{\"v\":1,\"cam", "[]"] {
-        let directory = tempfile::tempdir().unwrap();
-        let file = directory.path().join("thresholds.json");
-        std::fs::write(&file, broken).unwrap();
-        let first = board(Some(directory.path().into()), KNOB, None);
-        assert!(!file.exists());
-        assert_eq!(first.camera("front").unwrap().threshold(), Some(3e-4));
-        first.set_all_thresholds(9e-4).unwrap();
-        drop(first);
-        let second = board(Some(directory.path().into()), KNOB, None);
-        assert_eq!(second.camera("rear").unwrap().threshold(), Some(9e-4));
-    }
-}
-
-#[test]
 fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
     let directory = tempfile::tempdir().unwrap();
     let blocked = directory.path().join("a-file");

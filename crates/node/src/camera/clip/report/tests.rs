@@ -32,7 +32,6 @@ fn meta() -> ClipMeta {
     ClipMeta {
         node: "car-7".to_owned(),
         camera: "front".to_owned(),
-        report: 5,
         policy: "albireo".to_owned(),
         model: "yolo.onnx".to_owned(),
         provider: "cpu".to_owned(),

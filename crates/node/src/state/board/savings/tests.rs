@@ -172,7 +172,6 @@ async fn play(
     let meta = ClipMeta {
         node: "node".to_owned(),
         camera: camera.to_string(),
-        report: 1,
         policy: policy.name().to_owned(),
         model: String::new(),
         provider: String::new(),

@@ -1,0 +1,287 @@
+-- The tables of a hub in PostgreSQL.
+-- No figure is a floating-point number where it is summed: energy is whole microjoules, time whole microseconds,
+-- so that a sum is the same in any order. docs/hub-schema.md describes every column.
+
+CREATE TABLE nodes (
+    id BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+    name TEXT NOT NULL UNIQUE,
+    first_seen_ms BIGINT NOT NULL,
+    state TEXT NOT NULL,
+    since_ms BIGINT NOT NULL,
+    why TEXT NOT NULL,
+    heard_ms BIGINT,
+    run BIGINT,
+    started_ns BIGINT,
+    revision BIGINT NOT NULL DEFAULT 0,
+    status TEXT
+);
+
+-- The reports of a node: how many were stored, and which of its running counts never came. Counts are told from `base` on;
+-- `missing` is a JSON array of ranges.
+CREATE TABLE report_counts (
+    node_id BIGINT NOT NULL PRIMARY KEY REFERENCES nodes (id),
+    first_ms BIGINT NOT NULL,
+    last_ms BIGINT NOT NULL,
+    stored BIGINT NOT NULL DEFAULT 0,
+    set_aside BIGINT NOT NULL DEFAULT 0,
+    refused BIGINT NOT NULL DEFAULT 0,
+    resets BIGINT NOT NULL DEFAULT 0,
+    base BIGINT NOT NULL DEFAULT 0,
+    highest BIGINT NOT NULL DEFAULT 0,
+    missing TEXT NOT NULL DEFAULT '[]'
+);
+
+-- The identity of each report that came, for as long as a node may send it again. `day` is the day of the identity's own
+-- time; where that cannot be believed it is the day of receipt, negative.
+CREATE TABLE report_ids (
+    day BIGINT NOT NULL,
+    id BYTEA NOT NULL,
+    PRIMARY KEY (day, id)
+);
+CREATE INDEX undated_report_ids ON report_ids (id) WHERE day < 0;
+
+CREATE TABLE cameras (
+    id BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+    node_id BIGINT NOT NULL REFERENCES nodes (id),
+    name TEXT NOT NULL,
+    UNIQUE (node_id, name)
+);
+
+CREATE TABLE setups (
+    id BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+    policy TEXT NOT NULL,
+    knob TEXT NOT NULL,
+    value TEXT NOT NULL,
+    model TEXT NOT NULL,
+    provider TEXT NOT NULL,
+    power_source TEXT NOT NULL,
+    total_from TEXT NOT NULL,
+    UNIQUE (policy, knob, value, model, provider, power_source, total_from)
+);
+
+-- A clip, or a part of a long one. `day` is that of the report's identity, 0 where that has none.
+CREATE TABLE clips (
+    id BIGINT GENERATED ALWAYS AS IDENTITY,
+    day BIGINT NOT NULL,
+    report_id BYTEA NOT NULL,
+    count BIGINT,
+    camera_id BIGINT NOT NULL,
+    setup_id BIGINT NOT NULL,
+    at_ms BIGINT NOT NULL,
+    received_ms BIGINT NOT NULL,
+    started_ns BIGINT NOT NULL,
+    clip TEXT NOT NULL,
+    part BIGINT NOT NULL,
+    ended_by TEXT NOT NULL,
+    duration_us BIGINT NOT NULL,
+    frames BIGINT NOT NULL,
+    frames_e BIGINT NOT NULL,
+    frames_p BIGINT NOT NULL,
+    frames_ei BIGINT NOT NULL,
+    frames_i BIGINT NOT NULL,
+    frames_ai BIGINT NOT NULL,
+    degraded BIGINT NOT NULL,
+    dropped BIGINT NOT NULL,
+    latency_mean_us BIGINT NOT NULL,
+    latency_p50_us BIGINT NOT NULL,
+    latency_p95_us BIGINT NOT NULL,
+    latency_p99_us BIGINT NOT NULL,
+    latency_us BIGINT NOT NULL,
+    detector_calls BIGINT NOT NULL,
+    detector_mean_us BIGINT NOT NULL,
+    detector_p50_us BIGINT NOT NULL,
+    detector_p95_us BIGINT NOT NULL,
+    detector_p99_us BIGINT NOT NULL,
+    detector_us BIGINT NOT NULL,
+    avoided_calls BIGINT NOT NULL,
+    avoided_uj BIGINT,
+    quality SMALLINT NOT NULL,
+    energy_uj BIGINT,
+    node_uj BIGINT,
+    gpu_uj BIGINT,
+    cpu_uj BIGINT,
+    io_mem_uj BIGINT,
+    edp DOUBLE PRECISION,
+    samples BIGINT NOT NULL,
+    coverage_ppm BIGINT NOT NULL,
+    threshold_changed BIGINT NOT NULL,
+    audit_frames BIGINT,
+    audit_missed BIGINT,
+    audit_missed_boxes BIGINT,
+    audit_calls BIGINT,
+    audit_us BIGINT,
+    audit_uj BIGINT,
+    audit_detected BIGINT,
+    audit_shown BIGINT,
+    audit_paired BIGINT,
+    audit_detected_sq BIGINT,
+    audit_detected_x BIGINT,
+    audit_shown_sq BIGINT,
+    audit_paired_sq BIGINT,
+    audit_shown_x BIGINT,
+    PRIMARY KEY (day, id)
+);
+CREATE INDEX clips_by_id ON clips (id);
+CREATE INDEX clips_by_camera ON clips (camera_id, at_ms);
+
+CREATE TABLE sums_5m (
+    bucket_s BIGINT NOT NULL,
+    camera_id BIGINT NOT NULL,
+    setup_id BIGINT NOT NULL,
+    quality SMALLINT NOT NULL,
+    clips BIGINT NOT NULL,
+    duration_us BIGINT NOT NULL,
+    frames BIGINT NOT NULL,
+    frames_e BIGINT NOT NULL,
+    frames_p BIGINT NOT NULL,
+    frames_ei BIGINT NOT NULL,
+    frames_i BIGINT NOT NULL,
+    frames_ai BIGINT NOT NULL,
+    degraded BIGINT NOT NULL,
+    dropped BIGINT NOT NULL,
+    latency_us BIGINT NOT NULL,
+    detector_calls BIGINT NOT NULL,
+    detector_us BIGINT NOT NULL,
+    avoided_calls BIGINT NOT NULL,
+    unpriced_calls BIGINT NOT NULL,
+    avoided_uj BIGINT NOT NULL,
+    energy_uj BIGINT NOT NULL,
+    gpu_uj BIGINT NOT NULL,
+    cpu_uj BIGINT NOT NULL,
+    io_mem_uj BIGINT NOT NULL,
+    audit_frames BIGINT NOT NULL,
+    audit_missed BIGINT NOT NULL,
+    audit_missed_boxes BIGINT NOT NULL,
+    audit_calls BIGINT NOT NULL,
+    audit_us BIGINT NOT NULL,
+    audit_uj BIGINT NOT NULL,
+    audit_detected BIGINT NOT NULL,
+    audit_shown BIGINT NOT NULL,
+    audit_paired BIGINT NOT NULL,
+    audit_detected_sq BIGINT NOT NULL,
+    audit_detected_x BIGINT NOT NULL,
+    audit_shown_sq BIGINT NOT NULL,
+    audit_paired_sq BIGINT NOT NULL,
+    audit_shown_x BIGINT NOT NULL,
+    PRIMARY KEY (bucket_s, camera_id, setup_id, quality)
+);
+
+CREATE TABLE sums_day (
+    bucket_s BIGINT NOT NULL,
+    camera_id BIGINT NOT NULL,
+    setup_id BIGINT NOT NULL,
+    quality SMALLINT NOT NULL,
+    clips BIGINT NOT NULL,
+    duration_us BIGINT NOT NULL,
+    frames BIGINT NOT NULL,
+    frames_e BIGINT NOT NULL,
+    frames_p BIGINT NOT NULL,
+    frames_ei BIGINT NOT NULL,
+    frames_i BIGINT NOT NULL,
+    frames_ai BIGINT NOT NULL,
+    degraded BIGINT NOT NULL,
+    dropped BIGINT NOT NULL,
+    latency_us BIGINT NOT NULL,
+    detector_calls BIGINT NOT NULL,
+    detector_us BIGINT NOT NULL,
+    avoided_calls BIGINT NOT NULL,
+    unpriced_calls BIGINT NOT NULL,
+    avoided_uj BIGINT NOT NULL,
+    energy_uj BIGINT NOT NULL,
+    gpu_uj BIGINT NOT NULL,
+    cpu_uj BIGINT NOT NULL,
+    io_mem_uj BIGINT NOT NULL,
+    audit_frames BIGINT NOT NULL,
+    audit_missed BIGINT NOT NULL,
+    audit_missed_boxes BIGINT NOT NULL,
+    audit_calls BIGINT NOT NULL,
+    audit_us BIGINT NOT NULL,
+    audit_uj BIGINT NOT NULL,
+    audit_detected BIGINT NOT NULL,
+    audit_shown BIGINT NOT NULL,
+    audit_paired BIGINT NOT NULL,
+    audit_detected_sq BIGINT NOT NULL,
+    audit_detected_x BIGINT NOT NULL,
+    audit_shown_sq BIGINT NOT NULL,
+    audit_paired_sq BIGINT NOT NULL,
+    audit_shown_x BIGINT NOT NULL,
+    PRIMARY KEY (bucket_s, camera_id, setup_id, quality)
+);
+
+-- A report that makes no sense.
+CREATE TABLE set_aside (
+    id BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+    node_id BIGINT NOT NULL,
+    report_id TEXT,
+    received_ms BIGINT NOT NULL,
+    cause TEXT NOT NULL,
+    body TEXT NOT NULL
+);
+CREATE INDEX set_aside_by_node ON set_aside (node_id, id);
+
+CREATE TABLE events (
+    id BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+    at_ms BIGINT NOT NULL,
+    kind TEXT NOT NULL,
+    node TEXT,
+    detail TEXT NOT NULL
+);
+
+-- What is desired of nodes, by whom it was ordered, what became of it; rollouts and trials. Values of knobs are texts, as in
+-- `setups`: the shortest that reads back as the same number. `target` is what a node is to hold in the place of its knob's
+-- number: `skip_rate=0.5`, or `off` where nothing is to be held; knob and value are then empty.
+CREATE TABLE counters (
+    name TEXT NOT NULL PRIMARY KEY,
+    value BIGINT NOT NULL
+);
+INSERT INTO counters (name, value) VALUES ('revision', 0);
+
+CREATE TABLE desired (
+    node TEXT NOT NULL PRIMARY KEY,
+    revision BIGINT NOT NULL,
+    knob TEXT NOT NULL,
+    value TEXT NOT NULL,
+    target TEXT
+);
+CREATE INDEX desired_by_revision ON desired (revision);
+
+CREATE TABLE orders (
+    revision BIGINT NOT NULL PRIMARY KEY,
+    at_ms BIGINT NOT NULL,
+    who TEXT NOT NULL,
+    why TEXT NOT NULL,
+    origin TEXT NOT NULL,
+    selector TEXT NOT NULL,
+    knob TEXT NOT NULL,
+    value TEXT NOT NULL,
+    target TEXT
+);
+
+-- What a node had before an order: a target, or the value in `from_value` of the knob in `from_knob`; null where that is the
+-- order's own knob.
+CREATE TABLE order_nodes (
+    revision BIGINT NOT NULL,
+    node TEXT NOT NULL,
+    from_value TEXT,
+    outcome TEXT NOT NULL,
+    at_ms BIGINT NOT NULL,
+    detail TEXT NOT NULL,
+    from_knob TEXT,
+    from_target TEXT,
+    PRIMARY KEY (revision, node)
+);
+CREATE INDEX order_nodes_by_node ON order_nodes (node, revision);
+CREATE INDEX order_nodes_open ON order_nodes (revision)
+    WHERE outcome IN ('pending', 'waiting', 'timed_out');
+
+CREATE TABLE campaigns (
+    id BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+    kind TEXT NOT NULL,
+    begun_ms BIGINT NOT NULL,
+    ended_ms BIGINT,
+    who TEXT NOT NULL,
+    driver TEXT NOT NULL,
+    driven_until_ms BIGINT NOT NULL,
+    state TEXT NOT NULL
+);
+CREATE INDEX campaigns_open ON campaigns (id) WHERE ended_ms IS NULL;

@@ -1,0 +1,353 @@
+//! The table of reports: SQLite, synced at each commit.
+
+use rusqlite::{Connection, ErrorCode, Transaction, params};
+use uuid::Uuid;
+
+/// "albi": other programs' files are not taken for this one's.
+const APPLICATION_ID: i64 = 0x616c_6269;
+/// Version 1 was that of 0.1.0.
+const LAYOUT: i64 = 2;
+
+const SCHEMA: &str = "
+CREATE TABLE report (
+    id BLOB PRIMARY KEY NOT NULL,
+    count INTEGER,
+    state INTEGER NOT NULL,
+    acknowledged_ms INTEGER NOT NULL DEFAULT 0,
+    json BLOB NOT NULL
+) STRICT;
+CREATE INDEX report_by_state ON report (state, count);
+CREATE TABLE counter (name TEXT PRIMARY KEY, value INTEGER NOT NULL) STRICT, WITHOUT ROWID;
+CREATE TABLE hub_database (id BLOB PRIMARY KEY NOT NULL) STRICT;
+";
+
+/// No hub has it.
+const WAITING: i64 = 0;
+/// A hub had it and has lost it.
+const AGAIN: i64 = 1;
+/// A hub has it.
+const ACKNOWLEDGED: i64 = 2;
+
+/// How long reports are kept for a hub that loses them, if there is room.
+const KEPT_MS: i64 = 7 * 86_400_000;
+
+/// Databases of hubs that are remembered.
+const MOST_DATABASES: i64 = 16;
+
+/// Why a table cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum TableError {
+    /// SQLite says no.
+    #[error("{0}")]
+    Sqlite(#[from] rusqlite::Error),
+    /// The file system says no.
+    #[error("{0}")]
+    Io(#[from] std::io::Error),
+    /// Another program's file, or one of another version.
+    #[error("{0}")]
+    Foreign(String),
+    /// Another node has the folder.
+    #[error("in use by another node")]
+    Locked,
+    /// The file is no longer where it was.
+    #[error("the file is no longer there: the disk is gone, or somebody removed it")]
+    Gone,
+}
+
+impl TableError {
+    fn code(&self) -> Option<ErrorCode> {
+        match self {
+            Self::Sqlite(error) => error.sqlite_error_code(),
+            _ => None,
+        }
+    }
+
+    /// Whether the contents are broken rather than the access to them.
+    pub(super) fn is_corruption(&self) -> bool {
+        let code = self.code();
+        matches!(
+            code,
+            Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase)
+        )
+    }
+
+    /// Whether there is no room.
+    pub(super) fn is_full(&self) -> bool {
+        self.code() == Some(ErrorCode::DiskFull)
+    }
+
+    /// Whether the connection is as good as a new one would be: it only has to wait.
+    pub(super) fn passes_by_itself(&self) -> bool {
+        let locked = [ErrorCode::DatabaseBusy, ErrorCode::DatabaseLocked].map(Some);
+        self.is_full() || locked.contains(&self.code())
+    }
+}
+
+/// A report as it is kept.
+#[derive(Clone, Debug)]
+pub(super) struct StoredReport {
+    pub(super) id: Uuid,
+    pub(super) count: Option<u64>,
+    pub(super) json: Vec<u8>,
+}
+
+/// What is counted over restarts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Counters {
+    /// The running count of reports; `None` while it is not known how many there were before.
+    pub(super) made: Option<u64>,
+    /// Reports lost.
+    pub(super) lost: u64,
+    /// Reports that a hub refused for good, or that cannot be read.
+    pub(super) undeliverable: u64,
+}
+
+/// What a hub's answer changes.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Answered {
+    /// Stored at the hub.
+    pub(super) acknowledged: Vec<Uuid>,
+    /// Never to be sent again.
+    pub(super) removed: Vec<Uuid>,
+    /// The hub's database, if it said so.
+    pub(super) database: Option<Uuid>,
+    /// Counts of which the hub misses the reports.
+    pub(super) missing: Vec<(u64, u64)>,
+}
+
+/// The open table.
+#[derive(Debug)]
+pub(super) struct Table {
+    db: Connection,
+}
+
+impl Table {
+    /// Takes an open database, and makes the table in an empty one.
+    pub(super) fn new(db: Connection) -> Result<Self, TableError> {
+        let application: i64 = db.pragma_query_value(None, "application_id", |row| row.get(0))?;
+        let layout: i64 = db.pragma_query_value(None, "user_version", |row| row.get(0))?;
+        let tables: i64 =
+            db.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))?;
+        if tables == 0 {
+            db.execute_batch(&format!(
+                "BEGIN IMMEDIATE; PRAGMA application_id = {APPLICATION_ID}; PRAGMA user_version = {LAYOUT};
+                 {SCHEMA} COMMIT;"
+            ))?;
+        } else if application != APPLICATION_ID {
+            return Err(TableError::Foreign(
+                "it is another program's database: move it away, or choose another node.state_dir"
+                    .to_owned(),
+            ));
+        } else if layout != LAYOUT {
+            return Err(TableError::Foreign(format!(
+                "it was written by another version of albireo (layout {layout}; this one has {LAYOUT}), such as 0.1.0: \
+                 run that one until its reports are delivered, then move the file away"
+            )));
+        }
+        Ok(Self { db })
+    }
+
+    /// What was counted.
+    pub(super) fn counters(&self) -> Result<Counters, TableError> {
+        let mut found = self
+            .db
+            .prepare("SELECT value FROM counter WHERE name = ?")?;
+        let mut counter = |name: &str| match found.query_row([name], |row| row.get::<_, i64>(0)) {
+            Err(rusqlite::Error::QueryReturnedNoRows) => Ok(0),
+            found => found.map(i64::cast_unsigned),
+        };
+        Ok(Counters {
+            made: Some(counter("made")?),
+            lost: counter("lost")?,
+            undeliverable: counter("undeliverable")?,
+        })
+    }
+
+    /// Adds reports that are not there yet and lets the oldest go until the table has at most `most_bytes`: what is
+    /// acknowledged first. How many went that no hub has.
+    pub(super) fn insert<'a>(
+        &mut self,
+        reports: impl IntoIterator<Item = &'a StoredReport>,
+        counters: &mut Counters,
+        most_bytes: u64,
+    ) -> Result<u64, TableError> {
+        let transaction = self.db.transaction()?;
+        {
+            let mut insert = transaction.prepare_cached(
+                "INSERT OR IGNORE INTO report (id, count, state, json) VALUES (?, ?, ?, ?)",
+            )?;
+            for report in reports {
+                let id = report.id.as_bytes();
+                insert.execute(params![id, report.count.map(signed), WAITING, report.json])?;
+            }
+        }
+        let mut lost = 0;
+        for state in [ACKNOWLEDGED, AGAIN, WAITING] {
+            while used_bytes(&transaction)? > most_bytes {
+                let deleted = remove_oldest(&transaction, state, 16)?;
+                if deleted == 0 {
+                    break;
+                }
+                if state == WAITING {
+                    lost += deleted;
+                }
+            }
+        }
+        counters.lost += lost;
+        write_counters(&transaction, counters)?;
+        transaction.commit()?;
+        Ok(lost)
+    }
+
+    /// Gives the room of reports away that a hub has.
+    pub(super) fn make_room(&mut self) -> Result<bool, TableError> {
+        let transaction = self.db.transaction()?;
+        let deleted = remove_oldest(&transaction, ACKNOWLEDGED, 1000)?;
+        transaction.commit()?;
+        Ok(deleted > 0)
+    }
+
+    /// Gives the reports to be sent to `take`, the oldest first, until that has enough; those that a hub has lost behind
+    /// those that none had, and only if they go `again` now.
+    pub(super) fn due(
+        &self,
+        again: bool,
+        mut take: impl FnMut(StoredReport) -> bool,
+    ) -> Result<(), TableError> {
+        let last = if again { AGAIN } else { WAITING };
+        let mut found = self.db.prepare_cached(
+            "SELECT id, count, json FROM report WHERE state <= ? ORDER BY state, count",
+        )?;
+        let mut rows = found.query([last])?;
+        while let Some(row) = rows.next()? {
+            let report = StoredReport {
+                id: Uuid::from_bytes(row.get(0)?),
+                count: row.get::<_, Option<i64>>(1)?.map(i64::cast_unsigned),
+                json: row.get(2)?,
+            };
+            if !take(report) {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Takes a hub's answer.
+    pub(super) fn answered(
+        &mut self,
+        answered: &Answered,
+        counters: &Counters,
+        now_ms: i64,
+    ) -> Result<(), TableError> {
+        let transaction = self.db.transaction()?;
+        {
+            let mut acknowledge = transaction.prepare_cached(
+                "UPDATE report SET state = ?1, acknowledged_ms = ?2 WHERE id = ?3",
+            )?;
+            for id in &answered.acknowledged {
+                acknowledge.execute(params![ACKNOWLEDGED, now_ms, id.as_bytes()])?;
+            }
+            let mut remove = transaction.prepare_cached("DELETE FROM report WHERE id = ?")?;
+            for id in &answered.removed {
+                remove.execute([id.as_bytes()])?;
+            }
+            let mut again = transaction.prepare_cached(
+                "UPDATE report SET state = ?1 WHERE state = ?2 AND count BETWEEN ?3 AND ?4",
+            )?;
+            for (first, last) in &answered.missing {
+                again.execute(params![AGAIN, ACKNOWLEDGED, signed(*first), signed(*last)])?;
+            }
+        }
+        if let Some(database) = answered.database {
+            take_database(&transaction, database, &answered.acknowledged)?;
+        }
+        // The oldest alone are looked at, so that this costs no more than what goes.
+        transaction.execute(
+            "DELETE FROM report WHERE acknowledged_ms < ?1 AND rowid IN \
+             (SELECT rowid FROM report WHERE state = ?2 ORDER BY count LIMIT 400)",
+            params![now_ms.saturating_sub(KEPT_MS), ACKNOWLEDGED],
+        )?;
+        write_counters(&transaction, counters)?;
+        transaction.commit()?;
+        Ok(())
+    }
+
+    /// Reports that no hub has, and reports that a hub has lost.
+    pub(super) fn waiting(&self) -> Result<(u64, u64), TableError> {
+        let mut count = (self.db).prepare_cached("SELECT count(*) FROM report WHERE state = ?")?;
+        let mut count = |state: i64| count.query_row([state], |row| row.get::<_, i64>(0));
+        Ok((
+            count(WAITING)?.cast_unsigned(),
+            count(AGAIN)?.cast_unsigned(),
+        ))
+    }
+
+    #[cfg(test)]
+    pub(super) fn connection(&self) -> &Connection {
+        &self.db
+    }
+}
+
+/// Remembers the database of a hub. A new one beside others has none of the reports that those have: but for those just
+/// `acknowledged` all are sent again.
+fn take_database(
+    transaction: &Transaction<'_>,
+    database: Uuid,
+    acknowledged: &[Uuid],
+) -> rusqlite::Result<()> {
+    let insert = "INSERT OR IGNORE INTO hub_database (id) VALUES (?)";
+    if transaction.execute(insert, [database.as_bytes()])? == 0 {
+        return Ok(());
+    }
+    let known: i64 =
+        transaction.query_row("SELECT count(*) FROM hub_database", [], |row| row.get(0))?;
+    if known > 1 {
+        tracing::warn!(%database, "a hub with another database: it is sent again what is still here");
+        let again = "UPDATE report SET state = ? WHERE state = ?";
+        transaction.execute(again, [AGAIN, ACKNOWLEDGED])?;
+        let mut there = transaction.prepare("UPDATE report SET state = ? WHERE id = ?")?;
+        for id in acknowledged {
+            there.execute(params![ACKNOWLEDGED, id.as_bytes()])?;
+        }
+    }
+    transaction.execute(
+        "DELETE FROM hub_database WHERE rowid <= (SELECT max(rowid) FROM hub_database) - ?",
+        [MOST_DATABASES],
+    )?;
+    Ok(())
+}
+
+fn write_counters(transaction: &Transaction<'_>, counters: &Counters) -> rusqlite::Result<()> {
+    let mut write = transaction.prepare_cached(
+        "INSERT INTO counter (name, value) VALUES (?1, ?2) ON CONFLICT (name) DO UPDATE SET value = ?2",
+    )?;
+    for (name, value) in [
+        ("made", counters.made.unwrap_or(0)),
+        ("lost", counters.lost),
+        ("undeliverable", counters.undeliverable),
+    ] {
+        write.execute(params![name, signed(value)])?;
+    }
+    Ok(())
+}
+
+fn remove_oldest(transaction: &Transaction<'_>, state: i64, most: i64) -> rusqlite::Result<u64> {
+    let deleted = transaction.execute(
+        "DELETE FROM report WHERE rowid IN (SELECT rowid FROM report WHERE state = ? ORDER BY count LIMIT ?)",
+        [state, most],
+    )?;
+    Ok(deleted as u64)
+}
+
+/// Bytes of the pages that hold something.
+fn used_bytes(transaction: &Transaction<'_>) -> rusqlite::Result<u64> {
+    let pragma =
+        |name: &str| transaction.pragma_query_value(None, name, |row| row.get::<_, i64>(0));
+    let pages = pragma("page_count")? - pragma("freelist_count")?;
+    Ok((pages * pragma("page_size")?).cast_unsigned())
+}
+
+/// SQLite's integers have a sign; what is counted here stays far below 2^63.
+fn signed(number: u64) -> i64 {
+    i64::try_from(number).unwrap_or(i64::MAX)
+}

@@ -1,0 +1,362 @@
+//! Decides when the uplink sends what. No clock and no network: times are given, and what came of it is told.
+
+use super::backoff::Backoff;
+use crate::delivery::outbox::{OutboxConfig, OutboxCounts};
+use std::time::{Duration, Instant};
+
+/// Time between two batches with reports that a hub has lost: a whole fleet sends them at once.
+const AGAIN_EVERY: Duration = Duration::from_secs(10);
+
+/// What came of a query.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Outcome {
+    /// The hub did what was asked.
+    Done,
+    /// There was nothing to send.
+    Nothing,
+    /// The hub said no, and perhaps when to come again.
+    Refused(Option<Duration>),
+    /// Nobody answered.
+    Unanswered,
+}
+
+/// Queries of one kind: one at a time, with pauses after those that failed.
+#[derive(Debug)]
+struct Attempts {
+    under_way: bool,
+    not_before: Option<Instant>,
+    backoff: Backoff,
+}
+
+impl Attempts {
+    fn new(config: &OutboxConfig) -> Self {
+        Self {
+            under_way: false,
+            not_before: None,
+            backoff: Backoff::new(config.retry_min_ms, config.retry_max_ms),
+        }
+    }
+
+    fn may_begin(&self, now: Instant) -> bool {
+        !self.under_way && self.not_before.is_none_or(|at| now >= at)
+    }
+
+    fn ended(&mut self, outcome: Outcome, now: Instant) {
+        self.under_way = false;
+        let at_least = match outcome {
+            Outcome::Done | Outcome::Nothing => {
+                self.backoff.reset();
+                self.not_before = None;
+                return;
+            }
+            Outcome::Refused(at_least) => at_least,
+            Outcome::Unanswered => None,
+        };
+        self.not_before = Some(now + self.backoff.next(at_least));
+    }
+}
+
+/// Reports are gathered until there are some, or the first has waited for long: each batch costs a query, an answer and
+/// what compression learns anew. What waits when a session begins goes at once: nobody knows how long it has waited.
+#[derive(Debug)]
+pub(super) struct Schedule {
+    gather_reports: u64,
+    gather: Duration,
+    /// Since when a report waits.
+    waits_since: Option<Instant>,
+    /// Everything goes at once until the first batch was taken.
+    eager: bool,
+    reports: Attempts,
+    pulls: Attempts,
+    pull_wanted: bool,
+    /// When reports that a hub has lost may go.
+    again_at: Option<Instant>,
+    /// When a hub answered last, or there was nothing to be answered.
+    answered_at: Instant,
+}
+
+impl Schedule {
+    pub(super) fn new(config: &OutboxConfig, now: Instant) -> Self {
+        Self {
+            gather_reports: config.gather_reports as u64,
+            gather: Duration::from_secs(config.gather_s),
+            waits_since: None,
+            eager: true,
+            reports: Attempts::new(config),
+            pulls: Attempts::new(config),
+            pull_wanted: true,
+            again_at: None,
+            answered_at: now,
+        }
+    }
+
+    /// A session begins: whatever was under way is not answered any more.
+    pub(super) fn begin(&mut self, now: Instant) {
+        self.reports.under_way = false;
+        self.pulls.under_way = false;
+        self.eager = true;
+        self.pull_wanted = true;
+        self.answered_at = now;
+    }
+
+    /// The node stops: a pause is over, for there is no later.
+    pub(super) fn hurry(&mut self) {
+        self.eager = true;
+        self.reports.not_before = None;
+    }
+
+    /// What is desired is to be asked for.
+    pub(super) fn want_pull(&mut self) {
+        self.pull_wanted = true;
+    }
+
+    /// Whether reports wait that are worth a batch. `watched`: somebody looks at the node.
+    pub(super) fn is_worth_it(
+        &mut self,
+        counts: &OutboxCounts,
+        watched: bool,
+        now: Instant,
+    ) -> bool {
+        if counts.waiting == 0 {
+            self.waits_since = None;
+        }
+        let again = counts.again > 0 && self.again_at.is_none_or(|at| now >= at);
+        if counts.waiting == 0 {
+            return again;
+        }
+        let since = *self.waits_since.get_or_insert(now);
+        again
+            || self.eager
+            || watched
+            || counts.waiting >= self.gather_reports
+            || now.saturating_duration_since(since) >= self.gather
+    }
+
+    /// Whether a batch is to be sent now, and if, whether with reports that a hub has lost. It is then under way.
+    pub(super) fn next_batch(
+        &mut self,
+        counts: &OutboxCounts,
+        watched: bool,
+        now: Instant,
+    ) -> Option<bool> {
+        let worth_it = self.is_worth_it(counts, watched, now);
+        if !worth_it {
+            self.answered_at = now;
+        }
+        if !worth_it || !self.reports.may_begin(now) {
+            return None;
+        }
+        self.reports.under_way = true;
+        let again = counts.again > 0 && self.again_at.is_none_or(|at| now >= at);
+        if again {
+            self.again_at = Some(now + AGAIN_EVERY);
+        }
+        Some(again)
+    }
+
+    /// A batch was answered, or not.
+    pub(super) fn batch_ended(&mut self, outcome: Outcome, now: Instant) {
+        self.reports.ended(outcome, now);
+        if outcome != Outcome::Unanswered {
+            self.answered_at = now;
+        }
+        if outcome == Outcome::Done {
+            self.eager = false;
+            self.waits_since = None;
+        }
+    }
+
+    /// Whether a batch is under way.
+    pub(super) const fn sends(&self) -> bool {
+        self.reports.under_way
+    }
+
+    /// Whether to ask now what is desired. The question is then under way.
+    pub(super) fn next_pull(&mut self, now: Instant) -> bool {
+        let pull = self.pull_wanted && self.pulls.may_begin(now);
+        if pull {
+            self.pulls.under_way = true;
+            self.pull_wanted = false;
+        }
+        pull
+    }
+
+    /// A question was answered, or not.
+    pub(super) fn pull_ended(&mut self, outcome: Outcome, now: Instant) {
+        self.pulls.ended(outcome, now);
+        match outcome {
+            Outcome::Done => self.answered_at = now,
+            _ => self.pull_wanted = true,
+        }
+    }
+
+    /// Whether batches have been sent for so long and nobody answers.
+    pub(super) fn is_stale(&self, after: Duration, now: Instant) -> bool {
+        now.saturating_duration_since(self.answered_at) > after
+    }
+
+    /// When to look next, by `latest`: a pause that ends before is a reason to look then.
+    pub(super) fn next_look(&self, latest: Instant, now: Instant) -> Instant {
+        let times = [
+            self.reports.not_before,
+            self.pulls.not_before.filter(|_| self.pull_wanted),
+            self.again_at,
+            self.waits_since.map(|since| since + self.gather),
+        ];
+        let ahead = times.into_iter().flatten().filter(|at| *at > now);
+        ahead.min().map_or(latest, |at| at.min(latest))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    struct Bench {
+        schedule: Schedule,
+        start: Instant,
+    }
+
+    impl Bench {
+        fn new() -> Self {
+            let start = Instant::now();
+            let config = OutboxConfig {
+                gather_reports: 8,
+                gather_s: 600,
+                retry_min_ms: 1000,
+                retry_max_ms: 60_000,
+                ..OutboxConfig::default()
+            };
+            Self {
+                schedule: Schedule::new(&config, start),
+                start,
+            }
+        }
+
+        fn at(&self, ms: u64) -> Instant {
+            self.start + Duration::from_millis(ms)
+        }
+
+        fn batch(&mut self, waiting: u64, ms: u64) -> Option<bool> {
+            self.batch_of(waiting, 0, ms)
+        }
+
+        fn batch_of(&mut self, waiting: u64, again: u64, ms: u64) -> Option<bool> {
+            let counts = OutboxCounts {
+                waiting,
+                again,
+                ..OutboxCounts::default()
+            };
+            let now = self.at(ms);
+            self.schedule.next_batch(&counts, false, now)
+        }
+
+        fn ended(&mut self, outcome: Outcome, ms: u64) {
+            let now = self.at(ms);
+            self.schedule.batch_ended(outcome, now);
+        }
+    }
+
+    #[test]
+    fn reports_are_gathered_until_there_are_some_or_one_has_waited_for_long() {
+        let mut bench = Bench::new();
+        assert_eq!(bench.batch(0, 0), None);
+        assert_eq!(bench.batch(1, 1000), Some(false), "the first goes at once");
+        assert_eq!(bench.batch(1, 1000), None, "one at a time");
+        bench.ended(Outcome::Done, 1100);
+        for waiting in 1..8 {
+            assert_eq!(bench.batch(waiting, 40_000 * waiting), None);
+        }
+        assert_eq!(bench.batch(8, 320_000), Some(false));
+        bench.ended(Outcome::Done, 320_100);
+        assert_eq!(bench.batch(1, 400_000), None);
+        assert_eq!(bench.batch(1, 999_000), None);
+        assert_eq!(bench.batch(1, 1_000_000), Some(false), "ten minutes");
+        // What could not be delivered stays worth it.
+        bench.ended(Outcome::Unanswered, 1_000_100);
+        assert_eq!(bench.batch(2, 1_002_000), Some(false));
+        bench.ended(Outcome::Done, 1_002_100);
+        assert_eq!(bench.batch(3, 1_003_000), None);
+        let now = bench.at(1_004_000);
+        bench.schedule.begin(now);
+        assert_eq!(
+            bench.batch(3, 1_004_000),
+            Some(false),
+            "a new session begins"
+        );
+    }
+
+    #[test]
+    fn a_refused_batch_waits_as_long_as_the_hub_says_but_not_when_the_node_stops() {
+        let mut bench = Bench::new();
+        assert_eq!(bench.batch(1, 0), Some(false));
+        bench.ended(Outcome::Refused(Some(Duration::from_secs(3600))), 100);
+        assert_eq!(bench.batch(1, 3_599_000), None);
+        let (now, latest) = (bench.at(3_599_000), bench.at(9_000_000));
+        assert_eq!(bench.schedule.next_look(latest, now), bench.at(3_600_100));
+        bench.schedule.hurry();
+        assert_eq!(bench.batch(1, 3_599_000), Some(false));
+    }
+
+    #[test]
+    fn a_pause_that_is_over_is_no_reason_to_look_at_once() {
+        let mut bench = Bench::new();
+        assert_eq!(bench.batch(1, 0), Some(false));
+        bench.ended(Outcome::Unanswered, 0);
+        let latest = bench.at(1_000_000);
+        let end = bench.schedule.next_look(latest, bench.at(0));
+        assert!(end > bench.at(0) && end <= bench.at(1500));
+        let next = bench.schedule.next_look(latest, end);
+        assert!(next >= bench.at(600_000), "nothing else is due");
+    }
+
+    #[test]
+    fn a_question_that_is_not_answered_is_asked_again_after_pauses_that_grow() {
+        let mut bench = Bench::new();
+        let (mut now, mut asked) = (0, Vec::new());
+        while now < 300_000 {
+            let at = bench.at(now);
+            if bench.schedule.next_pull(at) {
+                asked.push(now);
+                bench.schedule.pull_ended(Outcome::Unanswered, at);
+            }
+            now += 100;
+        }
+        let pauses: Vec<_> = asked.windows(2).map(|two| two[1] - two[0]).collect();
+        assert!(asked.len() < 20, "{pauses:?}");
+        assert!(pauses.last() > Some(&25_000), "{pauses:?}");
+        // An answer ends it, and a poke begins it anew.
+        let later = bench.at(400_000);
+        assert!(bench.schedule.next_pull(later));
+        bench.schedule.pull_ended(Outcome::Done, later);
+        assert!(!bench.schedule.next_pull(bench.at(900_000)));
+        bench.schedule.want_pull();
+        assert!(bench.schedule.next_pull(bench.at(900_000)));
+    }
+
+    #[test]
+    fn what_a_hub_has_lost_is_sent_again_at_a_pace() {
+        let mut bench = Bench::new();
+        assert_eq!(bench.batch(1, 0), Some(false));
+        bench.ended(Outcome::Done, 0);
+        assert_eq!(bench.batch_of(0, 900, 1000), Some(true));
+        bench.ended(Outcome::Done, 1100);
+        assert_eq!(bench.batch_of(0, 500, 1200), None);
+        // Reports that no hub has do not wait for that.
+        assert_eq!(bench.batch_of(8, 500, 1300), Some(false));
+        bench.ended(Outcome::Done, 1400);
+        assert_eq!(bench.batch_of(0, 500, 11_000), Some(true));
+    }
+
+    #[test]
+    fn a_session_is_stale_when_what_is_sent_is_never_answered() {
+        let mut bench = Bench::new();
+        let minute = Duration::from_secs(60);
+        assert_eq!(bench.batch(0, 500_000), None);
+        assert!(!bench.schedule.is_stale(minute, bench.at(500_000)));
+        assert_eq!(bench.batch(1, 501_000), Some(false));
+        bench.ended(Outcome::Unanswered, 511_000);
+        assert!(!bench.schedule.is_stale(minute, bench.at(559_000)));
+        assert!(bench.schedule.is_stale(minute, bench.at(561_000)));
+    }
+}

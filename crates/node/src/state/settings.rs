@@ -1,0 +1,189 @@
+//! Keeps settings that are changed while the node runs in one file, so that they survive a restart.
+
+use parking_lot::Mutex;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::{ErrorKind, Write as _};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// The file in the state directory.
+const FILE: &str = "settings.json";
+
+/// The settings; clones are the same ones.
+#[derive(Clone, Debug)]
+pub(crate) struct Settings(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    directory: Option<PathBuf>,
+    state: Mutex<State>,
+}
+
+#[derive(Debug, Default)]
+struct State {
+    values: BTreeMap<String, Value>,
+    /// The file was read, or there was none.
+    read: bool,
+    /// Something is not in the file yet.
+    unwritten: bool,
+    /// The file could be read only after the settings had been asked for.
+    came_late: bool,
+}
+
+impl Settings {
+    /// The settings in `directory`, or in memory without one. A file that cannot be read now is tried again later.
+    pub(crate) fn open(directory: Option<&Path>) -> Self {
+        let mut state = State::default();
+        match directory {
+            Some(directory) => {
+                if let Err(error) = state.read(directory) {
+                    tracing::error!(%error, "the kept settings cannot be read");
+                }
+            }
+            None => state.read = true,
+        }
+        Self(Arc::new(Shared {
+            directory: directory.map(Path::to_owned),
+            state: Mutex::new(state),
+        }))
+    }
+
+    /// The setting kept under `name`.
+    pub(crate) fn get<T: DeserializeOwned>(&self, name: &str) -> Option<T> {
+        let value = self.0.state.lock().values.get(name)?.clone();
+        serde_json::from_value(value)
+            .inspect_err(|error| {
+                tracing::warn!(name, %error, "a kept setting cannot be read and is not used");
+            })
+            .ok()
+    }
+
+    /// Keeps a setting, and syncs the file; whether it survives a restart. One that cannot be written now is written when
+    /// the disk returns, unless the file could not be read yet: then whoever set it is asked by
+    /// [`came_late`](Self::came_late) to compare first.
+    pub(crate) fn set<T: Serialize>(&self, name: &str, setting: &T) -> bool {
+        let Ok(value) = serde_json::to_value(setting) else {
+            return false;
+        };
+        let mut state = self.0.state.lock();
+        if state.came_late {
+            return false;
+        }
+        state.values.insert(name.to_owned(), value);
+        state.unwritten = true;
+        self.0.write(&mut state)
+    }
+
+    /// Tries again what could not be read or written.
+    pub(crate) fn retry(&self) {
+        let (mut state, directory) = (self.0.state.lock(), &self.0.directory);
+        if !state.read
+            && let Some(directory) = directory
+            && state.read(directory).is_ok()
+        {
+            state.came_late = true;
+            state.unwritten = false;
+        }
+        if state.unwritten {
+            self.0.write(&mut state);
+        }
+    }
+
+    /// Whether the settings that an earlier run kept can be read since the last call, and could not when they were asked
+    /// for.
+    pub(crate) fn came_late(&self) -> bool {
+        std::mem::take(&mut self.0.state.lock().came_late)
+    }
+}
+
+impl Shared {
+    fn write(&self, state: &mut State) -> bool {
+        let Some(directory) = self.directory.as_ref().filter(|_| state.read) else {
+            return false;
+        };
+        match write(directory, &state.values) {
+            Ok(()) => state.unwritten = false,
+            Err(error) => tracing::error!(%error, "settings are not kept"),
+        }
+        !state.unwritten
+    }
+}
+
+impl State {
+    fn read(&mut self, directory: &Path) -> std::io::Result<()> {
+        std::fs::create_dir_all(directory)?;
+        let file = directory.join(FILE);
+        self.values = match std::fs::read(&file) {
+            Ok(bytes) => serde_json::from_slice(&bytes).or_else(|error| {
+                let aside = file.with_extension("json.damaged");
+                tracing::error!(
+                    file = %file.display(), %error, aside = %aside.display(),
+                    "kept settings cannot be read and were set aside; the configured ones are used"
+                );
+                std::fs::rename(&file, aside).map(|()| BTreeMap::new())
+            })?,
+            Err(error) if error.kind() == ErrorKind::NotFound => BTreeMap::new(),
+            Err(error) => return Err(error),
+        };
+        self.read = true;
+        Ok(())
+    }
+}
+
+/// Writes the file beside the old one, and puts it in its place once it is on the disk.
+fn write(directory: &Path, values: &BTreeMap<String, Value>) -> std::io::Result<()> {
+    let (file, fresh) = (directory.join(FILE), directory.join("settings.json.new"));
+    let mut written = File::create(&fresh)?;
+    written.write_all(&serde_json::to_vec(values)?)?;
+    written.sync_all()?;
+    std::fs::rename(fresh, file)?;
+    File::open(directory)?.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_setting_survives_a_restart_and_a_broken_file_is_set_aside() {
+        let folder = tempfile::tempdir().unwrap();
+        let settings = Settings::open(Some(folder.path()));
+        assert!(settings.set("threshold/front", &5e-4));
+        let again = Settings::open(Some(folder.path()));
+        assert_eq!(again.get("threshold/front"), Some(5e-4));
+        for broken in ["", "{\"v\":1,\"cam", "[]"] {
+            let file = folder.path().join(FILE);
+            std::fs::write(&file, broken).unwrap();
+            let settings = Settings::open(Some(folder.path()));
+            assert!(!file.exists());
+            assert_eq!(settings.get::<f64>("threshold/front"), None);
+            assert!(settings.set("threshold/front", &9e-4));
+            let again = Settings::open(Some(folder.path()));
+            assert_eq!(again.get("threshold/front"), Some(9e-4));
+        }
+    }
+
+    #[test]
+    fn what_is_set_before_the_disk_comes_does_not_overwrite_what_is_on_it() {
+        let folder = tempfile::tempdir().unwrap();
+        let state = folder.path().join("disk/state");
+        Settings::open(Some(&state)).set("target", &1);
+        std::fs::rename(folder.path().join("disk"), folder.path().join("away")).unwrap();
+        std::fs::write(folder.path().join("disk"), b"").unwrap();
+        let settings = Settings::open(Some(&state));
+        assert!(!settings.set("target", &2));
+        settings.retry();
+        assert!(!settings.came_late());
+        std::fs::remove_file(folder.path().join("disk")).unwrap();
+        std::fs::rename(folder.path().join("away"), folder.path().join("disk")).unwrap();
+        settings.retry();
+        assert!(!settings.set("target", &3), "who set it compares first");
+        assert!(settings.came_late() && !settings.came_late());
+        assert_eq!(settings.get("target"), Some(1));
+        assert!(settings.set("target", &4));
+    }
+}
