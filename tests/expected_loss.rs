@@ -11,7 +11,7 @@ use equal_skip::{Point, Recordings};
 fn recordings(half_rate: bool, confidence: f64) -> Recordings {
     let folder = shared("data/recorded");
     let read = Recordings::read(&folder, half_rate, confidence).expect("the recordings");
-    assert_eq!(read.len(), 17, "sequences with ground truth");
+    assert_eq!(read.clip_count(), 17, "sequences with ground truth");
     read
 }
 

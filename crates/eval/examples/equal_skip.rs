@@ -113,7 +113,7 @@ impl Recordings {
     }
 
     /// How many clips there are.
-    pub fn len(&self) -> usize {
+    pub fn clip_count(&self) -> usize {
         self.clips.len()
     }
 
@@ -187,7 +187,7 @@ fn main() -> Outcome<()> {
         Recordings::read(&arguments.folder, arguments.half_rate, arguments.confidence)?;
     println!(
         "{} clips, detections >= {}{}\n",
-        recordings.len(),
+        recordings.clip_count(),
         arguments.confidence,
         if arguments.half_rate {
             ", every second frame"
