@@ -552,7 +552,6 @@ impl Parts<'_> {
         let audit = Arc::new(CameraAudit::new(
             self.config.audit.draw(),
             self.config.audit.share,
-            self.config.audit.wait(),
             Arc::clone(board),
         ));
         self.add_auditor(name, &audit);

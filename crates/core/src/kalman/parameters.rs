@@ -1,12 +1,10 @@
 //! The numbers of the filter, and what they come to for a picture of a given size.
 
 use crate::geometry::PictureSize;
-use serde::{Deserialize, Serialize};
 
 /// Standard deviations of the components of the state, per frame, in normalised coordinates. Both axes
 /// share them: that is what lets the filter keep one covariance for both.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Deviations {
     /// Of the centre.
     pub center: f64,
@@ -21,8 +19,7 @@ pub struct Deviations {
 }
 
 /// How an object is taken to move and to grow.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum MotionModel {
     /// Ten dimensions: the centre has an acceleration and the size a velocity (the paper's filter).
     #[default]
@@ -36,8 +33,7 @@ pub enum MotionModel {
 }
 
 /// What a measurement's standard deviation is counted in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MeasurementUnit {
     /// Pixels, divided by the longer side of the picture after both sides are rounded up to a multiple
     /// of 32 (published code). The noise, and with it τ, then depends on the picture's size.
@@ -47,8 +43,7 @@ pub enum MeasurementUnit {
 }
 
 /// Noise of a measured box, the same on all four components.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MeasurementNoise {
     /// Standard deviation, in `unit`.
     pub deviation: f64,
@@ -72,8 +67,7 @@ impl MeasurementNoise {
 
 /// All numbers of the filter. The defaults are those of the published code; the paper gives none of
 /// them ("fixed implementation parameters").
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FilterParameters {
     /// How the centre moves.
     pub motion: MotionModel,
@@ -108,40 +102,6 @@ impl Default for FilterParameters {
                 unit: MeasurementUnit::PaddedPixels,
             },
         }
-    }
-}
-
-impl FilterParameters {
-    /// The name and value of the first number that no filter can have: negative, not finite, or zero
-    /// where a zero would make the filter divide by zero. `None` when all can be used.
-    pub(crate) fn first_impossible(&self) -> Option<(&'static str, f64)> {
-        let Deviations {
-            center,
-            size,
-            center_velocity,
-            size_velocity,
-            acceleration,
-        } = self.process;
-        let initial = self.initial;
-        let may_be_zero = [
-            ("process.center", center),
-            ("process.size", size),
-            ("process.center_velocity", center_velocity),
-            ("process.size_velocity", size_velocity),
-            ("process.acceleration", acceleration),
-            ("initial.center", initial.center),
-            ("initial.size", initial.size),
-            ("initial.center_velocity", initial.center_velocity),
-            ("initial.size_velocity", initial.size_velocity),
-            ("initial.acceleration", initial.acceleration),
-        ];
-        let measurement = ("measurement.deviation", self.measurement.deviation);
-        // A deviation above 1000 pictures is nonsense, and squares of squares must stay finite.
-        let usable = |value: f64| (0.0..=1e3).contains(&value);
-        may_be_zero
-            .into_iter()
-            .find(|(_, value)| !usable(*value))
-            .or_else(|| (!(1e-9..=1e5).contains(&measurement.1)).then_some(measurement))
     }
 }
 

@@ -220,17 +220,3 @@ fn measurement_noise_is_pixels_over_the_padded_longer_side() {
     noise.deviation = 0.01;
     assert_eq!(noise.variance(PictureSize::new(1, 1)), 0.01 * 0.01);
 }
-
-#[test]
-fn a_number_no_filter_can_have_is_named() {
-    assert_eq!(FilterParameters::default().first_impossible(), None);
-    let mut parameters = FilterParameters::default();
-    parameters.initial.size = f64::NAN;
-    assert_eq!(parameters.first_impossible().unwrap().0, "initial.size");
-    let mut parameters = FilterParameters::default();
-    parameters.measurement.deviation = 0.0;
-    assert_eq!(
-        parameters.first_impossible(),
-        Some(("measurement.deviation", 0.0))
-    );
-}

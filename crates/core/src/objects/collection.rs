@@ -5,11 +5,9 @@ use crate::detection::Detection;
 use crate::detection::ObjectId;
 use crate::geometry::{BoundingBox, PictureSize};
 use crate::kalman::{FilterModel, FilterParameters};
-use serde::{Deserialize, Serialize};
 
 /// Everything that governs object states.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObjectSettings {
     /// The filter's numbers.
     pub filter: FilterParameters,

@@ -2,11 +2,9 @@
 
 use super::ObjectState;
 use crate::geometry::BoundingBox;
-use serde::{Deserialize, Serialize};
 
 /// The rules of birth and death.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LifeCycle {
     /// Detections that make an object confirmed; the creating one is the first. Paper: "multiple".
     pub hits_to_confirm: u32,

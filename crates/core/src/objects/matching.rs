@@ -7,11 +7,9 @@ use super::{AssignmentSolver, ObjectState, OverlapIndex};
 use crate::detection::Detection;
 use crate::kalman::FilterModel;
 use overlap_costs::OverlapCosts;
-use serde::{Deserialize, Serialize};
 
 /// When pairs beyond the gate are ruled out.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum GateOrder {
     /// Before the assignment: only pairs within the gate compete. As many as can be are made, at the
     /// smallest total cost.
@@ -22,8 +20,7 @@ pub enum GateOrder {
 }
 
 /// The rules of matching.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Association {
     /// Stage 1 accepts intersection over union of this or more. Not in the paper.
     pub iou_gate: f64,

@@ -73,14 +73,8 @@ impl Albireo {
     /// A policy with these settings and threshold.
     ///
     /// # Errors
-    /// [`PolicyConfigError`] when a setting or the threshold cannot be used.
+    /// [`PolicyConfigError`] when the threshold cannot be used.
     pub fn new(settings: AlbireoSettings, u: f64) -> Result<Self, PolicyConfigError> {
-        settings
-            .check()
-            .map_err(|reason| PolicyConfigError::Setting {
-                table: Self::NAME,
-                reason,
-            })?;
         let u = Self::KNOB.check(u)?;
         Ok(Self {
             name: Self::NAME,
@@ -101,7 +95,10 @@ impl Albireo {
     }
 
     pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        Ok(Box::new(Self::new(config.albireo_settings()?, config.u)?))
+        Ok(Box::new(Self::new(
+            AlbireoSettings::of(config.profile),
+            config.u,
+        )?))
     }
 
     /// A policy without some of its parts, under the name of the ablation.
@@ -109,7 +106,7 @@ impl Albireo {
         ablation: Ablation,
         config: &PolicyConfig,
     ) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let mut settings = config.albireo_settings()?;
+        let mut settings = AlbireoSettings::of(config.profile);
         ablation.apply(&mut settings);
         let mut policy = Self::new(settings, config.u)?;
         policy.name = ablation.name();

@@ -9,7 +9,7 @@ use super::{
     Albireo, BoxSource, Evidence, FrameHead, GreyPicture, Knob, KnobError, Need, ObjectRecord,
     Outcome, Policy, PolicyConfig, PolicyConfigError,
 };
-use super::{Flow, expected_loss::grey_view};
+use super::{AlbireoSettings, Flow, expected_loss::grey_view};
 use crate::detection::ObjectId;
 use crate::flow::{BoxFlow, BoxFlowSettings, Pyramid};
 use crate::geometry::{BoundingBox, PictureSize};
@@ -49,7 +49,7 @@ impl AlbireoFlow {
 
     pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
         let settings = Flow::default();
-        let inner = Albireo::new(config.albireo_settings()?, config.u)?;
+        let inner = Albireo::new(AlbireoSettings::of(config.profile), config.u)?;
         Ok(Box::new(Self {
             inner,
             settings,

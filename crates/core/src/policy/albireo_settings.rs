@@ -4,7 +4,6 @@
 //! here, or in the [`LifeCycle`] and [`Association`] it contains; a profile is a value for each.
 
 use super::published_threshold::sizeless;
-use super::tracker::check_ranges;
 use crate::kalman::FilterParameters;
 use crate::objects::{Association, GateOrder, LifeCycle, ObjectSettings};
 use serde::{Deserialize, Serialize};
@@ -21,8 +20,7 @@ pub enum Profile {
 }
 
 /// What the periodic cap counts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PeriodicCap {
     /// Due when the frame's index in the stream is a multiple of the cap (published code). An index
     /// that was lost makes the next frame due.
@@ -32,8 +30,7 @@ pub enum PeriodicCap {
 }
 
 /// Which boxes are reported when the detector ran.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum DetectorFrameBoxes {
     /// The detector's own, all of them, with the detector's confidences; and the predicted boxes of
     /// rescued objects (paper).
@@ -43,8 +40,7 @@ pub enum DetectorFrameBoxes {
 }
 
 /// The confidence reported with a filter's box.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ReportedConfidence {
     /// That of the object's last detection (paper).
     Last,
@@ -53,8 +49,7 @@ pub enum ReportedConfidence {
 }
 
 /// The settings of the Albireo policy, the threshold `u` aside.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AlbireoSettings {
     /// Whether the empty-scene screen is asked when no object is active. Without it the detector is.
     pub asks_screen: bool,
@@ -167,60 +162,5 @@ impl AlbireoSettings {
             association: self.association,
             life_cycle: self.life_cycle,
         }
-    }
-
-    /// Whether every number can be used.
-    ///
-    /// # Errors
-    /// A sentence that names the first that cannot, its value, and what is allowed.
-    pub fn check(&self) -> Result<(), String> {
-        if let Some((name, value)) = self.filter.first_impossible() {
-            return Err(format!(
-                "`filter.{name}` is {value}; it must be a number from 0 to 1000, and the measurement's \
-                 above 0"
-            ));
-        }
-        let (association, life_cycle) = (&self.association, &self.life_cycle);
-        check_ranges(
-            "a number",
-            [
-                ("decay_floor", self.decay_floor, 0.0, 1.0),
-                ("association.iou_gate", association.iou_gate, 0.0, 1.0),
-                (
-                    "association.mahalanobis_gate",
-                    association.mahalanobis_gate,
-                    0.0,
-                    1e6,
-                ),
-                ("life_cycle.c_rescue", life_cycle.c_rescue, 0.0, 1.0),
-                (
-                    "life_cycle.boundary_margin",
-                    life_cycle.boundary_margin,
-                    -0.5,
-                    10.0,
-                ),
-                (
-                    "life_cycle.minimum_side",
-                    life_cycle.minimum_side,
-                    1e-3,
-                    1e3,
-                ),
-            ],
-        )?;
-        check_ranges(
-            "a whole number",
-            [
-                ("t_max", self.t_max, 1, u32::MAX),
-                ("periodic_cap", self.periodic_cap, 1, u32::MAX),
-                (
-                    "life_cycle.hits_to_confirm",
-                    life_cycle.hits_to_confirm,
-                    1,
-                    u32::MAX,
-                ),
-                // Every lost frame of a gap is predicted for every object, so the gap has a limit.
-                ("life_cycle.longest_gap", life_cycle.longest_gap, 0, 10_000),
-            ],
-        )
     }
 }

@@ -2,14 +2,11 @@
 
 use super::albireo_flow::AlbireoFlow;
 use super::{
-    Ablation, AdaptiveRate, AdaptiveRateSettings, Albireo, AlbireoSettings, Ctd, CtdSettings,
-    ErdOnly, ExpectedLoss, FixedSkip, FixedSkipSettings, FrameDrop, FrameDropSettings, InTracker,
-    Policy, Profile, Statues, StatuesSettings, Vanilla,
+    Ablation, AdaptiveRate, AdaptiveRateSettings, Albireo, Ctd, CtdSettings, ErdOnly, ExpectedLoss,
+    FixedSkip, FixedSkipSettings, FrameDrop, FrameDropSettings, InTracker, Pixels, Policy, Profile,
+    Statues, StatuesSettings, Vanilla,
 };
 use serde::{Deserialize, Serialize};
-
-/// A table of settings by name, as it stands in the configuration.
-pub(crate) type Table = serde_json::Map<String, serde_json::Value>;
 
 /// Which policy decides, and its settings. Each camera gets a policy of its own from
 /// [`build`](PolicyConfig::build).
@@ -24,10 +21,6 @@ pub struct PolicyConfig {
     pub u: f64,
     /// The price λ of a detector call under `expected-loss`.
     pub lambda: f64,
-    /// Single settings of the Albireo policy that differ from the profile's: the fields of
-    /// [`AlbireoSettings`], as deep as it goes. Every policy that keeps objects has them, as far as it
-    /// has the parts they are about.
-    pub albireo: Table,
     /// Settings of `fixed-skip`.
     #[serde(skip_serializing_if = "is_default")]
     pub fixed_skip: FixedSkipSettings,
@@ -43,11 +36,8 @@ pub struct PolicyConfig {
     /// Settings of `frame-drop`.
     #[serde(skip_serializing_if = "is_default")]
     pub frame_drop: FrameDropSettings,
-    /// Single settings of `expected-loss`, and of the schedules that share its objects, that differ from
-    /// the default: the fields of [`ExpectedLossSettings`](super::ExpectedLossSettings), as deep as it
-    /// goes.
-    pub expected_loss: Table,
     /// The schedules of `fixed-skip-in-tracker` and `even-skip-in-tracker`.
+    #[serde(skip_serializing_if = "is_default")]
     pub in_tracker: InTracker,
 }
 
@@ -63,13 +53,11 @@ impl Default for PolicyConfig {
             profile: Profile::default(),
             u: Albireo::KNOB.default,
             lambda: ExpectedLoss::KNOB.default,
-            albireo: Table::new(),
             fixed_skip: FixedSkipSettings::default(),
             ctd: CtdSettings::default(),
             statues: StatuesSettings::default(),
             adaptive_rate: AdaptiveRateSettings::default(),
             frame_drop: FrameDropSettings::default(),
-            expected_loss: Table::new(),
             in_tracker: InTracker::default(),
         }
     }
@@ -151,13 +139,13 @@ const POLICIES: &[Entry] = &[
     entry(KILL_ONLY.name(), |c| Albireo::ablated(KILL_ONLY, c), Some(|c| &mut c.u)),
     entry(KILL_ERD.name(), |c| Albireo::ablated(KILL_ERD, c), Some(|c| &mut c.u)),
     entry(KILL_ERD_10D.name(), |c| Albireo::ablated(KILL_ERD_10D, c), Some(|c| &mut c.u)),
-    entry(ExpectedLoss::NAME, ExpectedLoss::from_config, Some(|c| &mut c.lambda)),
-    entry(IN_TRACKER_FIXED, ExpectedLoss::fixed_skip, Some(|c| &mut c.in_tracker.n)),
-    entry(IN_TRACKER_EVEN, ExpectedLoss::even_skip, Some(|c| &mut c.in_tracker.skip_rate)),
+    entry(ExpectedLoss::NAME, |c| ExpectedLoss::priced(c, Pixels::Off), Some(|c| &mut c.lambda)),
+    entry(IN_TRACKER_FIXED, |c| ExpectedLoss::fixed_skip(c, Pixels::Off), Some(|c| &mut c.in_tracker.n)),
+    entry(IN_TRACKER_EVEN, |c| ExpectedLoss::even_skip(c, Pixels::Off), Some(|c| &mut c.in_tracker.skip_rate)),
     entry(AlbireoFlow::NAME, AlbireoFlow::from_config, Some(|c| &mut c.u)),
-    entry(ExpectedLoss::FLOW_NAME, |c| ExpectedLoss::from_config(&c.with_flow()), Some(|c| &mut c.lambda)),
-    entry(ExpectedLoss::FIXED_SKIP_FLOW_NAME, |c| ExpectedLoss::fixed_skip(&c.with_flow()), Some(|c| &mut c.in_tracker.n)),
-    entry(ExpectedLoss::EVEN_SKIP_FLOW_NAME, |c| ExpectedLoss::even_skip(&c.with_flow()), Some(|c| &mut c.in_tracker.skip_rate)),
+    entry(ExpectedLoss::FLOW_NAME, |c| ExpectedLoss::priced(c, Pixels::Flow), Some(|c| &mut c.lambda)),
+    entry(ExpectedLoss::FIXED_SKIP_FLOW_NAME, |c| ExpectedLoss::fixed_skip(c, Pixels::Flow), Some(|c| &mut c.in_tracker.n)),
+    entry(ExpectedLoss::EVEN_SKIP_FLOW_NAME, |c| ExpectedLoss::even_skip(c, Pixels::Flow), Some(|c| &mut c.in_tracker.skip_rate)),
 ];
 
 /// The names that [`PolicyConfig::name`] can have.
@@ -223,26 +211,6 @@ impl PolicyConfig {
         Ok(())
     }
 
-    /// The same with `pixels = "flow"` in the settings of expected-loss.
-    fn with_flow(&self) -> Self {
-        let mut config = self.clone();
-        config.expected_loss.insert("pixels".into(), "flow".into());
-        config
-    }
-
-    /// The settings of Albireo: the profile's, with single ones in their place.
-    ///
-    /// # Errors
-    /// [`PolicyConfigError::Setting`] for one that does not exist or cannot have its value.
-    pub(crate) fn albireo_settings(&self) -> Result<AlbireoSettings, PolicyConfigError> {
-        with_overrides(&AlbireoSettings::of(self.profile), &self.albireo).map_err(|reason| {
-            PolicyConfigError::Setting {
-                table: Albireo::NAME,
-                reason,
-            }
-        })
-    }
-
     fn entry(&self) -> Result<&'static Entry, PolicyConfigError> {
         POLICIES
             .iter()
@@ -251,52 +219,6 @@ impl PolicyConfig {
                 name: self.name.clone(),
             })
     }
-}
-
-/// `settings` with the values of `overrides` in place of its own, table by table.
-///
-/// # Errors
-/// A sentence that names the setting that does not exist or the value it cannot have.
-pub(super) fn with_overrides<T: Serialize + for<'a> Deserialize<'a>>(
-    settings: &T,
-    overrides: &Table,
-) -> Result<T, String> {
-    let mut merged = serde_json::to_value(settings).map_err(|error| error.to_string())?;
-    let own = merged.as_object_mut().ok_or("the settings are no table")?;
-    merge(own, overrides, &mut String::new())?;
-    serde_json::from_value(merged).map_err(|error| error.to_string())
-}
-
-fn merge(own: &mut Table, overrides: &Table, path: &mut String) -> Result<(), String> {
-    for (key, value) in overrides {
-        let Some(present) = own.get_mut(key) else {
-            let known: Vec<_> = own.keys().map(|key| format!("`{path}{key}`")).collect();
-            let known = known.join(", ");
-            return Err(format!(
-                "there is no setting `{path}{key}`; there are {known}"
-            ));
-        };
-        match (present, value) {
-            (serde_json::Value::Object(present), serde_json::Value::Object(value)) => {
-                let length = path.len();
-                path.push_str(key);
-                path.push('.');
-                merge(present, value, path)?;
-                path.truncate(length);
-            }
-            (present, value) if same_kind(present, value) => *present = value.clone(),
-            (present, value) => {
-                return Err(format!(
-                    "`{path}{key}` cannot be {value}; the profile's value is {present}"
-                ));
-            }
-        }
-    }
-    Ok(())
-}
-
-fn same_kind(a: &serde_json::Value, b: &serde_json::Value) -> bool {
-    std::mem::discriminant(a) == std::mem::discriminant(b)
 }
 
 #[cfg(test)]

@@ -55,8 +55,7 @@ mod velocity;
 
 use super::{
     CallCause, Evidence, FrameHead, FrameState, GreyPicture, Knob, KnobError, Need, ObjectRecord,
-    Outcome, Policy, PolicyConfig, PolicyConfigError, config::with_overrides,
-    tracker::check_setting,
+    Outcome, Policy, PolicyConfig, PolicyConfigError, tracker::check_setting,
 };
 use crate::detection::Detection;
 use birth::BirthRate;
@@ -117,11 +116,11 @@ impl ExpectedLoss {
     pub const FIXED_SKIP_NAME: &'static str = Trigger::FixedSkip { n: 1.0 }.policy_name();
     /// The name with evenly spaced detector calls.
     pub const EVEN_SKIP_NAME: &'static str = Trigger::Even { skip_rate: 0.0 }.policy_name();
-    /// The name with `pixels = "flow"`.
+    /// The name that follows boxes in pictures.
     pub const FLOW_NAME: &'static str = "expected-loss+flow";
-    /// The name with a detector call on one frame of N and `pixels = "flow"`.
+    /// The name with a detector call on one frame of N that follows boxes in pictures.
     pub const FIXED_SKIP_FLOW_NAME: &'static str = "fixed-skip-in-tracker+flow";
-    /// The name with evenly spaced detector calls and `pixels = "flow"`.
+    /// The name with evenly spaced detector calls that follows boxes in pictures.
     pub const EVEN_SKIP_FLOW_NAME: &'static str = "even-skip-in-tracker+flow";
 
     /// λ, the price of a detector call. At 0 every frame runs the detector.
@@ -130,12 +129,11 @@ impl ExpectedLoss {
     /// A policy with these settings and trigger.
     ///
     /// # Errors
-    /// [`PolicyConfigError`] when a setting or the trigger's number cannot be used.
+    /// [`PolicyConfigError`] when the trigger's number cannot be used.
     pub fn new(
         settings: ExpectedLossSettings,
         trigger: Trigger,
     ) -> Result<Self, PolicyConfigError> {
-        settings.check().map_err(wrong_setting)?;
         let table = match trigger {
             Trigger::ExpectedLoss { .. } => "lambda",
             Trigger::FixedSkip { .. } | Trigger::Even { .. } => "in_tracker",
@@ -160,27 +158,35 @@ impl ExpectedLoss {
         })
     }
 
-    pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let lambda = config.lambda;
-        Self::boxed(config, Trigger::ExpectedLoss { lambda })
-    }
-
-    pub(super) fn fixed_skip(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let n = config.in_tracker.n;
-        Self::boxed(config, Trigger::FixedSkip { n })
-    }
-
-    pub(super) fn even_skip(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let skip_rate = config.in_tracker.skip_rate;
-        Self::boxed(config, Trigger::Even { skip_rate })
-    }
-
-    fn boxed(
+    pub(super) fn priced(
         config: &PolicyConfig,
-        trigger: Trigger,
+        pixels: Pixels,
     ) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let settings = with_overrides(&ExpectedLossSettings::default(), &config.expected_loss)
-            .map_err(wrong_setting)?;
+        let lambda = config.lambda;
+        Self::boxed(Trigger::ExpectedLoss { lambda }, pixels)
+    }
+
+    pub(super) fn fixed_skip(
+        config: &PolicyConfig,
+        pixels: Pixels,
+    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let n = config.in_tracker.n;
+        Self::boxed(Trigger::FixedSkip { n }, pixels)
+    }
+
+    pub(super) fn even_skip(
+        config: &PolicyConfig,
+        pixels: Pixels,
+    ) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let skip_rate = config.in_tracker.skip_rate;
+        Self::boxed(Trigger::Even { skip_rate }, pixels)
+    }
+
+    fn boxed(trigger: Trigger, pixels: Pixels) -> Result<Box<dyn Policy>, PolicyConfigError> {
+        let settings = ExpectedLossSettings {
+            pixels,
+            ..ExpectedLossSettings::default()
+        };
         Ok(Box::new(Self::new(settings, trigger)?))
     }
 
@@ -295,13 +301,6 @@ impl ExpectedLoss {
         self.births.count(born);
         self.pause.end();
         self.started = true;
-    }
-}
-
-fn wrong_setting(reason: String) -> PolicyConfigError {
-    PolicyConfigError::Setting {
-        table: "expected_loss",
-        reason,
     }
 }
 

@@ -102,7 +102,7 @@ impl FixedSkip {
             n: check_setting("fixed_skip", Self::KNOB, settings.n)?,
             memory: match skipped {
                 SkippedBoxes::Reuse => Memory::Boxes(DetectorBoxes::default()),
-                SkippedBoxes::Predict => Memory::Objects(Box::new(Tracker::from_config(config)?)),
+                SkippedBoxes::Predict => Memory::Objects(Box::new(Tracker::from_config(config))),
             },
             index: 0,
             progress: FixedSkipPhase::Decided(FrameState::P),

@@ -35,18 +35,10 @@ impl Tracker {
         }
     }
 
-    /// A tracker with the settings of Albireo that `config` comes to, so that policies differ in what
-    /// they are named for alone.
-    ///
-    /// # Errors
-    /// [`PolicyConfigError::Setting`] when one of them cannot be used.
-    pub(crate) fn from_config(config: &PolicyConfig) -> Result<Self, PolicyConfigError> {
-        let settings = config.albireo_settings()?;
-        settings.check().map_err(|reason| {
-            let table = super::Albireo::NAME;
-            PolicyConfigError::Setting { table, reason }
-        })?;
-        Ok(Self::new(&settings))
+    /// A tracker with the settings of Albireo under the profile of `config`, so that policies differ in what they are
+    /// named for alone.
+    pub(crate) fn from_config(config: &PolicyConfig) -> Self {
+        Self::new(&AlbireoSettings::of(config.profile))
     }
 
     /// Advances the objects to `frame`.

@@ -33,10 +33,7 @@ struct Bench {
 
 impl Bench {
     async fn new(policy: PolicyConfig, clip: ClipConfig) -> Self {
-        let audit = AuditConfig {
-            share: 0.0,
-            ..AuditConfig::default()
-        };
+        let audit = AuditConfig { share: 0.0 };
         Self::audited(policy, clip, audit).await
     }
 
@@ -70,7 +67,6 @@ impl Bench {
         let audit = Arc::new(CameraAudit::new(
             audit.draw(),
             audit.share,
-            audit.wait(),
             Arc::clone(&camera),
         ));
         let accounts = ClipAccounts::new(tracker, Arc::clone(&drops), Arc::clone(&audit), closed);
@@ -225,10 +221,7 @@ async fn a_frame_that_was_overtaken_is_dropped_and_counted_late() {
 async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<AuditReport>) {
     let mut config = PolicyConfig::default();
     config.select(policy).unwrap();
-    let audit = AuditConfig {
-        share,
-        ..AuditConfig::default()
-    };
+    let audit = AuditConfig { share };
     let mut bench = Bench::audited(config, ClipConfig::default(), audit).await;
     let board = Arc::clone(&bench.board);
     let mut events = board.subscribe();

@@ -1,5 +1,5 @@
 use super::*;
-use albireo_core::policy::{AlbireoSettings, ExpectedLossSettings};
+use albireo_service::config::Configuration as _;
 use albireo_service::config::{ConfigError, Role};
 use std::path::Path;
 
@@ -103,13 +103,6 @@ fn every_key_is_in_the_shipped_file_with_a_comment() {
         ..NodeConfig::default()
     };
     keys(&serde_json::to_value(shown_once).unwrap(), "", &mut wanted);
-    // The settings of a policy are there only where they differ from its profile's.
-    let settings = serde_json::to_value(AlbireoSettings::paper()).unwrap();
-    keys(&settings, "policy.albireo", &mut wanted);
-    let settings = serde_json::to_value(ExpectedLossSettings::default()).unwrap();
-    keys(&settings, "policy.expected_loss", &mut wanted);
-    // Empty in the defaults, and shown key by key.
-    wanted.retain(|key| !matches!(key.as_str(), "policy.albireo" | "policy.expected_loss"));
     shown.sort();
     wanted.sort();
     assert_eq!(shown, wanted);
@@ -136,15 +129,6 @@ fn the_keys_shown_as_comments_can_be_used_as_they_stand() {
         config.cameras[0].source.as_ref().unwrap().to_string(),
         "rtsp://192.168.0.20/stream"
     );
-    // The settings shown are those of the default profile.
-    assert_eq!(
-        serde_json::to_value(config.policy.albireo).unwrap(),
-        serde_json::to_value(AlbireoSettings::of(config.policy.profile)).unwrap()
-    );
-    assert_eq!(
-        serde_json::to_value(config.policy.expected_loss).unwrap(),
-        serde_json::to_value(ExpectedLossSettings::default()).unwrap()
-    );
 }
 
 #[test]
@@ -160,6 +144,25 @@ fn an_unknown_key_is_named_with_the_known_ones() {
         assert_eq!(found.len(), 1, "{found:?}");
         assert!(
             found[0].starts_with(&format!("{key}: unknown key")),
+            "{found:?}"
+        );
+    }
+}
+
+#[test]
+fn every_removed_key_is_refused_with_what_became_of_it() {
+    for (key, became) in NodeConfig::REMOVED {
+        let text = match key.split_once(" = ") {
+            Some((key, value)) => format!("{key} = \"{value}\"\n"),
+            None if key.matches('.').count() == 1 && key.starts_with("policy.") => {
+                format!("[{key}]\na = 1\n")
+            }
+            None => format!("{key} = 1\n"),
+        };
+        let found = problems(&text);
+        assert_eq!(found.len(), 1, "{found:?}");
+        assert!(
+            found[0].contains(&format!("was removed: {became}")),
             "{found:?}"
         );
     }
@@ -199,7 +202,7 @@ fn an_impossible_value_is_refused_with_its_key() {
         ("[clip]\nwindow_s = 0", "clip.window_s"),
         ("[clip]\nwindow_s = inf", "clip.window_s"),
         ("[clip]\nsilence_s = -1.0", "clip.silence_s"),
-        ("[frame]\nmax_width = 0", "frame.max_width"),
+        ("[frame]\nmax_payload_bytes = 0", "frame.max_payload_bytes"),
         ("[power]\ninterval_ms = 0", "power.interval_ms"),
         ("[power]\nidle_watts = nan", "power.idle_watts"),
         ("[power]\nidle_watts = 30.0", "power.busy_watts"),
@@ -209,8 +212,6 @@ fn an_impossible_value_is_refused_with_its_key() {
         ("[policy]\nu = nan", "policy.u"),
         ("[policy]\nu = \"small\"", "policy.u"),
         ("[policy]\nprofile = \"mine\"", "policy.profile"),
-        ("[policy.albireo]\ntmax = 1", "policy.albireo"),
-        ("[policy.albireo]\nt_max = 0", "policy.albireo"),
         ("[log]\nformat = \"xml\"", "log.format"),
         ("camera = []", "camera"),
         ("[[camera]]\nkey = \"a\"", "camera[0]"),
@@ -283,7 +284,7 @@ fn an_impossible_value_is_refused_with_its_key() {
 
 #[test]
 fn everything_wrong_is_told_at_once() {
-    let found = problems("[clip]\nwindow_s = 0\nsilence_s = nan\n[frame]\nmax_width = 0");
+    let found = problems("[clip]\nwindow_s = 0\nsilence_s = nan\n[frame]\nmax_payload_bytes = 0");
     assert_eq!(found.len(), 3, "{found:?}");
 }
 

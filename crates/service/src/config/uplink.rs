@@ -6,6 +6,10 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+/// After this long without a message the other side counts as gone. A keep-alive goes every quarter of it, so a metered
+/// link carries few of them.
+const LEASE_MS: u64 = 120_000;
+
 /// How a node reaches its hub. Without `connect` the session of `[zenoh]` serves both.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -24,8 +28,6 @@ pub struct UplinkConfig {
     pub user: Option<String>,
     /// File whose first line is the password.
     pub password_file: Option<PathBuf>,
-    /// After this time without a word the other side counts as gone, milliseconds.
-    pub lease_ms: u64,
     /// Longest pause between two attempts to reach the router again, milliseconds.
     pub retry_max_ms: u64,
     /// Reports that wait so long without any answer make the node open its uplink anew, seconds.
@@ -44,7 +46,6 @@ impl Default for UplinkConfig {
             verify_name: true,
             user: None,
             password_file: None,
-            lease_ms: 120_000,
             retry_max_ms: 30_000,
             reopen_s: 300,
             liveliness: false,
@@ -102,7 +103,7 @@ impl UplinkConfig {
         insert("transport/link/rx/max_message_size", (1 << 20).into())?;
         // A few kilobytes a minute, to another machine.
         insert("transport/shared_memory/enabled", false.into())?;
-        insert("transport/link/tx/lease", self.lease_ms.into())?;
+        insert("transport/link/tx/lease", LEASE_MS.into())?;
         let mut tls = serde_json::Map::new();
         for (key, file) in [
             ("root_ca_certificate", &self.root_ca_certificate),
@@ -157,7 +158,6 @@ impl UplinkConfig {
                 "and user belong together: name both, or neither",
             );
         }
-        findings.count(&key("lease_ms"), self.lease_ms, 1000, 3_600_000);
         findings.count(&key("retry_max_ms"), self.retry_max_ms, 100, 3_600_000);
         findings.count(&key("reopen_s"), self.reopen_s, 10, 86_400);
     }

@@ -77,7 +77,7 @@ pub(super) fn decode(
 fn fault(error: DecodingError) -> FrameFault {
     match error {
         DecodingError::LimitsExceeded => FrameFault::oversized(
-            "decoding the PNG file would take more memory than frame.max_decoded_bytes",
+            "decoding the PNG file would take more memory than a decoded picture may have",
         ),
         other => FrameFault::undecodable(format!("the PNG file is broken: {other}")),
     }

@@ -11,10 +11,13 @@ pub struct FrameLimits {
     /// Largest payload, bytes.
     pub max_payload_bytes: usize,
     /// Most columns of a picture.
+    #[serde(skip)]
     pub max_width: u32,
     /// Most rows of a picture.
+    #[serde(skip)]
     pub max_height: u32,
     /// Largest decoded picture, bytes.
+    #[serde(skip)]
     pub max_decoded_bytes: usize,
 }
 
@@ -58,7 +61,7 @@ pub fn check_picture(size: PictureSize, limits: &FrameLimits) -> Result<(), Fram
     }
     if size.width > limits.max_width || size.height > limits.max_height {
         return Err(FrameFault::oversized(format!(
-            "the picture is {size}, frame.max_width and frame.max_height allow {}x{}",
+            "the picture is {size}, at most {}x{} are taken",
             limits.max_width, limits.max_height
         )));
     }
@@ -77,8 +80,7 @@ pub(super) fn decoded_bytes(
         .filter(|bytes| *bytes <= limits.max_decoded_bytes)
         .ok_or_else(|| {
             FrameFault::oversized(format!(
-                "the picture is {size}, decoded it would exceed the {} bytes of \
-                 frame.max_decoded_bytes",
+                "the picture is {size}, decoded it would exceed the limit of {} bytes",
                 limits.max_decoded_bytes
             ))
         })

@@ -55,7 +55,7 @@ mod tests {
     use crate::policy::FrameEvidence;
     use crate::policy::FrameState::{AI, E, EI, I, P};
     use crate::policy::testing::{Run, seen};
-    use crate::policy::{Need, PolicyConfig, Profile};
+    use crate::policy::{Need, Profile};
 
     const ABLATIONS: [Ablation; 3] = [Ablation::KillOnly, Ablation::KillErd, Ablation::KillErd10d];
 
@@ -135,22 +135,9 @@ mod tests {
     }
 
     #[test]
-    fn no_single_setting_brings_a_part_back() {
+    fn no_ablation_rescues_an_object_under_the_smallest_threshold() {
         for ablation in ABLATIONS {
-            let text = format!(
-                "name = '{}'\n[albireo]\nasks_screen = true\nlife_cycle.r_max = 5\n\
-                 filter.motion = 'constant_acceleration'",
-                ablation.name()
-            );
-            let config: PolicyConfig = toml::from_str(&text).unwrap();
-            let mut settings = config.albireo_settings().unwrap();
-            assert_eq!(settings.life_cycle.r_max, 5);
-            ablation.apply(&mut settings);
-            let mut expected = AlbireoSettings::paper();
-            ablation.apply(&mut expected);
-            assert_eq!(settings, expected);
-            let mut run = Run::of(&config);
-            run.policy.set_knob(1e-9).unwrap();
+            let mut run = Run::new(&format!("{}:1e-9", ablation.name()), Profile::Paper);
             for _ in 0..3 {
                 run.see(&[seen(0.5, 0.9)]);
             }

@@ -116,7 +116,7 @@ impl AdaptiveRate {
         .map_err(wrong)?;
         Ok(Box::new(Self {
             settings,
-            tracker: Tracker::from_config(config)?,
+            tracker: Tracker::from_config(config),
             progress: AdaptiveRatePhase::Decided(FrameState::P),
             cause: None,
             since_call: None,

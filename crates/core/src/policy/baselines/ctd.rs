@@ -86,7 +86,7 @@ impl Ctd {
         Ok(Box::new(Self {
             settings,
             largest_distance: distance_with_confidence(threshold),
-            tracker: Tracker::from_config(config)?,
+            tracker: Tracker::from_config(config),
             progress: CtdPhase::Decided(FrameState::P),
             cause: None,
             since_detector: 0,

@@ -150,7 +150,7 @@ impl FrameDrop {
         }
         Ok(Self {
             settings,
-            tracker: Tracker::from_config(config)?,
+            tracker: Tracker::from_config(config),
             progress: FrameDropPhase::Decided(FrameState::P),
             cause: None,
             since_call: None,

@@ -1,7 +1,7 @@
 //! Promises of the configuration.
 
 use super::*;
-use crate::policy::{AlbireoSettings, SkippedBoxes};
+use crate::policy::SkippedBoxes;
 
 fn config(text: &str) -> PolicyConfig {
     toml::from_str(text).unwrap()
@@ -45,46 +45,10 @@ fn a_bad_threshold_is_refused() {
 }
 
 #[test]
-fn a_single_setting_goes_over_the_profile() {
-    let config = config(
-        "profile = 'reference'\n[albireo]\nt_max = 7\nlife_cycle.r_max = 4\n\
-         filter.measurement = { deviation = 0.01, unit = 'normalised' }",
-    );
-    let settings = with_overrides(&AlbireoSettings::of(config.profile), &config.albireo);
-    let settings: AlbireoSettings = settings.unwrap();
-    let mut expected = AlbireoSettings::reference();
-    expected.t_max = 7;
-    expected.life_cycle.r_max = 4;
-    expected.filter.measurement.deviation = 0.01;
-    expected.filter.measurement.unit = crate::kalman::MeasurementUnit::Normalised;
-    assert_eq!(settings, expected);
-    assert!(config.build().is_ok());
-}
-
-#[test]
-fn a_setting_that_does_not_exist_or_cannot_be_is_named() {
-    for (text, part) in [
-        ("[albireo]\ntmax = 7", "`tmax`"),
-        ("[albireo.life_cycle]\nrmax = 7", "`life_cycle.rmax`"),
-        ("[albireo]\nt_max = 'x'", "`t_max`"),
-        ("[albireo]\nt_max = 0", "`t_max`"),
-        ("[albireo]\nperiodic_cap_counts = 'x'", "`x`"),
-        (
-            "[albireo.filter.initial]\nsize = -1",
-            "`filter.initial.size`",
-        ),
-        (
-            "[albireo.filter.process]\nsize = nan",
-            "`filter.process.size`",
-        ),
-        (
-            "[albireo.association]\niou_gate = 2",
-            "`association.iou_gate`",
-        ),
-    ] {
-        let message = error(text);
-        assert!(message.starts_with("policy.albireo: "), "{message}");
-        assert!(message.contains(part), "{message}");
+fn the_numbers_of_the_methods_cannot_be_set() {
+    for table in ["[albireo]\nt_max = 7", "[expected_loss]\npixels = 'flow'"] {
+        let error = toml::from_str::<PolicyConfig>(table).unwrap_err();
+        assert!(error.to_string().contains("unknown field"), "{error}");
     }
 }
 

@@ -1,12 +1,10 @@
 //! Every number of the expected-loss policy, the knob aside, with the values that were found on recorded
 //! sequences.
 
-use crate::policy::tracker::check_ranges;
 use serde::{Deserialize, Serialize};
 
 /// The settings of the expected-loss policy. `s = √(w·h)` is the size of a box.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ExpectedLossSettings {
     /// How objects move and how detections are weighed against it.
     pub motion: Motion,
@@ -27,8 +25,7 @@ pub struct ExpectedLossSettings {
 }
 
 /// What is made of the pixels of frames that are answered without the detector.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Pixels {
     /// Nothing: such a frame is not even decoded.
     #[default]
@@ -38,8 +35,7 @@ pub enum Pixels {
 }
 
 /// How boxes are followed, and what is believed of it.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Flow {
     /// Columns of the grey picture that is asked for.
     pub width: u32,
@@ -102,8 +98,7 @@ impl Default for Flow {
 }
 
 /// Constant velocity of the centre and of the logarithms of the sides, slowly fading.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Motion {
     /// Process noise √q of the centre per frame, in s.
     pub center_process: f64,
@@ -142,8 +137,7 @@ impl Default for Motion {
 }
 
 /// The scale α of an object's covariance, from the normalised innovations of its updates.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Surprise {
     /// Weight of a new innovation in an object's α.
     pub rate: f64,
@@ -170,8 +164,7 @@ impl Default for Surprise {
 }
 
 /// The gates of the two stages of matching; the class is ignored.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ExpectedLossAssociation {
     /// Stage 1 accepts intersection over union of this or more.
     pub iou_gate: f64,
@@ -190,8 +183,7 @@ impl Default for ExpectedLossAssociation {
 }
 
 /// Birth and removal.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Life {
     /// An unmatched detection of this confidence or more becomes an object. Less confident ones can only
     /// prolong an object that is known. (With detections of at least 0.5 the value makes no difference;
@@ -233,8 +225,7 @@ impl Default for Life {
 }
 
 /// How the confidence of a box is derived from the scores of its object's detections.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Confidence {
     /// Smallest weight of a new score in the moving average m.
     pub rate: f64,
@@ -267,8 +258,7 @@ impl Default for Confidence {
 }
 
 /// What is compared with λ. L is the expected loss of the frame in hand, N̄ the mean number of boxes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum CallRule {
     /// `(L + Σ (L − L_t)) / N̄` over the frames t skipped since the last call. λ is the price of a call,
     /// in frames' worth of all boxes, and the pause ends where its cost per frame is least.
@@ -279,8 +269,7 @@ pub enum CallRule {
 }
 
 /// When the expected loss calls the detector.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Call {
     /// What is compared with λ.
     pub rule: CallRule,
@@ -338,131 +327,5 @@ impl Default for InTracker {
             n: 2.0,
             skip_rate: 0.5,
         }
-    }
-}
-
-impl ExpectedLossSettings {
-    /// Whether every number can be used.
-    ///
-    /// # Errors
-    /// A sentence that names the first that cannot, its value, and what is allowed.
-    pub fn check(&self) -> Result<(), String> {
-        let Self {
-            motion,
-            surprise,
-            association,
-            life,
-            confidence,
-            call,
-            pixels: _,
-            flow,
-        } = self;
-        check_ranges(
-            "a number",
-            [
-                ("motion.center_process", motion.center_process, 0.0, 10.0),
-                ("motion.size_process", motion.size_process, 0.0, 10.0),
-                (
-                    "motion.center_measurement",
-                    motion.center_measurement,
-                    1e-4,
-                    10.0,
-                ),
-                (
-                    "motion.size_measurement",
-                    motion.size_measurement,
-                    1e-4,
-                    10.0,
-                ),
-                ("motion.center_fading", motion.center_fading, 0.0, 1.0),
-                ("motion.size_fading", motion.size_fading, 0.0, 1.0),
-                ("motion.largest_growth", motion.largest_growth, 0.0, 0.3),
-                (
-                    "motion.newcomer_center_velocity",
-                    motion.newcomer_center_velocity,
-                    0.0,
-                    10.0,
-                ),
-                (
-                    "motion.newcomer_size_velocity",
-                    motion.newcomer_size_velocity,
-                    0.0,
-                    10.0,
-                ),
-                ("surprise.rate", surprise.rate, 0.0, 1.0),
-                ("surprise.camera_rate", surprise.camera_rate, 0.0, 1.0),
-                (
-                    "surprise.largest_innovation",
-                    surprise.largest_innovation,
-                    1.0,
-                    1e6,
-                ),
-                ("surprise.least", surprise.least, 1e-3, 1.0),
-                ("surprise.most", surprise.most, 1.0, 1e3),
-                ("association.iou_gate", association.iou_gate, 0.0, 1.0),
-                (
-                    "association.mahalanobis_gate",
-                    association.mahalanobis_gate,
-                    0.0,
-                    1e6,
-                ),
-                ("life.birth_confidence", life.birth_confidence, 0.0, 1.0),
-                ("life.least_visible", life.least_visible, 0.0, 1.0),
-                ("life.velocity_ridge", life.velocity_ridge, 1e-3, 1e6),
-                ("life.velocity_memory", life.velocity_memory, 0.0, 0.9999),
-                ("life.largest_velocity", life.largest_velocity, 0.0, 10.0),
-                ("life.least_side", life.least_side, 0.0, 1e3),
-                ("confidence.rate", confidence.rate, 0.0, 1.0),
-                ("confidence.last", confidence.last, 0.0, 1.0),
-                ("confidence.newcomer", confidence.newcomer, 0.0, 1.0),
-                (
-                    "confidence.newcomer_fading",
-                    confidence.newcomer_fading,
-                    0.0,
-                    100.0,
-                ),
-                ("confidence.prediction", confidence.prediction, 0.0, 1.0),
-                ("confidence.miss", confidence.miss, 0.0, 1.0),
-                ("confidence.least", confidence.least, 0.0, 1.0),
-                ("call.miss", call.miss, 0.0, 1.0),
-                ("call.birth", call.birth, 0.0, 100.0),
-                ("call.birth_memory", call.birth_memory, 1.0, 1e6),
-                ("call.birth_prior", call.birth_prior, 0.0, 100.0),
-                ("call.crowd_memory", call.crowd_memory, 1.0, 1e6),
-                ("call.crowd_prior", call.crowd_prior, 0.0, 1e6),
-                ("call.least_crowd", call.least_crowd, 1e-3, 1e6),
-                ("flow.price", flow.price, 0.0, 1.0),
-                ("flow.detected", flow.detected, 0.0, 1.0),
-                ("flow.center_noise", flow.center_noise, 1e-4, 10.0),
-                ("flow.pixel_noise", flow.pixel_noise, 0.0, 100.0),
-                ("flow.size_noise", flow.size_noise, 1e-4, 10.0),
-                ("flow.spread_noise", flow.spread_noise, 0.0, 100.0),
-                ("flow.spread_weight", flow.spread_weight, 0.0, 100.0),
-                ("flow.doubt", flow.doubt, 0.0, 1.0),
-                ("flow.lost", flow.lost, 0.0, 1.0),
-                ("flow.health_weight", flow.health_weight, 0.0, 10.0),
-                ("flow.border", flow.border, 0.0, 1e3),
-                ("flow.birth_prior", flow.birth_prior, 0.0, 100.0),
-            ],
-        )?;
-        check_ranges(
-            "a whole number",
-            [
-                ("life.misses_to_removal", life.misses_to_removal, 1, 1000),
-                // Every frame of a gap is predicted for every object, so the gap has a limit.
-                ("life.longest_blindness", life.longest_blindness, 1, 300),
-                ("life.hits_to_confirm", life.hits_to_confirm, 1, u32::MAX),
-                ("flow.width", flow.width, 64, 1920),
-                ("flow.grid", flow.grid, 3, 16),
-                ("flow.levels", flow.levels, 1, 6),
-                ("flow.longest_gap", flow.longest_gap, 1, 30),
-                (
-                    "call.longest_pause",
-                    call.longest_pause,
-                    1,
-                    life.longest_blindness,
-                ),
-            ],
-        )
     }
 }

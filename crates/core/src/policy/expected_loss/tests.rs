@@ -354,27 +354,6 @@ fn a_schedule_is_back_in_step_after_a_gap() {
     assert_eq!(called, expected);
 }
 
-#[test]
-fn a_setting_that_cannot_be_used_is_named() {
-    let refused = |change: fn(&mut ExpectedLossSettings)| {
-        let mut settings = settings();
-        change(&mut settings);
-        let trigger = Trigger::ExpectedLoss { lambda: 0.5 };
-        ExpectedLoss::new(settings, trigger)
-            .unwrap_err()
-            .to_string()
-    };
-    let message = refused(|settings| settings.motion.size_measurement = 0.0);
-    assert!(
-        message.contains("`motion.size_measurement` is 0"),
-        "{message}"
-    );
-    let message = refused(|settings| settings.call.birth = f64::NAN);
-    assert!(message.contains("`call.birth` is NaN"), "{message}");
-    let message = refused(|settings| settings.call.longest_pause = 0);
-    assert!(message.contains("`call.longest_pause` is 0"), "{message}");
-}
-
 /// Numbers a broken detector may give, among good ones.
 fn numbers() -> impl Strategy<Value = f64> {
     prop_oneof![

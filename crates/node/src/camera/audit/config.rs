@@ -11,16 +11,15 @@ use std::time::Duration;
 pub struct AuditConfig {
     /// Share of the frames answered without the detector; 0 for no audit.
     pub share: f64,
-    /// A drawn frame that the detector has had no time for in so long is counted as missed, seconds.
-    pub wait_s: f64,
 }
+
+/// A drawn frame that the detector had no time for in this long counts as missed. A detector that is busy for longer is
+/// overloaded, and waiting on would keep pictures in memory.
+pub(crate) const LONGEST_WAIT: Duration = Duration::from_secs(5);
 
 impl Default for AuditConfig {
     fn default() -> Self {
-        Self {
-            share: 0.02,
-            wait_s: 5.0,
-        }
+        Self { share: 0.02 }
     }
 }
 
@@ -32,10 +31,5 @@ impl AuditConfig {
             self.share,
             RandomState::new().hash_one(self.share.to_bits()),
         )
-    }
-
-    /// [`wait_s`](Self::wait_s) as a time.
-    pub(crate) fn wait(&self) -> Duration {
-        Duration::try_from_secs_f64(self.wait_s).unwrap_or(Duration::MAX)
     }
 }

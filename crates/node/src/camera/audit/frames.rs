@@ -8,7 +8,6 @@ use albireo_wire::AuditFigures;
 use parking_lot::Mutex;
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::sync::Notify;
 
 /// Most drawn frames of a camera that wait: each holds its encoded picture.
@@ -60,8 +59,6 @@ pub(crate) struct DrawnFrame {
 pub(crate) struct CameraAudit {
     draw: AuditDraw,
     share: f64,
-    /// How long a frame may wait for the detector.
-    wait: Duration,
     board: Arc<CameraBoard>,
     state: Mutex<State>,
     came: Notify,
@@ -79,16 +76,10 @@ struct State {
 
 impl CameraAudit {
     /// For the camera of `board`.
-    pub(crate) fn new(
-        draw: AuditDraw,
-        share: f64,
-        wait: Duration,
-        board: Arc<CameraBoard>,
-    ) -> Self {
+    pub(crate) fn new(draw: AuditDraw, share: f64, board: Arc<CameraBoard>) -> Self {
         Self {
             draw,
             share,
-            wait,
             board,
             state: Mutex::default(),
             came: Notify::new(),
@@ -98,11 +89,6 @@ impl CameraAudit {
     /// Share of the skipped frames that is drawn; `None` without an audit.
     pub(crate) fn share(&self) -> Option<f64> {
         (!self.draw.is_off()).then_some(self.share)
-    }
-
-    /// How long a frame may wait for the detector.
-    pub(crate) const fn wait(&self) -> Duration {
-        self.wait
     }
 
     /// Whether the frame with this number is drawn.

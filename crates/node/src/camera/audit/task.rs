@@ -1,5 +1,6 @@
 //! The task that looks at drawn frames, one a camera.
 
+use super::config::LONGEST_WAIT;
 use super::frames::{AuditCount, CameraAudit, DrawnFrame};
 use albireo_core::audit::AuditSums;
 use albireo_power::CameraEnergy;
@@ -46,8 +47,7 @@ impl Auditor {
 
     /// What comes of a frame; `None` when the detector has no time for it, or its picture is broken.
     async fn look(&self, frame: &DrawnFrame) -> Option<AuditCount> {
-        let now = Instant::now();
-        let until = now.checked_add(self.audit.wait()).unwrap_or(now);
+        let until = Instant::now() + LONGEST_WAIT;
         let turn = timeout_at(until, self.detector.spare_turn()).await.ok()??;
         // Only now that the detector is free: most pictures are never decoded.
         let input = self.detector.preparation().format();

@@ -5,7 +5,6 @@ use albireo_core::geometry::PictureSize;
 use albireo_vision::detector::DetectorStatus;
 use albireo_vision::picture::{EncodedPicture, PictureFormat};
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::sync::watch;
 
 fn audit() -> (Arc<Board>, CameraAudit) {
@@ -17,7 +16,7 @@ fn audit() -> (Arc<Board>, CameraAudit) {
     let board = Board::new(BoardSetup::from_config(&config, status).unwrap());
     let camera = Arc::clone(board.camera("front").unwrap());
     let draw = config.audit.draw();
-    let audit = CameraAudit::new(draw, 0.02, Duration::from_secs(1), camera);
+    let audit = CameraAudit::new(draw, 0.02, camera);
     (board, audit)
 }
 
@@ -82,15 +81,9 @@ async fn every_drawn_frame_is_compared_or_missed_and_counted_once() {
 
 #[test]
 fn a_share_of_nothing_is_no_audit_and_no_two_starts_draw_the_same_frames() {
-    let off = AuditConfig {
-        share: 0.0,
-        ..AuditConfig::default()
-    };
+    let off = AuditConfig { share: 0.0 };
     assert!(off.draw().is_off());
-    let half = AuditConfig {
-        share: 0.5,
-        ..AuditConfig::default()
-    };
+    let half = AuditConfig { share: 0.5 };
     let draws = [half.draw(), half.draw()];
     assert!((0..100).any(|frame| draws[0].draw(frame) != draws[1].draw(frame)));
 }

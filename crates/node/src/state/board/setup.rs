@@ -45,8 +45,7 @@ impl BoardSetup {
                 source: camera.source.as_ref().map(ToString::to_string),
                 knob: policy.knob(),
                 threshold: camera.threshold.or_else(|| policy.knob_value()),
-                sizeless: config.policy.profile == Profile::Paper
-                    && !config.policy.albireo.contains_key("filter"),
+                sizeless: config.policy.profile == Profile::Paper,
                 longest_pause: policy.longest_pause(),
                 audited: config.audit.share > 0.0,
             })
