@@ -38,7 +38,7 @@
 //!
 //! Lost frames advance everything but the sums: a frame that never came cannot be answered badly.
 //!
-//! With `pixels = "flow"` there are three choices a frame, under one price: answer blind, look, call. A look at a
+//! Under the names that end with `+flow` there are three choices a frame, under one price: answer blind, look, call. A look at a
 //! grey picture follows the boxes ([`follow`]) and costs `price·λ` where a call costs λ. It is taken when the
 //! boxes that it is expected to save on this frame are worth that, and always before a call, which it may spare;
 //! the frames that were looked at count their looks among their losses.
