@@ -428,7 +428,7 @@ export interface paths {
         };
         /**
          * What happens in the fleet, as server-sent events
-         * @description Kinds: `node` (its state changed), `gap`, `conflict`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node), and `resync`: more was
+         * @description Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node), and `resync`: more was
          *     missed than is told again, so look anew at how things stand.
          *     `curl -N http://127.0.0.1:8090/api/v1/events`
          */
@@ -549,7 +549,7 @@ export interface paths {
             cookie?: never;
         };
         /**
-         * One node with its instances
+         * One node with what is known of its reports
          * @description `curl http://127.0.0.1:8090/api/v1/nodes/car-7`
          */
         get: {
@@ -1816,7 +1816,7 @@ export interface components {
          * @description What sums are grouped by.
          * @enum {string}
          */
-        EnergyBy: "all" | "node" | "camera" | "day" | "policy" | "knob";
+        EnergyBy: "all" | "node" | "camera" | "day" | "policy" | "knob" | "clip";
         /** @description Sums of one group and one quality. */
         EnergyGroup: {
             audit?: components["schemas"]["AuditFigures"] | null;
@@ -1861,7 +1861,7 @@ export interface components {
              */
             gpu_joules: number;
             /**
-             * @description Node, camera (`node/camera`), day (seconds since the Unix epoch), policy, or policy and value (`albireo u=0.0003`);
+             * @description Node, camera (`node/camera`), day (seconds since the Unix epoch), policy, policy and value (`albireo u=0.0003`), or clip (`node/camera/clip`);
              *     empty for the sum over all.
              */
             group: string;
@@ -2002,53 +2002,6 @@ export interface components {
                 [key: string]: string;
             };
         };
-        /** @description An instance of a node, with what is counted of it. */
-        InstanceView: {
-            /**
-             * Format: int64
-             * @description Batches with a number that belongs to another report.
-             */
-            conflicts: number;
-            /**
-             * Format: int64
-             * @description When a batch came first.
-             */
-            first_ms: number;
-            /** @description Its identity. */
-            instance: string;
-            /**
-             * Format: int64
-             * @description When a batch came last.
-             */
-            last_ms: number;
-            /**
-             * Format: int64
-             * @description Reports that the node says it lost.
-             */
-            lost: number;
-            /** @description Digest of the machine it was first heard from. */
-            machine?: string | null;
-            /**
-             * Format: int64
-             * @description Reports that never came.
-             */
-            missing: number;
-            /**
-             * Format: int64
-             * @description Number of the first report that is not stored.
-             */
-            next_report: number;
-            /**
-             * Format: int64
-             * @description Clips stored.
-             */
-            reports: number;
-            /**
-             * Format: int64
-             * @description Reports set aside.
-             */
-            set_aside: number;
-        };
         /** @description Where a change lies: a share of the value before, or in the figure's unit. */
         Interval: {
             /**
@@ -2148,13 +2101,9 @@ export interface components {
          * @enum {string}
          */
         MemberTarget: "untouched" | "new" | "old";
-        /** @description A node with its instances. */
+        /** @description A node with what is known of its reports. */
         NodeDetail: components["schemas"]["NodeView"] & {
-            /**
-             * @description Its instances, the last heard first: more than one after its state was made anew, or when two nodes have this
-             *     name.
-             */
-            instances: components["schemas"]["InstanceView"][];
+            reports?: components["schemas"]["ReportCounts"] | null;
         };
         /** @description Nodes of the fleet. */
         NodeList: {
@@ -2220,8 +2169,6 @@ export interface components {
              * @description When the last status came, milliseconds since the Unix epoch.
              */
             heard_ms?: number | null;
-            /** @description Its instance. */
-            instance?: string | null;
             /** @description Its name. */
             node: string;
             /**
@@ -2274,9 +2221,14 @@ export interface components {
             durable: boolean;
             /**
              * Format: int64
-             * @description Reports lost since the instance began: the outbox was full or its disk broken.
+             * @description Reports lost: the outbox was full or its disk broken.
              */
             lost: number;
+            /**
+             * Format: int64
+             * @description Reports that the hub refused for good.
+             */
+            undeliverable?: number;
             /**
              * Format: int64
              * @description Reports that wait.
@@ -2401,6 +2353,44 @@ export interface components {
              * @description Its revision: greater than the one in force.
              */
             revision: number;
+        };
+        /** @description What is known of the reports of a node. */
+        ReportCounts: {
+            /**
+             * Format: int64
+             * @description When a batch came first, milliseconds since the Unix epoch.
+             */
+            first_ms: number;
+            /**
+             * Format: int64
+             * @description When a batch came last.
+             */
+            last_ms: number;
+            /**
+             * Format: int64
+             * @description Running counts that never came.
+             */
+            missing: number;
+            /**
+             * Format: int64
+             * @description Reports refused, because they were too old.
+             */
+            refused: number;
+            /**
+             * Format: int64
+             * @description How often the running count began anew: the node's state was made anew, went back in time or was copied.
+             */
+            resets: number;
+            /**
+             * Format: int64
+             * @description Reports that make no sense.
+             */
+            set_aside: number;
+            /**
+             * Format: int64
+             * @description Reports stored.
+             */
+            stored: number;
         };
         /**
          * @description How long the spans are that the sums were made from.
@@ -2599,6 +2589,11 @@ export interface components {
             clip: string;
             /**
              * Format: int64
+             * @description Running count of the report at its node.
+             */
+            count?: number | null;
+            /**
+             * Format: int64
              * @description Frames answered from prediction because the detector could not be had.
              */
             degraded: number;
@@ -2654,8 +2649,6 @@ export interface components {
              * @description Its number in the database: the later it was received, the higher.
              */
             id: number;
-            /** @description Instance of the node. */
-            instance: string;
             /**
              * Format: double
              * @description Energy, joules.
@@ -2682,6 +2675,11 @@ export interface components {
              * @description Frames with state P.
              */
             p: number;
+            /**
+             * Format: int64
+             * @description Number of this part of the clip, from 0.
+             */
+            part: number;
             /** @description Policy. */
             policy: string;
             /** @description Where the energy comes from. */
@@ -2695,11 +2693,8 @@ export interface components {
              * @description When it was received.
              */
             received_ms: number;
-            /**
-             * Format: int64
-             * @description Number of the report within the instance.
-             */
-            report: number;
+            /** @description Identity of the report. */
+            report_id: string;
             /**
              * Format: double
              * @description The knob's value at the end of the clip.
@@ -2720,16 +2715,16 @@ export interface components {
              * @description Its number: the later, the higher.
              */
             id: number;
-            /** @description What kind: `node`, `gap`, `conflict`, `set_aside`, `clock_off`, `refused`. */
+            /** @description What kind: `node`, `gap`, `reset`, `set_aside`, `clock_off`, `refused`. */
             kind: string;
             /** @description The node it is about. */
             node?: string | null;
         };
-        /** @description A report that could not be read. */
+        /** @description A report that makes no sense. */
         StoredSetAside: {
-            /** @description What came, at most 64 KiB of it. */
+            /** @description What came, at most 2 KiB of it. */
             body: string;
-            /** @description Why it cannot be read. */
+            /** @description Why it is not taken. */
             cause: string;
             /**
              * Format: int64
@@ -2743,11 +2738,8 @@ export interface components {
              * @description When it came.
              */
             received_ms: number;
-            /**
-             * Format: int64
-             * @description Number of the report within its instance.
-             */
-            report?: number | null;
+            /** @description Identity of the report. */
+            report_id?: string | null;
         };
         /** @description What is to be held. As JSON one field: `{"skip_rate": 0.5}`. */
         Target: {

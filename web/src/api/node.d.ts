@@ -531,7 +531,7 @@ export interface paths {
         };
         /**
          * Recent clip reports, newest first
-         * @description The node keeps the newest 256 in memory. `before` and `after` take the numbers of reports (`report`), which grow.
+         * @description The node keeps the newest 256 in memory. `before` and `after` take the identities of reports (`id`).
          *     `curl 'http://127.0.0.1:8080/api/v1/clips?camera=front&limit=10'`
          */
         get: {
@@ -541,10 +541,10 @@ export interface paths {
                     camera?: string;
                     /** @description At most this many; 50 without it. */
                     limit?: number;
-                    /** @description Reports with a lower number only: `next` of an answer, for the clips before those. */
-                    before?: number;
-                    /** @description Reports with a higher number only: the highest number seen, for the clips since. */
-                    after?: number;
+                    /** @description Reports older than the one of this identity only: `next` of an answer, for the clips before those. */
+                    before?: string;
+                    /** @description Reports newer than the one of this identity only: the newest that is known, for the clips since. */
+                    after?: string;
                 };
                 header?: never;
                 path?: never;
@@ -1613,7 +1613,7 @@ export interface components {
          * @description Why a clip ended.
          * @enum {string}
          */
-        ClipEnd: "next_clip" | "window" | "silence" | "shutdown";
+        ClipEnd: "next_clip" | "window" | "silence" | "shutdown" | "length" | "other";
         /**
          * @description Energy of one clip.
          *
@@ -1679,6 +1679,13 @@ export interface components {
             clip: string;
             /**
              * Format: int64
+             * @description Reports that the node has made so far, with this one: numbers that never come tell how many are missing. Absent
+             *     where the node could not read how many there were before. Whatever happens to the count, the identity is the
+             *     report's own.
+             */
+            count?: number | null;
+            /**
+             * Format: int64
              * @description Frames answered from prediction because the detector could not be had: state P, and not skipped.
              */
             degraded_frames: number;
@@ -1706,20 +1713,24 @@ export interface components {
              * @description Frames processed; the five states add up to it.
              */
             frames: number;
+            /**
+             * Format: uuid
+             * @description Identity, a UUID of version 7: made with the report, of the node's clock at that time, and never changed.
+             */
+            id: string;
             /** @description Detector model: file name. */
             model: string;
             /** @description Node. */
             node: string;
+            /**
+             * Format: int32
+             * @description Number of this part of the clip, from 0: a clip that lasts long is reported in parts.
+             */
+            part?: number;
             /** @description Policy. */
             policy: string;
             /** @description Execution provider that really ran it. */
             provider: string;
-            /**
-             * Format: int64
-             * @description Number of this report within the instance of the node that made it, from 1, without a restart: instance and
-             *     number tell two deliveries of the same report from two reports.
-             */
-            report: number;
             /**
              * Format: double
              * @description Share of frames that skipped the detector: state E or P and not degraded.
@@ -1748,10 +1759,10 @@ export interface components {
             /** @description The reports, as published on Zenoh. */
             clips: components["schemas"]["ClipReport"][];
             /**
-             * Format: int64
+             * Format: uuid
              * @description To be given as `before` for the clips before these; absent when there are none in memory.
              */
-            next?: number | null;
+            next?: string | null;
         };
         /** @description Says that there is something to pull. */
         ConfigChanged: {
@@ -2377,9 +2388,14 @@ export interface components {
             durable: boolean;
             /**
              * Format: int64
-             * @description Reports lost since the instance began: the outbox was full or its disk broken.
+             * @description Reports lost: the outbox was full or its disk broken.
              */
             lost: number;
+            /**
+             * Format: int64
+             * @description Reports that the hub refused for good.
+             */
+            undeliverable?: number;
             /**
              * Format: int64
              * @description Reports that wait.
@@ -2480,8 +2496,6 @@ export interface components {
         };
         /** @description A node asks what is desired. */
         PullRequest: {
-            /** @description Instance of the node. */
-            instance: string;
             /**
              * Format: int64
              * @description Revision it has, 0 for none.
@@ -2538,16 +2552,35 @@ export interface components {
              */
             revision: number;
         };
-        /** @description The acknowledgement of a batch, sent after the hub's commit. */
+        /** @description A report that a hub will never store. */
+        RefusedReport: {
+            /**
+             * Format: uuid
+             * @description Its identity.
+             */
+            id: string;
+            /** @description Why, in words. */
+            reason: string;
+        };
+        /** @description The acknowledgement of a batch, sent after the hub's commit: every report of it is stored, but those that are refused. */
         ReportAnswer: {
+            /**
+             * Format: uuid
+             * @description Identity of the hub's database. One that the node does not know has none of its reports: it sends again what it
+             *     still has.
+             */
+            database: string;
             desired?: components["schemas"]["Desired"] | null;
             /**
-             * Format: int64
-             * @description Every report of the instance up to this number is stored and may be removed: the batch's last number, or a lower
-             *     one where the rest must be sent again. Numbers begin at 1, so that 0 says that nothing is stored. Above the
-             *     node's own last number it says that the node's state went back in time.
+             * @description Running counts of the node ([`ClipReport::count`]) that never came, from the first to the last of each range: the node
+             *     sends again what it still has of them.
              */
-            stored: number;
+            missing?: [
+                number,
+                number
+            ][];
+            /** @description Reports that will never be stored: they are too old, or make no sense. */
+            refused?: components["schemas"]["RefusedReport"][];
             /**
              * Format: int32
              * @description Version.
@@ -2555,40 +2588,20 @@ export interface components {
             v: number;
         };
         /**
-         * @description Reports of one node, in the order of their numbers. On the wire it is JSON compressed with Zstandard against an example
-         *     batch, `crates/wire/src/report/dictionary-1.json`, behind a byte with that example's number.
+         * @description Reports of one node, the oldest first. On the wire it is JSON compressed with Zstandard against an example batch,
+         *     `crates/wire/src/report/dictionary-1.json`, behind a byte with that example's number.
          */
         ReportBatch: {
-            /**
-             * Format: int64
-             * @description Number of the first report.
-             */
-            first: number;
-            /**
-             * @description Instance of the node, 32 hexadecimal digits: made at its first start, and anew when its state directory is found
-             *     on another machine or went back in time. Numbers count within it.
-             */
-            instance: string;
-            /**
-             * Format: int64
-             * @description Number of the last report.
-             */
-            last: number;
-            /**
-             * Format: int64
-             * @description Reports that were lost before they could be sent (the outbox was full or its disk broken), since the
-             *     instance began. A hub sees from it that a gap is known to the node.
-             */
-            lost?: number;
-            /**
-             * @description A short digest of the machine's identity, so that one instance on two machines is noticed; absent
-             *     where the machine has none.
-             */
-            machine?: string | null;
-            /** @description Node. */
+            /** @description Node; the same in each of the reports. */
             node: string;
-            /** @description The reports: [`ClipReport::report`] is its number. */
+            /** @description The reports. */
             reports: components["schemas"]["ClipReport"][];
+            /**
+             * Format: int64
+             * @description The node's clock when it sent the batch, milliseconds since the Unix epoch: a hub sees from it whether the times in
+             *     the reports can be believed.
+             */
+            t_ms: number;
             /**
              * Format: int32
              * @description Version.
@@ -2662,22 +2675,23 @@ export interface components {
             values: components["schemas"]["ValueEstimate"][];
         };
         /**
-         * @description How a node is, with the full status when it changed or was asked for. Where nothing but the number of waiting reports has
-         *     changed, a [`Heartbeat`] is sent instead.
+         * @description A heartbeat with the full status when it changed or was asked for. Where nothing but the number of waiting reports has
+         *     changed, a [`Heartbeat`] goes out instead.
          */
         StatusMessage: {
             full?: components["schemas"]["NodeStatus"] | null;
             /** @description Whether it works as it should. */
             health: components["schemas"]["HealthState"];
-            /** @description Instance of the node. */
-            instance: string;
-            /** @description A short digest of the machine's identity; absent where the machine has none. */
-            machine?: string | null;
             /**
              * Format: int64
              * @description Revision of the desired value that is in force; 0 when none is.
              */
             revision: number;
+            /**
+             * Format: int32
+             * @description A random number of this run of the process: tells two runs, and two nodes of one name, from each other.
+             */
+            run: number;
             /**
              * Format: int64
              * @description Number of this message within the run, from 0; a gap makes the hub ask for the full status.
@@ -2685,7 +2699,7 @@ export interface components {
             seq: number;
             /**
              * Format: int64
-             * @description When the process started, nanoseconds since the Unix epoch: tells two runs of one instance apart.
+             * @description When the process started, nanoseconds since the Unix epoch.
              */
             started_ns: number;
             /**

@@ -7,7 +7,6 @@ type Schemas = components["schemas"];
 export type NodeList = Schemas["NodeList"];
 export type NodeView = Schemas["NodeView"];
 export type NodeDetail = Schemas["NodeDetail"];
-export type InstanceView = Schemas["InstanceView"];
 export type CountersMessage = Schemas["CountersMessage"];
 export type Counts = Schemas["Counts"];
 export type PresenceState = Schemas["PresenceState"];

@@ -67,8 +67,11 @@ record! {
     }
 }
 
+/// A column of sums, and what a clip adds to it.
+type Summed = (&'static str, fn(&ClipRow) -> i64);
+
 /// What is summed over clips: the column, and what a clip adds to it. A long clip is counted at its first part.
-const SUMMED: [(&str, fn(&ClipRow) -> i64); 34] = [
+const SUMMED: [Summed; 34] = [
     ("clips", |clip| i64::from(clip.part == 0)),
     ("duration_us", |clip| clip.duration_us),
     ("frames", |clip| clip.frames),

@@ -4,6 +4,7 @@ use super::*;
 use albireo_wire::{
     ClipEnd, ClipEnergy, EnergyQuality, LARGEST_REPORT_BYTES, RefusedReport, VERSION,
 };
+use futures_util::FutureExt;
 use std::time::Duration;
 use uuid::Uuid;
 
@@ -612,14 +613,13 @@ fn a_copy_of_the_state_delivers_the_same_identities() {
     assert_eq!(ids(&bench.open()), ids(&copy.open()));
 }
 
-#[tokio::test]
-async fn counts_and_waking_the_sender_never_wait_for_a_disk() {
+#[test]
+fn counts_and_waking_the_sender_never_wait_for_a_disk() {
     let outbox = Outbox::in_memory();
     keep(&outbox, 0..1);
     // As while a disk is written.
     let writing = outbox.shared.waiting.lock();
     assert_eq!(outbox.counts().waiting, 1);
-    let woken = tokio::time::timeout(Duration::from_secs(20), outbox.changed());
-    woken.await.unwrap();
+    assert!(outbox.changed().now_or_never().is_some());
     drop(writing);
 }
