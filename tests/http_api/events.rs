@@ -95,7 +95,7 @@ async fn how_things_stand_comes_first_and_then_each_event_in_order() {
     assert_eq!((&told["seq"], &told["state"]), (&json!(1), &json!("P")));
     assert_eq!(told["boxes"][0]["class"], "car");
     node.board.record_clip(clip("front", 3));
-    assert_eq!(events.expect("clip").await["report"], 3);
+    assert_eq!(events.expect("clip").await["count"], 3);
     node.board.publish_counters(5);
     assert_eq!(events.expect("counters").await["frames"], 2);
     assert_eq!(events.expect("counters").await["frames"], 0);

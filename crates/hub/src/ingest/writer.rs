@@ -192,7 +192,9 @@ impl Writer {
     /// Commits a group of batches; where the database takes no group, each batch alone.
     fn commit(&mut self, waiting: Vec<Waiting>, batches: &[Batch]) {
         let retention = self.retention_due <= Instant::now();
-        if batches.is_empty() && !retention && !self.setup.fleet.has_news() {
+        // Until a first transaction has succeeded an empty one is tried: a database that only reads is found at the start.
+        let is_proven = self.identity.is_some();
+        if is_proven && batches.is_empty() && !retention && !self.setup.fleet.has_news() {
             return;
         }
         match self.transaction(batches, retention) {
@@ -248,9 +250,10 @@ impl Writer {
         news: &News,
         retention: bool,
     ) -> Result<Committed, StoreError> {
-        if self.identity.is_none() {
-            self.identity = Some(self.database.identity()?);
-        }
+        let identity = match self.identity {
+            Some(identity) => identity,
+            None => self.database.identity()?,
+        };
         let now_ms = unix_milliseconds();
         let mut writing = self.database.begin()?;
         let (numbers, limits) = (&mut self.numbers, &mut self.event_limits);
@@ -263,6 +266,7 @@ impl Writer {
         }
         writing.events(&events)?;
         writing.commit()?;
+        self.identity = Some(identity);
         if retention {
             let more = deleted >= STEP.unsigned_abs();
             let pause = if more { Duration::ZERO } else { RETENTION };
