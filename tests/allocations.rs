@@ -6,10 +6,11 @@
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
-    FrameEvidence, FrameHead, FrameState, GreyPicture, Outcome, Policy, PolicyConfig, Profile,
-    decide_at_once,
+    EvidenceAtHand, FrameEvidence, FrameHead, FrameState, GreyPicture, LatePolicy, Need, Outcome,
+    Policy, PolicyConfig, Profile, Settler, decide_at_once,
 };
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 #[global_allocator]
 static ALLOCATOR: dhat::Alloc = dhat::Alloc;
@@ -70,11 +71,69 @@ fn drifting_picture(frame: usize) -> Vec<u8> {
 /// A frame of the film.
 type Frame = (Vec<Detection>, Vec<u8>);
 
+/// What decides a film: a policy that waits for its evidence, or one that answers at once.
+trait Decider {
+    /// Decides a frame.
+    fn frame(&mut self, head: FrameHead, known: FrameEvidence<'_>, outcome: &mut Outcome);
+}
+
+impl Decider for Box<dyn Policy> {
+    fn frame(&mut self, head: FrameHead, mut known: FrameEvidence<'_>, outcome: &mut Outcome) {
+        let Ok(()) = decide_at_once(&mut **self, head, &mut known, outcome);
+    }
+}
+
+/// Answers at once; what a frame needs comes two frames later. All frames are settled too.
+struct TwoFramesLate<'f> {
+    late: LatePolicy,
+    settler: Settler,
+    film: &'f [Frame],
+    waits: Option<(FrameHead, Need)>,
+}
+
+impl Decider for TwoFramesLate<'_> {
+    fn frame(&mut self, head: FrameHead, _: FrameEvidence<'_>, outcome: &mut Outcome) {
+        let need = self.late.frame(head, outcome);
+        let time = Duration::from_millis(100 * head.index);
+        let pending = need != Need::Nothing;
+        self.settler
+            .frame(head.index, time, outcome, pending, |_| {});
+        if pending {
+            self.waits = Some((head, need));
+        }
+        let due = self
+            .waits
+            .filter(|(waiting, _)| waiting.index + 2 <= head.index);
+        if let Some((waiting, need)) = due {
+            let (found, pixels) = &self.film[waiting.index as usize % PERIOD];
+            let mut known = evidence(waiting.index as usize % PERIOD, found, pixels);
+            let Ok(evidence) = known.evidence(need);
+            let need = self.late.deliver(waiting.index, evidence, outcome).unwrap();
+            self.waits = (need != Need::Nothing).then_some((waiting, need));
+            if need == Need::Nothing {
+                self.settler.late(waiting.index, outcome, |_| {});
+            }
+        }
+    }
+}
+
+fn evidence<'a>(frame: usize, found: &'a [Detection], pixels: &'a [u8]) -> FrameEvidence<'a> {
+    let size = match pixels.len() as u64 == GREY.pixels() {
+        true => GREY,
+        false => DRIFTING,
+    };
+    FrameEvidence {
+        empty: Some(frame.is_multiple_of(7)),
+        grey: Some(GreyPicture { size, pixels }),
+        detections: Some(found),
+    }
+}
+
 /// Allocations of each frame of one period, by frame state.
 fn period(
-    policy: &mut dyn Policy,
+    decider: &mut dyn Decider,
     outcome: &mut Outcome,
-    (film, size): (&[Frame], PictureSize),
+    film: &[Frame],
     start: usize,
 ) -> Vec<(FrameState, u64)> {
     let mut counted = Vec::with_capacity(PERIOD);
@@ -84,13 +143,9 @@ fn period(
             step: 1,
             picture: PictureSize::new(1280, 720),
         };
-        let mut known = FrameEvidence {
-            empty: Some(offset % 7 == 0),
-            grey: Some(GreyPicture { size, pixels }),
-            detections: Some(found),
-        };
+        let known = evidence(offset, found, pixels);
         let before = dhat::HeapStats::get().total_blocks;
-        let Ok(()) = decide_at_once(policy, head, &mut known, outcome);
+        decider.frame(head, known, outcome);
         let after = dhat::HeapStats::get().total_blocks;
         counted.push((outcome.state, after - before));
     }
@@ -117,18 +172,26 @@ fn no_frame_allocates_once_the_buffers_have_grown() {
     ];
     for (asked, states) in cases {
         for profile in [Profile::Paper, Profile::Reference] {
-            check(asked, profile, states);
+            check(asked, profile, states, false);
         }
+    }
+    for asked in [
+        "albireo:3e-4",
+        "expected-loss:0.5",
+        "expected-loss+flow:0.5",
+        "albireo+flow:3e-4",
+    ] {
+        check(asked, Profile::Paper, &[P, I, AI], true);
     }
 }
 
-fn check(asked: &str, profile: Profile, states: &[FrameState]) {
+fn check(asked: &str, profile: Profile, states: &[FrameState], late: bool) {
     let mut config = PolicyConfig {
         profile,
         ..PolicyConfig::default()
     };
     config.select(asked).unwrap();
-    let mut policy = config.build().unwrap();
+    let policy = config.build().unwrap();
     let mut outcome = Outcome::default();
     let follows = asked.contains("+flow");
     let frames = (0..PERIOD).map(|frame| {
@@ -140,17 +203,30 @@ fn check(asked: &str, profile: Profile, states: &[FrameState]) {
         (detections(frame), pixels)
     });
     let film: Vec<Frame> = frames.collect();
-    let film = (&film[..], if follows { DRIFTING } else { GREY });
-    let first = period(&mut *policy, &mut outcome, film, 0);
+    let mut waiting;
+    let mut at_once;
+    let decider: &mut dyn Decider = if late {
+        at_once = TwoFramesLate {
+            late: LatePolicy::new(policy).unwrap(),
+            settler: Settler::new(Duration::from_secs(2)),
+            film: &film,
+            waits: None,
+        };
+        &mut at_once
+    } else {
+        waiting = policy;
+        &mut waiting
+    };
+    let first = period(decider, &mut outcome, &film, 0);
     // The counter counts: the first frames do allocate.
     assert!(first.iter().any(|&(_, allocations)| allocations > 0));
     for round in 1..4 {
-        period(&mut *policy, &mut outcome, film, round * PERIOD);
+        period(decider, &mut outcome, &film, round * PERIOD);
     }
     // The least of several rounds, since the test's own main thread may allocate beside it.
     let mut least: BTreeMap<(usize, FrameState), u64> = BTreeMap::new();
     for round in 4..9 {
-        let counted = period(&mut *policy, &mut outcome, film, round * PERIOD);
+        let counted = period(decider, &mut outcome, &film, round * PERIOD);
         for (frame, (state, allocations)) in counted.into_iter().enumerate() {
             let entry = least.entry((frame, state)).or_insert(allocations);
             *entry = allocations.min(*entry);

@@ -353,7 +353,9 @@ async fn clips_are_read_page_by_page_and_only_the_new_ones() {
         (vec![3, 2, 1], &json!(null))
     );
     for (after, newer) in [(3, &[5, 4][..]), (5, &[])] {
-        let answer = node.json(&format!("/api/v1/clips?after={}", id(after))).await;
+        let answer = node
+            .json(&format!("/api/v1/clips?after={}", id(after)))
+            .await;
         assert_eq!(numbers(&answer), newer);
     }
 }

@@ -46,9 +46,11 @@ mod decide;
 mod detector_boxes;
 mod expected_loss;
 mod fixed_skip;
+mod late;
 mod published_threshold;
 mod record;
 mod reporting;
+mod settled;
 #[cfg(test)]
 mod testing;
 #[cfg(test)]
@@ -73,8 +75,10 @@ pub use expected_loss::{Flow, Pixels};
 pub use fixed_skip::FixedSkip;
 pub use fixed_skip::FixedSkipSettings;
 pub use fixed_skip::SkippedBoxes;
+pub use late::{CannotRewind, LatePolicy, NotPending};
 pub use published_threshold::published_threshold;
 pub use record::ObjectRecord;
+pub use settled::{SettledFrame, Settler};
 pub use vanilla::Vanilla;
 
 /// What a policy is told about a frame before anything of it is decoded.
@@ -386,6 +390,19 @@ pub trait Policy: Send + Sync {
     fn longest_pause(&self) -> Option<u32> {
         None
     }
+
+    /// Whether frames can be answered by prediction before their evidence has come: what [`LatePolicy`] needs.
+    fn can_rewind(&self) -> bool {
+        false
+    }
+
+    /// Keeps the state of the frame in hand, in place of what was kept before. Nothing unless the policy
+    /// [can rewind](Policy::can_rewind).
+    fn save(&mut self) {}
+
+    /// Returns to the state that was kept last, any number of times; settings and the knob's value stay as they are
+    /// now. Nothing before the first [`save`](Policy::save).
+    fn rewind(&mut self) {}
 
     /// Ends the frame: writes its state and boxes over `outcome`.
     fn finish(&mut self, outcome: &mut Outcome);

@@ -168,6 +168,20 @@ impl Pyramid {
         }
     }
 
+    /// Takes over the picture of `other`; the buffers stay.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        self.used = other.used;
+        if self.levels.len() < other.used {
+            self.levels.resize_with(other.used, Level::default);
+        }
+        for (level, from) in self.levels.iter_mut().zip(other.levels()) {
+            level.width = from.width;
+            level.height = from.height;
+            level.stride = from.stride;
+            level.pixels.clone_from(&from.pixels);
+        }
+    }
+
     /// Forgets the picture; the buffers stay.
     pub fn clear(&mut self) {
         self.used = 0;

@@ -202,6 +202,29 @@ impl ObjectStates {
         self.rejected
     }
 
+    /// Takes over the objects of `other`, which has the same settings. Allocates only while buffers grow.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        let Self {
+            settings: _,
+            picture,
+            model,
+            minimum_size,
+            states,
+            next_id,
+            matcher: _,
+            usable: _,
+            sightings,
+            rejected,
+        } = other;
+        self.picture = *picture;
+        self.model = *model;
+        self.minimum_size = *minimum_size;
+        self.states.clone_from(states);
+        self.next_id = *next_id;
+        self.sightings.clone_from(sightings);
+        self.rejected = *rejected;
+    }
+
     /// Forgets all objects; numbers start from 0 again. The count of refused detections stays.
     pub(crate) fn clear(&mut self) {
         self.states.clear();

@@ -50,6 +50,8 @@ pub struct Albireo {
     last_complete: Option<u64>,
     /// Boxes of a detector frame.
     boxes: Vec<OutputBox>,
+    /// The state that [`Policy::rewind`] returns to; a copy of this policy, kept for its buffers.
+    saved: Option<Box<Self>>,
 }
 
 impl Albireo {
@@ -91,6 +93,7 @@ impl Albireo {
             since_detector: 0,
             last_complete: None,
             boxes: Vec::new(),
+            saved: None,
         })
     }
 
@@ -141,6 +144,37 @@ impl Albireo {
         }
         self.tau_max = (self.active > 0).then_some(tau_max);
         cause
+    }
+
+    /// Takes over the state of `other`, a copy of this policy, but not its settings and threshold.
+    pub(super) fn copy_from(&mut self, other: &Self) {
+        let Self {
+            name: _,
+            settings: _,
+            reporting: _,
+            objects,
+            u: _,
+            u_in_force,
+            frame,
+            progress,
+            cause,
+            tau_max,
+            active,
+            since_detector,
+            last_complete,
+            boxes,
+            saved: _,
+        } = other;
+        self.objects.copy_from(objects);
+        self.u_in_force = *u_in_force;
+        self.frame = *frame;
+        self.progress = *progress;
+        self.cause = *cause;
+        self.tau_max = *tau_max;
+        self.active = *active;
+        self.since_detector = *since_detector;
+        self.last_complete = *last_complete;
+        self.boxes.clone_from(boxes);
     }
 
     /// What frame `index` needs, by what the objects have come to.
@@ -327,6 +361,23 @@ impl Policy for Albireo {
             FrameState::EI | FrameState::I | FrameState::AI => {
                 outcome.boxes.extend_from_slice(&self.boxes);
             }
+        }
+    }
+
+    fn can_rewind(&self) -> bool {
+        true
+    }
+
+    fn save(&mut self) {
+        let mut saved = (self.saved.take()).unwrap_or_else(|| Box::new(self.clone()));
+        saved.copy_from(self);
+        self.saved = Some(saved);
+    }
+
+    fn rewind(&mut self) {
+        if let Some(saved) = self.saved.take() {
+            self.copy_from(&saved);
+            self.saved = Some(saved);
         }
     }
 

@@ -41,6 +41,8 @@ pub(crate) struct AlbireoFlow {
     after_picture: Option<Need>,
     /// Whether that need stands whatever is followed.
     stands: bool,
+    /// The state that [`Policy::rewind`] returns to; a copy of this policy, kept for its buffers.
+    saved: Option<Box<Self>>,
 }
 
 impl AlbireoFlow {
@@ -61,7 +63,33 @@ impl AlbireoFlow {
             followed: Vec::new(),
             after_picture: None,
             stands: false,
+            saved: None,
         }))
+    }
+
+    /// Takes over the state of `other`, a copy of this policy, but not its settings and threshold.
+    fn copy_from(&mut self, other: &Self) {
+        let Self {
+            inner,
+            settings: _,
+            flow: _,
+            before,
+            now,
+            age,
+            seen,
+            followed,
+            after_picture,
+            stands,
+            saved: _,
+        } = other;
+        self.inner.copy_from(inner);
+        self.before.copy_from(before);
+        self.now.copy_from(now);
+        self.age = *age;
+        self.seen.clone_from(seen);
+        self.followed.clone_from(followed);
+        self.after_picture = *after_picture;
+        self.stands = *stands;
     }
 
     fn ask_for_picture(&mut self, after: Need, stands: bool) -> Need {
@@ -209,6 +237,23 @@ impl Policy for AlbireoFlow {
                 _ => find(state.id).unwrap_or(own),
             }
         }));
+    }
+
+    fn can_rewind(&self) -> bool {
+        true
+    }
+
+    fn save(&mut self) {
+        let mut saved = (self.saved.take()).unwrap_or_else(|| Box::new(self.clone()));
+        saved.copy_from(self);
+        self.saved = Some(saved);
+    }
+
+    fn rewind(&mut self) {
+        if let Some(saved) = self.saved.take() {
+            self.copy_from(&saved);
+            self.saved = Some(saved);
+        }
     }
 
     fn reset(&mut self) {

@@ -107,6 +107,8 @@ pub struct ExpectedLoss {
     weight: f64,
     tau_max: Option<f64>,
     active: usize,
+    /// The state that [`Policy::rewind`] returns to; a copy of this policy, kept for its buffers.
+    saved: Option<Box<Self>>,
 }
 
 impl ExpectedLoss {
@@ -155,6 +157,7 @@ impl ExpectedLoss {
             weight: 0.0,
             tau_max: None,
             active: 0,
+            saved: None,
         })
     }
 
@@ -294,6 +297,41 @@ impl ExpectedLoss {
             self.progress = ExpectedLossPhase::Skipped;
             Need::Nothing
         }
+    }
+
+    /// Takes over the state of `other`, a copy of this policy, but not its settings and threshold.
+    fn copy_from(&mut self, other: &Self) {
+        let Self {
+            settings: _,
+            trigger: _,
+            objects,
+            births,
+            crowd,
+            pause,
+            follower,
+            started,
+            progress,
+            cause,
+            loss,
+            weight,
+            tau_max,
+            active,
+            saved: _,
+        } = other;
+        self.objects.copy_from(objects);
+        self.births = *births;
+        self.crowd = *crowd;
+        self.pause = *pause;
+        if let (Some(own), Some(follower)) = (&mut self.follower, follower) {
+            own.copy_from(follower);
+        }
+        self.started = *started;
+        self.progress = *progress;
+        self.cause = *cause;
+        self.loss = *loss;
+        self.weight = *weight;
+        self.tau_max = *tau_max;
+        self.active = *active;
     }
 
     fn take_detections(&mut self, detections: &[Detection]) {
@@ -438,6 +476,23 @@ impl Policy for ExpectedLoss {
         outcome.cause = self.cause;
         outcome.tau_max = self.tau_max;
         outcome.active = self.active;
+    }
+
+    fn can_rewind(&self) -> bool {
+        true
+    }
+
+    fn save(&mut self) {
+        let mut saved = (self.saved.take()).unwrap_or_else(|| Box::new(self.clone()));
+        saved.copy_from(self);
+        self.saved = Some(saved);
+    }
+
+    fn rewind(&mut self) {
+        if let Some(saved) = self.saved.take() {
+            self.copy_from(&saved);
+            self.saved = Some(saved);
+        }
     }
 
     fn reset(&mut self) {

@@ -66,6 +66,23 @@ impl Follower {
         }
     }
 
+    /// Takes over the pictures of `other`. Allocates only while buffers grow.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        let Self {
+            flow: _,
+            before,
+            now,
+            age,
+            spread,
+            looked,
+        } = other;
+        self.before.copy_from(before);
+        self.now.copy_from(now);
+        self.age = *age;
+        self.spread = *spread;
+        self.looked = *looked;
+    }
+
     /// Forgets the pictures and what was learnt from them.
     pub(crate) fn clear(&mut self) {
         self.before.clear();

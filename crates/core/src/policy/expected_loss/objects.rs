@@ -41,6 +41,28 @@ impl Objects {
         }
     }
 
+    /// Takes over the objects of `other`. Allocates only while buffers grow.
+    pub(crate) fn copy_from(&mut self, other: &Self) {
+        let Self {
+            objects,
+            next_id,
+            picture,
+            aspect,
+            camera_alpha,
+            velocity,
+            matcher: _,
+            usable: _,
+            rejected,
+        } = other;
+        self.objects.clone_from(objects);
+        self.next_id = *next_id;
+        self.picture = *picture;
+        self.aspect = *aspect;
+        self.camera_alpha = *camera_alpha;
+        self.velocity.clone_from(velocity);
+        self.rejected = *rejected;
+    }
+
     /// Forgets the objects, but not what they taught.
     pub(crate) fn forget(&mut self) {
         self.objects.clear();

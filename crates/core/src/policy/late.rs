@@ -1,0 +1,190 @@
+//! Answers every frame at once by prediction, and takes what the detector finds when it comes.
+//!
+//! ```text
+//! frame k    the policy asks for detections: its state is saved, k is pending ─▶ predicted boxes
+//! frame k+1  nothing is asked for while k is pending                          ─▶ predicted boxes
+//! …
+//! frame m                                                                     ─▶ predicted boxes
+//! deliver k  back to the saved state, take the detections ─▶ final state and boxes of k;
+//!            then predict k+1 … m again, from where the objects really were
+//! ```
+//!
+//! The final state and boxes of frame k are those that the policy gives when a frame waits for its detections.
+
+use super::{Evidence, FrameHead, KnobError, Need, Outcome, Policy};
+
+/// Frames after the pending one that are predicted again one by one. Those beyond are predicted again as lost frames.
+const MOST_STEPS: usize = 256;
+
+/// A frame, and the threshold that held when it began.
+#[derive(Clone, Copy, Debug)]
+struct Step {
+    head: FrameHead,
+    threshold: Option<f64>,
+}
+
+/// The policy cannot predict, so a frame cannot be answered before its detections.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "policy `{policy}` cannot answer at once: it does not predict boxes; use `albireo`, `expected-loss` or one of \
+     these with `+flow`, or let frames wait for the detector (`answer = \"when_known\"`)"
+)]
+pub struct CannotRewind {
+    /// The policy's name.
+    pub policy: &'static str,
+}
+
+/// Evidence came for a frame that does not wait for any.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("frame {frame} does not wait for evidence")]
+pub struct NotPending {
+    /// The frame.
+    pub frame: u64,
+}
+
+/// A policy whose frames are answered before their evidence has come. At most one frame is pending at a time.
+pub struct LatePolicy {
+    policy: Box<dyn Policy>,
+    pending: Option<Step>,
+    /// The frames since the pending one.
+    steps: Vec<Step>,
+    /// Where the answers of frames that are predicted again go.
+    unused: Outcome,
+}
+
+impl LatePolicy {
+    /// Answers at once for `policy`.
+    ///
+    /// # Errors
+    /// [`CannotRewind`] for a policy that does not predict.
+    pub fn new(policy: Box<dyn Policy>) -> Result<Self, CannotRewind> {
+        if !policy.can_rewind() {
+            let policy = policy.name();
+            return Err(CannotRewind { policy });
+        }
+        Ok(Self {
+            policy,
+            pending: None,
+            steps: Vec::new(),
+            unused: Outcome::default(),
+        })
+    }
+
+    /// The policy, as far as the last frame.
+    pub fn policy(&self) -> &dyn Policy {
+        &*self.policy
+    }
+
+    /// Index of the frame that waits for evidence.
+    pub fn pending(&self) -> Option<u64> {
+        self.pending.map(|pending| pending.head.index)
+    }
+
+    /// Turns the policy's knob: takes effect with the next frame, and stays when a pending frame gets its evidence.
+    ///
+    /// # Errors
+    /// As [`Policy::set_knob`].
+    pub fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        self.policy.set_knob(value)
+    }
+
+    /// Answers a frame at once: writes state `P` (not `degraded`, without a cause) and predicted boxes over `outcome`.
+    /// Returns what the frame needs: with [`Need::Nothing`] this is its final answer, otherwise it is pending until
+    /// [`deliver`](Self::deliver) says so. A frame needs nothing while another one is pending.
+    pub fn frame(&mut self, head: FrameHead, outcome: &mut Outcome) -> Need {
+        let step = Step {
+            head,
+            threshold: self.policy.knob_value(),
+        };
+        let need = self.policy.begin(head);
+        if self.pending.is_some() {
+            self.remember(step);
+            predict(&mut *self.policy, need, outcome);
+            return Need::Nothing;
+        }
+        if need != Need::Nothing {
+            self.pending = Some(step);
+            self.policy.save();
+        }
+        predict(&mut *self.policy, need, outcome);
+        need
+    }
+
+    /// Gives the pending frame `frame` what it needs. Returns what it needs next; with [`Need::Nothing`], `outcome` has
+    /// its final state and boxes and the next frame may ask again. [`Evidence::Unavailable`] is for evidence that
+    /// failed or came too late: the frame is `degraded` if it needed the detector.
+    ///
+    /// # Errors
+    /// [`NotPending`] when another frame or none is pending; nothing changes then.
+    pub fn deliver(
+        &mut self,
+        frame: u64,
+        evidence: Evidence<'_>,
+        outcome: &mut Outcome,
+    ) -> Result<Need, NotPending> {
+        let Some(pending) = self.pending.filter(|step| step.head.index == frame) else {
+            return Err(NotPending { frame });
+        };
+        let threshold = self.policy.knob_value();
+        self.policy.rewind();
+        restore(&mut *self.policy, pending.threshold);
+        let need = self.policy.answer(evidence);
+        if need == Need::Nothing {
+            self.policy.finish(outcome);
+            self.pending = None;
+        } else {
+            self.policy.save();
+            predict(&mut *self.policy, need, &mut self.unused);
+        }
+        for step in &self.steps {
+            restore(&mut *self.policy, step.threshold);
+            let need = self.policy.begin(step.head);
+            predict(&mut *self.policy, need, &mut self.unused);
+        }
+        if self.pending.is_none() {
+            self.steps.clear();
+        }
+        restore(&mut *self.policy, threshold);
+        Ok(need)
+    }
+
+    /// Forgets the objects and the pending frame, as at the start of a stream.
+    pub fn reset(&mut self) {
+        self.pending = None;
+        self.steps.clear();
+        self.policy.reset();
+    }
+
+    /// Keeps a frame, to be predicted again.
+    fn remember(&mut self, step: Step) {
+        let full = self.steps.len() == MOST_STEPS;
+        match self.steps.last_mut().filter(|_| full) {
+            Some(last) => {
+                let frames = last.head.step.saturating_add(step.head.step.max(1));
+                *last = step;
+                last.head.step = frames;
+            }
+            None => self.steps.push(step),
+        }
+    }
+}
+
+/// Takes the frame in hand to its end by prediction alone.
+fn predict(policy: &mut dyn Policy, mut need: Need, outcome: &mut Outcome) {
+    while need != Need::Nothing {
+        need = policy.answer(Evidence::Unavailable);
+    }
+    policy.finish(outcome);
+    outcome.degraded = false;
+    outcome.cause = None;
+}
+
+/// Sets a threshold that has been in force before, which no policy refuses.
+fn restore(policy: &mut dyn Policy, threshold: Option<f64>) {
+    if let Some(value) = threshold {
+        let _ = policy.set_knob(value);
+    }
+}
+
+#[cfg(test)]
+mod tests;

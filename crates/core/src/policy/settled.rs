@@ -1,0 +1,284 @@
+//! Draws the boxes between two detector calls again when the second call is known: for recordings, counting and
+//! training data, which need not have their boxes at once.
+//!
+//! A frame that the detector looked at (`I`, `AI`, `E+I`) or that the screen found empty (`E`) stays as it is. Frames
+//! between two of these are given out when the second has come:
+//!
+//! | object | box | confidence |
+//! | --- | --- | --- |
+//! | reported at both ends, detected at the second | on the straight line between both | mean of both |
+//! | detected first at the second | where it was detected | half of what it has there |
+//! | missed at the second (rescued) | as answered | three quarters |
+//! | gone at the second | as answered | half |
+
+use super::{BoxSource, FrameState, Outcome, OutputBox};
+use crate::geometry::BoundingBox;
+use std::collections::VecDeque;
+use std::time::Duration;
+
+/// Frames held back at most, whatever their times say.
+const MOST_FRAMES: usize = 256;
+
+/// What remains of the confidence of an object that the next call did not know any more.
+const GONE: f64 = 0.5;
+
+/// What remains of the confidence of an object that the next call missed.
+const MISSED: f64 = 0.75;
+
+/// What a new object has, before the call that found it, of the confidence it has there.
+const NEW: f64 = 0.5;
+
+/// A frame given out: each once, in order.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SettledFrame<'a> {
+    /// Its index in the stream.
+    pub index: u64,
+    /// Its state.
+    pub state: FrameState,
+    /// False for a frame that goes out as it was answered, because no call came in time.
+    pub settled: bool,
+    /// Its boxes.
+    pub boxes: &'a [OutputBox],
+}
+
+/// A frame that is held back, or the last call.
+#[derive(Clone, Debug)]
+struct Held {
+    index: u64,
+    time: Duration,
+    state: FrameState,
+    pending: bool,
+    boxes: Vec<OutputBox>,
+}
+
+impl Held {
+    fn finish(&mut self, outcome: &Outcome) {
+        self.pending = false;
+        self.state = outcome.state;
+        self.boxes.clone_from(&outcome.boxes);
+    }
+
+    /// The frame as it was answered.
+    fn as_answered(&self, settled: bool) -> SettledFrame<'_> {
+        SettledFrame {
+            index: self.index,
+            state: self.state,
+            settled,
+            boxes: &self.boxes,
+        }
+    }
+}
+
+/// Holds frames back until they can be drawn between two calls.
+#[derive(Clone, Debug)]
+pub struct Settler {
+    longest_delay: Duration,
+    /// Frames since the last call, in order.
+    held: VecDeque<Held>,
+    /// The last call before them.
+    call: Option<Held>,
+    /// Index of the last frame taken.
+    last: Option<u64>,
+    /// The boxes of the frame that is given out.
+    drawn: Vec<OutputBox>,
+    /// Buffers for frames to come.
+    spare: Vec<Vec<OutputBox>>,
+}
+
+impl Settler {
+    /// Holds no frame back by more than `longest_delay` of the frames' own time, nor by more than 256 frames.
+    pub fn new(longest_delay: Duration) -> Self {
+        Self {
+            longest_delay,
+            held: VecDeque::new(),
+            call: None,
+            last: None,
+            drawn: Vec::new(),
+            spare: Vec::new(),
+        }
+    }
+
+    /// Takes the answer of frame `index`, whose picture is of that `time`, and gives out every frame that can be
+    /// settled or has waited too long. A `pending` frame gets its final answer by [`late`](Self::late). An index that
+    /// is not above the one before begins a new stream: the frames held back go out first.
+    pub fn frame(
+        &mut self,
+        index: u64,
+        time: Duration,
+        outcome: &Outcome,
+        pending: bool,
+        mut each: impl FnMut(SettledFrame<'_>),
+    ) {
+        if self.last.is_some_and(|last| index <= last) {
+            self.flush(&mut each);
+            let call = self.call.take();
+            self.recycle(call);
+        }
+        self.last = Some(index);
+        let mut frame = Held {
+            index,
+            time,
+            state: outcome.state,
+            pending,
+            boxes: self.spare.pop().unwrap_or_default(),
+        };
+        frame.boxes.clone_from(&outcome.boxes);
+        self.held.push_back(frame);
+        self.settle(&mut each);
+        while let Some(oldest) = self.held.front()
+            && (time.saturating_sub(oldest.time) > self.longest_delay
+                || self.held.len() > MOST_FRAMES)
+        {
+            self.give_up_oldest(&mut each);
+        }
+    }
+
+    /// Takes the final answer of a pending frame. If the frame has already gone out as it was answered, later frames
+    /// are drawn from this answer all the same. Any other index is ignored.
+    pub fn late(&mut self, index: u64, outcome: &Outcome, mut each: impl FnMut(SettledFrame<'_>)) {
+        if let Some(held) = self.held.iter_mut().find(|held| held.index == index) {
+            if held.pending {
+                held.finish(outcome);
+                self.settle(&mut each);
+            }
+            return;
+        }
+        let is_past = self.last.is_some_and(|last| index <= last);
+        let is_newest = self.call.as_ref().is_none_or(|call| call.index < index);
+        if is_past && is_newest && outcome.state != FrameState::P {
+            let mut call = self.call.take().unwrap_or_else(|| Held {
+                index,
+                time: Duration::ZERO,
+                state: outcome.state,
+                pending: false,
+                boxes: self.spare.pop().unwrap_or_default(),
+            });
+            call.index = index;
+            call.finish(outcome);
+            self.call = Some(call);
+        }
+    }
+
+    /// Gives out the frames held back, as they were answered: at the end of a clip or a stream.
+    pub fn flush(&mut self, mut each: impl FnMut(SettledFrame<'_>)) {
+        while !self.held.is_empty() {
+            self.give_up_oldest(&mut each);
+        }
+    }
+
+    /// Gives out everything up to the last call whose boxes are known.
+    fn settle(&mut self, each: &mut impl FnMut(SettledFrame<'_>)) {
+        loop {
+            let mut frames = self.held.iter();
+            let Some(length) =
+                frames.position(|frame| frame.pending || frame.state != FrameState::P)
+            else {
+                return;
+            };
+            if self.held[length].pending {
+                return;
+            }
+            for call_at in (0..length).rev() {
+                self.draw_oldest(call_at, each);
+            }
+            let call = self.held.pop_front();
+            if let Some(call) = &call {
+                each(call.as_answered(true));
+            }
+            let before = std::mem::replace(&mut self.call, call);
+            self.recycle(before);
+        }
+    }
+
+    /// Gives out the oldest frame as drawn between the last call and the one that is then at `call_at`.
+    fn draw_oldest(&mut self, call_at: usize, each: &mut impl FnMut(SettledFrame<'_>)) {
+        let frame = self.held.pop_front();
+        match (&frame, &self.call, self.held.get(call_at)) {
+            (Some(frame), Some(from), Some(to)) => {
+                draw(frame, from, to, &mut self.drawn);
+                each(SettledFrame {
+                    boxes: &self.drawn,
+                    ..frame.as_answered(true)
+                });
+            }
+            // Before the first call there is nothing to draw from.
+            (Some(frame), ..) => each(frame.as_answered(false)),
+            (None, ..) => {}
+        }
+        self.recycle(frame);
+    }
+
+    fn give_up_oldest(&mut self, each: &mut impl FnMut(SettledFrame<'_>)) {
+        let frame = self.held.pop_front();
+        if let Some(frame) = &frame {
+            each(frame.as_answered(false));
+        }
+        self.recycle(frame);
+    }
+
+    fn recycle(&mut self, frame: Option<Held>) {
+        self.spare.extend(frame.map(|frame| frame.boxes));
+    }
+}
+
+/// Writes the boxes of `frame`, which lies between the calls `from` and `to`, over `drawn`.
+fn draw(frame: &Held, from: &Held, to: &Held, drawn: &mut Vec<OutputBox>) {
+    drawn.clear();
+    for own in &frame.boxes {
+        let kept = match find(to, own) {
+            _ if own.object.is_none() => 1.0,
+            Some(end) if end.source == BoxSource::Detected => {
+                if find(from, own).is_some() {
+                    continue;
+                }
+                1.0
+            }
+            Some(_) => MISSED,
+            None => GONE,
+        };
+        drawn.push(OutputBox {
+            confidence: kept * own.confidence,
+            ..*own
+        });
+    }
+    let share = (frame.index - from.index) as f64 / (to.index - from.index) as f64;
+    for end in &to.boxes {
+        if end.source != BoxSource::Detected || end.object.is_none() {
+            continue;
+        }
+        let source = BoxSource::Predicted;
+        if let Some(start) = find(from, end) {
+            drawn.push(OutputBox {
+                bounding_box: between(start.bounding_box, end.bounding_box, share),
+                confidence: (start.confidence + end.confidence) / 2.0,
+                source,
+                ..*end
+            });
+        } else if find(frame, end).is_none() {
+            drawn.push(OutputBox {
+                confidence: NEW * end.confidence,
+                source,
+                ..*end
+            });
+        }
+    }
+}
+
+/// The box in `frame` of the object that `known` shows.
+fn find<'a>(frame: &'a Held, known: &OutputBox) -> Option<&'a OutputBox> {
+    let mut boxes = frame.boxes.iter();
+    boxes.find(|other| other.object == known.object)
+}
+
+fn between(start: BoundingBox, end: BoundingBox, share: f64) -> BoundingBox {
+    let line = |start: f64, end: f64| start + share * (end - start);
+    BoundingBox {
+        center_x: line(start.center_x, end.center_x),
+        center_y: line(start.center_y, end.center_y),
+        width: line(start.width, end.width),
+        height: line(start.height, end.height),
+    }
+}
+
+#[cfg(test)]
+mod tests;

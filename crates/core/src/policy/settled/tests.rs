@@ -1,0 +1,292 @@
+use super::*;
+use crate::detection::{ClassId, ObjectId};
+use proptest::prelude::*;
+
+const MOMENT: Duration = Duration::from_millis(100);
+const LONG: Duration = Duration::from_secs(3600);
+
+fn reported(object: u64, x: f64, confidence: f64, source: BoxSource) -> OutputBox {
+    OutputBox {
+        bounding_box: BoundingBox::new(x, 0.5, 0.1, 0.1),
+        class: ClassId(0),
+        confidence,
+        source,
+        object: Some(ObjectId(object)),
+        confirmed: true,
+    }
+}
+
+fn answer(state: FrameState, boxes: &[OutputBox]) -> Outcome {
+    Outcome {
+        state,
+        boxes: boxes.to_vec(),
+        ..Outcome::default()
+    }
+}
+
+type Given = (u64, bool, Vec<OutputBox>);
+
+/// Frames, one every 100 ms, and what came out.
+struct Stream {
+    settler: Settler,
+    given: Vec<Given>,
+}
+
+impl Stream {
+    fn new(longest_delay: Duration) -> Self {
+        Self {
+            settler: Settler::new(longest_delay),
+            given: Vec::new(),
+        }
+    }
+
+    fn frame(&mut self, index: u64, outcome: &Outcome, pending: bool) {
+        let given = &mut self.given;
+        let time = MOMENT * u32::try_from(index).unwrap();
+        self.settler
+            .frame(index, time, outcome, pending, |frame| note(given, frame));
+    }
+
+    fn late(&mut self, index: u64, outcome: &Outcome) {
+        let given = &mut self.given;
+        self.settler
+            .late(index, outcome, |frame| note(given, frame));
+    }
+
+    fn flush(&mut self) {
+        let given = &mut self.given;
+        self.settler.flush(|frame| note(given, frame));
+    }
+
+    fn indices(&self) -> Vec<u64> {
+        self.given.iter().map(|(index, ..)| *index).collect()
+    }
+}
+
+fn note(given: &mut Vec<Given>, frame: SettledFrame<'_>) {
+    given.push((frame.index, frame.settled, frame.boxes.to_vec()));
+}
+
+#[test]
+fn boxes_between_two_calls_lie_on_the_line_and_weigh_what_the_second_call_says() {
+    use BoxSource::{Detected, Predicted, Rescued};
+    let mut stream = Stream::new(LONG);
+    let seen = [
+        reported(0, 0.1, 0.8, Detected),
+        reported(1, 0.5, 0.8, Detected),
+        reported(2, 0.7, 0.8, Detected),
+    ];
+    stream.frame(0, &answer(FrameState::I, &seen), false);
+    for index in 1..4 {
+        let predicted = seen.map(|known| OutputBox {
+            source: Predicted,
+            ..known
+        });
+        stream.frame(index, &answer(FrameState::P, &predicted), false);
+        assert_eq!(stream.indices(), [0]);
+    }
+    let second = [
+        reported(0, 0.5, 0.6, Detected),
+        reported(1, 0.5, 0.6, Rescued),
+        reported(3, 0.9, 0.6, Detected),
+    ];
+    stream.frame(4, &answer(FrameState::AI, &second), false);
+    assert_eq!(stream.indices(), [0, 1, 2, 3, 4]);
+    for (index, settled, boxes) in &stream.given[1..4] {
+        assert!(settled);
+        let mut drawn: Vec<_> = boxes
+            .iter()
+            .map(|b| {
+                (
+                    b.object.unwrap().0,
+                    b.bounding_box.center_x,
+                    b.confidence,
+                    b.source,
+                )
+            })
+            .collect();
+        drawn.sort_by_key(|(object, ..)| *object);
+        let x = 0.1 + 0.1 * *index as f64;
+        let expected = [(0, x, 0.7), (1, 0.5, 0.6), (2, 0.7, 0.4), (3, 0.9, 0.3)];
+        for ((object, x, confidence, source), expected) in drawn.iter().zip(expected) {
+            assert_eq!(*object, expected.0);
+            assert!((x - expected.1).abs() < 1e-12, "{x} {expected:?}");
+            assert!(
+                (confidence - expected.2).abs() < 1e-12,
+                "{confidence} {expected:?}"
+            );
+            assert_eq!(*source, Predicted);
+        }
+        assert_eq!(drawn.len(), 4);
+    }
+    assert_eq!(stream.given[4].2, second);
+}
+
+#[test]
+fn a_frame_that_waited_too_long_goes_out_as_it_was_answered() {
+    let own = [reported(0, 0.5, 0.8, BoxSource::Predicted)];
+    let mut stream = Stream::new(MOMENT * 3);
+    stream.frame(0, &answer(FrameState::I, &own), false);
+    for index in 1..=5 {
+        stream.frame(index, &answer(FrameState::P, &own), false);
+    }
+    assert_eq!(stream.indices(), [0, 1]);
+    assert_eq!(stream.given[1], (1, false, own.to_vec()));
+    stream.frame(6, &answer(FrameState::E, &[]), false);
+    assert_eq!(stream.indices(), [0, 1, 2, 3, 4, 5, 6]);
+    assert!(stream.given[2..].iter().all(|(_, settled, _)| *settled));
+    // The screen saw nothing: what was predicted before is half believed.
+    assert_eq!(stream.given[5].2[0].confidence, 0.4);
+}
+
+#[test]
+fn a_stream_without_calls_holds_back_a_bounded_number_of_frames() {
+    let own = answer(
+        FrameState::P,
+        &[reported(0, 0.5, 0.8, BoxSource::Predicted)],
+    );
+    let mut settler = Settler::new(LONG);
+    let mut given = 0;
+    for index in 0..10_000 {
+        settler.frame(index, Duration::ZERO, &own, index == 0, |_| given += 1);
+        assert!(settler.held.len() <= MOST_FRAMES && settler.spare.len() <= MOST_FRAMES);
+    }
+    assert_eq!(given, 10_000 - MOST_FRAMES);
+}
+
+#[test]
+fn late_detections_settle_the_frames_before_them_and_after_them() {
+    let at = |x: f64, source| [reported(0, x, 0.8, source)];
+    let predicted = answer(FrameState::P, &at(0.9, BoxSource::Predicted));
+    let detected = |x| answer(FrameState::I, &at(x, BoxSource::Detected));
+    let mut stream = Stream::new(LONG);
+    stream.frame(0, &detected(0.1), false);
+    stream.frame(1, &predicted, false);
+    stream.frame(2, &predicted, true);
+    stream.frame(3, &predicted, false);
+    assert_eq!(stream.indices(), [0]);
+    stream.late(7, &detected(0.3));
+    stream.late(3, &detected(0.3));
+    assert_eq!(stream.indices(), [0]);
+    stream.late(2, &detected(0.3));
+    assert_eq!(stream.indices(), [0, 1, 2]);
+    stream.late(2, &detected(0.7));
+    stream.frame(4, &detected(0.5), false);
+    let places: Vec<_> = stream
+        .given
+        .iter()
+        .map(|(.., b)| b[0].bounding_box.center_x)
+        .collect();
+    for (place, expected) in places.iter().zip([0.1, 0.2, 0.3, 0.4, 0.5]) {
+        assert!((place - expected).abs() < 1e-12, "{places:?}");
+    }
+    // The detector looked, but nothing came of it: no call.
+    stream.frame(5, &predicted, true);
+    stream.late(5, &predicted);
+    assert_eq!(stream.indices(), [0, 1, 2, 3, 4]);
+}
+
+#[test]
+fn an_answer_after_its_frame_went_out_is_what_later_frames_are_drawn_from() {
+    let at = |x: f64, source| [reported(0, x, 0.8, source)];
+    let predicted = answer(FrameState::P, &at(0.9, BoxSource::Predicted));
+    let detected = |x| answer(FrameState::I, &at(x, BoxSource::Detected));
+    let mut stream = Stream::new(MOMENT);
+    stream.frame(0, &predicted, true);
+    stream.frame(1, &predicted, false);
+    stream.frame(2, &predicted, false);
+    assert_eq!(stream.given, [(0, false, predicted.boxes.clone())]);
+    stream.late(0, &detected(0.1));
+    stream.frame(3, &detected(0.4), false);
+    let settled: Vec<_> = stream
+        .given
+        .iter()
+        .map(|(_, settled, _)| *settled)
+        .collect();
+    assert_eq!(settled, [false, true, true, true]);
+    assert!((stream.given[2].2[0].bounding_box.center_x - 0.3).abs() < 1e-12);
+}
+
+#[test]
+fn a_stream_that_begins_again_gives_the_old_frames_out_first() {
+    let own = [reported(0, 0.5, 0.8, BoxSource::Detected)];
+    let mut stream = Stream::new(LONG);
+    stream.frame(5, &answer(FrameState::I, &own), false);
+    stream.frame(6, &answer(FrameState::P, &own), false);
+    stream.frame(0, &answer(FrameState::P, &own), false);
+    stream.frame(1, &answer(FrameState::I, &own), false);
+    assert_eq!(stream.indices(), [5, 6, 0, 1]);
+    assert!(stream.given[1..3].iter().all(|(_, settled, _)| !settled));
+}
+
+/// State, pending, lost frames before it, and places of boxes by object.
+type Event = (usize, bool, u64, Vec<(u64, f64)>);
+
+fn events() -> impl Strategy<Value = Vec<Event>> {
+    let boxes = prop::collection::vec((0..4u64, 0.0..1.0), 0..4);
+    let pending = prop::bool::weighted(0.3);
+    let lost = prop_oneof![4 => Just(0u64), 1 => 1..9u64];
+    prop::collection::vec((0..5usize, pending, lost, boxes), 1..80)
+}
+
+fn outcome((state, _, _, boxes): &Event) -> Outcome {
+    let state = FrameState::ALL[*state];
+    let source = match state {
+        FrameState::P => BoxSource::Predicted,
+        _ => BoxSource::Detected,
+    };
+    let mut answered = answer(state, &[]);
+    for (object, x) in boxes {
+        if answered
+            .boxes
+            .iter()
+            .all(|b| b.object != Some(ObjectId(*object)))
+        {
+            answered.boxes.push(reported(*object, *x, 0.8, source));
+        }
+    }
+    answered
+}
+
+proptest! {
+    #[test]
+    fn every_frame_comes_out_once_and_in_order(script in events(), longest in 0..12u32, late in 1..5u64) {
+        let mut stream = Stream::new(MOMENT * longest);
+        let mut pushed = Vec::new();
+        let mut waits: Option<(u64, u64, Outcome)> = None;
+        let mut index = 0;
+        for event in &script {
+            index += 1 + event.2;
+            let last = outcome(event);
+            let pending = event.1 && waits.is_none();
+            if pending {
+                stream.frame(index, &answer(FrameState::P, &[]), true);
+                waits = Some((index, index + late, last));
+            } else {
+                stream.frame(index, &last, false);
+            }
+            pushed.push(index);
+            if let Some((frame, _, last)) = waits.take_if(|(_, at, _)| *at <= index) {
+                stream.late(frame, &last);
+            }
+            prop_assert!(pushed.starts_with(&stream.indices()));
+            let oldest = pushed.get(stream.given.len()).copied().unwrap_or(index);
+            prop_assert!(index - oldest <= u64::from(longest), "held back for too long");
+        }
+        stream.flush();
+        prop_assert_eq!(stream.indices(), pushed);
+    }
+
+    #[test]
+    fn with_a_call_on_every_frame_each_goes_out_at_once_and_unchanged(script in events()) {
+        let mut stream = Stream::new(LONG);
+        for (index, event) in (0u64..).zip(&script) {
+            let mut own = outcome(event);
+            if own.state == FrameState::P {
+                own.state = FrameState::I;
+            }
+            stream.frame(index, &own, false);
+            prop_assert_eq!(stream.given.last(), Some(&(index, true, own.boxes)));
+        }
+    }
+}
