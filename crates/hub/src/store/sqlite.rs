@@ -5,7 +5,7 @@ use super::record::{Cell, Record};
 use super::tables::{NodeRow, ReportCountsRow, SetupKey, SumRow};
 use super::{Dialect, StoreError, greeting};
 use rusqlite::types::{ToSqlOutput, Value, ValueRef};
-use rusqlite::{Connection, OpenFlags, OptionalExtension, TransactionBehavior, params};
+use rusqlite::{Connection, MAIN_DB, OpenFlags, OptionalExtension, TransactionBehavior, params};
 use std::collections::{BTreeSet, HashMap};
 use uuid::Uuid;
 
@@ -61,6 +61,10 @@ impl Database for Sqlite {
 
     fn begin(&mut self) -> Result<Box<dyn Transaction + '_>, StoreError> {
         let connection = self.connect()?;
+        // SQLite begins a transaction on a read-only file too, and only refuses the first statement that writes.
+        if connection.is_readonly(MAIN_DB)? {
+            return Err(StoreError::Unavailable("the database is readonly".into()));
+        }
         // A transaction that begins by reading and then writes fails at once when another wrote in between.
         let begun = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
         Ok(Box::new(Writing(begun)))
