@@ -276,8 +276,10 @@ async fn a_gone_node_is_forgotten(database: &str) {
             .collect()
     };
     assert_eq!(names(&hub.get("/api/v1/nodes").await), ["sim-000000"]);
-    let change = hub.get(&format!("/api/v1/changes/{change}")).await;
-    assert_eq!(change["nodes"][0]["outcome"], "missed", "{change}");
+    hub.until(&format!("/api/v1/changes/{change}"), |change| {
+        change["nodes"][0]["outcome"] == "missed"
+    })
+    .await;
 
     // It stays forgotten over a restart, and is a new node when it comes back: nothing is desired of it.
     let again = hub.config.clone();

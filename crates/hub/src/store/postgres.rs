@@ -308,11 +308,12 @@ impl Transaction for Writing<'_> {
         let before = self.ask(
             sqlx::query(
                 "SELECT n.id, n.state, n.state <> k.state FROM jsonb_populate_recordset(NULL::nodes, $1::jsonb) k
-                 JOIN nodes n USING (id) ORDER BY n.id FOR UPDATE OF n",
+                 JOIN nodes n USING (id) WHERE n.state <> 'forgotten' OR n.since_ms < k.since_ms
+                 ORDER BY n.id FOR UPDATE OF n",
             )
             .bind(json.clone()),
         )?;
-        // What is not known now stays as it was.
+        // What is not known now stays as it was, and so does a node that was forgotten since.
         self.run(
             sqlx::query(
                 "UPDATE nodes n SET state = k.state,
@@ -320,7 +321,8 @@ impl Transaction for Writing<'_> {
                  heard_ms = COALESCE(k.heard_ms, n.heard_ms), run = COALESCE(k.run, n.run),
                  started_ns = COALESCE(k.started_ns, n.started_ns), revision = k.revision,
                  status = COALESCE(k.status, n.status)
-                 FROM jsonb_populate_recordset(NULL::nodes, $1::jsonb) k WHERE n.id = k.id",
+                 FROM jsonb_populate_recordset(NULL::nodes, $1::jsonb) k WHERE n.id = k.id
+                 AND (n.state <> 'forgotten' OR n.since_ms < k.since_ms)",
             )
             .bind(json),
         )?;

@@ -237,7 +237,10 @@ impl Transaction for Writing<'_> {
     }
 
     fn update_nodes(&mut self, rows: &[NodeRow]) -> Result<Vec<(i64, String)>, StoreError> {
-        let mut before = (self.0).prepare_cached("SELECT state FROM nodes WHERE id = ?")?;
+        // Nothing where the node was forgotten since.
+        let mut before = self.0.prepare_cached(
+            "SELECT state FROM nodes WHERE id = ?1 AND (state <> 'forgotten' OR since_ms < ?2)",
+        )?;
         // What is not known now stays as it was.
         let mut update = self.0.prepare_cached(
             "UPDATE nodes SET state = ?2, since_ms = CASE WHEN state = ?2 THEN since_ms ELSE ?3 END, why = ?4,
@@ -246,7 +249,10 @@ impl Transaction for Writing<'_> {
         )?;
         let mut changed = Vec::new();
         for row in rows {
-            let state: String = before.query_row([row.id], |row| row.get(0))?;
+            let known = before.query_row([row.id, row.since_ms], |row| row.get(0));
+            let Some(state) = known.optional()? else {
+                continue;
+            };
             if state != row.state {
                 changed.push((row.id, state));
             }

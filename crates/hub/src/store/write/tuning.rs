@@ -191,21 +191,24 @@ impl Writing<'_> {
         );
         let query = self.query(&open).bind(text(node)).bind(now_ms);
         query.execute(&mut *self.transaction).await?;
-        for statement in [
-            "DELETE FROM desired WHERE node = $1",
-            "UPDATE nodes SET state = 'forgotten', status = NULL, heard_ms = NULL WHERE name = $1",
-        ] {
-            let query = self.query(statement).bind(text(node));
-            query.execute(&mut *self.transaction).await?;
-        }
+        let query = self.query("DELETE FROM desired WHERE node = $1");
+        let query = query.bind(text(node));
+        query.execute(&mut *self.transaction).await?;
+        let query = self.query(
+            "UPDATE nodes SET state = 'forgotten', since_ms = $2, status = NULL, heard_ms = NULL WHERE name = $1",
+        );
+        let query = query.bind(text(node)).bind(now_ms);
+        query.execute(&mut *self.transaction).await?;
         Ok(())
     }
 
-    /// Notes what became of orders.
+    /// Notes what became of orders; what has ended meanwhile, as of a node that was forgotten, stays as it ended.
     pub(crate) async fn outcomes(&mut self, nodes: &[OrderNodeRow]) -> Result<(), StoreError> {
-        let statement = insert::<OrderNodeRow>("order_nodes")
-            + " ON CONFLICT (revision, node) DO UPDATE SET outcome = excluded.outcome, at_ms = excluded.at_ms, \
-               detail = excluded.detail";
+        let update = format!(
+            " ON CONFLICT (revision, node) DO UPDATE SET outcome = excluded.outcome, at_ms = excluded.at_ms, \
+             detail = excluded.detail WHERE order_nodes.{OPEN}"
+        );
+        let statement = insert::<OrderNodeRow>("order_nodes") + &update;
         self.with(&statement, nodes).await?;
         Ok(())
     }
