@@ -22,6 +22,9 @@ use std::collections::BTreeMap;
 pub(crate) const IOU_THRESHOLDS: [f64; 10] =
     [0.50, 0.55, 0.60, 0.65, 0.70, 0.75, 0.80, 0.85, 0.90, 0.95];
 
+/// Boxes below this confidence are nobody's output; see [`Accuracy::f1_50_shown`].
+pub const SHOWN_CONFIDENCE: f64 = 0.3;
+
 /// The place of 0.75 in [`IOU_THRESHOLDS`].
 const AT_75: usize = 5;
 
@@ -79,6 +82,9 @@ pub struct Accuracy {
     pub f1_50: f64,
     /// The same at IoU 0.75.
     pub f1_75: f64,
+    /// F1 at IoU 0.50 of all boxes of confidence [`SHOWN_CONFIDENCE`] and above: AP counts faint boxes that nobody
+    /// would show.
+    pub f1_50_shown: f64,
     /// Share of all predictions that match at IoU 0.50; 0 without predictions.
     pub precision: f64,
     /// Share of the ground truth that is matched at IoU 0.50.
@@ -111,6 +117,7 @@ pub fn accuracy(
                 map: mean(|class| class.map),
                 f1_50: mean(|class| class.f1_50),
                 f1_75: mean(|class| class.f1_75),
+                f1_50_shown: mean(|class| class.f1_50_shown),
                 precision: mean(|class| class.precision),
                 recall: mean(|class| class.recall),
                 predictions: predictions.iter().map(Vec::len).sum(),
@@ -177,6 +184,8 @@ pub(crate) fn accuracy_by_class(
 struct Matching {
     /// Bit `t` is set when the prediction matches at `IOU_THRESHOLDS[t]`.
     matched: Vec<u16>,
+    /// How many predictions, the first ones, have the confidence to be shown.
+    shown: usize,
     truths: usize,
     /// Pairs of boxes whose IoU was computed.
     #[cfg(test)]
@@ -220,6 +229,7 @@ impl Matching {
         // Stable: equal confidences stay in order of frames, as in the published evaluator and COCO's.
         ranked.sort_by(|a, b| b.0.total_cmp(&a.0));
         Self {
+            shown: ranked.partition_point(|(confidence, _)| *confidence >= SHOWN_CONFIDENCE),
             matched: ranked.into_iter().map(|(_, matched)| matched).collect(),
             truths,
             #[cfg(test)]
@@ -255,6 +265,7 @@ impl Matching {
             map: sum / IOU_THRESHOLDS.len() as f64,
             f1_50: self.best_f1(0),
             f1_75: self.best_f1(AT_75),
+            f1_50_shown: self.f1_shown(),
             precision: if self.matched.is_empty() {
                 0.0
             } else {
@@ -274,6 +285,13 @@ impl Matching {
             2.0 * hits as f64 / (rank + 1 + self.truths) as f64
         });
         f1.fold(0.0, f64::max)
+    }
+
+    /// F1 at IoU 0.50 of the predictions that are shown.
+    fn f1_shown(&self) -> f64 {
+        let shown = self.matched.iter().take(self.shown);
+        let hits = shown.filter(|&&matched| matched & 1 == 1).count();
+        2.0 * hits as f64 / (self.shown + self.truths) as f64
     }
 
     /// The precision after each prediction that matches, in order; entry `k` is at recall

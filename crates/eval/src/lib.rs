@@ -21,6 +21,7 @@ pub mod scoring;
 pub mod source;
 pub mod spec;
 pub mod statistics;
+pub mod streams;
 pub mod summary;
 pub mod table;
 pub mod text;

@@ -222,7 +222,11 @@ fn scoring_of(policy: &str, scoring: Scoring) -> Scoring {
     }
 }
 
-fn judge(clip: &Clip, boxes: &[Vec<ScoredBox>], settings: &Settings) -> Option<Accuracy> {
+pub(super) fn judge(
+    clip: &Clip,
+    boxes: &[Vec<ScoredBox>],
+    settings: &Settings,
+) -> Option<Accuracy> {
     let truth = clip.truth.as_ref()?;
     accuracy(boxes, truth, settings.classes, settings.interpolation)
 }

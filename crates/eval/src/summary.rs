@@ -89,6 +89,8 @@ pub struct PolicySummary {
     pub ap75: Option<f64>,
     /// Mean F1 at IoU 0.5 and each clip's best confidence.
     pub f1_50: Option<f64>,
+    /// Mean F1 at IoU 0.5 of the boxes with confidence to be shown.
+    pub f1_50_shown: Option<f64>,
     /// Mean precision at IoU 0.50.
     pub precision: Option<f64>,
     /// Mean recall at IoU 0.50.
@@ -184,6 +186,7 @@ fn summarise_policy(
         map: over(&|result| result.accuracy.map(|accuracy| accuracy.map)),
         ap75: over(&|result| result.accuracy.map(|accuracy| accuracy.ap75)),
         f1_50: over(&|result| result.accuracy.map(|accuracy| accuracy.f1_50)),
+        f1_50_shown: over(&|result| result.accuracy.map(|accuracy| accuracy.f1_50_shown)),
         precision: over(&|result| result.accuracy.map(|accuracy| accuracy.precision)),
         recall: over(&|result| result.accuracy.map(|accuracy| accuracy.recall)),
         ap50_last_confidence: over(&|result| {

@@ -122,7 +122,8 @@ fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
         column(["mAP", ""], 0, &|s| three(s.map)),
         column(["Δ", "pp"], 2, &|s| change(against(s).and_then(|a| a.map))),
         column(["AP@75", ""], 2, &|s| three(s.ap75)),
-        column(["F1@50", ""], 1, &|s| three(s.f1_50)),
+        column(["F1@50", ""], 5, &|s| three(s.f1_50)),
+        column(["F1@50", ">=.3"], 1, &|s| three(s.f1_50_shown)),
         column(["prec.", ""], 6, &|s| three(s.precision)),
         column(["recall", ""], 6, &|s| three(s.recall)),
         column(["time", "ms"], 4, &|s| {

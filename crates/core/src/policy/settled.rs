@@ -7,7 +7,7 @@
 //! | object | box | confidence |
 //! | --- | --- | --- |
 //! | reported at both ends, detected at the second | on the straight line between both | mean of both |
-//! | detected first at the second | where it was detected | half of what it has there |
+//! | detected first at the second | where it was detected | half of what it has there, less the earlier the frame |
 //! | missed at the second (rescued) | as answered | three quarters |
 //! | gone at the second | as answered | half |
 
@@ -25,7 +25,8 @@ const GONE: f64 = 0.5;
 /// What remains of the confidence of an object that the next call missed.
 const MISSED: f64 = 0.75;
 
-/// What a new object has, before the call that found it, of the confidence it has there.
+/// What a new object has, right before the call that found it, of the confidence it has there. It falls to 0 at the call
+/// before.
 const NEW: f64 = 0.5;
 
 /// A frame given out: each once, in order.
@@ -256,7 +257,7 @@ fn draw(frame: &Held, from: &Held, to: &Held, drawn: &mut Vec<OutputBox>) {
             });
         } else if find(frame, end).is_none() {
             drawn.push(OutputBox {
-                confidence: NEW * end.confidence,
+                confidence: NEW * share * end.confidence,
                 source,
                 ..*end
             });

@@ -67,6 +67,27 @@ fn a_hand_computed_curve_has_the_area_of_its_steps() {
 }
 
 #[test]
+fn f1_of_shown_boxes_leaves_faint_ones_out_and_counts_those_at_the_floor() {
+    let places = [0.0, 20.0, 40.0, 60.0];
+    let truths = vec![places.map(|x| truth(square(x, 0.0, 10.0))).to_vec()];
+    let found = |confidences: [f64; 3]| {
+        let boxes = places.iter().zip(confidences);
+        let boxes = boxes.map(|(x, confidence)| scored(square(*x, 0.0, 10.0), confidence));
+        pooled(&[boxes.collect()], &truths).f1_50_shown
+    };
+    // Two shown and right, of four: 2·2 / (2 + 4).
+    assert!((found([0.9, SHOWN_CONFIDENCE, 0.29]) - 2.0 / 3.0).abs() < 1e-15);
+    assert_eq!(found([0.2, 0.1, 0.29]), 0.0);
+    // A wrong one counts against it: 2·1 / (2 + 4).
+    let wrong = vec![vec![
+        scored(square(0.0, 0.0, 10.0), 0.9),
+        scored(square(0.0, 50.0, 10.0), 0.4),
+        scored(square(20.0, 0.0, 10.0), 0.2),
+    ]];
+    assert!((pooled(&wrong, &truths).f1_50_shown - 1.0 / 3.0).abs() < 1e-15);
+}
+
+#[test]
 fn a_second_prediction_of_a_found_box_is_wrong() {
     let truths = vec![vec![truth(square(0.0, 0.0, 10.0))]];
     let predictions = vec![vec![

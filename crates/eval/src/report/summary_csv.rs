@@ -8,7 +8,7 @@ use crate::result::ClipResult;
 use crate::spec::BASELINE;
 use std::collections::HashMap;
 
-const HEADER: [&str; 38] = [
+const HEADER: [&str; 39] = [
     "sequence",
     "camera",
     "frames",
@@ -29,6 +29,7 @@ const HEADER: [&str; 38] = [
     "map",
     "ap75",
     "f1_50",
+    "f1_50_shown",
     "precision",
     "recall",
     "delta_ap50",
@@ -73,7 +74,7 @@ fn cell(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
-fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> [String; 38] {
+fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> [String; 39] {
     let accuracy = result.accuracy;
     let last = result.accuracy_last_confidence;
     // Under the published scoring, and only there, both definitions exist.
@@ -106,6 +107,7 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> [String; 38] {
         cell(accuracy.map(|a| a.map)),
         cell(accuracy.map(|a| a.ap75)),
         cell(accuracy.map(|a| a.f1_50)),
+        cell(accuracy.map(|a| a.f1_50_shown)),
         cell(accuracy.map(|a| a.precision)),
         cell(accuracy.map(|a| a.recall)),
         cell(delta(|a| a.ap50)),

@@ -107,7 +107,8 @@ fn boxes_between_two_calls_lie_on_the_line_and_weigh_what_the_second_call_says()
             .collect();
         drawn.sort_by_key(|(object, ..)| *object);
         let x = 0.1 + 0.1 * *index as f64;
-        let expected = [(0, x, 0.7), (1, 0.5, 0.6), (2, 0.7, 0.4), (3, 0.9, 0.3)];
+        let new = 0.3 * *index as f64 / 4.0;
+        let expected = [(0, x, 0.7), (1, 0.5, 0.6), (2, 0.7, 0.4), (3, 0.9, new)];
         for ((object, x, confidence, source), expected) in drawn.iter().zip(expected) {
             assert_eq!(*object, expected.0);
             assert!((x - expected.1).abs() < 1e-12, "{x} {expected:?}");

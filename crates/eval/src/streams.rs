@@ -1,0 +1,403 @@
+//! Judges boxes when frames arrive, with a detector that takes its time, and boxes that are settled afterwards.
+//!
+//! At arrival, a frame is judged by what has been published when it comes. A policy that predicts answers each frame at
+//! once and takes detections late ([`LatePolicy`]). Any other one lets frames wait for the detector: it takes the newest
+//! frame when it is free, and every frame is judged by the boxes of the last frame that it has finished.
+
+use crate::average_precision::{Accuracy, ScoredBox, outside_ignored};
+use crate::data::Clip;
+use crate::replay::drive;
+use crate::run::{RunError, Settings, in_parallel, judge, no_evidence};
+use crate::scoring::score_reported;
+use crate::source::{ClipEvidence, SourceError, StoredEvidence};
+use crate::spec::{BASELINE, PolicySpec};
+use crate::statistics::mean;
+use crate::summary::Difference;
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::{
+    Evidence, EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox, Policy,
+    PolicyConfigError, Settler, decide_at_once,
+};
+use std::fmt::Write;
+use std::time::Duration;
+
+/// Settled frames are held back by this at most, as a node does.
+const LONGEST_DELAY: Duration = Duration::from_secs(2);
+
+/// Times are compared with this tolerance, seconds: frame times are sums of rounded intervals.
+const SAME_TIME: f64 = 1e-9;
+
+/// Which boxes of a frame are judged.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Stream {
+    /// Those that have been published when the frame comes.
+    AtArrival {
+        /// Time of a detector run.
+        detector: Duration,
+    },
+    /// Those drawn between two detector calls; the detector takes no time.
+    Settled,
+}
+
+/// One policy over one clip.
+#[derive(Clone, Debug)]
+struct Judged {
+    policy: usize,
+    accuracy: Option<Accuracy>,
+    /// Detector calls a frame.
+    calls: f64,
+    /// Mean delay of a settled frame, frames.
+    delay: f64,
+}
+
+/// All policies over all clips.
+#[derive(Clone, Debug)]
+pub struct StreamResults {
+    stream: Stream,
+    policies: Vec<String>,
+    /// By policy, then clip.
+    judged: Vec<Judged>,
+}
+
+/// The boxes of a clip to be judged.
+#[derive(Default)]
+struct Published {
+    boxes: Vec<Vec<ScoredBox>>,
+    calls: usize,
+    /// Summed delay, frames.
+    delay: u64,
+}
+
+/// Runs `policies` over the stored detections of `clips` and judges `stream`.
+///
+/// # Errors
+/// [`RunError`] when a policy cannot be built or a clip has no detections or, at arrival, no frame rate.
+pub fn run(
+    clips: &[Clip],
+    policies: &[PolicySpec],
+    settings: &Settings,
+    stream: Stream,
+) -> Result<StreamResults, RunError> {
+    let steps: Vec<(usize, usize)> = (0..policies.len())
+        .flat_map(|policy| (0..clips.len()).map(move |clip| (policy, clip)))
+        .collect();
+    let judged = in_parallel(&steps, settings.threads, &|| (), &|(index, clip)| {
+        let (clip, spec) = (&clips[clip], &policies[index]);
+        let policy = spec
+            .config
+            .build()
+            .map_err(|source| cannot_build(spec, source))?;
+        let published = publish(clip, policy, settings, stream)
+            .map_err(|source| no_evidence(clip, spec, source))?;
+        let frames = clip.frames.max(1) as f64;
+        let boxes = match &clip.truth {
+            Some(truth) => outside_ignored(&published.boxes, truth, &clip.ignored),
+            None => published.boxes,
+        };
+        Ok(Judged {
+            policy: index,
+            accuracy: judge(clip, &boxes, settings),
+            calls: published.calls as f64 / frames,
+            delay: published.delay as f64 / frames,
+        })
+    })?;
+    Ok(StreamResults {
+        stream,
+        policies: policies.iter().map(|policy| policy.label.clone()).collect(),
+        judged,
+    })
+}
+
+fn cannot_build(spec: &PolicySpec, source: PolicyConfigError) -> RunError {
+    RunError::Policy {
+        policy: spec.label.clone(),
+        source,
+    }
+}
+
+fn publish(
+    clip: &Clip,
+    mut policy: Box<dyn Policy>,
+    settings: &Settings,
+    stream: Stream,
+) -> Result<Published, SourceError> {
+    let mut source = StoredEvidence::new(clip, settings)?;
+    let Stream::AtArrival { detector } = stream else {
+        let interval = Duration::from_secs_f64(1.0 / clip.frame_rate.unwrap_or(10.0).max(0.1));
+        return settled(&mut *policy, &mut source, interval);
+    };
+    let rate = clip.frame_rate.filter(|rate| *rate > 0.0);
+    let rate = rate.ok_or_else(|| {
+        SourceError::Failed("frames have no times: the clip has no frame rate".to_owned())
+    })?;
+    let timing = Timing {
+        interval: 1.0 / rate,
+        detector: detector.as_secs_f64(),
+    };
+    if policy.can_rewind() {
+        at_once(policy, &mut source, timing)
+    } else {
+        when_known(&mut *policy, &mut source, timing)
+    }
+}
+
+/// Seconds.
+#[derive(Clone, Copy, Debug)]
+struct Timing {
+    /// From frame to frame.
+    interval: f64,
+    /// Of a detector run.
+    detector: f64,
+}
+
+impl Timing {
+    fn of(self, need: Need) -> f64 {
+        match need {
+            Need::Detections => self.detector,
+            _ => 0.0,
+        }
+    }
+}
+
+/// Frames are answered at once; the detector works on one of them at a time.
+fn at_once(
+    policy: Box<dyn Policy>,
+    source: &mut dyn ClipEvidence,
+    timing: Timing,
+) -> Result<Published, SourceError> {
+    let failed = |error: &dyn std::fmt::Display| SourceError::Failed(error.to_string());
+    let mut late = LatePolicy::new(policy).map_err(|error| failed(&error))?;
+    let mut published = Published::default();
+    let (mut outcome, mut unused) = (Outcome::default(), Outcome::default());
+    // The frame that waits, what for, and when that comes.
+    let mut waits: Option<(usize, Need, f64)> = None;
+    for frame in 0..source.frames() {
+        let now = frame as f64 * timing.interval;
+        while let Some((asked, need, at)) = waits
+            && at <= now + SAME_TIME
+        {
+            let mut stored = Stored {
+                source: &mut *source,
+                frame: asked,
+                calls: 0,
+            };
+            let evidence = stored.evidence(need)?;
+            let next = late.deliver(asked as u64, evidence, &mut unused);
+            let next = next.map_err(|error| failed(&error))?;
+            published.calls += usize::from(next == Need::Detections);
+            waits = (next != Need::Nothing).then_some((asked, next, at + timing.of(next)));
+        }
+        let need = late.frame(head(frame, 1, source.picture()), &mut outcome);
+        published.calls += usize::from(need == Need::Detections);
+        if need != Need::Nothing {
+            waits = Some((frame, need, now + timing.of(need)));
+        }
+        published
+            .boxes
+            .push(scored(&outcome.boxes, source.picture()));
+    }
+    Ok(published)
+}
+
+/// Frames wait for the detector; those that come meanwhile are lost but for the newest.
+fn when_known(
+    policy: &mut dyn Policy,
+    source: &mut dyn ClipEvidence,
+    timing: Timing,
+) -> Result<Published, SourceError> {
+    let mut published = Published::default();
+    let mut outcome = Outcome::default();
+    let mut free = 0.0;
+    let mut next = 0;
+    let mut last = Vec::new();
+    while next < source.frames() {
+        let newest = (free / timing.interval + SAME_TIME).floor() as usize;
+        let frame = newest.max(next);
+        if frame >= source.frames() {
+            break;
+        }
+        let start = f64::max(free, frame as f64 * timing.interval);
+        let step = (frame + 1 - next) as u32;
+        let head = head(frame, step, source.picture());
+        let mut stored = Stored {
+            source: &mut *source,
+            frame,
+            calls: 0,
+        };
+        decide_at_once(policy, head, &mut stored, &mut outcome)?;
+        let calls = stored.calls;
+        published.calls += calls;
+        free = start + calls as f64 * timing.detector;
+        next = frame + 1;
+        // Frames that come before this answer show the one before it.
+        while published.boxes.len() < source.frames()
+            && (published.boxes.len() as f64 * timing.interval) < free - SAME_TIME
+        {
+            published.boxes.push(last.clone());
+        }
+        last = scored(&outcome.boxes, source.picture());
+    }
+    published.boxes.resize(source.frames(), last);
+    Ok(published)
+}
+
+/// Frames wait for the detector, which takes no time, and are settled.
+fn settled(
+    policy: &mut dyn Policy,
+    source: &mut dyn ClipEvidence,
+    interval: Duration,
+) -> Result<Published, SourceError> {
+    let picture = source.picture();
+    let mut published = Published::default();
+    let mut settler = Settler::new(LONGEST_DELAY);
+    let mut calls = 0;
+    let mut boxes = Vec::new();
+    let mut delay = 0;
+    drive(policy, source, &mut |_, played| {
+        calls += usize::from(played.record.detector);
+        let now = played.head.index;
+        let time = interval.saturating_mul(u32::try_from(now).unwrap_or(u32::MAX));
+        settler.frame(now, time, played.outcome, false, |frame| {
+            delay += now - frame.index;
+            boxes.push(scored(frame.boxes, picture));
+        });
+    })?;
+    settler.flush(|frame| boxes.push(scored(frame.boxes, picture)));
+    published.boxes = boxes;
+    published.calls = calls;
+    published.delay = delay;
+    Ok(published)
+}
+
+fn head(frame: usize, step: u32, picture: PictureSize) -> FrameHead {
+    FrameHead {
+        index: frame as u64,
+        step,
+        picture,
+    }
+}
+
+fn scored(boxes: &[OutputBox], picture: PictureSize) -> Vec<ScoredBox> {
+    let score = |output| score_reported(output, picture);
+    boxes.iter().map(score).collect()
+}
+
+/// One frame of a source.
+struct Stored<'a> {
+    source: &'a mut dyn ClipEvidence,
+    frame: usize,
+    /// Detector calls so far.
+    calls: usize,
+}
+
+impl EvidenceAtHand for Stored<'_> {
+    type Error = SourceError;
+
+    fn evidence(&mut self, need: Need) -> Result<Evidence<'_>, SourceError> {
+        let known = match need {
+            Need::Nothing => None,
+            Need::Screen => {
+                let empty = self.source.screen_says_empty(self.frame)?;
+                empty.map(|empty| Evidence::Screen { empty })
+            }
+            Need::GreyPicture | Need::SmallGreyPicture { .. } => {
+                let grey = self.source.grey_picture(self.frame, need)?;
+                grey.map(Evidence::GreyPicture)
+            }
+            Need::Detections => {
+                self.calls += 1;
+                self.source
+                    .detections(self.frame)?
+                    .map(Evidence::Detections)
+            }
+        };
+        Ok(known.unwrap_or(Evidence::Unavailable))
+    }
+}
+
+/// A column of the table: the mean, and the difference to the baseline with its interval, in points.
+const FIGURES: [(&str, fn(&Accuracy) -> f64); 3] = [
+    ("AP@50", |accuracy| accuracy.ap50),
+    ("AP@75", |accuracy| accuracy.ap75),
+    ("F1@50 >=.3", |accuracy| accuracy.f1_50_shown),
+];
+
+impl StreamResults {
+    /// The table: one line a policy.
+    pub fn table(&self) -> String {
+        let title = match self.stream {
+            Stream::AtArrival { detector } => format!(
+                "Judged when frames arrive, with a detector that takes {:.0} ms",
+                detector.as_secs_f64() * 1e3
+            ),
+            Stream::Settled => "Judged when settled between two detector calls".to_owned(),
+        };
+        let baseline = self.policies.iter().position(|policy| policy == BASELINE);
+        let clips = baseline.map_or(0, |baseline| self.of(baseline).len());
+        let mut text = format!(
+            "{title}: means over {clips} clips, differences to vanilla in points with their 95 % interval\n\n"
+        );
+        // Writing to a string cannot fail.
+        let _ = write!(text, "{:<24} {:>6}", "policy", "calls%");
+        for (name, _) in FIGURES {
+            let _ = write!(text, " {name:>24}");
+        }
+        let _ = writeln!(text, " {:>5} {:>5} {:>5}", "F1@50", "mAP", "delay");
+        for (index, policy) in self.policies.iter().enumerate() {
+            let own = self.of(index);
+            let average = |figure: fn(&Judged) -> f64| {
+                mean(own.iter().map(|judged| figure(judged))).unwrap_or_default()
+            };
+            let calls = 100.0 * average(|judged| judged.calls);
+            let _ = write!(text, "{:<24} {calls:>6.1}", crate::table::short(policy));
+            for (_, figure) in FIGURES {
+                let change = baseline
+                    .filter(|baseline| *baseline != index)
+                    .map_or_else(String::new, |baseline| {
+                        self.against(index, baseline, figure)
+                    });
+                let _ = write!(text, " {} {change:>18}", three(&own, figure));
+            }
+            let rest = [three(&own, |a| a.f1_50), three(&own, |a| a.map)];
+            let delay = average(|judged| judged.delay);
+            let _ = writeln!(text, " {} {} {delay:>5.1}", rest[0], rest[1]);
+        }
+        text.push_str("\ncalls%: detector calls of 100 frames; delay: frames.\n");
+        text
+    }
+
+    /// A policy's results on the clips with ground truth, in order of clips.
+    fn of(&self, policy: usize) -> Vec<&Judged> {
+        let own = self.judged.iter().filter(|judged| judged.policy == policy);
+        own.filter(|judged| judged.accuracy.is_some()).collect()
+    }
+
+    fn against(&self, policy: usize, baseline: usize, figure: fn(&Accuracy) -> f64) -> String {
+        let (own, base) = (self.of(policy), self.of(baseline));
+        let differences: Vec<f64> = (own.iter().zip(&base))
+            .filter_map(|(own, base)| Some(figure(&own.accuracy?) - figure(&base.accuracy?)))
+            .collect();
+        let points = |share: f64| 100.0 * share;
+        match Difference::of(&differences) {
+            None => String::new(),
+            Some(Difference { mean, t: None, .. }) => format!("{:+.1}", points(mean)),
+            Some(Difference {
+                mean, t: Some(t), ..
+            }) => {
+                let (mean, lower, upper) = (points(mean), points(t.lower), points(t.upper));
+                format!("{mean:+.1} [{lower:.1}, {upper:.1}]")
+            }
+        }
+    }
+}
+
+/// The mean of a figure with three decimals.
+fn three(judged: &[&Judged], figure: fn(&Accuracy) -> f64) -> String {
+    let values = judged
+        .iter()
+        .filter_map(|judged| judged.accuracy.as_ref().map(figure));
+    mean(values).map_or("    -".to_owned(), |value| format!("{value:.3}"))
+}
+
+#[cfg(test)]
+mod tests;

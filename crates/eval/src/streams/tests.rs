@@ -1,0 +1,144 @@
+use super::*;
+use crate::average_precision::TruthBox;
+use crate::data::StoredDetection;
+use crate::spec::{Common, resolve};
+use albireo_core::detection::ClassId;
+use albireo_core::geometry::Corners;
+use albireo_core::policy::Profile;
+
+const MS_113: Stream = Stream::AtArrival {
+    detector: Duration::from_millis(113),
+};
+
+/// Ten frames a second; one car that moves by `speed` pixels a frame.
+fn drive_by(frames: usize, speed: f64) -> Clip {
+    let car = |frame: usize| Corners {
+        x1: 100.0 + speed * frame as f64,
+        y1: 100.0,
+        x2: 180.0 + speed * frame as f64,
+        y2: 160.0,
+    };
+    let class = ClassId(2);
+    let detection = |frame| StoredDetection {
+        corners: car(frame),
+        class,
+        confidence: 0.9,
+    };
+    let truth = |frame| TruthBox {
+        corners: car(frame),
+        class,
+        object: Some(1),
+    };
+    Clip {
+        name: "drive-by".to_owned(),
+        picture: PictureSize::new(1280, 720),
+        frame_rate: Some(10.0),
+        camera: None,
+        frames,
+        detections: Some((0..frames).map(|frame| vec![detection(frame)]).collect()),
+        screen: None,
+        truth: Some((0..frames).map(|frame| vec![truth(frame)]).collect()),
+        pictures: Vec::new(),
+        ignored: Vec::new(),
+    }
+}
+
+fn policies(asked: &[&str]) -> Vec<PolicySpec> {
+    let common = Common {
+        profile: Profile::Paper,
+        u: 3e-4,
+        screen: None,
+        pixels: false,
+    };
+    let asked: Vec<_> = asked.iter().map(|name| (*name).to_owned()).collect();
+    resolve(&asked, &[], &common).unwrap()
+}
+
+fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {
+    let specs = policies(&[policy]);
+    let policy = specs.last().unwrap().config.build().unwrap();
+    publish(clip, policy, &Settings::default(), stream).unwrap()
+}
+
+/// The left edge of the box of each frame.
+fn left_edges(published: &Published) -> Vec<Option<i64>> {
+    let boxes = published.boxes.iter();
+    let left = |boxes: &Vec<ScoredBox>| boxes.first().map(|b| b.corners.x1.round() as i64);
+    boxes.map(left).collect()
+}
+
+#[test]
+fn vanilla_as_delivered_shows_every_frame_what_was_finished_when_it_came() {
+    let clip = drive_by(6, 10.0);
+    // Runs of 113 ms begin at 0, 113, … 565 ms, each with the newest frame.
+    let late = published(&clip, "vanilla", MS_113);
+    assert_eq!(
+        left_edges(&late),
+        [None, None, Some(100), Some(110), Some(120), Some(130)]
+    );
+    assert_eq!(late.calls, 6);
+    // At 250 ms the newest frame is taken and the others are lost.
+    let slow = Stream::AtArrival {
+        detector: Duration::from_millis(250),
+    };
+    let slow = published(&clip, "vanilla", slow);
+    assert_eq!(
+        left_edges(&slow),
+        [None, None, None, Some(100), Some(100), Some(120)]
+    );
+    assert_eq!(slow.calls, 3);
+}
+
+#[test]
+fn a_policy_that_answers_at_once_is_where_the_car_is() {
+    let clip = drive_by(40, 6.0);
+    let at_once = published(&clip, "expected-loss:0", MS_113);
+    let edges = left_edges(&at_once);
+    assert_eq!(edges[..2], [None, None]);
+    for (frame, edge) in edges.iter().enumerate().skip(20) {
+        let off = edge.unwrap() - (100 + 6 * frame as i64);
+        assert!(off.abs() <= 2, "frame {frame}: {off}");
+    }
+    // One frame of two finds the detector free.
+    assert_eq!(at_once.calls, 20);
+    let waiting = published(&clip, "vanilla", MS_113);
+    let behind = 100 + 6 * 30 - left_edges(&waiting)[30].unwrap();
+    assert_eq!(behind, 12);
+}
+
+#[test]
+fn settled_boxes_are_those_of_the_detector_where_it_looks_at_every_frame() {
+    let clip = drive_by(30, 6.0);
+    let vanilla = published(&clip, "vanilla", Stream::Settled);
+    let expected: Vec<_> = (0..30).map(|frame| Some(100 + 6 * frame)).collect();
+    assert_eq!(left_edges(&vanilla), expected);
+    assert_eq!((vanilla.calls, vanilla.delay), (30, 0));
+    let skipping = published(&clip, "fixed-skip-in-tracker:3", Stream::Settled);
+    assert_eq!((skipping.boxes.len(), skipping.calls), (30, 10));
+    for (frame, edge) in left_edges(&skipping).iter().enumerate().skip(6).take(20) {
+        assert!(
+            (edge.unwrap() - (100 + 6 * frame as i64)).abs() <= 1,
+            "frame {frame}"
+        );
+    }
+    assert!(skipping.delay >= 27, "{}", skipping.delay);
+}
+
+#[test]
+fn the_table_compares_with_vanilla_and_a_clip_without_times_is_refused() {
+    let specs = policies(&["expected-loss:0"]);
+    let clips = [drive_by(40, 6.0), drive_by(40, 7.0)];
+    let table = run(&clips, &specs, &Settings::default(), MS_113)
+        .unwrap()
+        .table();
+    let row = table
+        .lines()
+        .find(|line| line.starts_with("expected-loss-0"));
+    assert!(row.unwrap().contains(" +"), "{table}");
+    let clip = Clip {
+        frame_rate: None,
+        ..drive_by(3, 1.0)
+    };
+    let refused = run(&[clip], &specs, &Settings::default(), MS_113).unwrap_err();
+    assert!(refused.to_string().contains("frame rate"), "{refused}");
+}
