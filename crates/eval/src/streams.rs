@@ -8,21 +8,26 @@ use crate::average_precision::{Accuracy, ScoredBox, outside_ignored};
 use crate::data::Clip;
 use crate::replay::drive;
 use crate::run::{RunError, Settings, in_parallel, judge, no_evidence};
-use crate::scoring::score_reported;
+use crate::scoring::{DEFAULT_DECAY_U, score_reported};
 use crate::source::{ClipEvidence, SourceError, StoredEvidence};
 use crate::spec::{BASELINE, PolicySpec};
 use crate::statistics::mean;
 use crate::summary::Difference;
-use albireo_core::geometry::PictureSize;
+use albireo_core::detection::ObjectId;
+use albireo_core::geometry::{BoundingBox, PictureSize};
 use albireo_core::policy::{
-    Evidence, EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox, Policy,
-    PolicyConfigError, Settler, decide_at_once,
+    Albireo, BoxSource, Evidence, EvidenceAtHand, FrameHead, LatePolicy, Need, Outcome, OutputBox,
+    Policy, PolicyConfig, PolicyConfigError, Settler, decide_at_once,
 };
+use std::collections::HashMap;
 use std::fmt::Write;
 use std::time::Duration;
 
 /// Settled frames are held back by this at most, as a node does.
 const LONGEST_DELAY: Duration = Duration::from_secs(2);
+
+/// The label of Vanilla's own boxes, smoothed.
+const SMOOTHED: &str = "vanilla-smoothed";
 
 /// Times are compared with this tolerance, seconds: frame times are sums of rounded intervals.
 const SAME_TIME: f64 = 1e-9;
@@ -78,6 +83,10 @@ pub fn run(
     settings: &Settings,
     stream: Stream,
 ) -> Result<StreamResults, RunError> {
+    let mut policies = policies.to_vec();
+    if stream == Stream::Settled {
+        policies.extend(smoothing());
+    }
     let steps: Vec<(usize, usize)> = (0..policies.len())
         .flat_map(|policy| (0..clips.len()).map(move |clip| (policy, clip)))
         .collect();
@@ -87,7 +96,7 @@ pub fn run(
             .config
             .build()
             .map_err(|source| cannot_build(spec, source))?;
-        let published = publish(clip, policy, settings, stream)
+        let published = publish(clip, spec, policy, settings, stream)
             .map_err(|source| no_evidence(clip, spec, source))?;
         let frames = clip.frames.max(1) as f64;
         let boxes = match &clip.truth {
@@ -117,12 +126,16 @@ fn cannot_build(spec: &PolicySpec, source: PolicyConfigError) -> RunError {
 
 fn publish(
     clip: &Clip,
+    spec: &PolicySpec,
     mut policy: Box<dyn Policy>,
     settings: &Settings,
     stream: Stream,
 ) -> Result<Published, SourceError> {
     let mut source = StoredEvidence::new(clip, settings)?;
     let Stream::AtArrival { detector } = stream else {
+        if spec.label == SMOOTHED {
+            return smoothed(&mut *policy, &mut source);
+        }
         let interval = Duration::from_secs_f64(1.0 / clip.frame_rate.unwrap_or(10.0).max(0.1));
         return settled(&mut *policy, &mut source, interval);
     };
@@ -269,6 +282,64 @@ fn settled(
     Ok(published)
 }
 
+/// The control of what is settled: Vanilla's own boxes, and where the detector missed an object between two of its
+/// detections, boxes on the line between these.
+fn smoothed(
+    policy: &mut dyn Policy,
+    source: &mut dyn ClipEvidence,
+) -> Result<Published, SourceError> {
+    let picture = source.picture();
+    let mut published = Published::default();
+    let mut last: HashMap<ObjectId, (usize, OutputBox)> = HashMap::new();
+    drive(policy, source, &mut |_, played| {
+        published.calls += usize::from(played.record.detector);
+        let detected = |found: &&OutputBox| found.source == BoxSource::Detected;
+        let found = played.outcome.boxes.iter().filter(detected);
+        let now = played.frame;
+        published.boxes.push(Vec::new());
+        for own in found {
+            published.boxes[now].push(score_reported(own, picture));
+            let Some(object) = own.object else {
+                continue;
+            };
+            let Some((then, before)) = last.insert(object, (now, *own)) else {
+                continue;
+            };
+            for missed in then + 1..now {
+                let share = (missed - then) as f64 / (now - then) as f64;
+                let line = |before: f64, now: f64| before + share * (now - before);
+                let (from, to) = (before.bounding_box, own.bounding_box);
+                let drawn = OutputBox {
+                    bounding_box: BoundingBox {
+                        center_x: line(from.center_x, to.center_x),
+                        center_y: line(from.center_y, to.center_y),
+                        width: line(from.width, to.width),
+                        height: line(from.height, to.height),
+                    },
+                    confidence: (before.confidence + own.confidence) / 2.0,
+                    ..*own
+                };
+                published.boxes[missed].push(score_reported(&drawn, picture));
+            }
+        }
+    })?;
+    Ok(published)
+}
+
+/// What joins Vanilla's detections to objects for [`smoothed`]: Albireo's matching, with the detector on every frame.
+fn smoothing() -> Option<PolicySpec> {
+    let mut config = PolicyConfig {
+        u: Albireo::KNOB.minimum,
+        ..PolicyConfig::default()
+    };
+    config.select(Albireo::NAME).ok()?;
+    Some(PolicySpec {
+        label: SMOOTHED.to_owned(),
+        config,
+        decay_u: DEFAULT_DECAY_U,
+    })
+}
+
 fn head(frame: usize, step: u32, picture: PictureSize) -> FrameHead {
     FrameHead {
         index: frame as u64,
@@ -315,8 +386,11 @@ impl EvidenceAtHand for Stored<'_> {
     }
 }
 
+/// One of the figures of accuracy.
+type Figure = fn(&Accuracy) -> f64;
+
 /// A column of the table: the mean, and the difference to the baseline with its interval, in points.
-const FIGURES: [(&str, fn(&Accuracy) -> f64); 3] = [
+const FIGURES: [(&str, Figure); 3] = [
     ("AP@50", |accuracy| accuracy.ap50),
     ("AP@75", |accuracy| accuracy.ap75),
     ("F1@50 >=.3", |accuracy| accuracy.f1_50_shown),
@@ -372,7 +446,7 @@ impl StreamResults {
         own.filter(|judged| judged.accuracy.is_some()).collect()
     }
 
-    fn against(&self, policy: usize, baseline: usize, figure: fn(&Accuracy) -> f64) -> String {
+    fn against(&self, policy: usize, baseline: usize, figure: Figure) -> String {
         let (own, base) = (self.of(policy), self.of(baseline));
         let differences: Vec<f64> = (own.iter().zip(&base))
             .filter_map(|(own, base)| Some(figure(&own.accuracy?) - figure(&base.accuracy?)))
@@ -392,7 +466,7 @@ impl StreamResults {
 }
 
 /// The mean of a figure with three decimals.
-fn three(judged: &[&Judged], figure: fn(&Accuracy) -> f64) -> String {
+fn three(judged: &[&Judged], figure: Figure) -> String {
     let values = judged
         .iter()
         .filter_map(|judged| judged.accuracy.as_ref().map(figure));

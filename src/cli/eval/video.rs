@@ -175,6 +175,11 @@ impl<'a> Evaluation<'a> {
     ) -> anyhow::Result<Self> {
         let mut arguments = run.clone();
         ensure!(
+            arguments.detector_ms.is_none() && !arguments.settled,
+            "--detector-ms and --settled judge stored detections: keep these with --save-detections DIR, then run \
+             `albireo eval recorded DIR` with them"
+        );
+        ensure!(
             (LOWEST_CONFIDENCE..=1.0).contains(&arguments.confidence),
             "--confidence {} is not between {LOWEST_CONFIDENCE} and 1",
             arguments.confidence

@@ -56,8 +56,9 @@ fn policies(asked: &[&str]) -> Vec<PolicySpec> {
 
 fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {
     let specs = policies(&[policy]);
-    let policy = specs.last().unwrap().config.build().unwrap();
-    publish(clip, policy, &Settings::default(), stream).unwrap()
+    let spec = specs.last().unwrap();
+    let policy = spec.config.build().unwrap();
+    publish(clip, spec, policy, &Settings::default(), stream).unwrap()
 }
 
 /// The left edge of the box of each frame.
@@ -122,6 +123,27 @@ fn settled_boxes_are_those_of_the_detector_where_it_looks_at_every_frame() {
         );
     }
     assert!(skipping.delay >= 27, "{}", skipping.delay);
+}
+
+#[test]
+fn smoothing_fills_the_gaps_between_two_detections_of_an_object_and_adds_nothing_else() {
+    let mut clip = drive_by(20, 6.0);
+    let detections = clip.detections.as_mut().unwrap();
+    for missed in [10, 11, 19] {
+        detections[missed].clear();
+    }
+    let spec = smoothing().unwrap();
+    let policy = spec.config.build().unwrap();
+    let smoothed = publish(&clip, &spec, policy, &Settings::default(), Stream::Settled).unwrap();
+    let expected: Vec<_> = (0..20)
+        .map(|frame| (frame < 19).then_some(100 + 6 * frame))
+        .collect();
+    assert_eq!(left_edges(&smoothed), expected);
+    assert_eq!(smoothed.calls, 20);
+    let table = run(&[clip], &[], &Settings::default(), Stream::Settled)
+        .unwrap()
+        .table();
+    assert!(table.contains("vanilla-smoothed"), "{table}");
 }
 
 #[test]
