@@ -437,6 +437,9 @@ impl StreamResults {
             let _ = writeln!(text, " {} {} {delay:>5.1}", rest[0], rest[1]);
         }
         text.push_str("\ncalls%: detector calls of 100 frames; delay: frames.\n");
+        if self.stream == Stream::Settled {
+            text.push_str("vanilla-smoothed fills gaps when an object is found again, however late: its delay is not counted.\n");
+        }
         text
     }
 
