@@ -1,16 +1,13 @@
 //! A camera's loop: takes frames from the ring, drives the policy through each, publishes the answer and
-//! counts the open clip. One task a camera, which whoever brings a frame takes further himself where he can
-//! ([`InPlace`]); the detector, the screen and the meter are shared.
+//! counts the open clip. One task a camera; the detector, the screen and the meter are shared.
 
 pub mod answer;
 pub mod audit;
 pub mod clip;
 pub mod evidence;
-mod in_place;
 mod published;
 pub(crate) mod publishing;
 
-pub(crate) use in_place::InPlace;
 pub(crate) use published::MinConfidence;
 pub use published::ReportConfig;
 

@@ -7,7 +7,7 @@ use crate::camera::audit::{Auditor, CameraAudit};
 use crate::camera::clip::{ClipConfig, ClipTracker, ClosedClip};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::{self, Detections, PublishingThread};
-use crate::camera::{Camera, InPlace, MinConfidence};
+use crate::camera::{Camera, MinConfidence};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::{ClipAccounts, Reporter};
 use crate::delivery::uplink::{DesiredKeeper, Route, Uplink, UplinkSetup};
@@ -525,9 +525,7 @@ impl Parts<'_> {
             .await
             .map_err(refused("detections cannot be published"))?;
         let detections = match config.delivery {
-            Delivery::Newest => {
-                Detections::Live(self.publishing.lane_at_once(detections, WAITING_ANSWERS))
-            }
+            Delivery::Newest => Detections::Live(self.publishing.lane(detections, WAITING_ANSWERS)),
             Delivery::Every => {
                 let (detections, thread) = Detections::every(detections);
                 let span = tracing::info_span!("detections", camera = name);
@@ -575,9 +573,7 @@ impl Parts<'_> {
             closed,
             reset_at_clip: config.reset_at_clip,
             hurry: self.hurry.clone(),
-            place: InPlace::default(),
         };
-        let place = maker.place.clone();
         let (maker, stop) = (Arc::new(maker), self.shutdown.clone());
         self.tasks.restarting(
             format!("camera {name}"),
@@ -587,7 +583,7 @@ impl Parts<'_> {
                 let (maker, stop) = (Arc::clone(&maker), stop.clone());
                 async move {
                     let camera = maker.make().await?;
-                    maker.place.run(camera.run(stop)).await;
+                    camera.run(stop).await;
                     Ok::<(), PolicyConfigError>(())
                 }
             },
@@ -634,12 +630,7 @@ impl Parts<'_> {
             sender,
             config.format,
             self.config.frame,
-        )
-        .advancing(match config.delivery {
-            Delivery::Newest => place,
-            // Whatever its loop waits for, Zenoh's threads do not.
-            Delivery::Every => InPlace::default(),
-        });
+        );
         if let Some(settings) = config.source_settings(self.config.frame) {
             return self.add_source(name, receiver, settings).await;
         }
@@ -785,8 +776,6 @@ struct CameraMaker {
     closed: mpsc::UnboundedSender<ClosedClip>,
     reset_at_clip: bool,
     hurry: CancellationToken,
-    /// Where the loop that was made runs.
-    place: InPlace,
 }
 
 impl CameraMaker {

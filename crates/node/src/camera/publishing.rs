@@ -1,7 +1,4 @@
-//! Puts of detections, on a thread of their own where they might wait: a put runs where it is called and may wait, for
-//! room or for a lock that another put holds. A camera's detections go out where they were made as long as that takes
-//! no time, since waking a thread costs a third of all that a predicted frame needs; after a put that did take time the
-//! camera leaves its messages to the thread for a while and goes on.
+//! Puts messages on Zenoh from a thread of its own, because a put may wait for room and a camera must not.
 //!
 //! Kinds have priorities of their own, as each priority has a queue and a lock in Zenoh: a report that waits for
 //! a slow subscriber never stands before a detection.
@@ -11,7 +8,7 @@ use albireo_service::panics::{contain, message};
 use parking_lot::{Condvar, Mutex, MutexGuard};
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use tokio::sync::mpsc;
 use zenoh::Wait;
 use zenoh::bytes::Encoding;
@@ -115,57 +112,25 @@ impl From<AdvancedPublisher<'static>> for Outlet {
     }
 }
 
-/// A put that takes longer may have waited for something; Zenoh waits a millisecond for room. One that does not wait
-/// takes some 10 µs, or a little more where the system gave the processor to somebody else meanwhile.
-const LONG: Duration = Duration::from_micros(500);
-
-/// After so many such puts in a row the thread does the waiting, for so long.
-const CAUTIOUS_AFTER: u32 = 2;
-const CAUTIOUS: Duration = Duration::from_secs(1);
-
 struct Lane {
     outlet: Arc<Outlet>,
     waiting: VecDeque<Vec<u8>>,
     most: usize,
     warned: bool,
-    /// A put is under way.
-    busy: bool,
-    /// Whether whoever brings a message may put it.
-    at_once: bool,
-    /// Puts in a row, by whoever brought the message, that took long.
-    long_puts: u32,
-    /// Until then the thread puts all the same.
-    cautious_until: Option<Instant>,
-}
-
-impl Lane {
-    /// Whether a message may go out here and now.
-    fn is_clear(&self) -> bool {
-        self.at_once
-            && self.is_done()
-            && self
-                .cautious_until
-                .is_none_or(|until| Instant::now() >= until)
-    }
-
-    /// A message was put by whoever brought it.
-    fn took(&mut self, time: Duration) {
-        self.long_puts = if time > LONG { self.long_puts + 1 } else { 0 };
-        if self.long_puts >= CAUTIOUS_AFTER {
-            self.long_puts = 0;
-            self.cautious_until = Some(Instant::now() + CAUTIOUS);
-        }
-    }
-
-    fn is_done(&self) -> bool {
-        self.waiting.is_empty() && !self.busy
-    }
 }
 
 #[derive(Default)]
 struct State {
     lanes: Vec<Lane>,
+    /// A put is under way.
+    busy: bool,
     closed: bool,
+}
+
+impl State {
+    fn is_drained(&self) -> bool {
+        !self.busy && self.lanes.iter().all(|lane| lane.waiting.is_empty())
+    }
 }
 
 #[derive(Default)]
@@ -200,25 +165,12 @@ impl PublishingThread {
 
     /// A lane to `outlet` in which at most `most` messages wait: beyond that the oldest goes.
     pub(crate) fn lane(&self, outlet: impl Into<Outlet>, most: usize) -> PublishLane {
-        self.new_lane(outlet.into(), most, false)
-    }
-
-    /// Such a lane whose messages go out where they are made, as long as no put waits.
-    pub(crate) fn lane_at_once(&self, outlet: impl Into<Outlet>, most: usize) -> PublishLane {
-        self.new_lane(outlet.into(), most, true)
-    }
-
-    fn new_lane(&self, outlet: Outlet, most: usize, at_once: bool) -> PublishLane {
         let mut state = self.0.state.lock();
         state.lanes.push(Lane {
-            outlet: Arc::new(outlet),
+            outlet: Arc::new(outlet.into()),
             waiting: VecDeque::new(),
             most: most.max(1),
             warned: false,
-            busy: false,
-            at_once,
-            long_puts: 0,
-            cautious_until: None,
         });
         PublishLane {
             shared: Arc::clone(&self.0),
@@ -229,7 +181,7 @@ impl PublishingThread {
     /// Waits until everything is out, at most until `until`.
     pub(crate) fn flush(&self, until: Instant) {
         let mut state = self.0.state.lock();
-        while !state.lanes.iter().all(Lane::is_done) {
+        while !state.is_drained() {
             if self.0.drained.wait_until(&mut state, until).timed_out() {
                 return;
             }
@@ -245,19 +197,12 @@ impl Drop for PublishingThread {
 }
 
 impl PublishLane {
-    /// Publishes a message here, or leaves it to the thread if that might wait.
+    /// Leaves a message to the thread.
     pub(crate) fn publish(&self, json: Vec<u8>) {
         let mut state = self.shared.state.lock();
         let Some(lane) = state.lanes.get_mut(self.number) else {
             return;
         };
-        if lane.is_clear() {
-            let took = self.shared.put(&mut state, self.number, json);
-            if let Some(lane) = state.lanes.get_mut(self.number) {
-                lane.took(took);
-            }
-            return;
-        }
         if lane.waiting.len() >= lane.most {
             lane.waiting.pop_front();
             if !std::mem::replace(&mut lane.warned, true) {
@@ -283,47 +228,29 @@ impl Shared {
             let found = (0..lanes)
                 .map(|step| (next + step) % lanes)
                 .find_map(|number| {
-                    let lane = state.lanes.get_mut(number).filter(|lane| !lane.busy)?;
-                    Some((number, lane.waiting.pop_front()?))
+                    let lane = state.lanes.get_mut(number)?;
+                    let json = lane.waiting.pop_front()?;
+                    Some((number, Arc::clone(&lane.outlet), json))
                 });
-            if let Some((number, json)) = found {
+            if let Some((number, outlet, json)) = found {
                 next = number + 1;
-                self.put(&mut state, number, json);
-            } else if state.closed && state.lanes.iter().all(|lane| lane.waiting.is_empty()) {
+                state.busy = true;
+                MutexGuard::unlocked(&mut state, || {
+                    if let Err(error) = outlet.put(json) {
+                        error.log(&outlet.key(), false);
+                    }
+                });
+                state.busy = false;
+            } else if state.closed {
                 // Publishers are undeclared here, not under a lock.
                 let lanes = std::mem::take(&mut state.lanes);
                 drop(state);
                 return drop(lanes);
             } else {
+                self.drained.notify_all();
                 self.filled.wait(&mut state);
             }
         }
-    }
-
-    /// Puts on a lane that nobody puts on, not under the lock; returns how long that took.
-    fn put(&self, state: &mut MutexGuard<'_, State>, number: usize, json: Vec<u8>) -> Duration {
-        let Some(lane) = state.lanes.get_mut(number) else {
-            return Duration::ZERO;
-        };
-        lane.busy = true;
-        let outlet = Arc::clone(&lane.outlet);
-        let took = MutexGuard::unlocked(state, move || {
-            let began = Instant::now();
-            if let Err(error) = outlet.put(json) {
-                error.log(&outlet.key(), false);
-            }
-            began.elapsed()
-        });
-        let Some(lane) = state.lanes.get_mut(number) else {
-            return took;
-        };
-        lane.busy = false;
-        if lane.waiting.is_empty() {
-            self.drained.notify_all();
-        } else {
-            self.filled.notify_one();
-        }
-        took
     }
 }
 
@@ -367,7 +294,8 @@ impl Detections {
 mod tests {
     use super::*;
     use std::sync::mpsc::{Receiver, SyncSender, channel, sync_channel};
-    use std::thread::{self, ThreadId};
+    use std::thread;
+    use std::time::Duration;
 
     const LIMIT: Duration = Duration::from_secs(20);
 
@@ -397,11 +325,11 @@ mod tests {
         assert_eq!(both, [b"good".to_vec(), b"of another camera".to_vec()]);
     }
 
-    /// A lane that tells what it published and on which thread; what begins with `slow` waits to be let go.
+    /// A lane that tells what it published; what is `slow` waits to be let go.
     struct Told {
         _thread: PublishingThread,
         lane: PublishLane,
-        published: Receiver<(Vec<u8>, ThreadId)>,
+        published: Receiver<Vec<u8>>,
         let_go: SyncSender<()>,
     }
 
@@ -414,10 +342,10 @@ mod tests {
             if json == b"slow" {
                 held.lock().recv_timeout(LIMIT).unwrap();
             }
-            out.send((json, thread::current().id())).unwrap();
+            out.send(json).unwrap();
         };
         Told {
-            lane: thread.lane_at_once(Outlet::Test(Box::new(put)), 2),
+            lane: thread.lane(Outlet::Test(Box::new(put)), 2),
             _thread: thread,
             published,
             let_go,
@@ -426,53 +354,25 @@ mod tests {
 
     /// Waits until a put is under way.
     fn wait_until_busy(lane: &PublishLane) {
-        while !lane.shared.state.lock().lanes.iter().any(|lane| lane.busy) {
+        while !lane.shared.state.lock().busy {
             thread::yield_now();
         }
     }
 
-    impl Told {
-        /// What is published next, and whether by this thread.
-        fn next(&self) -> (Vec<u8>, bool) {
-            let (json, by) = self.published.recv_timeout(LIMIT).unwrap();
-            (json, by == thread::current().id())
-        }
-
-        /// As if puts by whoever brought the message had taken so long.
-        fn took(&self, times: &[Duration]) {
-            for lane in &mut self.lane.shared.state.lock().lanes {
-                times.iter().for_each(|time| lane.took(*time));
-            }
-        }
-    }
-
     #[test]
-    fn a_message_goes_out_where_it_was_made_until_puts_have_waited() {
+    fn a_camera_goes_on_while_a_put_waits_and_the_newest_go_out_in_order() {
         let told = told();
-        let (long, short) = (2 * LONG, LONG / 2);
-        // The system may give the processor to somebody else now and then.
-        told.took(&[long, short, long, short]);
-        told.lane.publish(b"here".to_vec());
-        assert_eq!(told.next(), (b"here".to_vec(), true));
-        told.took(&[long, long]);
-        told.lane.publish(b"by the thread".to_vec());
-        assert_eq!(told.next(), (b"by the thread".to_vec(), false));
-    }
-
-    #[test]
-    fn whoever_brings_a_message_while_another_waits_goes_on_and_the_newest_go_out_in_order() {
-        let told = told();
-        thread::scope(|scope| {
-            scope.spawn(|| told.lane.publish(b"slow".to_vec()));
-            wait_until_busy(&told.lane);
-            for json in [b"a", b"b", b"c"] {
-                told.lane.publish(json.to_vec());
-            }
-            told.let_go.send(()).unwrap();
-        });
-        assert_eq!(told.next().0, b"slow".to_vec());
-        assert_eq!(told.next(), (b"b".to_vec(), false));
-        assert_eq!(told.next(), (b"c".to_vec(), false));
+        told.lane.publish(b"slow".to_vec());
+        wait_until_busy(&told.lane);
+        for json in [b"a", b"b", b"c"] {
+            told.lane.publish(json.to_vec());
+        }
+        told.let_go.send(()).unwrap();
+        let next = || told.published.recv_timeout(LIMIT).unwrap();
+        assert_eq!(
+            [next(), next(), next()],
+            [b"slow".to_vec(), b"b".to_vec(), b"c".to_vec()]
+        );
     }
 
     #[test]
@@ -483,14 +383,12 @@ mod tests {
             published,
             let_go,
         } = told();
-        thread::scope(|scope| {
-            scope.spawn(|| lane.publish(b"slow".to_vec()));
-            wait_until_busy(&lane);
-            lane.publish(b"last".to_vec());
-            drop(publishing);
-            let_go.send(()).unwrap();
-        });
-        let next = || published.recv_timeout(LIMIT).unwrap().0;
+        lane.publish(b"slow".to_vec());
+        wait_until_busy(&lane);
+        lane.publish(b"last".to_vec());
+        drop(publishing);
+        let_go.send(()).unwrap();
+        let next = || published.recv_timeout(LIMIT).unwrap();
         assert_eq!([next(), next()], [b"slow".to_vec(), b"last".to_vec()]);
     }
 }

@@ -123,7 +123,7 @@ impl Bench {
             received,
             payload_bytes: 0,
         };
-        let (pushed, _) = self.frames.push(SequencedFrame {
+        let pushed = self.frames.push(SequencedFrame {
             frame,
             index,
             epoch,
@@ -234,7 +234,7 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
     let mut skipped = 0;
     for index in 0..60 {
         let picture = bench.scene.frame(index).jpeg(85).unwrap();
-        let (_, wake) = bench.frames.push(SequencedFrame {
+        bench.frames.push(SequencedFrame {
             frame: Frame {
                 sequence: index,
                 number: FrameNumber::default(),
@@ -251,9 +251,6 @@ async fn drive(policy: &str, share: f64) -> (Vec<DetectionsMessage>, Option<Audi
             epoch: 0,
             query: None,
         });
-        if let Some(wake) = wake {
-            wake.waker.wake();
-        }
         let mut message = loop {
             if let Event::Frame(event) = &*events.recv().await.unwrap() {
                 break DetectionsMessage::clone(&event.detections);

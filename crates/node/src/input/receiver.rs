@@ -9,7 +9,6 @@ use super::read::ZenohFrame;
 use super::ring::{Pushed, RingItem, RingSender};
 use super::sequence::{Arrival, SequenceTracker};
 use super::{Frame, FrameNumber, PayloadFormat, RejectedFrame};
-use crate::camera::InPlace;
 use crate::rate_limit::RateLimit;
 use crate::state::board::{CameraBoard, LatestFrame};
 use albireo_service::clock::unix_nanoseconds;
@@ -232,8 +231,6 @@ pub(crate) struct FrameReceiver {
     limits: FrameLimits,
     stream: Mutex<StreamState>,
     answers: Arc<Answers>,
-    /// The camera's loop.
-    camera: InPlace,
 }
 
 #[derive(Debug, Default)]
@@ -263,15 +260,7 @@ impl FrameReceiver {
                 runtime: Handle::current(),
                 waiting: Arc::new(Semaphore::new(MAX_ANSWERS)),
             }),
-            camera: InPlace::default(),
         }
-    }
-
-    /// Takes `camera`, the loop that the frames are for, further where they arrive.
-    #[must_use]
-    pub(crate) fn advancing(mut self, camera: InPlace) -> Self {
-        self.camera = camera;
-        self
     }
 
     /// Takes a frame that was put.
@@ -335,22 +324,14 @@ impl FrameReceiver {
         {
             return;
         }
-        let mut woken = None;
         let refused = self.admit(&mut stream, read).and_then(|mut frame| {
             frame.query = query.take();
-            let (pushed, wake) = self.ring.push(frame);
-            woken = wake;
-            self.count_pushed(pushed)
+            self.count_pushed(self.ring.push(frame))
         });
         // The next frame need not wait for this one's answer to get into the ring.
         drop(stream);
         if let (Err(reason), Some(query)) = (refused, query) {
             query.answer(Some(reason));
-        }
-        if let Some(wake) = woken
-            && !(wake.only_this && self.camera.advance())
-        {
-            wake.waker.wake();
         }
     }
 

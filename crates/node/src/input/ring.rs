@@ -85,8 +85,6 @@ struct State<T> {
     taken_since_overrun: u32,
     /// How the receiver is woken, while it waits.
     receiver: Option<Waker>,
-    /// Whether it waits to take an item, and not only to look at one.
-    taking: bool,
 }
 
 impl<T> State<T> {
@@ -96,23 +94,12 @@ impl<T> State<T> {
             closed: false,
             taken_since_overrun: u32::MAX,
             receiver: None,
-            taking: false,
         }
     }
 
-    fn wait(&mut self, context: &Context<'_>, taking: bool) {
+    fn wait(&mut self, context: &Context<'_>) {
         self.receiver = Some(context.waker().clone());
-        self.taking = taking;
     }
-}
-
-/// How a receiver is woken for an item that was pushed.
-#[derive(Debug)]
-pub(crate) struct Wake {
-    /// Wakes it.
-    pub(crate) waker: Waker,
-    /// It waited to take an item, and there is only this one.
-    pub(crate) only_this: bool,
 }
 
 /// An empty ring.
@@ -145,16 +132,16 @@ impl<T: RingItem> Ring<T> {
 }
 
 impl<T: RingItem> RingSender<T> {
-    /// Pushes an item. The caller wakes the receiver where it waits, or takes it further by other means.
-    pub(crate) fn push(&self, item: T) -> (Pushed<T>, Option<Wake>) {
+    /// Pushes an item, and wakes the receiver if it waits.
+    pub(crate) fn push(&self, item: T) -> Pushed<T> {
         let mut state = self.0.state.lock();
         if state.closed {
-            return (Pushed::Closed(item), None);
+            return Pushed::Closed(item);
         }
         let mut pushed = Pushed::Queued;
         if !self.0.has_room(&state.items, item.bytes()) {
             if !self.0.limits.newest_wins {
-                return (Pushed::Full(item), None);
+                return Pushed::Full(item);
             }
             if let Some(oldest) = state.items.pop_front() {
                 pushed = Pushed::Replaced(oldest);
@@ -162,9 +149,12 @@ impl<T: RingItem> RingSender<T> {
             }
         }
         state.items.push_back(item);
-        let only_this = state.taking && state.items.len() == 1;
-        let wake = state.receiver.take();
-        (pushed, wake.map(|waker| Wake { waker, only_this }))
+        let receiver = state.receiver.take();
+        drop(state);
+        if let Some(receiver) = receiver {
+            receiver.wake();
+        }
+        pushed
     }
 
     /// Whether an item of that size would be queued.
@@ -209,12 +199,11 @@ impl<T: RingItem> RingReceiver<T> {
             match state.items.pop_front() {
                 Some(item) => {
                     state.taken_since_overrun = state.taken_since_overrun.saturating_add(1);
-                    state.taking = false;
                     Poll::Ready(Some(item))
                 }
                 None if state.closed => Poll::Ready(None),
                 None => {
-                    state.wait(context, true);
+                    state.wait(context);
                     Poll::Pending
                 }
             }
@@ -237,7 +226,7 @@ impl<T> RingReceiver<T> {
                 Some(item) => Poll::Ready(Some(look(item))),
                 None if state.closed => Poll::Ready(None),
                 None => {
-                    state.wait(context, false);
+                    state.wait(context);
                     Poll::Pending
                 }
             }
@@ -283,22 +272,13 @@ mod tests {
         })
     }
 
-    /// Pushes as a receiving thread does.
-    fn push(sender: &RingSender<u32>, item: u32) -> Pushed<u32> {
-        let (pushed, wake) = sender.push(item);
-        if let Some(wake) = wake {
-            wake.waker.wake();
-        }
-        pushed
-    }
-
     #[tokio::test]
     async fn the_newest_win_and_every_overrun_is_told() {
         let (sender, mut receiver) = ring(2, true);
-        assert_eq!(push(&sender, 1), Pushed::Queued);
-        assert_eq!(push(&sender, 2), Pushed::Queued);
-        assert_eq!(push(&sender, 3), Pushed::Replaced(1));
-        assert_eq!(push(&sender, 4), Pushed::Replaced(2));
+        assert_eq!(sender.push(1), Pushed::Queued);
+        assert_eq!(sender.push(2), Pushed::Queued);
+        assert_eq!(sender.push(3), Pushed::Replaced(1));
+        assert_eq!(sender.push(4), Pushed::Replaced(2));
         assert_eq!(sender.waiting(), 2);
         assert_eq!(receiver.next().await, Some(3));
         assert_eq!(receiver.next().await, Some(4));
@@ -307,30 +287,30 @@ mod tests {
     #[tokio::test]
     async fn where_none_is_to_be_missed_the_newest_is_refused() {
         let (sender, mut receiver) = ring(2, false);
-        assert_eq!(push(&sender, 1), Pushed::Queued);
+        assert_eq!(sender.push(1), Pushed::Queued);
         assert!(sender.has_room(2));
-        assert_eq!(push(&sender, 2), Pushed::Queued);
+        assert_eq!(sender.push(2), Pushed::Queued);
         assert!(!sender.has_room(3));
-        assert_eq!(push(&sender, 3), Pushed::Full(3));
+        assert_eq!(sender.push(3), Pushed::Full(3));
         assert_eq!(receiver.next().await, Some(1));
-        assert_eq!(push(&sender, 3), Pushed::Queued);
+        assert_eq!(sender.push(3), Pushed::Queued);
     }
 
     #[tokio::test]
     async fn the_memory_of_what_waits_is_bounded_and_one_item_always_fits() {
         let (sender, mut receiver) = ring(8, false);
-        assert_eq!(push(&sender, 5000), Pushed::Queued);
-        assert_eq!(push(&sender, 1), Pushed::Full(1));
+        assert_eq!(sender.push(5000), Pushed::Queued);
+        assert_eq!(sender.push(1), Pushed::Full(1));
         assert_eq!(receiver.next().await, Some(5000));
-        assert_eq!(push(&sender, 600), Pushed::Queued);
-        assert_eq!(push(&sender, 400), Pushed::Queued);
-        assert_eq!(push(&sender, 1), Pushed::Full(1));
+        assert_eq!(sender.push(600), Pushed::Queued);
+        assert_eq!(sender.push(400), Pushed::Queued);
+        assert_eq!(sender.push(1), Pushed::Full(1));
     }
 
     #[tokio::test]
     async fn the_next_item_can_be_looked_at_and_is_still_taken() {
         let (sender, mut receiver) = ring(2, true);
-        let (seen, _) = tokio::join!(receiver.peek(|&item| item), async { push(&sender, 1) });
+        let (seen, _) = tokio::join!(receiver.peek(|&item| item), async { sender.push(1) });
         assert_eq!(seen, Some(1));
         assert_eq!(receiver.next().await, Some(1));
         sender.close();
@@ -340,32 +320,32 @@ mod tests {
     #[tokio::test]
     async fn nothing_is_looked_at_while_items_are_pushed_out() {
         let (sender, mut receiver) = ring(1, true);
-        assert_eq!(push(&sender, 1), Pushed::Queued);
-        assert_eq!(push(&sender, 2), Pushed::Replaced(1));
+        assert_eq!(sender.push(1), Pushed::Queued);
+        assert_eq!(sender.push(2), Pushed::Replaced(1));
         assert_eq!(receiver.peek(|&item| item).await, None);
         assert_eq!(receiver.next().await, Some(2));
-        assert_eq!(push(&sender, 3), Pushed::Queued);
+        assert_eq!(sender.push(3), Pushed::Queued);
         // The receiver was too slow for item 1, and may be for this one.
         assert_eq!(receiver.peek(|&item| item).await, None);
         assert_eq!(receiver.next().await, Some(3));
-        assert_eq!(push(&sender, 4), Pushed::Queued);
+        assert_eq!(sender.push(4), Pushed::Queued);
         assert_eq!(receiver.peek(|&item| item).await, Some(4));
     }
 
     #[tokio::test]
     async fn a_ring_without_room_has_room_for_one() {
         let (sender, mut receiver) = ring(0, true);
-        assert_eq!(push(&sender, 1), Pushed::Queued);
-        assert_eq!(push(&sender, 2), Pushed::Replaced(1));
+        assert_eq!(sender.push(1), Pushed::Queued);
+        assert_eq!(sender.push(2), Pushed::Replaced(1));
         assert_eq!(receiver.next().await, Some(2));
     }
 
     #[tokio::test]
     async fn what_waited_when_a_ring_was_closed_is_not_lost() {
         let (sender, mut receiver) = ring(1, true);
-        assert_eq!(push(&sender, 1), Pushed::Queued);
+        assert_eq!(sender.push(1), Pushed::Queued);
         sender.close();
-        assert_eq!(push(&sender, 3), Pushed::Closed(3));
+        assert_eq!(sender.push(3), Pushed::Closed(3));
         assert_eq!(receiver.next().await, Some(1));
         assert_eq!(receiver.next().await, None);
     }
@@ -373,13 +353,13 @@ mod tests {
     #[tokio::test]
     async fn a_ring_whose_receiver_failed_is_closed_until_it_is_opened_again() {
         let (sender, receiver) = ring(4, true);
-        push(&sender, 1);
-        push(&sender, 2);
+        sender.push(1);
+        sender.push(2);
         assert_eq!(receiver.close_and_clear(), 2);
         drop(receiver);
-        assert_eq!(push(&sender, 3), Pushed::Closed(3));
+        assert_eq!(sender.push(3), Pushed::Closed(3));
         let mut again = sender.reopen();
-        assert_eq!(push(&sender, 4), Pushed::Queued);
+        assert_eq!(sender.push(4), Pushed::Queued);
         assert_eq!(again.next().await, Some(4));
     }
 
@@ -391,7 +371,7 @@ mod tests {
                 .await
                 .is_err()
         );
-        push(&sender, 1);
+        sender.push(1);
         assert_eq!(receiver.next().await, Some(1));
     }
 }
