@@ -4,7 +4,7 @@ use crate::geometry::{BoundingBox, PictureSize};
 use crate::policy::config::known_policies;
 use crate::policy::testing::{PICTURE, seen};
 use crate::policy::{
-    EvidenceAtHand, FrameEvidence, FrameState, GreyPicture, ObjectRecord, PolicyConfig,
+    EvidenceAtHand, FrameEvidence, FrameState, GreyPicture, ObjectRecord, PolicyConfig, Profile,
     decide_at_once,
 };
 use proptest::prelude::*;
@@ -107,9 +107,20 @@ fn late_policies() -> impl Iterator<Item = &'static str> {
 }
 
 fn build(name: &str) -> Box<dyn Policy> {
-    let mut config = PolicyConfig::default();
+    build_as(name, Profile::Paper)
+}
+
+fn build_as(name: &str, profile: Profile) -> Box<dyn Policy> {
+    let mut config = PolicyConfig {
+        profile,
+        ..PolicyConfig::default()
+    };
     config.select(name).unwrap();
     config.build().unwrap()
+}
+
+fn profiles() -> impl Strategy<Value = Profile> {
+    prop_oneof![Just(Profile::Paper), Just(Profile::Reference)]
 }
 
 fn late(name: &str) -> LatePolicy {
@@ -187,9 +198,9 @@ struct Camera<'a> {
 }
 
 impl<'a> Camera<'a> {
-    fn new(name: &str, script: &'a [Event]) -> Self {
+    fn new(policy: Box<dyn Policy>, script: &'a [Event]) -> Self {
         Self {
-            late: late(name),
+            late: LatePolicy::new(policy).unwrap(),
             script,
             heads: heads(script),
             next: 0,
@@ -263,13 +274,16 @@ fn the_policies_that_predict_answer_at_once_and_the_others_say_that_they_cannot(
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(24))]
+    #![proptest_config(ProptestConfig::with_cases(32))]
 
     #[test]
-    fn without_delay_every_frame_is_as_if_it_had_waited(script in events(0)) {
+    fn without_delay_every_frame_is_as_if_it_had_waited(
+        script in events(0),
+        profile in profiles(),
+    ) {
         for name in late_policies() {
-            let mut waiting = build(name);
-            let mut camera = Camera::new(name, &script);
+            let mut waiting = build_as(name, profile);
+            let mut camera = Camera::new(build_as(name, profile), &script);
             for (frame, (event, head)) in script.iter().zip(heads(&script)).enumerate() {
                 event.set_threshold(&mut *waiting);
                 let grey = event.grey();
@@ -289,12 +303,15 @@ proptest! {
     }
 
     #[test]
-    fn late_evidence_gives_what_the_same_evidence_gives_from_the_start(script in events(6)) {
+    fn late_evidence_gives_what_the_same_evidence_gives_from_the_start(
+        script in events(6),
+        profile in profiles(),
+    ) {
         for name in late_policies() {
-            let mut camera = Camera::new(name, &script);
+            let mut camera = Camera::new(build_as(name, profile), &script);
             while camera.frame() {
                 let so_far = &script[..camera.next];
-                let mut policy = build(name);
+                let mut policy = build_as(name, profile);
                 let before = from_the_start(&mut *policy, so_far, &camera.given);
                 let before = before.last().map(predicted);
                 prop_assert_eq!(camera.live.last(), before.as_ref(), "{}", name);
@@ -302,7 +319,7 @@ proptest! {
                 if !camera.arrivals() {
                     continue;
                 }
-                let mut policy = build(name);
+                let mut policy = build_as(name, profile);
                 let after = from_the_start(&mut *policy, so_far, &camera.given);
                 prop_assert_eq!(records(camera.late.policy()), records(&*policy), "{}", name);
                 prop_assert_eq!(camera.late.policy().knob_value(), policy.knob_value());
@@ -320,13 +337,13 @@ proptest! {
     ) {
         for name in ["albireo", "expected-loss", "expected-loss+flow"] {
             let alone = scripts.each_ref().map(|script| {
-                let mut camera = Camera::new(name, script);
+                let mut camera = Camera::new(build(name), script);
                 while camera.frame() {
                     camera.arrivals();
                 }
                 camera
             });
-            let mut together = scripts.each_ref().map(|script| Camera::new(name, script));
+            let mut together = scripts.each_ref().map(|script| Camera::new(build(name), script));
             let rest = (0..80).flat_map(|_| [false, true]);
             for second in order.iter().copied().chain(rest) {
                 let camera = &mut together[usize::from(second)];
