@@ -1,7 +1,7 @@
 //! The Kalman filter of one object: a box that moves with constant acceleration and whose size changes
 //! with constant velocity, in normalised coordinates; its uncertainty τ and its distance to a detection.
 //!
-//! [`Filter`] is what runs. [`dense`] is the same filter as a textbook prints it, with full matrices:
+//! [`Filter`] is what runs. `dense` is the same filter as a textbook prints it, with full matrices:
 //! slower, easier to read, and the measure of the first.
 
 #[cfg(test)]

@@ -13,3 +13,8 @@ pub mod kalman;
 pub mod objects;
 pub mod policy;
 pub mod target;
+
+/// The example of the README, which `cargo test --doc` runs.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct Readme;

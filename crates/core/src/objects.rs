@@ -1,8 +1,8 @@
 //! Object states: what is remembered of each object in view, how they are matched with detections, and
 //! when they are created, confirmed, rescued and removed.
 //!
-//! [`ObjectStates`] is the collection a policy keeps. It advances by frames ([`ObjectStates::predict`])
-//! and takes detections ([`ObjectStates::observe`]); the matching is [`Matcher`]'s, the rules of birth
+//! `ObjectStates` is the collection a policy keeps. It advances by frames (`ObjectStates::predict`)
+//! and takes detections (`ObjectStates::observe`); the matching is `Matcher`'s, the rules of birth
 //! and death are [`LifeCycle`]'s.
 
 mod assignment;

@@ -152,7 +152,7 @@ impl Filter {
         center + center + size + size
     }
 
-    /// What a measured box is compared with: see [`Gauge::squared_distance`].
+    /// What a measured box is compared with: see `Gauge::squared_distance`.
     #[inline]
     pub fn gauge(&self, model: &FilterModel) -> Gauge {
         Gauge {

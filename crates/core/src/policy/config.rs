@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PolicyConfig {
-    /// Name of the policy: one of [`known_policies`].
+    /// Name of the policy: one of `known_policies`.
     pub name: String,
     /// What holds where the paper's text and the published code disagree.
     pub profile: Profile,
