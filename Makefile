@@ -7,11 +7,15 @@ CACHE := .cache
 ONNXRUNTIME := $(CACHE)/onnxruntime/.ready
 PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
 PARITY_ENVIRONMENT := $(CACHE)/parity/.ready
+WHEEL := target/wheels/.built$(if $(TARGET),-$(TARGET))
+WHEEL_ENVIRONMENT := $(CACHE)/wheel/.ready
+WHEEL_SOURCES := $(wildcard Cargo.toml crates/core/Cargo.toml crates/python/*.* crates/python/src/*) \
+	$(shell find crates/core/src crates/python/python -type f ! -name '*.pyc')
 DEMO_SECONDS ?=
 # Python's ONNX Runtime as ours keeps and sends nothing of what is run.
 export ORT_DISABLE_TELEMETRY := 1
 
-.PHONY: help demo test web browser lint soak board onnxruntime python debian release dist bench bench-peers gpu parity clean
+.PHONY: help demo test web browser lint soak board onnxruntime python wheel wheel-tests debian release dist bench bench-peers gpu parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -20,7 +24,7 @@ demo: onnxruntime web ## camera, node, hub and live output in one process, with 
 	cargo build --locked $$(bash tests/features.sh)
 	@exec target/debug/albireo demo $(if $(DEMO_SECONDS),--seconds $(DEMO_SECONDS))
 
-test: onnxruntime python debian web ## fetch what the tests need and run them all
+test: onnxruntime python wheel-tests debian web ## fetch what the tests need and run them all
 	@bash tests/run.sh
 
 lint: ## formatting and clippy of every combination of features that is shipped, as the continuous integration does
@@ -28,6 +32,9 @@ lint: ## formatting and clippy of every combination of features that is shipped,
 	cargo clippy --locked --workspace --all-targets -- -D warnings
 	cargo clippy --locked --no-default-features -- -D warnings
 	cargo clippy --locked --all-targets $$(bash tests/features.sh) -- -D warnings
+	cargo fmt --check --manifest-path crates/python/Cargo.toml
+	CARGO_TARGET_DIR=target/python cargo clippy --locked --manifest-path crates/python/Cargo.toml -- -D warnings
+	RUSTDOCFLAGS="-D warnings" cargo doc --locked --no-deps -p albireo-core
 
 soak: onnxruntime python ## half an hour of a node under faults beside a hub, by hand (MINUTES=N for another length)
 	cargo build --locked $$(bash tests/features.sh)
@@ -79,6 +86,16 @@ python: $(PYTHON_ENVIRONMENT) ## the Python environment of the tests' independen
 $(PYTHON_ENVIRONMENT): tests/requirements.txt
 	python3 -m venv $(CACHE)/python
 	$(CACHE)/python/bin/python -m pip install --quiet --disable-pip-version-check -r tests/requirements.txt
+	@touch $@
+
+wheel: $(WHEEL) ## the Python package in target/wheels, with its sources (TARGET=aarch64 for another machine)
+$(WHEEL): $(WHEEL_SOURCES)
+	bash crates/python/build.sh $(TARGET)
+	@touch $@
+
+wheel-tests: $(WHEEL_ENVIRONMENT) ## the Python environment that the package is tested in
+$(WHEEL_ENVIRONMENT): crates/python/tests/requirements.txt $(WHEEL)
+	bash crates/python/tests/environment.sh $(CACHE)/wheel
 	@touch $@
 
 debian: ## Debian packages the tests use, installed when missing and when allowed

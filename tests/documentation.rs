@@ -203,6 +203,7 @@ fn the_readme_is_short_and_goes_from_the_camera_to_the_limits() {
         "## What you see",
         "## Does it save on my board?",
         "## Your own detector",
+        "## In Python",
         "## Tune",
         "## A fleet",
         "## Evaluate",

@@ -11,8 +11,8 @@ use replay::{Screen, compare, compare_excerpt, decide, reference};
 use shared_data::{sequences, summary};
 use std::collections::BTreeMap;
 
-mod replay;
-mod shared_data;
+pub(crate) mod replay;
+pub(crate) mod shared_data;
 
 /// Compares the golden traces in `folder` with the policy `asked` for.
 fn compare_all(folder: &str, asked: &str, screen: Screen) {

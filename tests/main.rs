@@ -57,3 +57,4 @@ mod power_telemetry;
 mod replay;
 mod structure;
 mod supervision;
+mod wheel;

@@ -354,6 +354,7 @@ fn a_test_that_wants_more_than_the_clone_says_what_in_words_that_run_sh_knows() 
         "Docker Compose",
         "hadolint",
         "shellcheck",
+        "the wheel",
     ];
     let script = std::fs::read_to_string(root().join("tests/run.sh")).unwrap();
     for need in known {

@@ -56,22 +56,32 @@ pub(crate) enum Screen {
 /// Detections by frame, in file order.
 pub(crate) type Recorded = BTreeMap<u64, Vec<Detection>>;
 
-pub(crate) fn read_detections(csv: &str, picture: PictureSize) -> Recorded {
-    let mut recorded = Recorded::new();
+/// By frame what a recording has: corners in pixels, confidence, class.
+pub(crate) fn read_corners(csv: &str) -> BTreeMap<u64, Vec<[f64; 6]>> {
+    let mut recorded = BTreeMap::<_, Vec<_>>::new();
     for line in csv.lines().skip(1) {
         let fields: Vec<f64> = line.split(',').map(|f| f.parse().unwrap()).collect();
         let [frame, x1, y1, x2, y2, confidence, class] = fields[..] else {
             panic!("a detection has seven numbers, not `{line}`");
         };
         if confidence >= DETECTOR_THRESHOLD {
-            recorded.entry(frame as u64).or_default().push(Detection {
-                bounding_box: Corners { x1, y1, x2, y2 }.normalise(picture),
-                class: ClassId(class as u16),
-                confidence,
-            });
+            let found = recorded.entry(frame as u64).or_default();
+            found.push([x1, y1, x2, y2, confidence, class]);
         }
     }
     recorded
+}
+
+pub(crate) fn read_detections(csv: &str, picture: PictureSize) -> Recorded {
+    let detection = |[x1, y1, x2, y2, confidence, class]: [f64; 6]| Detection {
+        bounding_box: Corners { x1, y1, x2, y2 }.normalise(picture),
+        class: ClassId(class as u16),
+        confidence,
+    };
+    read_corners(csv)
+        .into_iter()
+        .map(|(frame, found)| (frame, found.into_iter().map(detection).collect()))
+        .collect()
 }
 
 /// The policy `asked` for, `NAME[:ARGUMENT]`, in the profile of the published code.

@@ -1,9 +1,10 @@
 //! The recorded sequences of the shared data, their golden traces and the table of their figures.
 
-use super::replay::{Recorded, read_detections};
+use super::replay::{Recorded, read_corners, read_detections};
 use crate::support::shared;
 use albireo_core::geometry::PictureSize;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::Path;
 
@@ -29,6 +30,12 @@ impl Sequence {
     pub(crate) fn detections(&self) -> Recorded {
         let path = format!("data/recorded/detections/{}.csv", self.name);
         read_detections(&read_to_string(&shared(&path)), self.picture())
+    }
+
+    /// By frame what [`detections`](Self::detections) is made from: corners in pixels, confidence, class.
+    pub(crate) fn corners(&self) -> BTreeMap<u64, Vec<[f64; 6]>> {
+        let path = format!("data/recorded/detections/{}.csv", self.name);
+        read_corners(&read_to_string(&shared(&path)))
     }
 
     /// The golden trace of the policy that goes by the name `folder`.

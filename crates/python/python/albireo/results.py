@@ -1,0 +1,164 @@
+"""Reads the results of detectors, and gives boxes back as the type that was read.
+
+Foreign types are read by their attributes: neither supervision nor Ultralytics is imported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _core
+
+_SOURCES = np.array(_core.SOURCES)
+
+
+class Boxes(NamedTuple):
+    """Boxes as arrays. It is a tuple, and can be given to `Skipper.update` as it is."""
+
+    xyxy: NDArray[Any]
+    """Left, top, right, bottom in pixels: shape (N, 4). Predicted boxes may reach out of the picture."""
+    confidence: NDArray[Any]
+    """0 to 1: shape (N,)."""
+    class_id: NDArray[np.int64]
+    """The detector's class numbers: shape (N,)."""
+    tracker_id: NDArray[np.int64]
+    """The same number for the same object on every frame, -1 where a policy follows no objects: shape (N,)."""
+    source: NDArray[np.str_]
+    """"detected", "predicted", "followed" (by optical flow) or "rescued" (the detector missed it): shape (N,)."""
+
+
+Arrays = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]
+Back = Callable[[Boxes, Any], Any]
+
+
+def read(result: Any, size: tuple[int, int], names: dict[int, str]) -> tuple[Arrays, Back]:
+    """The boxes, confidences and classes of a result, and the function that makes the same type of boxes again.
+
+    `names` gets the names of classes, where supervision's detections have them.
+    """
+    if isinstance(result, tuple):
+        return _read_tuple(result)
+    if hasattr(result, "xyxy") and hasattr(result, "class_id"):
+        return _read_supervision(result, names)
+    if hasattr(result, "boxes") and hasattr(result, "orig_shape"):
+        return _read_ultralytics(result, size)
+    hint = ""
+    if isinstance(result, list):
+        hint = " (Ultralytics' models return a list with one result for each picture: give one of them)"
+    raise TypeError(
+        f"cannot read detections of type {type(result).__name__}: give a tuple (xyxy, confidence, class_id) of arrays, "
+        f"supervision's Detections or one of Ultralytics' Results{hint}"
+    )
+
+
+def as_boxes(boxes: Boxes, _image: Any) -> Boxes:
+    """Gives back arrays."""
+    return boxes
+
+
+def _read_tuple(result: tuple[Any, ...]) -> tuple[Arrays, Back]:
+    if len(result) not in (3, 5):
+        raise ValueError(f"a tuple of detections is (xyxy, confidence, class_id), not of length {len(result)}")
+    xyxy, dtype = _boxes(result[0])
+    arrays = xyxy, _column(result[1], "confidence"), _column(result[2], "class_id")
+    if dtype == np.float64:
+        return arrays, as_boxes
+
+    def back(boxes: Boxes, _image: Any) -> Boxes:
+        return boxes._replace(xyxy=boxes.xyxy.astype(dtype), confidence=boxes.confidence.astype(dtype))
+
+    return arrays, back
+
+
+def _read_supervision(result: Any, names: dict[int, str]) -> tuple[Arrays, Back]:
+    xyxy, dtype = _boxes(result.xyxy)
+    count = len(xyxy)
+    confidence = np.ones(count) if result.confidence is None else _column(result.confidence, "confidence")
+    class_id = np.zeros(count) if result.class_id is None else _column(result.class_id, "class_id")
+    known = (getattr(result, "data", None) or {}).get("class_name")
+    if known is not None and len(known) == len(class_id):
+        names.update(zip(class_id.tolist(), map(str, known)))
+    kind = type(result)
+
+    def back(boxes: Boxes, _image: Any) -> Any:
+        data: dict[str, Any] = {"source": boxes.source}
+        if names:
+            data["class_name"] = np.array([names.get(number, "") for number in boxes.class_id.tolist()], dtype=str)
+        return kind(
+            xyxy=boxes.xyxy.astype(dtype),
+            confidence=boxes.confidence.astype(dtype),
+            class_id=boxes.class_id,
+            tracker_id=boxes.tracker_id,
+            data=data,
+        )
+
+    return (xyxy, confidence, class_id), back
+
+
+def _read_ultralytics(result: Any, size: tuple[int, int]) -> tuple[Arrays, Back]:
+    found = result.boxes
+    if found is None:
+        raise TypeError("the result has no boxes: oriented boxes and classifications cannot be tracked")
+    height, width = (int(side) for side in result.orig_shape)
+    if (width, height) != size:
+        raise ValueError(f"the result is of a picture of {width}x{height} pixels; this skipper takes {size[0]}x{size[1]}")
+    xyxy, dtype = _boxes(found.xyxy)
+    arrays = xyxy, _column(found.conf, "boxes.conf"), _column(found.cls, "boxes.cls")
+    blank = result.new()
+    # A tensor on the device of the result, where it is one.
+    make = getattr(found.data, "new_tensor", None)
+
+    def back(boxes: Boxes, image: Any) -> Any:
+        rows = np.column_stack([boxes.xyxy, boxes.tracker_id, boxes.confidence, boxes.class_id]).astype(dtype)
+        shown = blank.new()
+        if image is not None:
+            shown.orig_img = image
+        shown.update(boxes=make(rows) if make else rows)
+        shown.source = boxes.source
+        return shown
+
+    return arrays, back
+
+
+def _numbers(value: Any, what: str) -> NDArray[Any]:
+    """`value`, which may be a tensor, as an array of real numbers."""
+    for step in ("detach", "cpu", "numpy"):
+        if hasattr(value, step):
+            value = getattr(value, step)()
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"{what}: {error}") from None
+    if array.dtype.kind not in "fiub" and array.size:
+        raise TypeError(f"{what} must be real numbers, not {array.dtype}")
+    return array
+
+
+def _boxes(value: Any) -> tuple[NDArray[np.float64], np.dtype[Any]]:
+    array = _numbers(value, "the boxes (xyxy)")
+    dtype = array.dtype if array.dtype.kind == "f" else np.dtype(np.float64)
+    if array.size == 0:
+        return np.empty((0, 4)), dtype
+    if array.ndim != 2 or array.shape[1] != 4:
+        raise ValueError(f"the boxes (xyxy) have the shape {array.shape}; they must be (N, 4): left, top, right, bottom")
+    # A copy in any case: contiguous, aligned, and nobody else's.
+    return np.array(array, dtype=np.float64, order="C"), dtype
+
+
+def _column(value: Any, what: str) -> NDArray[np.float64]:
+    array = _numbers(value, what)
+    if array.size == 0:
+        return np.empty(0)
+    if array.ndim != 1:
+        raise ValueError(f"{what} has the shape {array.shape}; it must be (N,)")
+    return np.array(array, dtype=np.float64)
+
+
+def named(arrays: _core._Arrays) -> Boxes:
+    """The arrays of the extension module with names."""
+    xyxy, confidence, class_id, tracker_id, source = arrays
+    return Boxes(xyxy, confidence, class_id, tracker_id, _SOURCES[source])

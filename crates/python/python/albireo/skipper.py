@@ -1,0 +1,313 @@
+"""The loop's partner: says which frames need the detector, and where the objects are on the others."""
+
+from __future__ import annotations
+
+from collections import Counter
+from operator import index
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _core
+from .results import Back, as_boxes, named, read
+
+_CAUSES = {
+    "uncertain": "an object became uncertain",
+    "new_object": "a new object was uncertain",
+    "expected_loss": "the expected loss was worth a call",
+    "object_cap": "an object went without the detector for long",
+    "periodic_cap": "the stream went without the detector for long",
+    "screen": "something is in view",
+    "audit": "audit",
+    "empty_limit": "the scene was said to be empty for long",
+    "no_objects": "no object was followed",
+    "start": "first frame",
+    "retry": "the call before failed",
+    "changed": "the picture changed",
+    "schedule": "schedule",
+    "every_frame": "every frame",
+}
+
+
+class Skipper:
+    """Says which frames of a video need the detector, and where the objects are on the others.
+
+    >>> import numpy as np
+    >>> from albireo import Skipper
+    >>> def model(n):  # one object that moves to the right
+    ...     return np.array([[100.0 + n, 100, 180 + n, 160]]), np.array([0.9]), np.array([2])
+    >>> skip = Skipper("expected-loss", threshold=0.3, size=(1280, 720))
+    >>> for n in range(100):
+    ...     if skip.wants_detector(n):
+    ...         boxes = skip.update(model(n))
+    ...     else:
+    ...         boxes = skip.predict()
+    >>> boxes.tracker_id
+    array([0])
+    >>> skip.skipped > 0.5
+    True
+
+    One skipper follows one stream. Frame numbers increase and may jump: over lost frames the objects move on.
+    `update` takes what the detector found as a tuple of arrays `(xyxy, confidence, class_id)`, as supervision's
+    `Detections` or as Ultralytics' `Results`; boxes come back as the same type, with `tracker_id` and `source`
+    ("detected", "predicted", "followed" or "rescued"). `print(skip)` says what was skipped and why the detector was called.
+
+    policy: `"expected-loss"`, `"albireo"`, `"fixed-skip"`, … With `+flow` (`"expected-loss+flow"`) optical flow moves the
+        boxes of skipped frames; it wants the picture of every frame (`look`).
+    threshold: what a call is worth; higher skips more. Its name and range depend on the policy (`knob`).
+    size: width and height of the pictures in pixels.
+    profile: `"paper"`, or `"reference"` for the published code's decisions.
+    audit: the share of skipped frames that `audit_due` draws, 0 to 1; `seed` decides which.
+    resumable: keeps what it is given, so that a pickle goes on where this one stopped (about 50 bytes a detection).
+    """
+
+    def __init__(
+        self,
+        policy: str = "expected-loss",
+        *,
+        threshold: float | None = None,
+        size: tuple[int, int],
+        profile: str = "paper",
+        audit: float = 0.0,
+        seed: int = 0,
+        resumable: bool = False,
+    ) -> None:
+        if not isinstance(policy, str):
+            raise TypeError(f"policy is the name of a policy, not {policy!r}")
+        try:
+            width, height = (index(side) for side in size)
+        except (TypeError, ValueError):
+            raise ValueError(f"size is (width, height) in pixels, not {size!r}") from None
+        if not (0 < width <= 65535 and 0 < height <= 65535):
+            raise ValueError(f"size is (width, height) of 1 to 65535 pixels, not {size!r}")
+        if not 0.0 <= audit <= 1.0:
+            raise ValueError(f"audit is a share of frames from 0 to 1, not {audit!r}")
+        if not 0 <= seed < 2**64:
+            raise ValueError(f"seed is a whole number from 0 to 2**64 - 1, not {seed!r}")
+        self._made_with = (policy, profile, threshold, (width, height), (float(audit), seed))
+        self._core = _core.Decider(*self._made_with)
+        self._size = (width, height)
+        self._audit = audit > 0.0
+        self._names: dict[int, str] = {}
+        self._back: Back = as_boxes
+        self._log: list[tuple[Any, ...]] | None = [] if resumable else None
+        self._looked = False
+        self._states: Counter[str] = Counter()
+        self._causes: Counter[str] = Counter()
+        self._failed = 0
+        self._abandoned = 0
+
+    def look(self, grey: NDArray[np.uint8]) -> None:
+        """Takes the picture of the next frame, before its `wants_detector`: shape (rows, columns), 8 bits, grey.
+
+        Only policies with `+flow` (and `statues`) look at it; without it they go on as if they could not see.
+        """
+        grey = np.asarray(grey)
+        if grey.dtype != np.uint8 or grey.ndim != 2:
+            raise ValueError(f"look takes a grey picture of shape (rows, columns) in uint8, not {grey.dtype} {grey.shape}")
+        self._core.look(grey)
+        self._looked = True
+
+    def wants_detector(self, n: int | None = None, *, empty: bool | None = None) -> bool:
+        """Begins frame `n`, by default the one after the last, and says whether the detector should run on it.
+
+        If so, call `update` with what it found, or `unavailable` when it failed; if not, call `predict`. A frame that is
+        left without either counts as lost. `empty` is for those who have a cheap check of their own whether anything is
+        in view: True where nothing is.
+        """
+        core = self._core
+        if n is not None:
+            try:
+                n = index(n)
+            except TypeError:
+                raise TypeError(f"a frame's number is a whole number, not {n!r}") from None
+            if not 0 <= n < 2**63:
+                raise ValueError(f"a frame's number is from 0 to 2**63 - 1, not {n}")
+        before = core.wants
+        wanted = core.begin(n, None if empty is None else bool(empty))
+        self._abandoned += before
+        if self._log is not None:
+            self._log.append(("begin", core.threshold, core.frame, empty))
+        if not wanted:
+            self._states[core.state] += 1
+        return wanted
+
+    def update(self, result: Any) -> Any:
+        """Takes what the detector found on this frame, and returns the boxes to show, as the same type.
+
+        Detections whose numbers make no box (not finite, sides of zero or less) or no confidence are left out and counted.
+        """
+        arrays, back = read(result, self._size, self._names)
+        boxes = named(self._core.update(*arrays))
+        self._back = back
+        self._called(("update", *arrays))
+        return back(boxes, None)
+
+    def unavailable(self, image: Any = None) -> Any:
+        """Ends a frame that wanted the detector without it, and returns the predicted boxes.
+
+        Use it when the detector failed: the next frame will want it again.
+        """
+        boxes = named(self._core.unavailable())
+        self._failed += 1
+        self._called(("unavailable",))
+        return self._back(boxes, image)
+
+    def predict(self, image: Any = None) -> Any:
+        """The boxes of a frame that does without the detector, as the type that `update` last took.
+
+        `image` becomes the picture of Ultralytics' results (`orig_img`).
+        """
+        return self._back(named(self._core.boxes()), image)
+
+    def audit_due(self, n: int | None = None) -> bool:
+        """Whether frame `n`, by default this one, is in the random sample on which skipping is checked.
+
+        If so, run the detector on it although it was skipped, and give what it found to `audit`: it changes no box, and
+        `print(skip)` says how much of what the detector sees had been shown.
+        """
+        core = self._core
+        number = core.frame if n is None else index(n)
+        if not self._audit or number is None or number < 0 or number != core.frame:
+            return False
+        return not core.wants and core.state in ("P", "E") and core.drawn(number)
+
+    def audit(self, result: Any) -> None:
+        """Compares the boxes of this frame, which was skipped, with what the detector finds on it."""
+        arrays, _ = read(result, self._size, dict(self._names))
+        self._core.compare(*arrays)
+
+    def reset(self) -> None:
+        """Forgets all objects: the next frame begins a new stream. Threshold and totals stay."""
+        self._core.reset()
+        self._back = as_boxes
+        if self._log is not None:
+            self._log.append(("reset",))
+
+    @property
+    def threshold(self) -> float | None:
+        """The policy's threshold; may be set, and holds from the next frame on. None for a policy without one."""
+        return self._core.threshold
+
+    @threshold.setter
+    def threshold(self, value: float) -> None:
+        self._core.threshold = value
+
+    @property
+    def policy(self) -> str:
+        """The policy's name."""
+        return self._core.policy
+
+    @property
+    def knob(self) -> tuple[str, str, float, float] | None:
+        """Of the threshold: name, meaning, least and largest value."""
+        return self._core.knob
+
+    @property
+    def looks(self) -> bool:
+        """Whether the policy looks at pictures (`look`)."""
+        return self._core.looks
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the pictures in pixels."""
+        return self._size
+
+    @property
+    def frame(self) -> int | None:
+        """The number of the frame at hand."""
+        return self._core.frame
+
+    @property
+    def state(self) -> str:
+        """The state of the last decided frame: "P" or "E" where the detector was skipped, "I", "AI" or "E+I" where it ran."""
+        return self._core.state
+
+    @property
+    def cause(self) -> str | None:
+        """Why the detector was called for the last decided frame; None where it was skipped."""
+        return self._core.cause
+
+    @property
+    def frames(self) -> int:
+        """Frames decided so far."""
+        return self._states.total()
+
+    @property
+    def calls(self) -> int:
+        """Frames so far for which the detector was called."""
+        return self._causes.total()
+
+    @property
+    def skipped(self) -> float:
+        """Share of the frames so far that did without the detector, 0 to 1."""
+        return 1.0 - self.calls / self.frames if self.frames else 0.0
+
+    @property
+    def causes(self) -> dict[str, int]:
+        """How often the detector was called for each cause."""
+        return dict(self._causes)
+
+    @property
+    def recall(self) -> tuple[float, float, float] | None:
+        """Of the audited frames: share of the detector's boxes that had been shown, and its interval of 95 %."""
+        return self._core.recall()
+
+    def __str__(self) -> str:
+        skipped = self.frames - self.calls
+        lines = [f"{self!r}: {skipped} of {self.frames} frames skipped ({self.skipped:.0%}), {self.calls} detector calls"]
+        lines += [f"  {count} because {_CAUSES.get(cause, cause)}" for cause, count in self._causes.most_common()]
+        if self._failed:
+            lines.append(f"  {self._failed} calls failed")
+        if self._abandoned:
+            lines.append(f"  {self._abandoned} frames were left without a result")
+        if self._core.refused:
+            lines.append(f"  {self._core.refused} detections were no box and left out")
+        if recall := self.recall:
+            rate, low, high = recall
+            lines.append(f"  audit: {rate:.1%} [{low:.1%}, {high:.1%}] of what the detector sees had been shown")
+        return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        knob = self.knob
+        threshold = f" with {knob[0]} = {self.threshold:g}" if knob and self.threshold is not None else ""
+        return f"<Skipper {self.policy}{threshold}, {self._size[0]}x{self._size[1]}>"
+
+    def _called(self, event: tuple[Any, ...]) -> None:
+        """Counts a frame for which the detector was called."""
+        self._states[self._core.state] += 1
+        self._causes[self._core.cause or "?"] += 1
+        if self._log is not None:
+            self._log.append(event)
+
+    def __getstate__(self) -> dict[str, Any]:
+        if self._core.frame is not None and self._log is None:
+            raise TypeError(
+                "this skipper has followed a stream and cannot be pickled: make it with resumable=True, or pickle it before "
+                "its first frame"
+            )
+        if self._looked:
+            raise TypeError("a skipper that has looked at pictures cannot be pickled: they are not kept")
+        state = self.__dict__.copy()
+        # The type of boxes is known again with the next update.
+        del state["_core"], state["_back"]
+        return state | {"threshold": self.threshold}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        threshold = state.pop("threshold")
+        self.__dict__.update(state)
+        self._core = _core.Decider(*self._made_with)
+        self._back = as_boxes
+        for name, *given in self._log or []:
+            if name == "begin":
+                held, n, empty = given
+                if held is not None:
+                    self._core.threshold = held
+                self._core.begin(n, empty)
+            else:
+                getattr(self._core, name)(*given)
+        if threshold is not None:
+            self._core.threshold = threshold
+
+

@@ -1,0 +1,183 @@
+"""Types of results: what goes in comes out."""
+
+import unittest
+import warnings
+
+import numpy as np
+
+from albireo import Skipper
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")
+    import supervision
+
+SIZE = (640, 480)
+XYXY = np.array([[10.0, 20, 110, 220], [300, 40, 380, 90]])
+
+
+class Arrays(unittest.TestCase):
+    def test_boxes_come_back_in_the_precision_they_came_in(self):
+        for dtype in (np.float32, np.float64):
+            skip = Skipper(size=SIZE)
+            skip.wants_detector(0)
+            boxes = skip.update((XYXY.astype(dtype), np.array([0.9, 0.8], dtype), np.array([1, 2])))
+            self.assertEqual((boxes.xyxy.dtype, boxes.confidence.dtype), (dtype, dtype))
+            np.testing.assert_allclose(boxes.xyxy, XYXY)
+            skip.wants_detector(1) and skip.unavailable()
+            self.assertEqual(skip.predict().xyxy.dtype, dtype)
+
+    def test_what_came_out_can_go_in(self):
+        one, two = Skipper(size=SIZE), Skipper(size=SIZE)
+        one.wants_detector(0), two.wants_detector(0)
+        boxes = one.update((XYXY, np.array([0.9, 0.8]), np.array([1, 2])))
+        np.testing.assert_array_equal(two.update(boxes).xyxy, boxes.xyxy)
+
+    def test_other_things_are_refused_by_name(self):
+        skip = Skipper(size=SIZE)
+        skip.wants_detector(0)
+        for result, kind, said in [
+            (None, TypeError, "NoneType"),
+            (XYXY, TypeError, "ndarray"),
+            ([1], TypeError, "a list with one result for each picture"),
+            ((XYXY,), ValueError, "length 1"),
+            ((XYXY, [0.9], [1, 2]), ValueError, r"\(2, 4\), 1 confidences and 2 classes"),
+            ((XYXY[0], [0.9], [1]), ValueError, r"shape \(4,\); they must be \(N, 4\)"),
+            ((XYXY, [0.9, 0.8], [1, 2.5]), ValueError, "a class is 2.5"),
+            ((XYXY, [0.9, 0.8], [1, -1]), ValueError, "a class is -1"),
+            ((XYXY, [0.9, 0.8], ["car", "bus"]), TypeError, "class_id must be real numbers"),
+            ((XYXY * 1j, [0.9, 0.8], [1, 2]), TypeError, "complex128"),
+        ]:
+            with self.subTest(said), self.assertRaisesRegex(kind, said):
+                skip.update(result)
+        self.assertEqual(len(skip.update((XYXY, [0.9, 0.8], [1, 2])).xyxy), 2)
+
+
+class Supervision(unittest.TestCase):
+    def detections(self, shift=0.0):
+        return supervision.Detections(
+            xyxy=(XYXY + [shift, 0, shift, 0]).astype(np.float32),
+            confidence=np.array([0.9, 0.8], np.float32),
+            class_id=np.array([2, 7]),
+            data={"class_name": np.array(["car", "truck"])},
+        )
+
+    def test_detections_come_back_as_detections(self):
+        skip = Skipper("expected-loss", size=SIZE)
+        kinds = set()
+        for n in range(40):
+            boxes = skip.update(self.detections(n)) if skip.wants_detector(n) else skip.predict()
+            self.assertIsInstance(boxes, supervision.Detections)
+            self.assertEqual(boxes.xyxy.dtype, np.float32)
+            self.assertEqual(boxes.tracker_id.tolist(), [0, 1])
+            self.assertEqual(boxes["class_name"].tolist(), ["car", "truck"])
+            kinds |= set(boxes["source"])
+            # What supervision itself does with them.
+            self.assertEqual(len(boxes[boxes.class_id == 2]), 1)
+        self.assertEqual(kinds, {"detected", "predicted"})
+
+    def test_an_empty_frame_and_missing_columns_are_detections_too(self):
+        skip = Skipper("vanilla", size=SIZE)
+        skip.wants_detector(0)
+        self.assertEqual(len(skip.update(supervision.Detections.empty())), 0)
+        skip.wants_detector(1)
+        boxes = skip.update(supervision.Detections(xyxy=XYXY))
+        self.assertEqual((boxes.confidence.tolist(), boxes.class_id.tolist()), ([1.0, 1.0], [0, 0]))
+
+
+class Tensor:
+    """As much of torch.Tensor as is used."""
+
+    def __init__(self, array, device="cuda:0"):
+        self.array, self.device = np.asarray(array), device
+
+    def __array__(self, *_):
+        raise TypeError("can't convert cuda:0 device type tensor to numpy. Use Tensor.cpu() first")
+
+    def __getitem__(self, key):
+        return Tensor(self.array[key], self.device)
+
+    def detach(self):
+        return self
+
+    def cpu(self):
+        return Tensor(self.array, "cpu")
+
+    def numpy(self):
+        if self.device != "cpu":
+            raise TypeError("can't convert cuda:0 device type tensor to numpy")
+        return self.array
+
+    def new_tensor(self, array):
+        return Tensor(np.asarray(array, self.array.dtype), self.device)
+
+
+class ResultBoxes:
+    """The layout of ultralytics.engine.results.Boxes of version 8.3: rows of x1, y1, x2, y2, (id,) confidence, class."""
+
+    def __init__(self, data, orig_shape):
+        columns = (data.array if isinstance(data, Tensor) else data).shape[-1]
+        assert columns in (6, 7), f"expected 6 or 7 values but got {columns}"
+        self.data, self.orig_shape, self.is_track = data, orig_shape, columns == 7
+
+    xyxy = property(lambda self: self.data[:, :4])
+    conf = property(lambda self: self.data[:, -2])
+    cls = property(lambda self: self.data[:, -1])
+    id = property(lambda self: self.data[:, -3] if self.is_track else None)
+
+
+class Results:
+    """The layout of ultralytics.engine.results.Results of version 8.3."""
+
+    def __init__(self, orig_img, path, names, boxes=None):
+        self.orig_img, self.orig_shape = orig_img, orig_img.shape[:2]
+        self.boxes = ResultBoxes(boxes, self.orig_shape) if boxes is not None else None
+        self.names, self.path = names, path
+
+    def new(self):
+        return Results(self.orig_img, self.path, self.names)
+
+    def update(self, boxes=None):
+        self.boxes = ResultBoxes(boxes, self.orig_shape)
+
+
+class Ultralytics(unittest.TestCase):
+    # What YOLO11n of 8.3.40 found on a picture of 640x480, recorded.
+    ROWS = np.array(
+        [[48.55, 398.55, 245.35, 479.3, 0.8729, 0], [669.0 - 400, 392.2, 409.7, 470.9, 0.8637, 0], [11.0, 25, 580, 330, 0.91, 5]],
+        np.float32,
+    )
+
+    def results(self, device):
+        data = Tensor(self.ROWS) if device else self.ROWS.copy()
+        return Results(np.zeros((480, 640, 3), np.uint8), "bus.jpg", {0: "person", 5: "bus"}, data)
+
+    def test_results_come_back_as_results_with_ids(self):
+        for device in (False, True):
+            with self.subTest(device=device):
+                skip = Skipper("fixed-skip-in-tracker", threshold=2, size=SIZE)
+                for n in range(4):
+                    image = np.full((480, 640, 3), n, np.uint8)
+                    shown = skip.update(self.results(device)) if skip.wants_detector(n) else skip.predict(image)
+                    self.assertIsInstance(shown, Results)
+                    boxes = shown.boxes
+                    array = (lambda t: t.cpu().numpy()) if device else np.asarray
+                    self.assertEqual(isinstance(boxes.data, Tensor), device)
+                    self.assertEqual(array(boxes.data).dtype, np.float32)
+                    self.assertEqual(array(boxes.id).tolist(), [0, 1, 2])
+                    self.assertEqual(array(boxes.cls).tolist(), [0, 0, 5])
+                    np.testing.assert_allclose(array(boxes.xyxy), self.ROWS[:, :4], atol=1)
+                    self.assertEqual(shown.names[5], "bus")
+                    self.assertEqual(shown.source[0], "predicted" if n % 2 else "detected")
+                    self.assertEqual(shown.orig_img[0, 0, 0], n if n % 2 else 0)
+
+    def test_a_result_of_another_size_or_without_boxes_is_refused(self):
+        skip = Skipper(size=(1280, 720))
+        skip.wants_detector(0)
+        with self.assertRaisesRegex(ValueError, "640x480 pixels; this skipper takes 1280x720"):
+            skip.update(self.results(False))
+        with self.assertRaisesRegex(TypeError, "has no boxes"):
+            skip.update(self.results(False).new())
+
+
+if __name__ == "__main__":
+    unittest.main()

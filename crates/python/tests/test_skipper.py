@@ -1,0 +1,252 @@
+"""The loop: order of calls, lost frames, ids, totals, audit, pickle."""
+
+import doctest
+import pickle
+import unittest
+
+import numpy as np
+
+import albireo
+import albireo.skipper
+from albireo import Skipper
+
+SIZE = (1280, 720)
+
+
+def found(n, objects=3):
+    """Objects that move to the right, each at a height of its own."""
+    left = 100.0 + 3 * n
+    xyxy = np.array([[left, 50 + 150 * i, left + 80, 140 + 150 * i] for i in range(objects)]).reshape(-1, 4)
+    return xyxy, np.linspace(0.9, 0.6, objects), np.arange(objects) % 3
+
+
+def step(skip, n, model=found):
+    return skip.update(model(n)) if skip.wants_detector(n) else skip.predict()
+
+
+class Loop(unittest.TestCase):
+    def test_the_example_in_the_documentation_runs(self):
+        self.assertEqual(doctest.testmod(albireo.skipper).failed, 0)
+        self.assertGreater(doctest.testmod(albireo.skipper).attempted, 5)
+
+    def test_ids_are_the_same_on_every_frame_and_boxes_follow(self):
+        skip = Skipper("expected-loss", threshold=0.3, size=SIZE)
+        for n in range(120):
+            boxes = step(skip, n)
+            self.assertEqual(boxes.tracker_id.tolist(), [0, 1, 2])
+            if n > 20:
+                np.testing.assert_allclose(boxes.xyxy, found(n)[0], atol=3)
+            expected = "predicted" if skip.state == "P" else "detected"
+            self.assertEqual(set(boxes.source), {expected})
+        self.assertGreater(skip.skipped, 0.5)
+        self.assertEqual(skip.frames, 120)
+        self.assertEqual(sum(skip.causes.values()), skip.calls)
+
+    def test_over_lost_frames_the_objects_move_on(self):
+        skip = Skipper("expected-loss", threshold=2.0, size=SIZE)
+        for n in range(60):
+            step(skip, n)
+        before = skip.predict() if skip.state == "P" else None
+        n = next(n for n in range(63, 200) if not skip.wants_detector(n) or skip.unavailable() is None)
+        after = skip.predict()
+        np.testing.assert_allclose(after.xyxy, found(n)[0], atol=5)
+        self.assertIsNot(before, after)
+
+    def test_a_higher_threshold_skips_more_and_holds_from_the_next_frame_on(self):
+        shares = []
+        for threshold in (0.1, 1.0):
+            skip = Skipper("expected-loss", size=SIZE)
+            skip.threshold = threshold
+            for n in range(100):
+                step(skip, n)
+            shares.append(skip.skipped)
+        self.assertLess(shares[0], shares[1])
+
+    def test_a_detector_that_fails_leaves_predictions_and_is_asked_again(self):
+        skip = Skipper("albireo", size=SIZE)
+        n = 0
+        while not (skip.wants_detector(n) and n > 5):
+            skip.update(found(n)) if skip._core.wants else skip.predict()
+            n += 1
+        boxes = skip.unavailable()
+        self.assertEqual(set(boxes.source), {"predicted"})
+        self.assertTrue(skip.wants_detector(n + 1))
+        self.assertIn("1 calls failed", str(skip))
+
+    def test_a_call_out_of_order_says_what_to_call(self):
+        skip = Skipper(size=SIZE)
+        for call in (skip.predict, skip.unavailable, lambda: skip.update(found(0))):
+            with self.assertRaisesRegex(RuntimeError, r"wants_detector\(n\)"):
+                call()
+        self.assertTrue(skip.wants_detector(7))
+        with self.assertRaisesRegex(RuntimeError, r"frame 7 wants the detector: call update\(result\)"):
+            skip.predict()
+        skip.update(found(7))
+        with self.assertRaisesRegex(RuntimeError, "frame 7 does not want the detector"):
+            skip.update(found(7))
+        with self.assertRaisesRegex(ValueError, "frame 7 cannot follow frame 7"):
+            skip.wants_detector(7)
+        skip.reset()
+        self.assertTrue(skip.wants_detector(0))
+
+    def test_a_frame_without_a_result_counts_as_lost(self):
+        skip = Skipper(size=SIZE)
+        self.assertTrue(skip.wants_detector(0))
+        self.assertTrue(skip.wants_detector(1))
+        skip.update(found(1))
+        self.assertEqual(skip.frames, 1)
+        self.assertIn("1 frames were left without a result", str(skip))
+
+    def test_settings_that_cannot_be_say_what_can(self):
+        for settings, said in [
+            ({"policy": "yolo"}, "there is no policy `yolo`; the policies are `albireo`"),
+            ({"threshold": float("nan")}, "`lambda` must be a number from"),
+            ({"policy": "vanilla", "threshold": 0.5}, "no threshold to change"),
+            ({"profile": "paperr"}, "'paper' and 'reference'"),
+            ({"size": (0, 720)}, "1 to 65535 pixels"),
+            ({"size": 1280}, r"\(width, height\)"),
+            ({"audit": 2}, "from 0 to 1"),
+            ({"seed": -1}, "seed"),
+        ]:
+            with self.subTest(settings), self.assertRaisesRegex(ValueError, said):
+                Skipper(**({"size": SIZE} | settings))
+
+    def test_what_is_printed_says_how_much_was_skipped_and_why_each_call_was_made(self):
+        skip = Skipper("fixed-skip", threshold=4, size=SIZE)
+        for n in range(40):
+            step(skip, n)
+        said = str(skip)
+        self.assertIn("30 of 40 frames skipped (75%), 10 detector calls", said)
+        self.assertIn("10 because schedule", said)
+
+    def test_an_own_check_for_empty_scenes_spares_calls(self):
+        skip = Skipper("albireo", size=SIZE)
+        self.assertFalse(skip.wants_detector(0, empty=True))
+        self.assertEqual((skip.state, len(skip.predict().xyxy)), ("E", 0))
+        self.assertTrue(skip.wants_detector(1, empty=False))
+        skip.update(found(1))
+        self.assertEqual((skip.state, skip.cause), ("E+I", "screen"))
+
+    def test_an_audit_draws_skipped_frames_and_tells_what_had_been_shown(self):
+        skip = Skipper(size=SIZE, audit=0.5, seed=3)
+        drawn = 0
+        for n in range(200):
+            wanted = skip.wants_detector(n)
+            if wanted:
+                skip.update(found(n))
+            if skip.audit_due(n):
+                self.assertFalse(wanted)
+                before = skip.predict()
+                skip.audit(found(n))
+                np.testing.assert_array_equal(skip.predict().xyxy, before.xyxy)
+                drawn += 1
+        self.assertTrue(0.3 < drawn / (200 - skip.calls) < 0.7, drawn)
+        self.assertGreater(skip.recall[0], 0.95)
+        self.assertIn("of what the detector sees had been shown", str(skip))
+
+    def test_flow_follows_what_turns(self):
+        """A textured square stops: with pictures its box stops too, without them it goes on."""
+        texture = np.random.default_rng(1).integers(0, 255, (60, 60), dtype=np.uint8)
+        texture = texture.repeat(2, 0).repeat(2, 1)
+        ends = {}
+        for policy in ("even-skip-in-tracker", "even-skip-in-tracker+flow"):
+            skip = Skipper(policy, threshold=0.9, size=(640, 360))
+            sources = set()
+            for n in range(70):
+                left = 40 + 4 * min(n, 61)
+                image = np.full((360, 640), 90, np.uint8)
+                image[100:220, left : left + 120] = texture
+                skip.look(image)
+                at = np.array([[left, 100.0, left + 120, 220]]), np.array([0.9]), np.array([1])
+                boxes = skip.update(at) if skip.wants_detector(n) else skip.predict()
+                sources |= set(boxes.source)
+            ends[policy] = abs(boxes.xyxy[0, 0] - left)
+            self.assertEqual("followed" in sources, policy.endswith("flow"))
+        blind, seeing = ends.values()
+        self.assertLess(seeing, 2)
+        self.assertGreater(blind, 2 * seeing)
+
+
+class Pickle(unittest.TestCase):
+    def test_it_goes_on_where_it_was(self):
+        for policy in ("expected-loss", "albireo", "fixed-skip", "ctd", "vanilla"):
+            with self.subTest(policy):
+                one = Skipper(policy, size=SIZE, resumable=True)
+                for n in range(50):
+                    if n == 20 and one.threshold is not None:
+                        one.threshold = one.threshold * 1.5
+                    if n == 30:
+                        one.reset()
+                    if n in (10, 37):
+                        if one.wants_detector(n + (n > 30)):
+                            one.unavailable()
+                    elif n != 38:
+                        step(one, n)
+                two = pickle.loads(pickle.dumps(one))
+                self.assertEqual(str(one), str(two))
+                for n in range(50, 120):
+                    self.assertEqual(one.wants_detector(n), two.wants_detector(n))
+                    wanted = one._core.wants
+                    boxes = [skip.update(found(n)) if wanted else skip.predict() for skip in (one, two)]
+                    for mine, other in zip(*boxes):
+                        np.testing.assert_array_equal(mine, other)
+                self.assertEqual(str(one), str(two))
+
+    def test_before_the_first_frame_any_skipper_can_be_pickled(self):
+        skip = pickle.loads(pickle.dumps(Skipper("albireo", threshold=5e-4, size=SIZE)))
+        self.assertEqual(repr(skip), "<Skipper albireo with u = 0.0005, 1280x720>")
+
+    def test_one_that_cannot_be_pickled_says_why(self):
+        skip = Skipper(size=SIZE)
+        step(skip, 0)
+        with self.assertRaisesRegex(TypeError, "resumable=True"):
+            pickle.dumps(skip)
+        skip = Skipper("expected-loss+flow", size=SIZE, resumable=True)
+        skip.look(np.zeros((720, 1280), np.uint8))
+        with self.assertRaisesRegex(TypeError, "looked at pictures"):
+            pickle.dumps(skip)
+
+
+class Track(unittest.TestCase):
+    def pictures(self, count=30):
+        return [np.full((720, 1280, 3), n, np.uint8) for n in range(count)]
+
+    def test_it_does_the_loop_and_calls_the_model_only_where_needed(self):
+        called = []
+
+        def model(image):
+            called.append(int(image[0, 0, 0]))
+            return [found(called[-1])]
+
+        frames = list(albireo.track(model, iter(self.pictures()), threshold=0.3))
+        skip = frames[-1].skip
+        self.assertEqual(len(frames), 30)
+        self.assertEqual(len(called), skip.calls)
+        self.assertLess(skip.calls, 20)
+        for n, (image, boxes, _) in enumerate(frames):
+            self.assertEqual((image[0, 0, 0], boxes.tracker_id.tolist()), (n, [0, 1, 2]))
+
+    def test_flow_sees_the_pictures(self):
+        for kind in (lambda image: image, lambda image: image[..., 0]):
+            pictures = map(kind, self.pictures())
+            *_, last = albireo.track(lambda image: found(int(image.flat[0])), pictures, "expected-loss+flow")
+            self.assertTrue(last.skip.looks)
+
+    def test_what_it_cannot_play_is_an_error_that_says_so(self):
+        model = lambda image: found(0)
+        with self.assertRaisesRegex(ImportError, "pip install opencv-python, or give an iterable"):
+            albireo.track(model, "drive.mp4")
+        with self.assertRaisesRegex(TypeError, "iterable of pictures or the path"):
+            albireo.track(model, 7)
+        with self.assertRaisesRegex(TypeError, "cannot be called"):
+            albireo.track("yolo26n.pt", [])
+        with self.assertRaisesRegex(TypeError, "picture 0 is no array"):
+            list(albireo.track(model, ["frame.jpg"]))
+        with self.assertRaisesRegex(TypeError, "float64"):
+            list(albireo.track(model, [np.zeros((4, 4))]))
+        with self.assertRaisesRegex(ValueError, "picture 1 has 9x9 pixels"):
+            list(albireo.track(model, [np.zeros((720, 1280), np.uint8), np.zeros((9, 9), np.uint8)]))
+
+
+if __name__ == "__main__":
+    unittest.main()

@@ -1,0 +1,275 @@
+//! The Python package: it decides as the core does, its own tests pass, and the README's example runs where nothing else
+//! is installed.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::golden_traces::replay::{Recorded, Screen, decide, reference};
+use crate::golden_traces::shared_data::sequences;
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::{BoxSource, FrameState, Outcome};
+use serde_json::json;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// The Python that the wheel is installed in, as `make wheel-tests` sets it up.
+fn python() -> PathBuf {
+    root().join(".cache/wheel/bin/python")
+}
+
+/// Runs a command and returns what it printed.
+fn run(command: &mut Command) -> String {
+    let output = command
+        .output()
+        .unwrap_or_else(|error| panic!("{command:?}: {error}"));
+    let said = String::from_utf8_lossy(&output.stdout).into_owned()
+        + &String::from_utf8_lossy(&output.stderr);
+    println!("{said}");
+    assert!(output.status.success(), "{command:?}\n{said}");
+    said
+}
+
+/// The tests of `module` in the folder of the package.
+fn python_tests(module: &str) {
+    let said = run(Command::new(python())
+        .args(["-m", "unittest", module])
+        .current_dir(root().join("crates/python/tests")));
+    assert!(
+        said.contains("\nOK\n") && !said.contains("Ran 0 tests"),
+        "{said}"
+    );
+}
+
+#[test]
+#[ignore = "needs the wheel"]
+fn the_wheel_keeps_the_promises_of_its_loop() {
+    python_tests("test_skipper");
+}
+
+#[test]
+#[ignore = "needs the wheel"]
+fn the_wheel_gives_back_the_type_of_results_it_is_given() {
+    python_tests("test_results");
+}
+
+#[test]
+#[ignore = "needs the wheel"]
+fn the_wheel_answers_or_refuses_whatever_it_is_given() {
+    python_tests("test_hostile");
+}
+
+#[test]
+#[ignore = "needs the wheel"]
+fn the_types_of_the_wheel_are_what_its_stubs_say() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut stubtest = Command::new(python());
+    stubtest.args(["-m", "mypy.stubtest", "albireo._core"]);
+    run(stubtest.current_dir(folder.path()));
+    let mut mypy = Command::new(python());
+    mypy.args(["-m", "mypy", "--strict", "--package=albireo"]);
+    run(mypy.current_dir(folder.path()));
+}
+
+/// Numbers of 64 bits, as `golden.py` writes them.
+fn push(numbers: &mut Vec<u8>, more: &[f64]) {
+    numbers.extend(more.iter().flat_map(|number| number.to_ne_bytes()));
+}
+
+/// What the core decides on a recording, in the layout of `golden.py`.
+fn decided(
+    asked: &str,
+    screen: Screen,
+    picture: PictureSize,
+    frames: u64,
+    recorded: &Recorded,
+) -> Vec<u8> {
+    let mut policy = reference(asked);
+    let mut outcome = Outcome::default();
+    let mut numbers = Vec::new();
+    for index in 0..frames {
+        let found = recorded.get(&index).map_or(&[][..], Vec::as_slice);
+        decide(&mut *policy, index, screen, picture, found, &mut outcome);
+        let state = FrameState::ALL
+            .iter()
+            .position(|state| *state == outcome.state);
+        push(
+            &mut numbers,
+            &[
+                state.unwrap() as f64,
+                outcome.tau_max.unwrap_or(-1.0),
+                outcome.active as f64,
+                outcome.boxes.len() as f64,
+            ],
+        );
+        for shown in &outcome.boxes {
+            let corners = shown.bounding_box.pixel_corners(picture);
+            let source = match shown.source {
+                BoxSource::Detected => 0.0,
+                BoxSource::Predicted => 1.0,
+                BoxSource::Followed => 2.0,
+                BoxSource::Rescued => 3.0,
+            };
+            push(
+                &mut numbers,
+                &[
+                    corners.x1,
+                    corners.y1,
+                    corners.x2,
+                    corners.y2,
+                    shown.confidence,
+                    f64::from(shown.class.0),
+                    shown.object.map_or(-1.0, |id| id.0 as f64),
+                    source,
+                ],
+            );
+        }
+        let mut objects = Vec::new();
+        policy.objects(&mut |object| objects.push(*object));
+        push(&mut numbers, &[objects.len() as f64]);
+        for object in objects {
+            let b = object.bounding_box;
+            push(
+                &mut numbers,
+                &[
+                    object.id.0 as f64,
+                    f64::from(object.class.0),
+                    f64::from(u8::from(object.confirmed)),
+                    object.confidence,
+                    b.center_x,
+                    b.center_y,
+                    b.width,
+                    b.height,
+                    object.tau,
+                    f64::from(object.hits),
+                    f64::from(object.since_update),
+                    f64::from(object.since_infer),
+                    f64::from(object.misses),
+                ],
+            );
+        }
+    }
+    numbers
+}
+
+#[test]
+#[ignore = "needs ../shared and the wheel"]
+fn shared_golden_traces_are_equal_through_the_wheel_to_the_last_bit() {
+    let policies = [
+        ("albireo", 3e-4, Screen::NeverEmpty),
+        ("albireo", 3e-4, Screen::EmptyWithoutDetections),
+        ("albireo", 1e-3, Screen::NeverEmpty),
+        ("fixed-skip", 2.0, Screen::NeverEmpty),
+        ("ctd", 0.5, Screen::NeverEmpty),
+        ("expected-loss", 0.3, Screen::NeverEmpty),
+    ];
+    let folder = tempfile::tempdir().unwrap();
+    let mut jobs = String::new();
+    let mut expected = Vec::new();
+    for sequence in sequences() {
+        let (picture, corners) = (sequence.picture(), sequence.corners());
+        let recorded = sequence.detections();
+        let frames: Vec<_> = (0..sequence.frames)
+            .map(|frame| corners.get(&frame).map_or(&[][..], Vec::as_slice))
+            .collect();
+        for (number, (policy, threshold, screen)) in policies.into_iter().enumerate() {
+            let name = format!("{}-{number}", sequence.name);
+            let job = json!({
+                "name": name,
+                "policy": policy,
+                "threshold": threshold,
+                "size": [picture.width, picture.height],
+                "empty_without_detections": matches!(screen, Screen::EmptyWithoutDetections),
+                "frames": frames,
+            });
+            writeln!(jobs, "{job}").unwrap();
+            let asked = format!("{policy}:{threshold}");
+            expected.push((
+                name,
+                decided(&asked, screen, picture, sequence.frames, &recorded),
+            ));
+        }
+    }
+    let list = folder.path().join("jobs.jsonl");
+    std::fs::write(&list, jobs).unwrap();
+    run(Command::new(python())
+        .arg(root().join("crates/python/tests/golden.py"))
+        .args([&list, folder.path()]));
+    for (name, expected) in expected {
+        let found = std::fs::read(folder.path().join(&name)).unwrap();
+        assert!(!found.is_empty() && found == expected, "{name}");
+    }
+}
+
+/// The wheels and the source distribution that were built.
+fn built() -> Vec<PathBuf> {
+    std::fs::read_dir(root().join("target/wheels"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.is_file())
+        .collect()
+}
+
+#[test]
+#[ignore = "needs the wheel"]
+fn the_wheel_is_small_and_depends_on_numpy_alone() {
+    let wheels: Vec<_> = (built().into_iter())
+        .filter(|path| path.extension().is_some_and(|kind| kind == "whl"))
+        .collect();
+    let [wheel] = &wheels[..] else {
+        panic!("one wheel for this machine: {wheels:?}");
+    };
+    assert!(wheel.metadata().unwrap().len() <= 3_000_000);
+    let said = run(Command::new(python()).args([
+        "-c",
+        "import importlib.metadata as m; print(m.requires('albireo'))",
+    ]));
+    assert_eq!(said.trim(), "['numpy>=1.23']");
+    assert!(
+        built()
+            .iter()
+            .any(|path| path.extension().is_some_and(|kind| kind == "gz"))
+    );
+}
+
+#[test]
+#[ignore = "needs the wheel"]
+fn the_python_example_of_the_readme_runs_in_a_fresh_environment() {
+    let page = std::fs::read_to_string(root().join("README.md")).unwrap();
+    let (_, rest) = page.split_once("```python\n").unwrap();
+    let (example, _) = rest.split_once("```").unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["docs", "models"] {
+        std::os::unix::fs::symlink(root().join(name), folder.path().join(name)).unwrap();
+    }
+    run(Command::new("tar")
+        .args(["-xf".as_ref(), root().join("demo/road.tar").as_os_str()])
+        .current_dir(&folder));
+    run(Command::new(python())
+        .args(["-m", "venv"])
+        .arg(folder.path().join("venv")));
+    let fresh = folder.path().join("venv/bin/python");
+    // From files that were fetched before: the wheel, and what the example wants beside it.
+    let mut install = Command::new(&fresh);
+    install.args([
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--no-index",
+        "--disable-pip-version-check",
+    ]);
+    for files in ["target/wheels", ".cache/wheel/files"] {
+        install.arg("--find-links").arg(root().join(files));
+    }
+    run(install.args(["albireo", "onnxruntime", "pillow"]));
+    let said = run(Command::new(fresh)
+        .args(["-c", example])
+        .current_dir(&folder));
+    let skipped = said.split_once("of 88 frames skipped").unwrap().0;
+    let skipped: u32 = skipped.split_whitespace().last().unwrap().parse().unwrap();
+    assert!((20..70).contains(&skipped), "{said}");
+}
