@@ -134,10 +134,10 @@ struct RunArguments {
     /// Area under the precision-recall curve at COCO's 101 recall levels instead of all points.
     #[arg(long, help_heading = JUDGED)]
     coco_interpolation: bool,
-    /// Judge boxes when frames arrive too, with a detector that takes this many milliseconds.
+    /// Judge boxes when frames arrive too, with a detector that takes this many milliseconds; at-arrival.txt in --out.
     #[arg(long, help_heading = JUDGED, value_name = "MILLISECONDS", value_parser = positive_milliseconds)]
     detector_ms: Option<f64>,
-    /// Judge the boxes too that are drawn between two detector calls when the second is known.
+    /// Judge the boxes too that are drawn between two detector calls when the second is known; settled.txt in --out.
     #[arg(long, help_heading = JUDGED)]
     settled: bool,
     /// Project energy and frame time with this model where none is measured; `none` for no energy [default: a
@@ -236,6 +236,11 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
     }
     if let Some(folder) = &arguments.out {
         report.write(folder)?;
+        for stream in &streams {
+            let file = folder.join(stream.file_name());
+            std::fs::write(&file, stream.table())
+                .with_context(|| format!("cannot write {}", file.display()))?;
+        }
         eprintln!("Written to {}", folder.display());
     }
     Ok(())

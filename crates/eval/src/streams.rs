@@ -397,6 +397,14 @@ const FIGURES: [(&str, Figure); 3] = [
 ];
 
 impl StreamResults {
+    /// Name of the file for the table.
+    pub fn file_name(&self) -> &'static str {
+        match self.stream {
+            Stream::AtArrival { .. } => "at-arrival.txt",
+            Stream::Settled => "settled.txt",
+        }
+    }
+
     /// The table: one line a policy.
     pub fn table(&self) -> String {
         let title = match self.stream {
