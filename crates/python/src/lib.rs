@@ -6,14 +6,15 @@ use albireo_core::audit::{AuditDraw, AuditSums};
 use albireo_core::detection::{ClassId, Detection};
 use albireo_core::geometry::{Corners, PictureSize};
 use albireo_core::policy::{
-    BoxSource, Evidence, FrameHead, GreyPicture, Need, Outcome, OutputBox, Policy, PolicyConfig,
-    Profile,
+    BoxSource, Evidence, FrameHead, GreyPicture, KnobError, LatePolicy, Need, Outcome, OutputBox,
+    Policy, PolicyConfig, Profile, SettledFrame, Settler,
 };
 use numpy::{
     IntoPyArray, PyArray1, PyArray2, PyReadonlyArray1, PyReadonlyArray2, PyUntypedArrayMethods,
 };
 use pyo3::exceptions::{PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
+use std::time::Duration;
 
 /// How far the frame at hand has come.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -40,10 +41,46 @@ type Arrays<'py> = (
 /// uncertainty, hits, frames since its last detection, frames since the detector last had a say on it, misses in a row.
 type Object = (u64, u16, bool, f64, [f64; 4], f64, u32, u32, u32, u32);
 
+/// A policy, and when its frames are answered.
+enum Engine {
+    /// A frame waits for the detections that it wants.
+    Waiting(Box<dyn Policy>),
+    /// A frame is answered at once, and takes its detections when they come.
+    Late(LatePolicy),
+}
+
+impl Engine {
+    fn policy(&self) -> &dyn Policy {
+        match self {
+            Self::Waiting(policy) => &**policy,
+            Self::Late(late) => late.policy(),
+        }
+    }
+
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        match self {
+            Self::Waiting(policy) => policy.set_knob(value),
+            Self::Late(late) => late.set_knob(value),
+        }
+    }
+}
+
+/// A frame that was given out by the settler: its number, state, whether it was settled, and its boxes.
+type Settled = (u64, &'static str, bool, Vec<OutputBox>);
+
+fn settled(frame: &SettledFrame<'_>) -> Settled {
+    (
+        frame.index,
+        frame.state.as_str(),
+        frame.settled,
+        frame.boxes.to_vec(),
+    )
+}
+
 /// What decides the frames of one stream.
 #[pyclass(module = "albireo._core")]
 struct Decider {
-    policy: Box<dyn Policy>,
+    engine: Engine,
     size: PictureSize,
     last: Option<u64>,
     stage: Stage,
@@ -52,6 +89,10 @@ struct Decider {
     grey: Grey,
     draw: AuditDraw,
     audit: AuditSums,
+    /// The final answer of a frame whose detections came late.
+    late: Outcome,
+    settler: Option<Settler>,
+    settled: Vec<Settled>,
 }
 
 /// A grey picture in a buffer that is used again.
@@ -71,6 +112,8 @@ impl Decider {
         threshold: Option<f64>,
         size: (u32, u32),
         audit: (f64, u64),
+        late: bool,
+        settle: Option<u64>,
     ) -> PyResult<Self> {
         let mut config = PolicyConfig {
             profile: match profile {
@@ -89,8 +132,18 @@ impl Decider {
         if let Some(threshold) = threshold {
             policy.set_knob(threshold).map_err(wrong)?;
         }
+        let engine = if late {
+            Engine::Late(LatePolicy::new(policy).map_err(|error| {
+                PyValueError::new_err(format!(
+                    "policy '{}' cannot take late detections: it predicts no boxes",
+                    error.policy
+                ))
+            })?)
+        } else {
+            Engine::Waiting(policy)
+        };
         Ok(Self {
-            policy,
+            engine,
             size: PictureSize::new(size.0, size.1),
             last: None,
             stage: Stage::NoFrame,
@@ -99,6 +152,9 @@ impl Decider {
             grey: Grey::default(),
             draw: AuditDraw::new(audit.0, audit.1),
             audit: AuditSums::default(),
+            late: Outcome::default(),
+            settler: settle.map(|frames| Settler::new(Duration::from_secs(frames))),
+            settled: Vec::new(),
         })
     }
 
@@ -151,12 +207,95 @@ impl Decider {
             self.ask(head, empty)
         };
         self.grey.size = None;
-        if need == Need::Detections {
-            self.stage = Stage::WantsDetector;
-        } else {
-            self.finish();
+        let wanted = need == Need::Detections;
+        match &mut self.engine {
+            Engine::Waiting(_) if wanted => self.stage = Stage::WantsDetector,
+            Engine::Waiting(_) => self.finish(),
+            Engine::Late(_) => self.answered(wanted),
         }
-        Ok(need == Need::Detections)
+        Ok(wanted)
+    }
+
+    /// Gives frame `n`, answered earlier, what the detector found on it, or `None` where it failed; returns its final boxes.
+    fn deliver<'py>(
+        &mut self,
+        py: Python<'py>,
+        n: u64,
+        found: Option<(
+            PyReadonlyArray2<'py, f64>,
+            PyReadonlyArray1<'py, f64>,
+            PyReadonlyArray1<'py, f64>,
+        )>,
+    ) -> PyResult<Arrays<'py>> {
+        if let Some((xyxy, confidence, class_id)) = &found {
+            self.read(xyxy, confidence, class_id)?;
+        }
+        let Engine::Late(late) = &mut self.engine else {
+            return Err(PyRuntimeError::new_err(
+                "deliver(n, result) is for detections that come late: make the skipper with late=True",
+            ));
+        };
+        let evidence = match found {
+            Some(_) => Evidence::Detections(&self.detections),
+            None => Evidence::Unavailable,
+        };
+        late.deliver(n, evidence, &mut self.late).map_err(|_| {
+            PyRuntimeError::new_err(match late.pending() {
+                Some(pending) => {
+                    format!("frame {n} does not wait for detections, frame {pending} does")
+                }
+                None => {
+                    format!("frame {n} does not wait for detections: submit(n) was not True for it")
+                }
+            })
+        })?;
+        let given = &mut self.settled;
+        if let Some(settler) = &mut self.settler {
+            settler.late(n, &self.late, |frame| given.push(settled(&frame)));
+        }
+        Ok(self.arrays(py, &self.late.boxes))
+    }
+
+    /// State, cause and whether the detector failed, of the frame that was delivered last.
+    #[getter]
+    fn delivered(&self) -> (&'static str, Option<&'static str>, bool) {
+        (
+            self.late.state.as_str(),
+            self.late.cause.map(|cause| cause.as_str()),
+            self.late.degraded,
+        )
+    }
+
+    /// The frame that waits for detections that come late.
+    #[getter]
+    fn pending(&self) -> Option<u64> {
+        match &self.engine {
+            Engine::Waiting(_) => None,
+            Engine::Late(late) => late.pending(),
+        }
+    }
+
+    /// The frames that were settled since the last call: number, state, whether it was settled, boxes. `end` gives out all.
+    fn settled<'py>(
+        &mut self,
+        py: Python<'py>,
+        end: bool,
+    ) -> PyResult<Vec<(u64, &'static str, bool, Arrays<'py>)>> {
+        let given = &mut self.settled;
+        match &mut self.settler {
+            Some(settler) if end => settler.flush(|frame| given.push(settled(&frame))),
+            Some(_) => {}
+            None => {
+                return Err(PyRuntimeError::new_err(
+                    "nothing is settled: make the skipper with settle=True",
+                ));
+            }
+        }
+        let frames = std::mem::take(&mut self.settled);
+        Ok(frames
+            .into_iter()
+            .map(|(n, state, settled, boxes)| (n, state, settled, self.arrays(py, &boxes)))
+            .collect())
     }
 
     /// Takes what the detector found on the frame at hand, and returns the boxes to show.
@@ -169,23 +308,27 @@ impl Decider {
     ) -> PyResult<Arrays<'py>> {
         self.awaited("update(result)")?;
         self.read(&xyxy, &confidence, &class_id)?;
-        self.policy.answer(Evidence::Detections(&self.detections));
+        if let Engine::Waiting(policy) = &mut self.engine {
+            policy.answer(Evidence::Detections(&self.detections));
+        }
         self.finish();
-        Ok(self.arrays(py))
+        Ok(self.arrays(py, &self.outcome.boxes))
     }
 
     /// Ends the frame at hand without the detections that it wants, and returns the boxes to show.
     fn unavailable<'py>(&mut self, py: Python<'py>) -> PyResult<Arrays<'py>> {
         self.awaited("unavailable()")?;
-        self.policy.answer(Evidence::Unavailable);
+        if let Engine::Waiting(policy) = &mut self.engine {
+            policy.answer(Evidence::Unavailable);
+        }
         self.finish();
-        Ok(self.arrays(py))
+        Ok(self.arrays(py, &self.outcome.boxes))
     }
 
     /// The boxes of the frame at hand.
     fn boxes<'py>(&self, py: Python<'py>) -> PyResult<Arrays<'py>> {
         self.decided()?;
-        Ok(self.arrays(py))
+        Ok(self.arrays(py, &self.outcome.boxes))
     }
 
     /// Whether frame `n` is one of the random sample of an audit.
@@ -219,7 +362,14 @@ impl Decider {
 
     /// Forgets all objects, as at the start of a stream.
     fn reset(&mut self) {
-        self.policy.reset();
+        match &mut self.engine {
+            Engine::Waiting(policy) => policy.reset(),
+            Engine::Late(late) => late.reset(),
+        }
+        let given = &mut self.settled;
+        if let Some(settler) = &mut self.settler {
+            settler.flush(|frame| given.push(settled(&frame)));
+        }
         self.last = None;
         self.stage = Stage::NoFrame;
         self.grey.size = None;
@@ -228,7 +378,7 @@ impl Decider {
     /// Every object that is remembered, oldest first.
     fn objects(&self) -> Vec<Object> {
         let mut objects = Vec::new();
-        self.policy.objects(&mut |object| {
+        self.engine.policy().objects(&mut |object| {
             let b = object.bounding_box;
             objects.push((
                 object.id.0,
@@ -258,30 +408,30 @@ impl Decider {
 
     #[getter]
     fn policy(&self) -> &'static str {
-        self.policy.name()
+        self.engine.policy().name()
     }
 
     /// Whether the policy looks at pictures.
     #[getter]
     fn looks(&self) -> bool {
-        self.policy.pictures().is_some()
+        self.engine.policy().pictures().is_some()
     }
 
     /// Name, meaning, least and largest value of the threshold.
     #[getter]
     fn knob(&self) -> Option<(&'static str, &'static str, f64, f64)> {
-        let knob = self.policy.knob()?;
+        let knob = self.engine.policy().knob()?;
         Some((knob.name, knob.meaning, knob.minimum, knob.maximum))
     }
 
     #[getter]
     fn threshold(&self) -> Option<f64> {
-        self.policy.knob_value()
+        self.engine.policy().knob_value()
     }
 
     #[setter]
     fn set_threshold(&mut self, value: f64) -> PyResult<()> {
-        self.policy.set_knob(value).map_err(wrong)
+        self.engine.set_knob(value).map_err(wrong)
     }
 
     #[getter]
@@ -311,31 +461,59 @@ impl Decider {
 
     #[getter]
     fn refused(&self) -> u64 {
-        self.policy.rejected_detections()
+        self.engine.policy().rejected_detections()
     }
 }
 
 impl Decider {
     /// Asks the policy about a frame until it needs nothing more, or the detector.
     fn ask(&mut self, head: FrameHead, empty: Option<bool>) -> Need {
-        let mut need = self.policy.begin(head);
+        let mut need = match &mut self.engine {
+            Engine::Waiting(policy) => policy.begin(head),
+            Engine::Late(late) => late.frame(head, &mut self.outcome),
+        };
         loop {
-            need = match need {
+            let evidence = match need {
                 Need::Nothing | Need::Detections => return need,
-                Need::Screen => self.policy.answer(
-                    empty.map_or(Evidence::Unavailable, |empty| Evidence::Screen { empty }),
-                ),
-                Need::GreyPicture => self.grey.answer(&mut *self.policy, None),
-                Need::SmallGreyPicture { width } => {
-                    self.grey.answer(&mut *self.policy, Some(width))
+                Need::Screen => {
+                    empty.map_or(Evidence::Unavailable, |empty| Evidence::Screen { empty })
                 }
+                Need::GreyPicture => self.grey.evidence(None),
+                Need::SmallGreyPicture { width } => self.grey.evidence(Some(width)),
+            };
+            need = match &mut self.engine {
+                Engine::Waiting(policy) => policy.answer(evidence),
+                // It is this frame that is pending, so it is never refused.
+                Engine::Late(late) => match late.deliver(head.index, evidence, &mut self.late) {
+                    Ok(Need::Nothing) => {
+                        self.outcome.clone_from(&self.late);
+                        Need::Nothing
+                    }
+                    Ok(need) => need,
+                    Err(_) => Need::Nothing,
+                },
             };
         }
     }
 
     fn finish(&mut self) {
-        self.policy.finish(&mut self.outcome);
+        if let Engine::Waiting(policy) = &mut self.engine {
+            policy.finish(&mut self.outcome);
+        }
+        self.answered(false);
+    }
+
+    /// The frame at hand has its answer, which is not the last word where it is `pending`.
+    fn answered(&mut self, pending: bool) {
         self.stage = Stage::Decided;
+        let given = &mut self.settled;
+        if let (Some(settler), Some(n)) = (&mut self.settler, self.last) {
+            // A frame's time is its number: only the number of frames is bounded.
+            let time = Duration::from_secs(n);
+            settler.frame(n, time, &self.outcome, pending, |frame| {
+                given.push(settled(&frame))
+            });
+        }
     }
 
     /// Refuses a call for a frame that does not want the detector.
@@ -406,7 +584,7 @@ impl Decider {
         Ok(())
     }
 
-    fn arrays<'py>(&self, py: Python<'py>) -> Arrays<'py> {
+    fn arrays<'py>(&self, py: Python<'py>, boxes: &[OutputBox]) -> Arrays<'py> {
         fn column<'py, T: numpy::Element>(
             py: Python<'py>,
             boxes: &[OutputBox],
@@ -414,7 +592,6 @@ impl Decider {
         ) -> Bound<'py, PyArray1<T>> {
             boxes.iter().map(of).collect::<Vec<_>>().into_pyarray(py)
         }
-        let boxes = &self.outcome.boxes;
         let xyxy = numpy::ndarray::Array2::from_shape_fn((boxes.len(), 4), |(row, column)| {
             let corners = boxes[row].bounding_box.pixel_corners(self.size);
             [corners.x1, corners.y1, corners.x2, corners.y2][column]
@@ -432,10 +609,10 @@ impl Decider {
 }
 
 impl Grey {
-    /// Answers with the picture, halved until it is as small as is asked for; with its half when no width is.
-    fn answer(&mut self, policy: &mut dyn Policy, width: Option<u32>) -> Need {
+    /// The picture, halved until it is as small as is asked for; its half when no width is.
+    fn evidence(&mut self, width: Option<u32>) -> Evidence<'_> {
         let Some(mut size) = self.size else {
-            return policy.answer(Evidence::Unavailable);
+            return Evidence::Unavailable;
         };
         let least = width.map(|width| width.max(1));
         while size.width >= 2
@@ -449,10 +626,10 @@ impl Grey {
         }
         // It is smaller now: a second answer from it would be of another size.
         self.size = None;
-        policy.answer(Evidence::GreyPicture(GreyPicture {
+        Evidence::GreyPicture(GreyPicture {
             size,
             pixels: &self.pixels,
-        }))
+        })
     }
 }
 

@@ -207,6 +207,58 @@ class Pickle(unittest.TestCase):
             pickle.dumps(skip)
 
 
+class Late(unittest.TestCase):
+    def test_frames_are_answered_at_once_and_late_detections_are_taken_at_their_own_frame(self):
+        late = Skipper(threshold=0.3, size=SIZE, late=True)
+        under_way, final = None, 0
+        for n in range(80):
+            if late.submit(n):
+                self.assertIsNone(under_way)
+                under_way = n
+            boxes = late.predict()
+            if n > 20:
+                self.assertEqual(boxes.tracker_id.tolist(), [0, 1, 2])
+                np.testing.assert_allclose(boxes.xyxy, found(n)[0], atol=8)
+            if under_way is not None and n == under_way + 3:
+                boxes = late.deliver(under_way, found(under_way))
+                np.testing.assert_allclose(boxes.xyxy, found(under_way)[0], atol=0.1)
+                self.assertEqual(set(boxes.source), {"detected"})
+                under_way, final = None, final + 1
+        self.assertEqual((late.frames, late.calls), (80, final))
+        self.assertGreater(final, 5)
+
+    def test_a_detector_that_fails_late_frees_its_frame(self):
+        skip = Skipper(size=SIZE, late=True)
+        self.assertTrue(skip.submit(0))
+        self.assertFalse(skip.submit(1))
+        with self.assertRaisesRegex(RuntimeError, "frame 1 does not wait for detections, frame 0 does"):
+            skip.deliver(1, found(1))
+        skip.deliver(0, None)
+        self.assertTrue(skip.submit(2))
+        self.assertIn("1 calls failed", str(skip))
+
+    def test_a_call_of_the_other_kind_says_what_to_call(self):
+        late, waiting = Skipper(size=SIZE, late=True), Skipper(size=SIZE)
+        for call in (late.wants_detector, waiting.submit, lambda: waiting.deliver(0, None), waiting.settled):
+            with self.assertRaisesRegex(RuntimeError, r"late=True|submit\(n\)|settle=True"):
+                call()
+        with self.assertRaisesRegex(ValueError, "cannot take late detections"):
+            Skipper("vanilla", size=SIZE, late=True)
+
+    def test_every_frame_is_settled_once_in_order_and_nearer_to_the_truth(self):
+        bent = lambda n: found(10 * np.sin(n / 6))
+        skip = Skipper("even-skip-in-tracker", threshold=0.8, size=SIZE, settle=True)
+        live, settled = [], []
+        for n in range(100):
+            live.append(skip.update(bent(n)) if skip.wants_detector(n) else skip.predict())
+            settled += skip.settled()
+        settled += skip.settled(end=True)
+        self.assertEqual([n for n, _ in settled], list(range(100)))
+        error = lambda boxes, n: np.abs(boxes.xyxy - bent(n)[0]).mean()
+        span = range(20, 90)
+        self.assertLess(sum(error(settled[n][1], n) for n in span), 0.8 * sum(error(live[n], n) for n in span))
+
+
 class Track(unittest.TestCase):
     def pictures(self, count=30):
         return [np.full((720, 1280, 3), n, np.uint8) for n in range(count)]

@@ -30,6 +30,17 @@ _CAUSES = {
 }
 
 
+def _number(n: Any) -> int:
+    """A frame's number."""
+    try:
+        number = index(n)
+    except TypeError:
+        raise TypeError(f"a frame's number is a whole number, not {n!r}") from None
+    if not 0 <= number < 2**63:
+        raise ValueError(f"a frame's number is from 0 to 2**63 - 1, not {number}")
+    return number
+
+
 class Skipper:
     """Says which frames of a video need the detector, and where the objects are on the others.
 
@@ -59,6 +70,8 @@ class Skipper:
     size: width and height of the pictures in pixels.
     profile: `"paper"`, or `"reference"` for the published code's decisions.
     audit: the share of skipped frames that `audit_due` draws, 0 to 1; `seed` decides which.
+    late: for a detector in another thread: `submit` and `deliver` take the place of `wants_detector` and `update`.
+    settle: `settled` gives every frame again when the next call is known, its boxes drawn between two calls.
     resumable: keeps what it is given, so that a pickle goes on where this one stopped (about 50 bytes a detection).
     """
 
@@ -71,6 +84,8 @@ class Skipper:
         profile: str = "paper",
         audit: float = 0.0,
         seed: int = 0,
+        late: bool = False,
+        settle: bool = False,
         resumable: bool = False,
     ) -> None:
         if not isinstance(policy, str):
@@ -85,10 +100,12 @@ class Skipper:
             raise ValueError(f"audit is a share of frames from 0 to 1, not {audit!r}")
         if not 0 <= seed < 2**64:
             raise ValueError(f"seed is a whole number from 0 to 2**64 - 1, not {seed!r}")
-        self._made_with = (policy, profile, threshold, (width, height), (float(audit), seed))
+        self._made_with = (policy, profile, threshold, (width, height), (float(audit), seed), bool(late), 256 if settle else None)
         self._core = _core.Decider(*self._made_with)
         self._size = (width, height)
         self._audit = audit > 0.0
+        self._late = bool(late)
+        self._settle = bool(settle)
         self._names: dict[int, str] = {}
         self._back: Back = as_boxes
         self._log: list[tuple[Any, ...]] | None = [] if resumable else None
@@ -116,20 +133,58 @@ class Skipper:
         left without either counts as lost. `empty` is for those who have a cheap check of their own whether anything is
         in view: True where nothing is.
         """
+        if self._late:
+            raise RuntimeError("this skipper takes late detections: call submit(n), predict() and deliver(n, result)")
+        return self._begin(n, empty)
+
+    def submit(self, n: int | None = None, *, empty: bool | None = None) -> bool:
+        """Begins frame `n` with `late=True`, and says whether to give its picture to the detector.
+
+        `predict` has boxes for it at once. Call `deliver` with what the detector found when it has found it; until then no
+        other frame asks for it.
+        """
+        if not self._late:
+            raise RuntimeError("submit(n) is for detections that come late: make the skipper with late=True")
+        return self._begin(n, empty)
+
+    def deliver(self, n: int, result: Any) -> Any:
+        """Takes what the detector found on frame `n`, None where it failed, and returns that frame's final boxes.
+
+        The objects move on from there to the frame at hand, so the next `predict` knows of it.
+        """
+        n = _number(n)
+        if result is None:
+            boxes, back = named(self._core.deliver(n, None)), self._back
+            self._failed += 1
+        else:
+            arrays, back = read(result, self._size, self._names)
+            boxes = named(self._core.deliver(n, arrays))
+            self._back = back
+        # It was counted as predicted when it was answered.
+        state, cause, _ = self._core.delivered
+        self._states["P"] -= 1
+        self._states[state] += 1
+        self._causes[cause or "?"] += 1
+        return back(boxes, None)
+
+    def settled(self, *, end: bool = False) -> list[tuple[int, Any]]:
+        """Frames that can be told for good since the last call, each once and in order, with their boxes.
+
+        Needs `settle=True`. Boxes between two detector calls are drawn between both; a frame comes when the next call is
+        known, at most 256 frames later. `end=True` gives out what is left.
+        """
+        return [(n, self._back(named(arrays), None)) for n, _, _, arrays in self._core.settled(end)]
+
+    def _begin(self, n: int | None, empty: bool | None) -> bool:
         core = self._core
         if n is not None:
-            try:
-                n = index(n)
-            except TypeError:
-                raise TypeError(f"a frame's number is a whole number, not {n!r}") from None
-            if not 0 <= n < 2**63:
-                raise ValueError(f"a frame's number is from 0 to 2**63 - 1, not {n}")
+            n = _number(n)
         before = core.wants
         wanted = core.begin(n, None if empty is None else bool(empty))
         self._abandoned += before
         if self._log is not None:
             self._log.append(("begin", core.threshold, core.frame, empty))
-        if not wanted:
+        if not core.wants:
             self._states[core.state] += 1
         return wanted
 
@@ -287,6 +342,8 @@ class Skipper:
                 "this skipper has followed a stream and cannot be pickled: make it with resumable=True, or pickle it before "
                 "its first frame"
             )
+        if self._late or self._settle:
+            raise TypeError("a skipper with late=True or settle=True cannot be pickled")
         if self._looked:
             raise TypeError("a skipper that has looked at pictures cannot be pickled: they are not kept")
         state = self.__dict__.copy()
