@@ -220,6 +220,7 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
     let hub = HubProcess::start(&configured);
     hub.until("/readyz", |answer| answer["ready"] == true).await;
     let mut car = Car::new("car-1", &endpoint);
+    car.settings += "uplink.pictures = true\n";
     car.start().await;
     car.drive(2).await;
     hub.until("/api/v1/nodes/car-1", |node| {
@@ -259,6 +260,29 @@ async fn a_node_sends_counters_and_pictures_over_its_uplink_only_while_somebody_
     assert_eq!(picture.status(), 200);
     assert!(picture.headers().contains_key("albireo-frame"));
     assert!(picture.bytes().await.unwrap().starts_with(b"\xff\xd8\xff"));
+    car.end().await;
+    hub.kill().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_node_sends_no_picture_over_its_uplink_unless_its_configuration_says_so() {
+    let folder = tempfile::tempdir().unwrap();
+    let (endpoint, configured) = settings(&sqlite(folder.path()));
+    let hub = HubProcess::start(&configured);
+    hub.until("/readyz", |answer| answer["ready"] == true).await;
+    let mut car = Car::new("car-1", &endpoint);
+    car.start().await;
+    car.drive(1).await;
+    hub.until("/api/v1/nodes/car-1", |node| {
+        node["status"]["cameras"][0]["name"] == "front"
+    })
+    .await;
+    let picture = format!("{}/api/v1/nodes/car-1/cameras/front/frame.jpg", hub.http);
+    let refused = reqwest::get(picture).await.unwrap();
+    assert_eq!(refused.status(), 404);
+    let said = refused.text().await.unwrap();
+    assert!(said.contains("uplink.pictures"), "{said}");
     car.end().await;
     hub.kill().await;
 }

@@ -328,6 +328,7 @@ impl PreparedNode {
             keys: keys.fleet(),
             labels: config.node.labels.clone(),
             desired: DesiredKeeper::open(board.outbox(), config.node.hub_wins),
+            pictures: config.uplink.pictures,
             limits: config.frame,
             route: if config.uplink.is_set() {
                 Route::Own(config.uplink.clone())

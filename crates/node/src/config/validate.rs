@@ -32,6 +32,10 @@ impl Configuration for NodeConfig {
         ("policy.expected_loss", FITTED),
         ("audit.wait_s", "a drawn frame waits 5 s for the detector"),
         ("uplink.lease_ms", "the lease of the uplink is 120 s"),
+        (
+            "uplink.reopen_s",
+            "after 300 s without an answer the uplink is opened anew",
+        ),
         ("frame.max_width", PICTURE),
         ("frame.max_height", PICTURE),
         ("frame.max_decoded_bytes", PICTURE),

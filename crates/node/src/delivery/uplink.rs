@@ -42,6 +42,9 @@ use zenoh::query::Querier;
 /// How often the status is compared with the one sent last.
 const POLL_EVERY: Duration = Duration::from_secs(1);
 
+/// Reports that wait so long without any answer make the node open its uplink anew.
+const STALE: Duration = Duration::from_secs(300);
+
 /// How long the last reports may take to reach a hub when the node stops: what is not there then is kept.
 const LAST_TRY: Duration = Duration::from_millis(1500);
 
@@ -62,6 +65,8 @@ pub(crate) struct UplinkSetup {
     pub labels: BTreeMap<String, String>,
     /// What the hub desires, and what is in force.
     pub desired: DesiredKeeper,
+    /// Whether pictures are sent to whoever asks.
+    pub pictures: bool,
     /// Limits for decoding pictures that are asked for.
     pub limits: FrameLimits,
     /// Where the hub is found.
@@ -271,7 +276,7 @@ impl Worker {
             _ => None,
         };
         let stale = match &setup.route {
-            Route::Own(uplink) => Duration::from_secs(uplink.reopen_s.max(10)),
+            Route::Own(_) => STALE,
             Route::Local(_) => Duration::MAX,
         };
         let mut shown = None;
@@ -330,7 +335,7 @@ impl Worker {
                 Some((camera, query)) = self.watched.question() => {
                     let setup = Arc::clone(&setup);
                     spawn_blocking(move || {
-                        watched::answer(&camera, &query, &setup.board, &setup.limits);
+                        watched::answer(&camera, &query, &setup);
                     });
                 }
                 () = tokio::time::sleep_until(look.into()) => {}

@@ -30,10 +30,10 @@ pub struct UplinkConfig {
     pub password_file: Option<PathBuf>,
     /// Longest pause between two attempts to reach the router again, milliseconds.
     pub retry_max_ms: u64,
-    /// Reports that wait so long without any answer make the node open its uplink anew, seconds.
-    pub reopen_s: u64,
     /// Whether to declare a liveliness token. A help for some thousand nodes, a burden for many more.
     pub liveliness: bool,
+    /// Whether whoever watches the node through the hub may have the newest picture of a camera.
+    pub pictures: bool,
 }
 
 impl Default for UplinkConfig {
@@ -47,8 +47,8 @@ impl Default for UplinkConfig {
             user: None,
             password_file: None,
             retry_max_ms: 30_000,
-            reopen_s: 300,
             liveliness: false,
+            pictures: false,
         }
     }
 }
@@ -159,7 +159,6 @@ impl UplinkConfig {
             );
         }
         findings.count(&key("retry_max_ms"), self.retry_max_ms, 100, 3_600_000);
-        findings.count(&key("reopen_s"), self.reopen_s, 10, 86_400);
     }
 }
 

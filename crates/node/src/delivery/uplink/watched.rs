@@ -4,7 +4,7 @@
 use super::{Route, UplinkSetup};
 use crate::state::board::{Board, LatestFrame};
 use albireo_service::clock::unix_nanoseconds;
-use albireo_vision::picture::{FrameLimits, PictureFormat, to_jpeg};
+use albireo_vision::picture::{PictureFormat, to_jpeg};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc::{Receiver, Sender, channel};
@@ -20,6 +20,9 @@ const LONGEST: u32 = 3600;
 const WAITING: usize = 4;
 /// Time between two counters of a camera, with room for a look that comes a little early.
 const PERIOD: Duration = Duration::from_millis(950);
+
+/// What is said where pictures are not sent.
+const REFUSED: &str = "the node sends no pictures: its configuration has uplink.pictures = false";
 
 /// A question for the picture of a camera.
 pub(super) type PictureQuery = (Arc<str>, Query);
@@ -144,16 +147,18 @@ impl Watched {
 }
 
 /// Answers a question for a picture. Encodes one: to be called away from async workers.
-pub(super) fn answer(camera: &str, query: &Query, board: &Board, limits: &FrameLimits) {
-    let latest = board
+pub(super) fn answer(camera: &str, query: &Query, setup: &UplinkSetup) {
+    let latest = setup
+        .board
         .camera(camera)
         .and_then(|camera| camera.latest_frame());
     let answered = match latest {
+        _ if !setup.pictures => query.reply_err(REFUSED).wait(),
         None => query.reply_err("no frame has come yet").wait(),
         Some(LatestFrame { seq, picture }) => {
             let file = match picture.format {
                 PictureFormat::Jpeg => Ok(picture.bytes),
-                _ => to_jpeg(&picture, limits),
+                _ => to_jpeg(&picture, &setup.limits),
             };
             match file {
                 Ok(file) => query
