@@ -26,6 +26,9 @@ const LONGEST_S: f64 = 60.0;
 /// Time constant of the loop, seconds: slow beside the window, and settled after four of them.
 const LOOP_S: f64 = 10.0;
 
+/// Longest step, seconds: after a pause of the machine one old measurement does not turn the knob for all of it.
+const LONGEST_STEP_S: f64 = 2.0;
+
 /// What a knob larger by a factor e takes off the share of frames with the detector.
 const STEEPNESS: f64 = 0.22;
 
@@ -100,7 +103,7 @@ impl LoadControl {
         let constant = LOOP_S.max(2.0 * lately.seconds);
         let gain = (share / STEEPNESS / constant).clamp(0.01, 0.35);
         if error.abs() > DEAD_BAND {
-            lever.push(gain * error * seconds);
+            lever.push(gain * error * seconds.min(LONGEST_STEP_S));
         }
         let held = (actual / wanted - 1.0).abs() <= HELD;
         // At an end for a moment says nothing: the window is still of the values before.

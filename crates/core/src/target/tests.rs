@@ -241,6 +241,22 @@ fn a_load_below_the_target_at_the_accurate_end_is_more_than_kept() {
 }
 
 #[test]
+fn a_step_of_a_minute_turns_the_knob_no_further_than_one_of_two_seconds() {
+    let turned = |seconds: f64| {
+        let mut plant = Plant::new(61);
+        let mut controller = TargetController::new(Target::SkipRate(0.8), RANGE, 0.1).unwrap();
+        run(&mut controller, &mut plant, 10);
+        let before = controller.knob();
+        let last = plant.second(before);
+        controller.step(&Measured { seconds, ..last });
+        (controller.knob() / before).ln()
+    };
+    let (short, long) = (turned(2.0), turned(60.0));
+    assert!(short > 0.05, "{short}");
+    assert!(long > 0.0 && long <= short, "{long} after {short}");
+}
+
+#[test]
 fn a_restart_with_the_kept_value_goes_on_where_it_was() {
     for target in load_targets() {
         let mut plant = Plant::new(41);

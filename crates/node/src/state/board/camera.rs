@@ -112,6 +112,8 @@ pub(crate) struct CameraWork {
     pub frames: u64,
     /// Those of them that skipped the detector.
     pub skipped: u64,
+    /// Those that the detector could not be had for.
+    pub degraded: u64,
     /// Time the detector worked for them, microseconds.
     pub detector_us: u64,
     /// What was audited since this was asked last.
@@ -311,6 +313,7 @@ impl CameraBoard {
         CameraWork {
             frames: counts.states.frames(),
             skipped: counts.states.skipped(counts.degraded_frames),
+            degraded: counts.degraded_frames,
             detector_us: counts.detector_us,
             audit: std::mem::take(&mut counts.untold_audit),
         }

@@ -30,6 +30,7 @@ struct SoFar {
     at: Instant,
     frames: u64,
     skipped: u64,
+    degraded: u64,
     detector_us: u64,
     /// Joules, and the seconds that they are of.
     power: Option<(f64, f64)>,
@@ -71,6 +72,10 @@ impl TargetTask {
     }
 
     fn step(&self, before: &SoFar, now: &SoFar, audit: AuditSums) {
+        // While no detector answers, the load says nothing of the knob: it stays where it is.
+        if now.degraded > before.degraded && now.detector_us == before.detector_us {
+            return;
+        }
         let measured = Measured {
             seconds: now.at.saturating_duration_since(before.at).as_secs_f64(),
             frames: now.frames.saturating_sub(before.frames),
@@ -98,6 +103,7 @@ impl TargetTask {
             at: Instant::now(),
             frames: 0,
             skipped: 0,
+            degraded: 0,
             detector_us: 0,
             power: (self.power.so_far().iter())
                 .find(|sum| sum.domain == Domain::Total)
@@ -108,9 +114,53 @@ impl TargetTask {
             let work = camera.take_work();
             so_far.frames += work.frames;
             so_far.skipped += work.skipped;
+            so_far.degraded += work.degraded;
             so_far.detector_us += work.detector_us;
             audit.merge(&work.audit);
         }
         (so_far, audit)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::state::target::TargetConfig;
+    use crate::state::target::tests::board;
+    use albireo_core::target::Target;
+    use albireo_wire::SettingSource;
+
+    /// A second of ten frames: how many of them skipped the detector, and how many could not have it.
+    fn second(before: SoFar, skipped: u64, degraded: u64) -> SoFar {
+        SoFar {
+            at: before.at + Duration::from_secs(1),
+            frames: before.frames + 10,
+            skipped: before.skipped + skipped,
+            degraded: before.degraded + degraded,
+            detector_us: before.detector_us + 20_000 * (10 - skipped - degraded),
+            power: None,
+        }
+    }
+
+    #[tokio::test]
+    async fn an_outage_of_the_detector_moves_no_knob() {
+        let board = board(None, "expected-loss:0.3", TargetConfig::default());
+        board
+            .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
+            .unwrap();
+        let task = TargetTask::new(Arc::clone(&board), PowerHandle::none());
+        let (mut now, _) = task.so_far();
+        let mut pass = |seconds, skipped, degraded| {
+            for _ in 0..seconds {
+                let before = now;
+                now = second(before, skipped, degraded);
+                task.step(&before, &now, AuditSums::default());
+            }
+            board.cameras()[0].threshold().unwrap()
+        };
+        let before = pass(8, 2, 0);
+        assert!(before > 0.3, "{before}");
+        assert_eq!(pass(60, 2, 8), before);
+        assert!(pass(8, 2, 0) > before);
     }
 }

@@ -10,7 +10,7 @@ use std::path::Path;
 use std::sync::Arc;
 use tokio::sync::watch;
 
-fn board(state: Option<&Path>, policy: &str, target: TargetConfig) -> Arc<Board> {
+pub(super) fn board(state: Option<&Path>, policy: &str, target: TargetConfig) -> Arc<Board> {
     let mut config = NodeConfig {
         cameras: vec![CameraConfig::named("front"), CameraConfig::named("rear")],
         target,
