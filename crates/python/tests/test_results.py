@@ -141,7 +141,7 @@ class Results:
 
 
 class Ultralytics(unittest.TestCase):
-    # What YOLO11n of 8.3.40 found on a picture of 640x480, recorded.
+    # In the layout of Ultralytics 8.3; the figures are made up.
     ROWS = np.array(
         [[48.55, 398.55, 245.35, 479.3, 0.8729, 0], [669.0 - 400, 392.2, 409.7, 470.9, 0.8637, 0], [11.0, 25, 580, 330, 0.91, 5]],
         np.float32,
