@@ -320,6 +320,32 @@ fn audited(plant: &mut Plant, knob: f64, at_default: f64) -> AuditSums {
 }
 
 #[test]
+fn the_target_of_recall_stands_still_while_more_than_a_fifth_of_the_audit_is_missed() {
+    let mut plant = Plant::new(71);
+    let mut controller = TargetController::new(Target::Recall(0.85), RANGE, 0.3).unwrap();
+    let mut hour = |missed_of_ten: u64| {
+        let knob = controller.knob();
+        let mut last = None;
+        for second in 0..3600 {
+            let knob = controller.knob();
+            let mut audit = audited(&mut plant, knob, 0.99);
+            if audit.frames > 0 && second % 10 < missed_of_ten {
+                audit = AuditSums::default();
+                audit.add_missed(5);
+            }
+            last = Some(controller.step(&Measured {
+                audit,
+                ..plant.second(knob)
+            }));
+        }
+        (controller.knob() / knob, last.unwrap().status)
+    };
+    assert_eq!(hour(4), (1.0, TargetStatus::Measuring));
+    let (turned, _) = hour(0);
+    assert!(turned > 1.5, "{turned}");
+}
+
+#[test]
 fn the_lower_end_of_recall_is_held_as_fast_as_boxes_come_and_an_impossible_one_is_said() {
     let target = Target::Recall(0.85);
     let mut plant = Plant::new(61);
