@@ -54,10 +54,20 @@ done
 
 log=$(mktemp)
 trap 'rm -f "$log" "$log.marked"' EXIT
-ALBIREO_SHARED=/nowhere ORT_DYLIB_PATH=/nowhere ALBIREO_PYTHON=/nowhere \
-    cargo test "${options[@]}" --no-fail-fast 2>&1 | tee "$log"
-status=$?
-cargo test "${options[@]}" --no-fail-fast -- --ignored ${skip[@]+"${skip[@]}"} 2>&1 | tee "$log.marked" || status=1
+# Runs the tests as told and shows their output, which goes to the file $1. A process that a failed test left behind holds
+# that file open and nothing else, so that the end of the tests is the end of the run.
+run() {
+    local output=$1 tests
+    shift
+    : > "$output"
+    cargo test "${options[@]}" --no-fail-fast "$@" >> "$output" 2>&1 &
+    tests=$!
+    tail -n +1 -f --pid="$tests" "$output"
+    wait "$tests"
+}
+status=0
+ALBIREO_SHARED=/nowhere ORT_DYLIB_PATH=/nowhere ALBIREO_PYTHON=/nowhere run "$log" || status=1
+run "$log.marked" -- --ignored ${skip[@]+"${skip[@]}"} || status=1
 
 # How many of the log $2 $1.
 count() { awk -v what="$1" '/^test result:/ { for (i = 1; i < NF; i++) if ($(i + 1) ~ "^" what) n += $i } END { print n + 0 }' "$2"; }

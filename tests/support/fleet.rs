@@ -81,6 +81,7 @@ impl HubProcess {
             .envs(settings.iter().map(|(name, value)| (*name, value)))
             .kill_on_drop(true)
             .stdin(Stdio::null())
+            .stdout(Stdio::null())
             .stderr(log.reopen().expect("the log is there"));
         Self {
             child: command.spawn().expect("the hub starts"),
