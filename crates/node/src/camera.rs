@@ -103,10 +103,10 @@ impl Camera {
 
     /// Takes no more frames, counts those that wait, and ends the open clip. The second time there is nothing to do.
     fn end(&mut self) {
-        let waiting = self.ring.close_and_clear() as u64;
-        if waiting > 0 {
-            let reason = "the camera's loop ended before their turn";
-            self.drops.count(DropKind::Stopped, waiting, &reason);
+        for mut frame in self.ring.close_and_clear() {
+            let reason = "the camera's loop ended before its turn";
+            self.drops.count(DropKind::Stopped, 1, &reason);
+            frame.refuse(reason);
         }
         self.audit.give_up();
         self.accounts.shutdown();

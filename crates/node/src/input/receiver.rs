@@ -49,6 +49,15 @@ pub(crate) struct SequencedFrame {
     pub query: Option<FrameQuery>,
 }
 
+impl SequencedFrame {
+    /// Tells the sender, if it waits, why the frame will not be processed.
+    pub(crate) fn refuse(&mut self, reason: &str) {
+        if let Some(query) = self.query.take() {
+            query.answer(Some(reason.to_owned()));
+        }
+    }
+}
+
 impl RingItem for SequencedFrame {
     fn bytes(&self) -> usize {
         self.frame.payload_bytes
@@ -420,11 +429,8 @@ impl FrameReceiver {
                 "the camera's loop does not run: it has failed, or the node stops",
             ),
         };
-        let reason = self.refuse(kind, reason.to_owned());
-        if let Some(query) = frame.query.take() {
-            query.answer(Some(reason.clone()));
-        }
-        Err(reason)
+        frame.refuse(reason);
+        Err(self.refuse(kind, reason.to_owned()))
     }
 }
 

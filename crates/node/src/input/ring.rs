@@ -234,11 +234,10 @@ impl<T> RingReceiver<T> {
         .await
     }
 
-    /// Closes the ring and throws away what waits; how many items that were.
-    pub(crate) fn close_and_clear(&self) -> usize {
+    /// Closes the ring and gives back what waits.
+    pub(crate) fn close_and_clear(&self) -> VecDeque<T> {
         self.0.close();
-        let items = std::mem::take(&mut self.0.state.lock().items);
-        items.len()
+        std::mem::take(&mut self.0.state.lock().items)
     }
 }
 
@@ -355,7 +354,7 @@ mod tests {
         let (sender, receiver) = ring(4, true);
         sender.push(1);
         sender.push(2);
-        assert_eq!(receiver.close_and_clear(), 2);
+        assert_eq!(receiver.close_and_clear().len(), 2);
         drop(receiver);
         assert_eq!(sender.push(3), Pushed::Closed(3));
         let mut again = sender.reopen();
