@@ -94,7 +94,7 @@ $(WHEEL): $(WHEEL_SOURCES)
 	@touch $@
 
 wheel-tests: $(WHEEL_ENVIRONMENT) ## the Python environment that the package is tested in
-$(WHEEL_ENVIRONMENT): crates/python/tests/requirements.txt $(WHEEL)
+$(WHEEL_ENVIRONMENT): $(addprefix crates/python/tests/,requirements.txt environment.sh) $(WHEEL)
 	bash crates/python/tests/environment.sh $(CACHE)/wheel
 	@touch $@
 

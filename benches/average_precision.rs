@@ -28,6 +28,7 @@ fn boxes(count: usize, a_frame: usize) -> (Vec<Vec<ScoredBox>>, Vec<Vec<TruthBox
                     corners,
                     class: detection.class,
                     confidence: scores.between(0.0, 1.0),
+                    object: None,
                 }
             });
             boxes.collect()

@@ -3,7 +3,7 @@
 //! These tests need the Python environment of tests/requirements.txt at .cache/python.
 #![allow(clippy::expect_used)]
 
-use crate::support::{python, shared};
+use crate::support::{answer_of, python, shared};
 use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_eval::average_precision::{
@@ -12,9 +12,8 @@ use albireo_eval::average_precision::{
 use albireo_eval::data::recorded;
 use rand_core::{RngCore, SeedableRng};
 use serde_json::{Value, json};
-use std::io::Write;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 
 /// A name, predictions and ground truth.
 type Case = (String, Vec<Vec<ScoredBox>>, Vec<Vec<TruthBox>>);
@@ -22,22 +21,10 @@ type Case = (String, Vec<Vec<ScoredBox>>, Vec<Vec<TruthBox>>);
 /// What pycocotools says about these boxes, one answer a case.
 fn coco(cases: &[Case]) -> Value {
     let clips: Vec<Value> = cases.iter().map(frames).collect();
-    let request = json!({"clips": clips}).to_string();
+    let request = json!({"clips": clips});
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    let mut child = Command::new(python())
-        .arg(root.join("tests/python/coco_average_precision.py"))
-        .stdin(Stdio::piped())
-        .stdout(Stdio::piped())
-        .spawn()
-        .expect("Python starts: `make python` sets it up");
-    let mut stdin = child.stdin.take().expect("its standard input is a pipe");
-    stdin
-        .write_all(request.as_bytes())
-        .expect("it takes the boxes");
-    drop(stdin);
-    let output = child.wait_with_output().expect("Python ends");
-    assert!(output.status.success(), "pycocotools failed, see above");
-    serde_json::from_slice(&output.stdout).expect("it answers in JSON")
+    let script = root.join("tests/python/coco_average_precision.py");
+    answer_of(Command::new(python()).arg(script), &request)
 }
 
 /// A case in the form the script takes.
@@ -126,6 +113,7 @@ fn python_random_boxes_of_three_classes_score_as_in_pycocotools() {
                     corners,
                     class,
                     confidence: uniform(),
+                    object: None,
                 });
             }
         }
@@ -155,6 +143,7 @@ fn shared_python_recorded_detections_score_as_in_pycocotools() {
                     corners: detection.corners,
                     class: detection.class,
                     confidence: detection.confidence,
+                    object: None,
                 });
                 boxes.collect()
             })

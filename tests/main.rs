@@ -32,6 +32,7 @@ mod eval_coco;
 mod eval_command;
 mod eval_energy_models;
 mod eval_pictures;
+mod eval_tracking;
 mod every_frame;
 mod expected_loss;
 #[cfg(feature = "hub")]

@@ -17,7 +17,7 @@ fn root() -> &'static Path {
 }
 
 /// The Python that the wheel is installed in, as `make wheel-tests` sets it up.
-fn python() -> PathBuf {
+pub(crate) fn python() -> PathBuf {
     root().join(".cache/wheel/bin/python")
 }
 

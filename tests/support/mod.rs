@@ -47,6 +47,21 @@ pub(crate) fn python() -> String {
         .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/.cache/python/bin/python").into())
 }
 
+/// What a script answers to `request`, both in JSON.
+pub(crate) fn answer_of(script: &mut std::process::Command, request: &Value) -> Value {
+    let mut child = script
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .spawn()
+        .expect("Python starts: `make python` and `make wheel-tests` set it up");
+    let mut stdin = child.stdin.take().expect("its standard input is a pipe");
+    serde_json::to_writer(&mut stdin, request).expect("it takes the request");
+    drop(stdin);
+    let output = child.wait_with_output().expect("Python ends");
+    assert!(output.status.success(), "{script:?} failed, see above");
+    serde_json::from_slice(&output.stdout).expect("it answers in JSON")
+}
+
 /// A port nobody listens on at this moment.
 pub(crate) fn free_port() -> u16 {
     std::net::TcpListener::bind("127.0.0.1:0")

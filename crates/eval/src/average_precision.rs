@@ -37,6 +37,8 @@ pub struct ScoredBox {
     pub class: ClassId,
     /// How sure; ranks the boxes. Must not be NaN (a NaN ranks first).
     pub confidence: f64,
+    /// Which object it shows, the same number in every frame; only [`tracking`](crate::tracking) asks for it.
+    pub object: Option<u64>,
 }
 
 /// A box that is known to be there.
@@ -80,8 +82,6 @@ pub struct Accuracy {
     pub map: f64,
     /// F1, the harmonic mean of precision and recall, at IoU 0.50 and the confidence where it is highest.
     pub f1_50: f64,
-    /// The same at IoU 0.75.
-    pub f1_75: f64,
     /// F1 at IoU 0.50 of all boxes of confidence [`SHOWN_CONFIDENCE`] and above: AP counts faint boxes that nobody
     /// would show.
     pub f1_50_shown: f64,
@@ -116,7 +116,6 @@ pub fn accuracy(
                 ap75: mean(|class| class.ap75),
                 map: mean(|class| class.map),
                 f1_50: mean(|class| class.f1_50),
-                f1_75: mean(|class| class.f1_75),
                 f1_50_shown: mean(|class| class.f1_50_shown),
                 precision: mean(|class| class.precision),
                 recall: mean(|class| class.recall),
@@ -263,8 +262,7 @@ impl Matching {
             ap50,
             ap75,
             map: sum / IOU_THRESHOLDS.len() as f64,
-            f1_50: self.best_f1(0),
-            f1_75: self.best_f1(AT_75),
+            f1_50: self.best_f1(),
             f1_50_shown: self.f1_shown(),
             precision: if self.matched.is_empty() {
                 0.0
@@ -278,10 +276,10 @@ impl Matching {
     }
 
     /// The highest F1 over all confidences, `2·hits / (predictions + truths)` of the predictions above one.
-    fn best_f1(&self, threshold: usize) -> f64 {
+    fn best_f1(&self) -> f64 {
         let mut hits = 0;
         let f1 = self.matched.iter().enumerate().map(|(rank, matched)| {
-            hits += usize::from(matched >> threshold & 1);
+            hits += usize::from(matched & 1);
             2.0 * hits as f64 / (rank + 1 + self.truths) as f64
         });
         f1.fold(0.0, f64::max)

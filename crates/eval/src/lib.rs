@@ -26,4 +26,5 @@ pub mod summary;
 pub mod table;
 pub mod text;
 pub mod trace;
+pub mod tracking;
 pub mod worst;

@@ -3,6 +3,7 @@
 use crate::average_precision::Accuracy;
 use crate::replay::{FrameRecord, Replay};
 use crate::statistics::quantile;
+use crate::tracking::Tracking;
 use crate::worst::WorstFrame;
 use albireo_core::policy::FrameState;
 use serde::Serialize;
@@ -190,6 +191,8 @@ pub struct ClipResult {
     pub boxes: usize,
     /// Accuracy; `None` without ground truth.
     pub accuracy: Option<Accuracy>,
+    /// How well identities are kept; `None` where boxes or ground truth have none.
+    pub tracking: Option<Tracking>,
     /// Accuracy with the confidences of the last detections, where the profile decays them.
     pub accuracy_last_confidence: Option<Accuracy>,
     /// Accuracy of every class that has ground truth, by name.
@@ -242,6 +245,7 @@ impl ClipResult {
             rejected_detections: replay.rejected_detections,
             boxes: replay.boxes.iter().map(Vec::len).sum(),
             accuracy: None,
+            tracking: None,
             accuracy_last_confidence: None,
             classes: BTreeMap::new(),
             decision_us: Spread::of(

@@ -10,6 +10,7 @@ use crate::result::ClipResult;
 use crate::source::{ClipEvidence, ScreenRule, SourceError, StoredEvidence};
 use crate::spec::PolicySpec;
 use crate::trace::{self, TraceError};
+use crate::tracking::tracking;
 use crate::worst::worst_frames;
 use albireo_core::policy::{ExpectedLoss, PolicyConfigError};
 use albireo_vision::screen::ScreenConfig;
@@ -193,6 +194,7 @@ pub(super) fn run_policy(
         .as_ref()
         .and_then(|boxes| judge(clip, boxes, settings));
     if let Some(truth) = &clip.truth {
+        result.tracking = tracking(&boxes, truth);
         result.classes = accuracy_by_class(&boxes, truth, settings.interpolation)
             .into_iter()
             .map(|(class, accuracy)| {

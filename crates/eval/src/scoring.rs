@@ -34,6 +34,7 @@ pub fn score_object(object: &TraceObject, picture: PictureSize) -> ScoredBox {
         corners: Corners { x1, y1, x2, y2 },
         class: ClassId(object.class),
         confidence: object.conf,
+        object: Some(object.id),
     }
 }
 
@@ -59,6 +60,7 @@ pub(crate) fn score_truncated(output: &OutputBox, picture: PictureSize) -> Score
         },
         class: output.class,
         confidence: output.confidence,
+        object: output.object.map(|object| object.0),
     }
 }
 
@@ -68,6 +70,7 @@ pub(crate) fn score_reported(output: &OutputBox, picture: PictureSize) -> Scored
         corners: output.bounding_box.pixel_corners(picture),
         class: output.class,
         confidence: output.confidence,
+        object: output.object.map(|object| object.0),
     }
 }
 

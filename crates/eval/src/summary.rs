@@ -91,6 +91,10 @@ pub struct PolicySummary {
     pub f1_50: Option<f64>,
     /// Mean F1 at IoU 0.5 of the boxes with confidence to be shown.
     pub f1_50_shown: Option<f64>,
+    /// Mean HOTA.
+    pub hota: Option<f64>,
+    /// Mean IDF1.
+    pub idf1: Option<f64>,
     /// Mean precision at IoU 0.50.
     pub precision: Option<f64>,
     /// Mean recall at IoU 0.50.
@@ -187,6 +191,8 @@ fn summarise_policy(
         ap75: over(&|result| result.accuracy.map(|accuracy| accuracy.ap75)),
         f1_50: over(&|result| result.accuracy.map(|accuracy| accuracy.f1_50)),
         f1_50_shown: over(&|result| result.accuracy.map(|accuracy| accuracy.f1_50_shown)),
+        hota: over(&|result| result.tracking.map(|tracking| tracking.hota)),
+        idf1: over(&|result| result.tracking.map(|tracking| tracking.idf1)),
         precision: over(&|result| result.accuracy.map(|accuracy| accuracy.precision)),
         recall: over(&|result| result.accuracy.map(|accuracy| accuracy.recall)),
         ap50_last_confidence: over(&|result| {

@@ -124,6 +124,8 @@ fn columns(summaries: &[PolicySummary]) -> Vec<Column> {
         column(["AP@75", ""], 2, &|s| three(s.ap75)),
         column(["F1@50", ""], 5, &|s| three(s.f1_50)),
         column(["F1@50", ">=.3"], 1, &|s| three(s.f1_50_shown)),
+        column(["HOTA", ">=.3"], 2, &|s| three(s.hota)),
+        column(["IDF1", ">=.3"], 4, &|s| three(s.idf1)),
         column(["prec.", ""], 6, &|s| three(s.precision)),
         column(["recall", ""], 6, &|s| three(s.recall)),
         column(["time", "ms"], 4, &|s| {

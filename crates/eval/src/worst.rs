@@ -101,6 +101,7 @@ pub(crate) fn worst_frames(clip: &Clip, replayed: &Replay, confidence: f64) -> V
                 corners: detection.corners,
                 class: detection.class,
                 confidence: detection.confidence,
+                object: None,
             })
             .collect();
         let missed = hits(&detected, truth).saturating_sub(hits(found, truth));

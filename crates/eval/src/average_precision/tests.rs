@@ -15,6 +15,7 @@ fn scored(corners: Corners, confidence: f64) -> ScoredBox {
         corners,
         class: ClassId(0),
         confidence,
+        object: None,
     }
 }
 

@@ -40,6 +40,7 @@ impl ClassNumbers {
                     corners: Corners { x1, y1, x2, y2 },
                     class: self.number(&found.class),
                     confidence: f64::from(found.confidence),
+                    object: None,
                 }
             })
             .collect()
@@ -95,6 +96,7 @@ mod tests {
             },
             class: ClassId(0),
             confidence,
+            object: None,
         }
     }
 

@@ -195,7 +195,7 @@ fn policies(summaries: &[PolicySummary]) -> Markup {
         @if told.accuracy { th { "AP@50" } th { "Δ pp" } }
         @if told.tests { th { "p" } }
         @if told.several { th { "Clips kept" } }
-        @if told.accuracy { th { "mAP" } th { "Δ pp" } th { "AP@75" } th { "F1@50" } th { "Precision" } th { "Recall" } }
+        @if told.accuracy { th { "mAP" } th { "Δ pp" } th { "AP@75" } th { "F1@50" } th { "HOTA" } th { "IDF1" } th { "Precision" } th { "Recall" } }
         @if let Some((_, kind)) = time {
             th { "Frame ms" (badge(kind)) }
         }
@@ -291,6 +291,8 @@ fn policy_cells(summary: &PolicySummary, told: Told) -> Markup {
             (change(against.and_then(|against| against.map)))
             (cell(summary.ap75, 4))
             (cell(summary.f1_50, 4))
+            (cell(summary.hota, 4))
+            (cell(summary.idf1, 4))
             (cell(summary.precision, 3))
             (cell(summary.recall, 3))
         }

@@ -8,7 +8,7 @@ use crate::result::ClipResult;
 use crate::spec::BASELINE;
 use std::collections::HashMap;
 
-const HEADER: [&str; 39] = [
+const HEADER: [&str; 41] = [
     "sequence",
     "camera",
     "frames",
@@ -30,6 +30,8 @@ const HEADER: [&str; 39] = [
     "ap75",
     "f1_50",
     "f1_50_shown",
+    "hota",
+    "idf1",
     "precision",
     "recall",
     "delta_ap50",
@@ -74,7 +76,7 @@ fn cell(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
-fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> [String; 39] {
+fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> [String; 41] {
     let accuracy = result.accuracy;
     let last = result.accuracy_last_confidence;
     // Under the published scoring, and only there, both definitions exist.
@@ -108,6 +110,8 @@ fn row(result: &ClipResult, baseline: Option<&ClipResult>) -> [String; 39] {
         cell(accuracy.map(|a| a.ap75)),
         cell(accuracy.map(|a| a.f1_50)),
         cell(accuracy.map(|a| a.f1_50_shown)),
+        cell(result.tracking.map(|tracking| tracking.hota)),
+        cell(result.tracking.map(|tracking| tracking.idf1)),
         cell(accuracy.map(|a| a.precision)),
         cell(accuracy.map(|a| a.recall)),
         cell(delta(|a| a.ap50)),

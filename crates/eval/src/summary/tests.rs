@@ -26,7 +26,6 @@ fn result(clip: &str, policy: &str, ap50: Option<f64>, skipped: usize) -> ClipRe
         ap75: ap50 / 2.0,
         f1_50: ap50,
         f1_50_shown: ap50,
-        f1_75: ap50 / 2.0,
         precision: 1.0,
         recall: 1.0,
         predictions: 1,

@@ -1,0 +1,228 @@
+//! How well boxes keep the identity of their object over a clip: HOTA and IDF1, as TrackEval computes them.
+//!
+//! Classes are pooled. Boxes of a confidence below [`SHOWN_CONFIDENCE`] do not count: unlike average precision,
+//! neither figure knows confidences.
+
+use crate::average_precision::{SHOWN_CONFIDENCE, ScoredBox, TruthBox};
+use albireo_core::geometry::Corners;
+use serde::Serialize;
+use std::collections::{BTreeMap, HashMap};
+
+/// HOTA is the mean over the IoU thresholds 0.05, 0.10, … 0.95.
+const THRESHOLDS: usize = 19;
+
+/// How well identities are kept.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Tracking {
+    /// Higher Order Tracking Accuracy, 0 to 1.
+    pub hota: f64,
+    /// Share of boxes that have the right identity, under the best one-to-one assignment of tracks to objects at
+    /// IoU 0.5: 0 to 1.
+    pub idf1: f64,
+}
+
+/// How often each track or object is seen, by its number in the order of the first sight.
+#[derive(Default)]
+struct Appearances {
+    numbers: HashMap<u64, usize>,
+    counts: Vec<f64>,
+}
+
+impl Appearances {
+    fn add(&mut self, object: u64) -> usize {
+        let number = *self.numbers.entry(object).or_insert(self.counts.len());
+        self.counts.resize(self.numbers.len(), 0.0);
+        self.counts[number] += 1.0;
+        number
+    }
+
+    fn total(&self) -> f64 {
+        self.counts.iter().sum()
+    }
+}
+
+/// One frame.
+struct Overlaps {
+    truths: Vec<usize>,
+    tracks: Vec<usize>,
+    /// IoU of every truth (rows) with every track (columns).
+    iou: Vec<f64>,
+}
+
+impl Overlaps {
+    fn pairs(&self) -> impl Iterator<Item = (usize, usize)> {
+        let columns = self.tracks.len();
+        (0..self.iou.len()).map(move |pair| (pair / columns, pair % columns))
+    }
+}
+
+/// Judges the tracks of `predictions` against `truth`, both one entry a frame.
+///
+/// `None` without ground truth, and when a box that counts does not say which object it shows.
+pub fn tracking(predictions: &[Vec<ScoredBox>], truth: &[Vec<TruthBox>]) -> Option<Tracking> {
+    let (mut objects, mut tracks) = (Appearances::default(), Appearances::default());
+    let mut frames = Vec::new();
+    for index in 0..predictions.len().max(truth.len()) {
+        let mut there: Vec<(usize, Corners)> = Vec::new();
+        for known in truth.get(index).into_iter().flatten() {
+            there.push((objects.add(known.object?), known.corners));
+        }
+        let mut shown: Vec<(usize, Corners)> = Vec::new();
+        for found in predictions.get(index).into_iter().flatten() {
+            if found.confidence >= SHOWN_CONFIDENCE {
+                shown.push((tracks.add(found.object?), found.corners));
+            }
+        }
+        let with_all = |known: &(usize, Corners)| {
+            let known = known.1;
+            let iou = |found: &(usize, Corners)| known.intersection_over_union(found.1);
+            shown.iter().map(iou).collect::<Vec<f64>>()
+        };
+        frames.push(Overlaps {
+            iou: there.iter().flat_map(with_all).collect(),
+            truths: there.iter().map(|known| known.0).collect(),
+            tracks: shown.iter().map(|found| found.0).collect(),
+        });
+    }
+    (!objects.counts.is_empty()).then(|| Tracking {
+        hota: hota(&frames, &objects, &tracks),
+        idf1: idf1(&frames, &objects, &tracks),
+    })
+}
+
+/// The pairs of rows and columns of the highest sum. Scores are finite, so that there always is one.
+fn assign(rows: usize, columns: usize, scores: &Vec<f64>) -> impl Iterator<Item = (usize, usize)> {
+    let (rows, columns) = lsap::solve(rows, columns, scores, true).unwrap_or_default();
+    rows.into_iter().zip(columns)
+}
+
+fn hota(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64 {
+    let columns = tracks.counts.len();
+    // How far each object and each track share their lives: matches, weighed by how clear each is in its frame.
+    let mut shared = vec![0.0; objects.counts.len() * columns];
+    for frame in frames {
+        let width = frame.tracks.len();
+        let mut rows = vec![0.0; frame.truths.len()];
+        let mut sums = vec![0.0; width];
+        for ((row, column), iou) in frame.pairs().zip(&frame.iou) {
+            rows[row] += iou;
+            sums[column] += iou;
+        }
+        for ((row, column), iou) in frame.pairs().zip(&frame.iou) {
+            let all = rows[row] + sums[column] - iou;
+            if all > f64::EPSILON {
+                shared[frame.truths[row] * columns + frame.tracks[column]] += iou / all;
+            }
+        }
+    }
+    let mut matches: BTreeMap<(usize, usize), [f64; THRESHOLDS]> = BTreeMap::new();
+    for frame in frames {
+        let score = |((row, column), iou): ((usize, usize), &f64)| {
+            let (object, track) = (frame.truths[row], frame.tracks[column]);
+            let both = shared[object * columns + track];
+            iou * (both / (objects.counts[object] + tracks.counts[track] - both))
+        };
+        let scores = frame.pairs().zip(&frame.iou).map(score).collect();
+        for (row, column) in assign(frame.truths.len(), frame.tracks.len(), &scores) {
+            let iou = frame.iou[row * frame.tracks.len() + column];
+            let pair = (frame.truths[row], frame.tracks[column]);
+            let counts = matches.entry(pair).or_insert([0.0; THRESHOLDS]);
+            for (index, count) in counts.iter_mut().enumerate() {
+                let threshold = 0.05 + 0.05 * index as f64;
+                *count += f64::from(iou >= threshold - f64::EPSILON);
+            }
+        }
+    }
+    let at = |threshold: usize| {
+        let (mut hits, mut association) = (0.0, 0.0);
+        for (&(object, track), counts) in &matches {
+            let count = counts[threshold];
+            let either = objects.counts[object] + tracks.counts[track] - count;
+            hits += count;
+            association += count * count / either;
+        }
+        // The root of detection accuracy, hits / (all - hits), times association accuracy, association / hits.
+        (association / (objects.total() + tracks.total() - hits)).sqrt()
+    };
+    (0..THRESHOLDS).map(at).sum::<f64>() / THRESHOLDS as f64
+}
+
+fn idf1(frames: &[Overlaps], objects: &Appearances, tracks: &Appearances) -> f64 {
+    let columns = tracks.counts.len();
+    let mut matches = vec![0.0; objects.counts.len() * columns];
+    for frame in frames {
+        for ((row, column), &iou) in frame.pairs().zip(&frame.iou) {
+            if iou >= 0.5 {
+                matches[frame.truths[row] * columns + frame.tracks[column]] += 1.0;
+            }
+        }
+    }
+    let best = assign(objects.counts.len(), columns, &matches);
+    let right: f64 = best
+        .map(|(row, column)| matches[row * columns + column])
+        .sum();
+    2.0 * right / (objects.total() + tracks.total())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use albireo_core::detection::ClassId;
+
+    fn corners(left: f64) -> Corners {
+        Corners {
+            x1: left,
+            y1: 0.0,
+            x2: left + 10.0,
+            y2: 10.0,
+        }
+    }
+
+    fn found(left: f64, object: Option<u64>, confidence: f64) -> ScoredBox {
+        ScoredBox {
+            corners: corners(left),
+            class: ClassId(0),
+            confidence,
+            object,
+        }
+    }
+
+    fn known(object: Option<u64>) -> Vec<TruthBox> {
+        vec![TruthBox {
+            corners: corners(0.0),
+            class: ClassId(0),
+            object,
+        }]
+    }
+
+    #[test]
+    fn a_track_cut_in_two_keeps_half_of_its_identity() {
+        let truth = vec![known(Some(7)); 4];
+        let whole = vec![vec![found(0.0, Some(3), 0.9)]; 4];
+        let cut: Vec<_> = (0..4)
+            .map(|frame| vec![found(0.0, Some(frame / 2), 0.9)])
+            .collect();
+        let perfect = tracking(&whole, &truth).unwrap();
+        assert_eq!((perfect.hota, perfect.idf1), (1.0, 1.0));
+        let halves = tracking(&cut, &truth).unwrap();
+        assert!((halves.hota - 0.5_f64.sqrt()).abs() < 1e-12 && halves.idf1 == 0.5);
+    }
+
+    #[test]
+    fn faint_boxes_do_not_count_and_boxes_without_an_object_cannot_be_judged() {
+        let truth = vec![known(Some(7))];
+        let with = |object, confidence| {
+            vec![vec![
+                found(0.0, Some(1), 0.9),
+                found(50.0, object, confidence),
+            ]]
+        };
+        assert_eq!(tracking(&with(None, 0.2), &truth).unwrap().hota, 1.0);
+        assert!(tracking(&with(Some(2), 0.3), &truth).unwrap().hota < 1.0);
+        assert_eq!(tracking(&with(None, 0.3), &truth), None);
+        assert_eq!(tracking(&with(Some(2), 0.3), &[known(None)]), None);
+        assert_eq!(tracking(&[], &[]), None);
+        let nothing = tracking(&[], &truth).unwrap();
+        assert_eq!((nothing.hota, nothing.idf1), (0.0, 0.0));
+    }
+}
