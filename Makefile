@@ -47,7 +47,7 @@ bench-peers: ## the decision core beside other trackers, the JPEG decoder beside
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
 	cargo run --release --locked --manifest-path benches/decoders/Cargo.toml
 
-gpu: onnxruntime ## what an NVIDIA GPU does for the node, into docs/gpu.md (PROVIDER=cpu: a trial without one)
+gpu: onnxruntime ## what an NVIDIA GPU does for the node, into benches/gpu.md (PROVIDER=cpu: a trial without one)
 	@ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" bash benches/gpu.sh
 
 parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md

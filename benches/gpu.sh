@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Measures what one NVIDIA GPU does for the node and writes docs/gpu.md; `make gpu` calls it. Set by variables:
+# Measures what one NVIDIA GPU does for the node and writes benches/gpu.md; `make gpu` calls it. Set by variables:
 #   PROVIDER=cuda|tensorrt|cpu   what runs the models; cpu is a trial of this script, short and marked as such
 #   MODELS="a.onnx b.onnx"       detectors; without it those at hand. Variants are made beside them: float16, an open batch
 #   CAMERA_MODELS="a.onnx"       detectors that cameras are put on; without it YOLOX-Nano

@@ -38,7 +38,9 @@ struct Block {
 /// Every page there is.
 fn pages() -> Vec<&'static str> {
     let mut pages = Vec::new();
-    for folder in [".", "docs", "demo", "models", "config", "deploy"] {
+    for folder in [
+        ".", "docs", "demo", "models", "config", "deploy", "benches", "web",
+    ] {
         for entry in std::fs::read_dir(root().join(folder)).unwrap() {
             let name = entry.unwrap().file_name().into_string().unwrap();
             if name.ends_with(".md") {

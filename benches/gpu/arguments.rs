@@ -31,7 +31,7 @@ pub(crate) struct Arguments {
     #[arg(long, default_value_t = 256, value_parser = clap::value_parser!(u16).range(1..))]
     pub most_cameras: u16,
     /// The page that is written.
-    #[arg(long, value_name = "FILE", default_value = "docs/gpu.md")]
+    #[arg(long, value_name = "FILE", default_value = "benches/gpu.md")]
     pub out: PathBuf,
     /// Today, for the page.
     #[arg(long, default_value = "undated")]

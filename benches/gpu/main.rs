@@ -1,5 +1,5 @@
 //! What one GPU does for the node: provider, stages, batches, ways into a session, cameras with their energy, starts, and what
-//! is said when it fails. Writes `docs/gpu.md`. Run by `make gpu`; with `--provider cpu` a trial of this script.
+//! is said when it fails. Writes `benches/gpu.md`. Run by `make gpu`; with `--provider cpu` a trial of this script.
 
 mod arguments;
 mod cameras;

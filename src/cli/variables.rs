@@ -14,7 +14,7 @@ pub(super) const NO_TELEMETRY: Variable = ("ORT_DISABLE_TELEMETRY", "1");
 
 /// glibc gives threads heaps of their own, up to eight for each processor, and keeps in each what once held pictures. The
 /// threads that decode come and go, so a busy node's memory grew by a megabyte a minute; with two heaps it stayed
-/// (docs/speed.md).
+/// (benches/README.md).
 pub(super) const FEW_HEAPS: Variable = ("MALLOC_ARENA_MAX", "2");
 
 /// Goes on with these variables: in a new program in this process's place, or at once where each is set to anything already.

@@ -1,4 +1,4 @@
-//! Prints the tables of docs/expected-loss.md: every policy beside `expected-loss` at the same mean skip rate.
+//! Prints the tables of crates/eval/examples/equal_skip.md: every policy beside `expected-loss` at the same mean skip rate.
 //!
 //! `cargo run --release -p albireo-eval --example equal_skip -- DIR [--half-rate] [--confidence 0.5]`
 #![allow(clippy::print_stdout)]

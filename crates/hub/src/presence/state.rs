@@ -1,4 +1,4 @@
-//! The state of a node as a function of what is known. Pure: docs/hub.md has the same predicates in words.
+//! The state of a node as a function of what is known. Pure: docs/fleet.md has the same predicates in words.
 
 use albireo_wire::HealthState;
 use serde::{Deserialize, Serialize};

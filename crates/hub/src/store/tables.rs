@@ -5,7 +5,7 @@ use super::rows::row;
 use uuid::Uuid;
 
 record! {
-    /// One clip, or a part of a long one. `docs/hub-schema.md` says what each column is.
+    /// One clip, or a part of a long one. `docs/fleet.md` lists the tables.
     pub(crate) struct ClipRow {
         day: i64,
         report_id: Uuid,

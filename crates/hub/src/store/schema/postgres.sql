@@ -1,6 +1,6 @@
 -- The tables of a hub in PostgreSQL.
 -- No figure is a floating-point number where it is summed: energy is whole microjoules, time whole microseconds,
--- so that a sum is the same in any order. docs/hub-schema.md describes every column.
+-- so that a sum is the same in any order. docs/fleet.md lists the tables.
 
 CREATE TABLE nodes (
     id BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,

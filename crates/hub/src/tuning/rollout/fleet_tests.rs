@@ -1,7 +1,7 @@
 //! Whole rollouts on simulated fleets: nodes vary from hour to hour, park, lie and die.
 //!
 //! `ALBIREO_ROLLOUTS=1000 cargo test -p albireo-hub --release whole_rollouts -- --nocapture` prints the table of
-//! docs/tuning.md; by default there are just enough rollouts to see a broken promise.
+//! docs/fleet.md; by default there are just enough rollouts to see a broken promise.
 
 use super::super::metric::{Figure, Figures, Mean};
 use super::tests::{new, old};
