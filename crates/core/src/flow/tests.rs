@@ -90,8 +90,8 @@ proptest! {
         prop_assert_eq!(followed.points, 36);
         prop_assert!(followed.kept >= 24, "{:?}", followed);
         let motion = followed.motion.unwrap();
-        prop_assert!((motion.shift[0] - shift_x).abs() < 0.1, "{:?}", motion);
-        prop_assert!((motion.shift[1] - shift_y).abs() < 0.1, "{:?}", motion);
+        prop_assert!((motion.shift[0] - shift_x).abs() < 0.2, "{:?}", motion);
+        prop_assert!((motion.shift[1] - shift_y).abs() < 0.2, "{:?}", motion);
         // Half a pixel over a small box's side is more than a hundredth of it.
         let relative = 0.01f64.max(0.5 / f64::min(width, height));
         prop_assert!((motion.scale - scale).abs() < relative, "{:?}", motion);
