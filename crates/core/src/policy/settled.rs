@@ -87,7 +87,7 @@ pub struct Settler {
 }
 
 impl Settler {
-    /// Holds no frame back by more than `longest_delay` of the frames' own time, nor by more than 256 frames.
+    /// Holds a frame back for at most `longest_delay` of the frames' own time, and for at most 256 frames.
     pub fn new(longest_delay: Duration) -> Self {
         Self {
             longest_delay,
@@ -126,9 +126,20 @@ impl Settler {
         frame.boxes.clone_from(&outcome.boxes);
         self.held.push_back(frame);
         self.settle(&mut each);
-        while let Some(oldest) = self.held.front()
-            && (time.saturating_sub(oldest.time) > self.longest_delay
-                || self.held.len() > MOST_FRAMES)
+        self.tick(time, each);
+    }
+
+    /// When the oldest frame held back will have waited for longer than the longest delay, in the frames' time.
+    pub fn deadline(&self) -> Option<Duration> {
+        let oldest = self.held.front()?;
+        let last = oldest.time.saturating_add(self.longest_delay);
+        Some(last.saturating_add(Duration::from_nanos(1)))
+    }
+
+    /// Gives out the frames that have waited for too long at `time`, as they were answered: a stream may pause.
+    pub fn tick(&mut self, time: Duration, mut each: impl FnMut(SettledFrame<'_>)) {
+        while self.deadline().is_some_and(|deadline| deadline <= time)
+            || self.held.len() > MOST_FRAMES
         {
             self.give_up_oldest(&mut each);
         }
