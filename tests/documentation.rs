@@ -302,7 +302,7 @@ fn references(value: &Value, found: &mut Vec<String>) {
 }
 
 /// What goes over Zenoh: key, who writes it, message.
-const MESSAGES: [(&str, &str, &str); 14] = [
+const MESSAGES: [(&str, &str, &str); 17] = [
     (
         "…/{camera}/frame",
         "in",
@@ -314,6 +314,16 @@ const MESSAGES: [(&str, &str, &str); 14] = [
         "FrameAnswer",
     ),
     ("…/{camera}/detections", "out, a frame", "DetectionsMessage"),
+    (
+        "…/{camera}/late",
+        "out, a frame whose first answer was `pending`",
+        "DetectionsMessage",
+    ),
+    (
+        "…/{camera}/settled",
+        "out, a frame, where `settle.enabled`",
+        "SettledMessage",
+    ),
     ("…/{camera}/clip", "out, a clip", "ClipReport"),
     ("…/{camera}/counters", "out, a second", "CountersMessage"),
     (
@@ -344,6 +354,11 @@ const MESSAGES: [(&str, &str, &str); 14] = [
         "ConfigChanged",
     ),
     ("HTTP `/api/v1/events`", "event `frame`", "FrameEvent"),
+    (
+        "HTTP `/api/v1/events`",
+        "event `late`: the final answer of a frame that was `pending`",
+        "FrameEvent",
+    ),
     (
         "HTTP `/api/v1/events`",
         "event `threshold`",

@@ -2,6 +2,7 @@
 
 mod support;
 
+mod answers;
 mod cameras;
 #[cfg(feature = "hub")]
 mod check_online;

@@ -140,6 +140,7 @@ impl<'a> OurPath<'a> {
 
         let start = Instant::now();
         let context = AnswerContext {
+            pending: false,
             frame: &frame,
             clip: "bench",
             threshold: None,

@@ -1,6 +1,6 @@
 //! Connections that say nothing, or do not read: they are closed, and never shut out who asks.
 
-use super::served::{KNOB, Served, frame};
+use super::served::{Frames, KNOB, Served, frame};
 use crate::support::Node;
 use albireo_core::policy::FrameState;
 use albireo_service::config::HttpConfig;
@@ -86,7 +86,7 @@ async fn an_event_stream_that_is_not_read_loses_its_place() {
         while node.get("/healthz").await.status() != StatusCode::OK {
             // Megabytes of events: more than the buffers between here and there hold.
             for _ in 0..500 {
-                camera.record_frame(frame(seq, FrameState::P));
+                camera.answered(frame(seq, FrameState::P));
                 seq += 1;
             }
         }

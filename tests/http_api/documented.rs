@@ -1,4 +1,4 @@
-use super::served::{KNOB, Served, clip, frame};
+use super::served::{Frames, KNOB, Served, clip, frame};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_node::state::board::LatestFrame;
@@ -42,8 +42,8 @@ async fn filled() -> Served {
     let node = Served::with(HttpConfig::default(), Some(KNOB)).await;
     node.ready();
     let front = node.board.camera("front").unwrap();
-    front.record_frame(frame(0, FrameState::I));
-    front.record_frame(frame(1, FrameState::P));
+    front.answered(frame(0, FrameState::I));
+    front.answered(frame(1, FrameState::P));
     front.set_latest_frame(LatestFrame {
         seq: 0,
         picture: EncodedPicture {

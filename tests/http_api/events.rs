@@ -1,4 +1,4 @@
-use super::served::{Served, clip, frame, problem};
+use super::served::{Frames, Served, clip, frame, problem};
 use albireo_core::policy::FrameState;
 use albireo_vision::detector::{DetectorStatus, ExecutionProvider};
 use futures_util::StreamExt;
@@ -80,7 +80,7 @@ async fn how_things_stand_comes_first_and_then_each_event_in_order() {
     node.board
         .camera("front")
         .unwrap()
-        .record_frame(frame(0, FrameState::I));
+        .answered(frame(0, FrameState::I));
     let mut events = Events::new(node.get("/api/v1/events").await);
     assert_eq!(events.expect("detector").await["status"], "starting");
     for camera in ["front", "rear"] {
@@ -90,7 +90,7 @@ async fn how_things_stand_comes_first_and_then_each_event_in_order() {
     node.board
         .camera("front")
         .unwrap()
-        .record_frame(frame(1, FrameState::P));
+        .answered(frame(1, FrameState::P));
     let told = events.expect("frame").await;
     assert_eq!((&told["seq"], &told["state"]), (&json!(1), &json!("P")));
     assert_eq!(told["boxes"][0]["class"], "car");
@@ -117,7 +117,7 @@ async fn a_reader_that_is_too_slow_is_told_how_much_it_lost() {
     let camera = node.board.camera("front").unwrap();
     // One thread runs the test, so the stream cannot read in between.
     for seq in 0..3000 {
-        camera.record_frame(frame(seq, FrameState::P));
+        camera.answered(frame(seq, FrameState::P));
     }
     let lost = events.expect("lagged").await["lost"].as_u64().unwrap();
     assert_eq!(events.expect("frame").await["seq"], lost);

@@ -1,4 +1,4 @@
-use super::served::{Served, clip, frame, problem};
+use super::served::{Frames, Served, clip, frame, problem};
 use albireo_core::geometry::PictureSize;
 use albireo_core::policy::FrameState;
 use albireo_node::state::board::{LatestFrame, PowerSnapshot};
@@ -15,14 +15,14 @@ async fn the_frame_states_add_up_for_each_camera_and_for_all() {
     let node = Served::start().await;
     let front = node.board.camera("front").unwrap();
     for (seq, state) in FrameState::ALL.into_iter().enumerate() {
-        front.record_frame(frame(seq as u64, state));
+        front.answered(frame(seq as u64, state));
     }
     front.record_dropped(&DroppedFrames {
         lost: 3,
         ..DroppedFrames::default()
     });
     let rear = node.board.camera("rear").unwrap();
-    rear.record_frame(frame(0, FrameState::P));
+    rear.answered(frame(0, FrameState::P));
     let all = node.json("/api/v1/frame-states").await;
     assert_eq!(all["frames"], 6);
     assert_eq!(
@@ -48,7 +48,7 @@ async fn a_degraded_frame_is_told_apart_and_never_counted_as_skipped() {
     {
         let mut message = (*frame(seq as u64, state)).clone();
         message.degraded = seq > 1;
-        front.record_frame(message.into());
+        front.answered(message.into());
     }
     let all = node.json("/api/v1/frame-states").await;
     assert_eq!(
@@ -96,7 +96,7 @@ async fn cameras_are_listed_in_the_order_of_the_configuration() {
     node.board
         .camera("rear")
         .unwrap()
-        .record_frame(frame(0, FrameState::I));
+        .answered(frame(0, FrameState::I));
     let list = node.json("/api/v1/cameras").await;
     assert_eq!(list["cameras"][0]["camera"], "front");
     assert_eq!(list["cameras"][0]["width"], json!(null));
@@ -286,8 +286,8 @@ async fn one_camera_tells_policy_threshold_and_its_newest_detections() {
     let detail = missing["detail"].as_str().unwrap();
     assert!(detail.contains("albireo/car-7/front/frame"), "{detail}");
     let front = node.board.camera("front").unwrap();
-    front.record_frame(frame(4, FrameState::P));
-    front.record_frame(frame(5, FrameState::I));
+    front.answered(frame(4, FrameState::P));
+    front.answered(frame(5, FrameState::I));
     let told = node.json("/api/v1/cameras/front").await;
     assert_eq!(told["policy"], "albireo");
     assert_eq!(told["version"], env!("CARGO_PKG_VERSION"));
@@ -316,7 +316,7 @@ async fn a_camera_that_skips_nothing_is_told_what_to_try() {
         assert_eq!(front.snapshot().advice, None);
         let mut message = (*frame(seq, FrameState::I)).clone();
         message.tau_max = Some(3.77e-4);
-        front.record_frame(message.into());
+        front.answered(message.into());
     }
     let told = node.json("/api/v1/cameras").await;
     let advice = &told["cameras"][0]["advice"];

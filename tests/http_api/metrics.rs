@@ -1,5 +1,5 @@
 use super::exposition::{Samples, read};
-use super::served::{Served, clip, frame};
+use super::served::{Frames, Served, clip, frame};
 use albireo_core::policy::FrameState;
 use albireo_node::state::board::PowerSnapshot;
 use albireo_power::MeterCost;
@@ -14,7 +14,7 @@ async fn filled() -> Served {
     node.ready();
     let front = node.board.camera("front").unwrap();
     for seq in 0..10 {
-        front.record_frame(frame(
+        front.answered(frame(
             seq,
             if seq % 2 == 0 {
                 FrameState::I
@@ -23,7 +23,7 @@ async fn filled() -> Served {
             },
         ));
     }
-    front.record_frame(frame(10, FrameState::EI));
+    front.answered(frame(10, FrameState::EI));
     front.record_dropped(&DroppedFrames {
         undecodable: 4,
         ..DroppedFrames::default()

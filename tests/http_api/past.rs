@@ -1,6 +1,6 @@
 //! What a node tells of its past: for a page that is opened now, and for whoever looks for a fault.
 
-use super::served::{KNOB, Served, board, clip, frame, problem};
+use super::served::{Frames, KNOB, Served, board, clip, frame, problem};
 use albireo_core::policy::FrameState;
 use albireo_node::api::http::{NodeView, router};
 use albireo_node::config::NodeConfig;
@@ -19,13 +19,13 @@ async fn the_last_frames_are_told_with_state_and_cause_the_newest_last() {
     let front = node.board.camera("front").unwrap();
     let states = [FrameState::EI, FrameState::I, FrameState::P, FrameState::E];
     for (seq, state) in states.into_iter().enumerate() {
-        front.record_frame(frame(seq as u64, state));
+        front.answered(frame(seq as u64, state));
     }
     let mut blind = (*frame(4, FrameState::P)).clone();
     blind.degraded = true;
     blind.cause = Some(CallCause::NewObject);
     blind.tau_max = None;
-    front.record_frame(blind.into());
+    front.answered(blind.into());
     let past = node.json("/api/v1/cameras/front/history").await;
     let frames = &past["frames"];
     assert_eq!(frames["seq"], json!([0, 1, 2, 3, 4]));
@@ -72,11 +72,11 @@ async fn calls_are_counted_by_cause_in_every_place_that_counts_frames() {
     let node = Served::start().await;
     let front = node.board.camera("front").unwrap();
     for (seq, state) in FrameState::ALL.into_iter().enumerate() {
-        front.record_frame(frame(seq as u64, state));
+        front.answered(frame(seq as u64, state));
     }
     let mut periodic = (*frame(9, FrameState::I)).clone();
     periodic.cause = Some(CallCause::PeriodicCap);
-    front.record_frame(periodic.into());
+    front.answered(periodic.into());
     let calls = json!({"uncertain": 3, "periodic_cap": 1});
     assert_eq!(node.json("/api/v1/frame-states").await["calls"], calls);
     let one = node.json("/api/v1/cameras/front/frame-states").await;
@@ -106,7 +106,7 @@ async fn what_another_value_would_have_skipped_is_an_estimate_and_says_so() {
             message.state = FrameState::I;
             message.cause = Some(CallCause::Uncertain);
         }
-        front.record_frame(message.into());
+        front.answered(message.into());
     }
     let told = node.json(&format!("{path}?values=1e-4,3e-4,1")).await;
     assert_eq!(
@@ -167,7 +167,7 @@ async fn what_was_saved_is_told_since_the_start_and_today() {
     let node = Served::start().await;
     let front = node.board.camera("front").unwrap();
     for (seq, state) in FrameState::ALL.into_iter().enumerate() {
-        front.record_frame(frame(seq as u64, state));
+        front.answered(frame(seq as u64, state));
     }
     let overview = node.json("/api/v1/node").await;
     assert_eq!(overview["since_start"]["energy"], Value::Null);
@@ -233,7 +233,7 @@ async fn one_archive_has_what_helps_to_find_a_fault_and_no_secret() {
     board
         .camera("front")
         .unwrap()
-        .record_frame(frame(0, FrameState::I));
+        .answered(frame(0, FrameState::I));
     board.record_clip(clip("front", 0));
     let view = NodeView {
         board,

@@ -2,8 +2,9 @@
 
 use albireo_core::detection::ObjectId;
 use albireo_core::policy::{BoxSource, FrameState, Knob};
+use albireo_node::FrameRecord;
 use albireo_node::api::http::{NodeView, router};
-use albireo_node::state::board::{Board, BoardSetup, CameraSetup, DetectorFacts};
+use albireo_node::state::board::{Board, BoardSetup, CameraBoard, CameraSetup, DetectorFacts};
 use albireo_node::state::target::TargetSetup;
 use albireo_service::config::HttpConfig;
 use albireo_service::http::{self, HttpError};
@@ -18,6 +19,7 @@ use serde_json::Value;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -174,6 +176,20 @@ pub(crate) async fn problem(response: Response, status: u16) -> Value {
     problem
 }
 
+/// Frames without a loop that answers them.
+pub(crate) trait Frames {
+    /// A frame gets its only answer.
+    fn answered(&self, detections: Arc<DetectionsMessage>);
+}
+
+impl Frames for CameraBoard {
+    fn answered(&self, detections: Arc<DetectionsMessage>) {
+        let total = Duration::from_secs_f64(detections.latency_ms.total / 1e3);
+        self.show(Arc::clone(&detections));
+        self.record_frame(&FrameRecord::new(detections, total));
+    }
+}
+
 pub(crate) fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
     Arc::new(DetectionsMessage {
         v: 1,
@@ -181,6 +197,7 @@ pub(crate) fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
         t_ns: 1_800_000_000_000_000_000,
         clip: "window-0".to_owned(),
         state,
+        pending: false,
         degraded: false,
         cause: (!state.is_skipped()).then_some(CallCause::Uncertain),
         tau_max: Some(1.5e-4),

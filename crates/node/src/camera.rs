@@ -1,34 +1,45 @@
-//! A camera's loop: takes frames from the ring, drives the policy through each, publishes the answer and
-//! counts the open clip. One task a camera; the detector, the screen and the meter are shared.
+//! A camera's loop: takes frames from the ring, drives the policy through each, publishes the answers and
+//! counts the open clip. One task per camera; the detector, the screen and the meter are shared.
 
 pub mod answer;
+mod at_once;
 pub mod audit;
 pub mod clip;
+mod config;
 pub mod evidence;
 mod published;
 pub(crate) mod publishing;
+mod record;
+mod settled;
 
+pub(crate) use at_once::AtOnce;
+pub use config::{AnswerTime, SettleConfig};
 pub(crate) use published::MinConfidence;
 pub use published::ReportConfig;
+pub use record::FrameRecord;
+pub(crate) use settled::SettledStream;
 
 use crate::camera::answer::{AnswerContext, detections_message};
+use crate::camera::at_once::Fetched;
 use crate::camera::audit::{CameraAudit, DrawnFrame};
-use crate::camera::clip::{FrameArrival, FrameResult};
-use crate::camera::evidence::LiveEvidence;
+use crate::camera::clip::FrameArrival;
+use crate::camera::evidence::{LiveEvidence, Times};
 use crate::camera::publishing::Detections;
+use crate::camera::settled::FrameLabel;
 use crate::delivery::report::ClipAccounts;
 use crate::input::RingReceiver;
 use crate::input::receiver::{DropCounts, DropKind, SequencedFrame};
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{
-    CallCause, Evidence, EvidenceSource, FrameHead, Need, Outcome, Policy, decide,
+    CallCause, Evidence, EvidenceSource, FrameHead, KnobError, Need, Outcome, Policy, decide,
 };
 use albireo_service::clock::milliseconds;
 use albireo_vision::picture::{EncodedPicture, FrameFault};
-use albireo_wire::{Latency, Threshold};
+use albireo_wire::{DetectionsMessage, Latency, Threshold};
 use std::future::Future;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
@@ -41,22 +52,60 @@ pub(crate) struct Camera {
     pub ring: RingReceiver<SequencedFrame>,
     /// Dropped frames, shared with the receiver.
     pub drops: Arc<DropCounts>,
-    /// What decides.
-    pub policy: Box<dyn Policy>,
-    /// Where its evidence comes from.
-    pub evidence: LiveEvidence,
-    /// Where detections go.
+    /// What decides, and from what evidence.
+    pub decider: Decider,
+    /// Where answers go.
     pub detections: Arc<Detections>,
+    /// Where the final answers of pending frames go.
+    pub late: Option<Arc<Detections>>,
+    /// Where every frame goes once more when its boxes are settled.
+    pub settled: Option<SettledStream>,
     /// Which boxes are published.
     pub min_confidence: MinConfidence,
     /// Names of the detector's classes.
     pub class_names: Arc<[String]>,
     /// Where clips are closed and reported.
     pub accounts: ClipAccounts,
-    /// Where frames are left that the detector is to look at afterwards.
+    /// Where frames are left that the detector is to examine afterwards.
     pub audit: Arc<CameraAudit>,
     /// Whether a new clip id of the camera makes the policy forget its objects.
     pub reset_at_clip: bool,
+}
+
+/// What decides frames, and when it answers.
+pub(crate) enum Decider {
+    /// When everything about the frame is known.
+    WhenKnown {
+        /// What decides.
+        policy: Box<dyn Policy>,
+        /// Where its evidence comes from.
+        evidence: Box<LiveEvidence>,
+    },
+    /// At once, by prediction.
+    AtOnce(Box<AtOnce>),
+}
+
+impl Decider {
+    fn policy(&self) -> &dyn Policy {
+        match self {
+            Self::WhenKnown { policy, .. } => &**policy,
+            Self::AtOnce(at_once) => at_once.policy(),
+        }
+    }
+
+    fn set_knob(&mut self, value: f64) -> Result<(), KnobError> {
+        match self {
+            Self::WhenKnown { policy, .. } => policy.set_knob(value),
+            Self::AtOnce(at_once) => at_once.set_knob(value),
+        }
+    }
+
+    fn reset(&mut self) {
+        match self {
+            Self::WhenKnown { policy, .. } => policy.reset(),
+            Self::AtOnce(at_once) => at_once.reset(),
+        }
+    }
 }
 
 /// What the loop remembers from frame to frame.
@@ -72,8 +121,48 @@ struct Stream {
     outcome: Outcome,
 }
 
+/// A frame whose turn has come.
+struct BegunFrame {
+    incoming: SequencedFrame,
+    head: FrameHead,
+    clip: Arc<str>,
+    threshold: Option<Threshold>,
+    /// When it was taken from the ring.
+    taken: Instant,
+}
+
+/// What a frame's answer took.
+#[derive(Default)]
+struct Spent {
+    times: Times,
+    policy: Duration,
+    /// The detector was asked although the screen said "empty", too often in a row.
+    overruled: bool,
+}
+
+impl Spent {
+    fn of(evidence: &LiveEvidence, policy: Duration) -> Self {
+        Self {
+            times: evidence.times(),
+            policy,
+            overruled: evidence.screen_is_overruled(),
+        }
+    }
+}
+
+/// Which of a frame's answers a message is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Answer {
+    /// The only one.
+    Final,
+    /// A prediction, before the final one.
+    Pending,
+    /// The final one after a prediction.
+    Late,
+}
+
 impl Camera {
-    /// Runs until `shutdown` or until the ring closes; finishes the frame in hand and closes the open
+    /// Runs until `shutdown` or until the ring closes; finishes the frame in hand or the pending one, and closes the open
     /// clip.
     pub(crate) async fn run(mut self, shutdown: CancellationToken) {
         let mut stream = Stream {
@@ -86,19 +175,47 @@ impl Camera {
         };
         stream.threshold.mark_changed();
         loop {
-            let due = self.accounts.deadline();
+            let settled = self.settled.as_ref().and_then(SettledStream::deadline);
+            let due = self.accounts.deadline().into_iter().chain(settled).min();
             tokio::select! {
                 biased;
                 () = shutdown.cancelled() => break,
+                fetched = fetched(&mut self.decider) => self.deliver(fetched, &mut stream.outcome).await,
                 // Before the clock: a camera whose frames wait is not silent, only the detector is slow.
                 incoming = self.ring.next() => match incoming {
                     Some(incoming) => self.process(incoming, &mut stream).await,
                     None => break,
                 },
-                () = at(due) => self.accounts.tick(),
+                () = at(due) => self.tick().await,
             }
         }
+        while self.is_pending() {
+            let fetched = fetched(&mut self.decider).await;
+            self.deliver(fetched, &mut stream.outcome).await;
+        }
+        if let Some(settled) = &mut self.settled {
+            settled.flush();
+            settled.publish().await;
+        }
         self.end();
+    }
+
+    fn is_pending(&self) -> bool {
+        matches!(&self.decider, Decider::AtOnce(at_once) if at_once.is_pending())
+    }
+
+    async fn tick(&mut self) {
+        if self
+            .accounts
+            .deadline()
+            .is_some_and(|due| due <= Instant::now())
+        {
+            self.accounts.tick();
+        }
+        if let Some(settled) = &mut self.settled {
+            settled.tick();
+            settled.publish().await;
+        }
     }
 
     /// Takes no more frames, counts those that wait, and ends the open clip. The second time there is nothing to do.
@@ -113,6 +230,89 @@ impl Camera {
     }
 
     async fn process(&mut self, incoming: SequencedFrame, stream: &mut Stream) {
+        let Some(frame) = self.begin(incoming, stream).await else {
+            return;
+        };
+        let outcome = &mut stream.outcome;
+        match &mut self.decider {
+            Decider::WhenKnown { policy, evidence } => {
+                evidence.next_frame();
+                let mut source = FrameSource {
+                    evidence,
+                    ring: &self.ring,
+                    incoming: &frame.incoming,
+                    head: frame.head,
+                };
+                let deciding = Instant::now();
+                let decided = decide(&mut **policy, frame.head, &mut source, outcome).await;
+                let deciding = deciding.elapsed();
+                evidence.end_frame();
+                if let Err(fault) = decided {
+                    return self.drops.count(DropKind::from(&fault), 1, &fault);
+                }
+                let spent = Spent::of(evidence, deciding.saturating_sub(evidence.times().evidence));
+                let message = self.answer(&frame, outcome, &spent, Answer::Final).await;
+                let record = FrameRecord::new(message, frame.incoming.frame.received.elapsed());
+                let record = record.examined(&spent.times);
+                self.accounts.count(&record);
+                self.count(&record, &frame, outcome);
+            }
+            Decider::AtOnce(at_once) => {
+                let deciding = Instant::now();
+                let need = at_once.frame(frame.head, outcome);
+                let spent = Spent {
+                    policy: deciding.elapsed(),
+                    ..Spent::default()
+                };
+                let answer = match need {
+                    Need::Nothing => Answer::Final,
+                    _ => Answer::Pending,
+                };
+                let message = self.answer(&frame, outcome, &spent, answer).await;
+                let first_answer = frame.incoming.frame.received.elapsed();
+                if answer == Answer::Final {
+                    let record = FrameRecord::new(message, first_answer);
+                    self.accounts.count(&record);
+                    self.count(&record, &frame, outcome);
+                } else if let Decider::AtOnce(at_once) = &mut self.decider {
+                    self.accounts.pending(message.seq, frame.threshold);
+                    at_once.fetch(frame, need, first_answer);
+                }
+            }
+        }
+    }
+
+    /// Takes what was fetched for the pending frame; if nothing more is needed, its answer is final.
+    async fn deliver(&mut self, fetched: Fetched, outcome: &mut Outcome) {
+        if let Decider::AtOnce(at_once) = &mut self.decider
+            && let Some(done) = at_once.deliver(fetched, outcome)
+        {
+            self.finish(done, outcome).await;
+        }
+    }
+
+    /// The pending frame, if there is one, gets no evidence: its answer is what the policy predicts.
+    async fn give_up_pending(&mut self, outcome: &mut Outcome) {
+        if let Decider::AtOnce(at_once) = &mut self.decider
+            && let Some(done) = at_once.give_up(outcome)
+        {
+            self.finish(done, outcome).await;
+        }
+    }
+
+    /// Publishes and counts the final answer of a frame that was pending.
+    async fn finish(&mut self, done: at_once::Answered, outcome: &mut Outcome) {
+        let at_once::Answered { pending, spent } = done;
+        let message = self
+            .answer(&pending.frame, outcome, &spent, Answer::Late)
+            .await;
+        let record = FrameRecord::new(message, pending.first_answer).examined(&spent.times);
+        self.accounts.count_late(&record);
+        self.count(&record, &pending.frame, outcome);
+    }
+
+    /// Prepares for a frame: its place in the stream, the threshold in force, its clip. `None` for one that was overtaken.
+    async fn begin(&mut self, incoming: SequencedFrame, stream: &mut Stream) -> Option<BegunFrame> {
         let taken = Instant::now();
         let frame = &incoming.frame;
         if stream
@@ -121,7 +321,8 @@ impl Camera {
         {
             let sequence = frame.sequence;
             let reason = format_args!("sequence number {sequence} was overtaken on its way");
-            return self.drops.count(DropKind::Late, 1, &reason);
+            self.drops.count(DropKind::Late, 1, &reason);
+            return None;
         }
         let restarted = stream
             .newest
@@ -129,7 +330,8 @@ impl Camera {
             .is_some_and(|(_, epoch)| epoch != incoming.epoch);
         let new_clip = frame.clip.is_some() && frame.clip != stream.clip;
         if restarted || (new_clip && self.reset_at_clip && stream.clip.is_some()) {
-            self.policy.reset();
+            self.give_up_pending(&mut stream.outcome).await;
+            self.decider.reset();
             stream.last_index = None;
         }
         stream.clip.clone_from(&frame.clip);
@@ -152,83 +354,90 @@ impl Camera {
             clip: frame.clip.as_deref(),
             arrival: frame.received,
         });
-        self.evidence.next_frame();
-        let mut source = FrameSource {
-            evidence: &mut self.evidence,
-            ring: &self.ring,
-            incoming: &incoming,
+        let knob = self.board.knob().zip(self.decider.policy().knob_value());
+        Some(BegunFrame {
             head,
-        };
-        let deciding = Instant::now();
-        let decided = decide(&mut *self.policy, head, &mut source, &mut stream.outcome).await;
-        let deciding = deciding.elapsed();
-        self.evidence.end_frame();
-        if let Err(fault) = decided {
-            return self.drops.count(DropKind::from(&fault), 1, &fault);
-        }
+            clip,
+            threshold: knob.map(|(knob, value)| Threshold::new(knob.name, value)),
+            taken,
+            incoming,
+        })
+    }
 
+    /// Publishes an answer of a frame. Of the boxes in `outcome` those stay that are published.
+    async fn answer(
+        &mut self,
+        frame: &BegunFrame,
+        outcome: &mut Outcome,
+        spent: &Spent,
+        answer: Answer,
+    ) -> Arc<DetectionsMessage> {
         // The policy is told that the scene is not empty; that the screen was overruled is known here.
-        if stream.outcome.cause == Some(CallCause::Screen) && self.evidence.screen_is_overruled() {
-            stream.outcome.cause = Some(CallCause::EmptyLimit);
+        if outcome.cause == Some(CallCause::Screen) && spent.overruled {
+            outcome.cause = Some(CallCause::EmptyLimit);
         }
-        self.min_confidence.select(&mut stream.outcome.boxes);
-        let times = self.evidence.times();
-        let message = detections_message(
-            &stream.outcome,
+        let BegunFrame { incoming, .. } = frame;
+        let received = incoming.frame.received;
+        if let Some(settled) = &mut self.settled {
+            let label = FrameLabel {
+                seq: incoming.frame.sequence,
+                t_ns: incoming.frame.time_ns,
+                clip: Arc::clone(&frame.clip),
+                picture: frame.head.picture,
+            };
+            match answer {
+                Answer::Late => settled.late(incoming.index, outcome),
+                _ => settled.frame(incoming.index, label, outcome, answer == Answer::Pending),
+            }
+        }
+        self.min_confidence.select(&mut outcome.boxes);
+        let Spent { times, policy, .. } = spent;
+        let message = Arc::new(detections_message(
+            outcome,
             &AnswerContext {
-                frame,
-                clip: &clip,
-                threshold: self
-                    .board
-                    .knob()
-                    .zip(self.policy.knob_value())
-                    .map(|(knob, value)| Threshold::new(knob.name, value)),
+                frame: &incoming.frame,
+                clip: &frame.clip,
+                pending: answer == Answer::Pending,
+                threshold: frame.threshold,
                 class_names: &self.class_names,
                 latency: Latency {
-                    total: milliseconds(frame.received.elapsed()),
-                    waiting: milliseconds(taken - frame.received),
+                    total: milliseconds(received.elapsed()),
+                    waiting: milliseconds(frame.taken - received),
                     decode: times.decode.map(milliseconds),
                     screen: times.screen.map(milliseconds),
                     detector: times.detector().map(milliseconds),
-                    policy: milliseconds(deciding.saturating_sub(times.evidence)),
+                    policy: milliseconds(*policy),
                 },
             },
-        );
-        match serde_json::to_vec(&message) {
-            Ok(json) => {
-                self.detections.publish(json).await;
-            }
-            Err(error) => {
+        ));
+        let publisher = match answer {
+            Answer::Late => self.late.as_ref(),
+            _ => Some(&self.detections),
+        };
+        match (serde_json::to_vec(&*message), publisher) {
+            (Ok(json), Some(publisher)) => publisher.publish(json).await,
+            (Ok(_), None) => {}
+            (Err(error), _) => {
                 tracing::error!(camera = self.board.name(), %error, "detections not written");
             }
         }
-        if let Some(run) = times.detector_run {
-            self.accounts.detector_ran(run);
-            self.board.record_detector(run.used);
+        if let Some(settled) = &mut self.settled {
+            settled.publish().await;
         }
-        self.accounts.count(&FrameResult {
-            seq: frame.sequence,
-            state: message.state,
-            degraded: message.degraded,
-            total: frame.received.elapsed(),
-            detector: times.detector(),
-            threshold: message.threshold,
-        });
-        if times.looked {
-            self.board.record_look();
+        match answer {
+            Answer::Late => self.board.show_late(Arc::clone(&message)),
+            _ => self.board.show(Arc::clone(&message)),
         }
-        self.board.record_screen(self.evidence.screen_overruled());
-        self.board.record_frame(Arc::new(message));
-        self.audit(&incoming, stream);
+        message
     }
 
-    /// Leaves the frame to be looked at if it is drawn; its answer is out.
-    fn audit(&self, incoming: &SequencedFrame, stream: &Stream) {
-        let outcome = &stream.outcome;
+    /// Counts a frame whose answer is final, and leaves it to the audit if it is drawn.
+    fn count(&self, record: &FrameRecord, frame: &BegunFrame, outcome: &Outcome) {
+        self.board.record_frame(record);
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
-        if skipped && self.audit.draws(incoming.index) {
+        if skipped && self.audit.draws(frame.incoming.index) {
             self.audit.offer(DrawnFrame {
-                picture: incoming.frame.picture.clone(),
+                picture: frame.incoming.frame.picture.clone(),
                 shown: outcome.boxes.clone(),
             });
         }
@@ -240,10 +449,18 @@ impl Camera {
             return;
         }
         if let Some(value) = *threshold.borrow_and_update()
-            && let Err(error) = self.policy.set_knob(value)
+            && let Err(error) = self.decider.set_knob(value)
         {
             tracing::error!(camera = self.board.name(), %error, "threshold not taken by the policy");
         }
+    }
+}
+
+/// What was fetched for the pending frame, when it comes; for ever where none is pending.
+async fn fetched(decider: &mut Decider) -> Fetched {
+    match decider {
+        Decider::AtOnce(at_once) => at_once.fetched().await,
+        Decider::WhenKnown { .. } => std::future::pending().await,
     }
 }
 

@@ -4,9 +4,9 @@
 mod machine;
 mod validate;
 
-use crate::camera::ReportConfig;
 use crate::camera::audit::AuditConfig;
 use crate::camera::clip::ClipConfig;
+use crate::camera::{AnswerTime, ReportConfig, SettleConfig};
 use crate::delivery::outbox::OutboxConfig;
 use crate::input::source::{Handover, RtspTransport, SourceAddress, SourceOptions, SourceSettings};
 use crate::input::{Delivery, PayloadFormat};
@@ -47,6 +47,8 @@ pub struct NodeConfig {
     pub target: TargetConfig,
     /// Which boxes are published.
     pub report: ReportConfig,
+    /// Whether frames are published once more, for whoever keeps their boxes.
+    pub settle: SettleConfig,
     /// How many skipped frames are looked at afterwards.
     pub audit: AuditConfig,
     /// When a clip ends.
@@ -78,6 +80,7 @@ impl Default for NodeConfig {
             policy: PolicyConfig::default(),
             target: TargetConfig::default(),
             report: ReportConfig::default(),
+            settle: SettleConfig::default(),
             audit: AuditConfig::default(),
             clip: ClipConfig::default(),
             frame: FrameLimits::default(),
@@ -96,6 +99,11 @@ impl NodeConfig {
     /// [`KeyError`] when a name cannot be used; a configuration that passed its check has none.
     pub fn keys(&self) -> Result<NodeKeys, KeyError> {
         NodeKeys::new(&self.node.prefix, &self.node.name)
+    }
+
+    /// When a camera's frames are answered.
+    pub fn answer_time(&self, camera: &CameraConfig) -> AnswerTime {
+        camera.answer.unwrap_or(self.node.answer)
     }
 
     /// The key a camera's frames come on: its own `key`, else `{prefix}/{node}/{camera}/frame`.
@@ -124,6 +132,8 @@ pub struct NodeSection {
     /// Whether a threshold changed at the node gives way when the hub is next heard to desire another. Otherwise it
     /// stays until the hub desires something new; the hub shows the difference either way.
     pub hub_wins: bool,
+    /// When frames are answered.
+    pub answer: AnswerTime,
     /// Labels by which a hub selects nodes.
     pub labels: BTreeMap<String, String>,
     /// Longest time stopping may take, seconds, whatever hangs.
@@ -159,6 +169,7 @@ impl Default for NodeSection {
             prefix: "albireo".to_owned(),
             state_dir: None,
             hub_wins: false,
+            answer: AnswerTime::default(),
             labels: BTreeMap::new(),
             stop_timeout_s: 5.0,
             camera_silence_s: 30.0,
@@ -203,6 +214,9 @@ pub struct CameraConfig {
     /// Frames that may wait.
     #[serde(default = "default_ring")]
     pub ring: usize,
+    /// When its frames are answered, if not as `node.answer` says.
+    #[serde(default)]
+    pub answer: Option<AnswerTime>,
     /// Threshold of this camera in place of the policy's.
     #[serde(default)]
     pub threshold: Option<f64>,
@@ -238,6 +252,7 @@ impl CameraConfig {
             format: PayloadFormat::default(),
             delivery: Delivery::default(),
             ring: default_ring(),
+            answer: None,
             threshold: None,
             reset_at_clip: default_reset_at_clip(),
         }

@@ -13,6 +13,7 @@ mod run;
 mod start;
 pub mod state;
 
+pub use camera::FrameRecord;
 pub use camera::evidence::{LiveEvidence, Times};
 pub use error::NodeError;
 pub use run::{run, run_prepared};

@@ -7,7 +7,7 @@ use crate::camera::audit::{Auditor, CameraAudit};
 use crate::camera::clip::{ClipConfig, ClipTracker, ClosedClip};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::{self, Detections, PublishingThread};
-use crate::camera::{Camera, MinConfidence};
+use crate::camera::{AnswerTime, AtOnce, Camera, Decider, MinConfidence, SettledStream};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::{ClipAccounts, Reporter};
 use crate::delivery::uplink::{DesiredKeeper, Route, Uplink, UplinkSetup};
@@ -44,6 +44,9 @@ const CACHED_REPORTS: usize = 64;
 
 /// Answers of a live camera that may wait to be published; beyond it the oldest go.
 const WAITING_ANSWERS: usize = 8;
+
+/// Settled frames of a live camera that may wait to be published: those held back go out together.
+const WAITING_SETTLED: usize = 512;
 
 /// Time between two looks at what no part tells by itself.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
@@ -513,29 +516,20 @@ impl Parts<'_> {
         ));
         let (closed, clips) = mpsc::unbounded_channel();
 
-        // A live camera's answers age with its frames; a replay wants each of them.
-        let (congestion, priority) = match config.delivery {
-            Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
-            Delivery::Every => (CongestionControl::Block, publishing::EVERY),
-        };
+        let answer = self.config.answer_time(config);
         let detections = self
-            .session
-            .declare_publisher(keys.detections())
-            .congestion_control(congestion)
-            .priority(priority)
-            .await
-            .map_err(refused("detections cannot be published"))?;
-        let detections = match config.delivery {
-            Delivery::Newest => Detections::Live(self.publishing.lane(detections, WAITING_ANSWERS)),
-            Delivery::Every => {
-                let (detections, thread) = Detections::every(detections);
-                let span = tracing::info_span!("detections", camera = name);
-                self.tasks
-                    .essential(format!("detections {name}"), span, async move {
-                        thread.await.map_err(|error| error.to_string())
-                    });
-                detections
-            }
+            .publisher(config, keys.detections(), WAITING_ANSWERS)
+            .await?;
+        let late = match answer {
+            AnswerTime::WhenKnown => None,
+            AnswerTime::AtOnce => Some(self.publisher(config, keys.late(), WAITING_ANSWERS).await?),
+        };
+        let settled = match self.config.settle.enabled {
+            true => Some(
+                self.publisher(config, keys.settled(), WAITING_SETTLED)
+                    .await?,
+            ),
+            false => None,
         };
         let reports = self
             .session
@@ -569,7 +563,11 @@ impl Parts<'_> {
             pixels: self.pixels.clone(),
             clip: self.config.clip,
             power: self.power.clone(),
-            detections: Arc::new(detections),
+            answer,
+            detections,
+            late,
+            settled,
+            longest_delay: self.config.settle.longest(),
             min_confidence: MinConfidence::new(self.config.report, self.config.detector.confidence),
             closed,
             reset_at_clip: config.reset_at_clip,
@@ -585,7 +583,7 @@ impl Parts<'_> {
                 async move {
                     let camera = maker.make().await?;
                     camera.run(stop).await;
-                    Ok::<(), PolicyConfigError>(())
+                    Ok::<(), NodeError>(())
                 }
             },
         );
@@ -673,6 +671,38 @@ impl Parts<'_> {
 }
 
 impl Parts<'_> {
+    /// A publisher of a camera's answers, of which at most `waiting` wait. Those of a live camera age with its frames; a replay wants each of them.
+    async fn publisher(
+        &mut self,
+        config: &CameraConfig,
+        key: String,
+        waiting: usize,
+    ) -> Result<Arc<Detections>, NodeError> {
+        let (congestion, priority) = match config.delivery {
+            Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
+            Delivery::Every => (CongestionControl::Block, publishing::EVERY),
+        };
+        let publisher = self
+            .session
+            .declare_publisher(key.clone())
+            .congestion_control(congestion)
+            .priority(priority)
+            .await
+            .map_err(refused(format!("`{key}` cannot be published")))?;
+        Ok(Arc::new(match config.delivery {
+            Delivery::Newest => Detections::Live(self.publishing.lane(publisher, waiting)),
+            Delivery::Every => {
+                let (detections, thread) = Detections::every(publisher);
+                let span = tracing::info_span!("detections", key);
+                self.tasks
+                    .essential(format!("publisher {key}"), span, async move {
+                        thread.await.map_err(|error| error.to_string())
+                    });
+                detections
+            }
+        }))
+    }
+
     /// Serves the node's target on its key and holds it.
     async fn add_target(&mut self, key: String) -> Result<(), NodeError> {
         let value = Arc::new(TargetKey(Arc::clone(self.board)));
@@ -772,7 +802,11 @@ struct CameraMaker {
     clip: ClipConfig,
     power: PowerHandle,
     audit: Arc<CameraAudit>,
+    answer: AnswerTime,
     detections: Arc<Detections>,
+    late: Option<Arc<Detections>>,
+    settled: Option<Arc<Detections>>,
+    longest_delay: Duration,
     min_confidence: MinConfidence,
     closed: mpsc::UnboundedSender<ClosedClip>,
     reset_at_clip: bool,
@@ -782,8 +816,35 @@ struct CameraMaker {
 impl CameraMaker {
     /// A loop that knows nothing of the frames before; the clip begins anew with it. The loop takes over the
     /// threshold in force with its first frame.
-    async fn make(&self) -> Result<Camera, PolicyConfigError> {
+    async fn make(&self) -> Result<Camera, NodeError> {
         let policy = (self.policies)(&self.name)?;
+        let evidence = LiveEvidence::new(
+            self.detector.clone(),
+            CameraScreen::new(&self.screen_config, self.screen.clone()),
+            self.slot,
+            self.pixels.clone(),
+        )
+        .hurried_by(self.hurry.clone());
+        let decider = match self.answer {
+            AnswerTime::WhenKnown => Decider::WhenKnown {
+                policy,
+                evidence: Box::new(evidence),
+            },
+            AnswerTime::AtOnce => {
+                let at_once = AtOnce::new(policy, evidence)
+                    .map_err(|error| NodeError::State(error.to_string()))?;
+                Decider::AtOnce(Box::new(at_once))
+            }
+        };
+        let class_names: Arc<[String]> = self.detector.class_names().into();
+        let settled = self.settled.as_ref().map(|publisher| {
+            SettledStream::new(
+                self.longest_delay,
+                Arc::clone(publisher),
+                self.min_confidence,
+                Arc::clone(&class_names),
+            )
+        });
         let ring = self.first_ring.lock().await.take();
         let mut tracker = ClipTracker::new(self.clip, self.power.camera(&self.name));
         if let Some(share) = self.audit.share() {
@@ -793,17 +854,12 @@ impl CameraMaker {
             board: Arc::clone(&self.board),
             ring: ring.unwrap_or_else(|| self.sender.reopen()),
             drops: Arc::clone(&self.drops),
-            policy,
-            evidence: LiveEvidence::new(
-                self.detector.clone(),
-                CameraScreen::new(&self.screen_config, self.screen.clone()),
-                self.slot,
-                self.pixels.clone(),
-            )
-            .hurried_by(self.hurry.clone()),
+            decider,
             detections: Arc::clone(&self.detections),
+            late: self.late.clone(),
+            settled,
             min_confidence: self.min_confidence,
-            class_names: self.detector.class_names().into(),
+            class_names,
             accounts: ClipAccounts::new(
                 tracker,
                 Arc::clone(&self.drops),

@@ -94,8 +94,11 @@ pub struct DetectionsMessage {
     pub t_ns: u64,
     /// Clip the frame belongs to.
     pub clip: String,
-    /// Frame state.
+    /// Frame state; `P` while the frame is pending.
     pub state: FrameState,
+    /// The boxes are predictions made at once. The frame's final state and boxes follow on the camera's key `late`.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub pending: bool,
     /// The detector was needed but could not be had; the boxes are predictions.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub degraded: bool,
@@ -116,4 +119,27 @@ pub struct DetectionsMessage {
     pub boxes: Vec<BoxMessage>,
     /// Where the time went.
     pub latency_ms: Latency,
+}
+
+/// The boxes of one frame for whoever keeps them: drawn between two detector calls where the second came in time.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct SettledMessage {
+    /// Version.
+    pub v: u32,
+    /// Sequence number of the frame.
+    pub seq: u64,
+    /// Capture time, nanoseconds since the Unix epoch.
+    pub t_ns: u64,
+    /// Clip the frame belongs to.
+    pub clip: String,
+    /// Frame state.
+    pub state: FrameState,
+    /// False for a frame whose boxes are those it was answered with, because no later detector call came in time.
+    pub settled: bool,
+    /// Columns of the picture.
+    pub width: u32,
+    /// Rows of the picture.
+    pub height: u32,
+    /// What is in view.
+    pub boxes: Vec<BoxMessage>,
 }

@@ -189,6 +189,16 @@ impl CameraKeys {
         format!("{}/detections", self.root)
     }
 
+    /// [`DetectionsMessage`](super::DetectionsMessage)s out: the final answers of frames that were `pending`.
+    pub fn late(&self) -> String {
+        format!("{}/late", self.root)
+    }
+
+    /// [`SettledMessage`](super::SettledMessage)s out, one per frame.
+    pub fn settled(&self) -> String {
+        format!("{}/settled", self.root)
+    }
+
     /// [`ClipReport`](super::ClipReport)s out, one a clip.
     pub fn clip(&self) -> String {
         format!("{}/clip", self.root)

@@ -30,7 +30,9 @@ pub use clip::{
 };
 pub use counters::{CountersMessage, DomainWatts};
 pub use desired::{ConfigChanged, Desired, DesiredSetting, PullRequest};
-pub use frames::{BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, Latency};
+pub use frames::{
+    BoxMessage, DetectionsMessage, FrameAnswer, FrameAttachment, Latency, SettledMessage,
+};
 pub use keys::{
     CameraKeys, FleetKeys, KeyError, NodeKeys, check_segment, stream_of_token, stream_token,
     stream_tokens,

@@ -1867,12 +1867,14 @@ export interface components {
             height: number;
             /** @description Where the time went. */
             latency_ms: components["schemas"]["Latency"];
+            /** @description The boxes are predictions made at once. The frame's final state and boxes follow on the camera's key `late`. */
+            pending?: boolean;
             /**
              * Format: int64
              * @description Sequence number of the frame.
              */
             seq: number;
-            /** @description Frame state. */
+            /** @description Frame state; `P` while the frame is pending. */
             state: components["schemas"]["FrameState"];
             /**
              * Format: int64
@@ -2084,7 +2086,7 @@ export interface components {
              */
             width?: number | null;
         };
-        /** @description A frame was processed: its detections message and whose it is. */
+        /** @description A frame was answered: its detections message and its camera. */
         FrameEvent: components["schemas"]["DetectionsMessage"] & {
             /** @description Camera. */
             camera: string;
@@ -2646,6 +2648,42 @@ export interface components {
          * @enum {string}
          */
         SettingSource: "configuration" | "local" | "hub";
+        /** @description The boxes of one frame for whoever keeps them: drawn between two detector calls where the second came in time. */
+        SettledMessage: {
+            /** @description What is in view. */
+            boxes: components["schemas"]["BoxMessage"][];
+            /** @description Clip the frame belongs to. */
+            clip: string;
+            /**
+             * Format: int32
+             * @description Rows of the picture.
+             */
+            height: number;
+            /**
+             * Format: int64
+             * @description Sequence number of the frame.
+             */
+            seq: number;
+            /** @description False for a frame whose boxes are those it was answered with, because no later detector call came in time. */
+            settled: boolean;
+            /** @description Frame state. */
+            state: components["schemas"]["FrameState"];
+            /**
+             * Format: int64
+             * @description Capture time, nanoseconds since the Unix epoch.
+             */
+            t_ns: number;
+            /**
+             * Format: int32
+             * @description Version.
+             */
+            v: number;
+            /**
+             * Format: int32
+             * @description Columns of the picture.
+             */
+            width: number;
+        };
         /** @description What other thresholds would have skipped over the last minutes. */
         SkipEstimates: {
             /** @description Camera. */

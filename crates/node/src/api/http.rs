@@ -24,7 +24,7 @@ use albireo_service::http::{self, Page, Problem};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     ConfigChanged, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
-    PullRequest, ReportAnswer, ReportBatch, StatusMessage, ThresholdMessage,
+    PullRequest, ReportAnswer, ReportBatch, SettledMessage, StatusMessage, ThresholdMessage,
 };
 use axum::Router;
 use axum::http::StatusCode;
@@ -96,6 +96,7 @@ impl RouteState {
         // it can.
         CountersMessage,
         DetectionsMessage,
+        SettledMessage,
         FrameAttachment,
         FrameAnswer,
         ReportBatch,

@@ -13,6 +13,8 @@ pub struct AnswerContext<'a> {
     pub frame: &'a Frame,
     /// The clip it belongs to.
     pub clip: &'a str,
+    /// Whether this is a prediction made at once, with the final answer to follow.
+    pub pending: bool,
     /// The threshold in force.
     pub threshold: Option<Threshold>,
     /// Names of the detector's classes.
@@ -32,19 +34,28 @@ pub fn detections_message(outcome: &Outcome, context: &AnswerContext<'_>) -> Det
         t_ns: context.frame.time_ns,
         clip: context.clip.to_owned(),
         state: outcome.state,
+        pending: context.pending,
         degraded: outcome.degraded,
         cause: outcome.cause,
         tau_max: outcome.tau_max.map(|tau| significant(tau, 6)),
         threshold: context.threshold,
         width: size.width,
         height: size.height,
-        boxes: outcome
-            .boxes
-            .iter()
-            .filter_map(|output| box_message(output, size, context.class_names))
-            .collect(),
+        boxes: box_messages(&outcome.boxes, size, context.class_names),
         latency_ms: context.latency,
     }
+}
+
+/// The boxes on the wire, of a picture of that size.
+pub(super) fn box_messages(
+    boxes: &[OutputBox],
+    size: PictureSize,
+    names: &[String],
+) -> Vec<BoxMessage> {
+    let messages = boxes.iter();
+    messages
+        .filter_map(|output| box_message(output, size, names))
+        .collect()
 }
 
 fn box_message(output: &OutputBox, size: PictureSize, names: &[String]) -> Option<BoxMessage> {

@@ -66,7 +66,9 @@ pub struct LiveEvidence {
     begun: Option<Prefetch>,
     /// What is being made of the next one.
     prefetch: Option<Prefetch>,
-    /// What the detector found in the frame in hand.
+    /// The screen's verdict on the frame in hand.
+    empty: Option<bool>,
+    /// What the detector found in it.
     detected: Option<Detected>,
     /// Times of the frame in hand.
     times: Times,
@@ -90,6 +92,7 @@ impl LiveEvidence {
             frame: PreparedFrame::default(),
             begun: None,
             prefetch: None,
+            empty: None,
             detected: None,
             times: Times::default(),
             hurry: CancellationToken::new(),
@@ -108,6 +111,7 @@ impl LiveEvidence {
         self.end_frame();
         self.begun = self.prefetch.take();
         self.screen.next_frame();
+        self.empty = None;
         self.detected = None;
         self.times = Times::default();
     }
@@ -138,11 +142,27 @@ impl LiveEvidence {
     where
         Next: Future<Output = (EncodedPicture, Need)> + Send,
     {
+        self.fetch(need, encoded, next).await?;
+        Ok(self.fetched(need))
+    }
+
+    /// Fetches what [`evidence`](Self::evidence) gives, for [`fetched`](Self::fetched).
+    ///
+    /// # Errors
+    /// As there.
+    pub(crate) async fn fetch<Next>(
+        &mut self,
+        need: Need,
+        encoded: &EncodedPicture,
+        next: impl FnOnce() -> Next + Send,
+    ) -> Result<(), FrameFault>
+    where
+        Next: Future<Output = (EncodedPicture, Need)> + Send,
+    {
         let start = Instant::now();
-        let mut empty = None;
         match need {
             Need::Nothing => {}
-            Need::Screen => empty = self.screen(encoded).await?,
+            Need::Screen => self.empty = self.screen(encoded).await?,
             Need::GreyPicture => self.look(encoded, Stage::Grey).await?,
             Need::SmallGreyPicture { width } => {
                 self.look(encoded, Stage::SmallGrey(width)).await?;
@@ -151,9 +171,14 @@ impl LiveEvidence {
             Need::Detections => self.detected = self.detect(encoded, next()).await?,
         }
         self.times.evidence += start.elapsed();
+        Ok(())
+    }
+
+    /// What was fetched of the frame in hand for `need`.
+    pub(crate) fn fetched(&self, need: Need) -> Evidence<'_> {
         let known = match need {
             Need::Nothing => None,
-            Need::Screen => empty.map(|empty| Evidence::Screen { empty }),
+            Need::Screen => self.empty.map(|empty| Evidence::Screen { empty }),
             Need::GreyPicture | Need::SmallGreyPicture { .. } => self.frame.grey().map(|grey| {
                 Evidence::GreyPicture(GreyPicture {
                     size: grey.size,
@@ -165,7 +190,7 @@ impl LiveEvidence {
                 detected.map(|detected| Evidence::Detections(&detected.detections))
             }
         };
-        Ok(known.unwrap_or(Evidence::Unavailable))
+        known.unwrap_or(Evidence::Unavailable)
     }
 
     /// The screen's verdict: whether it says that nothing is in view. `None` when it cannot say, or when

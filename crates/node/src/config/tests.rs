@@ -169,6 +169,28 @@ fn every_removed_key_is_refused_with_what_became_of_it() {
 }
 
 #[test]
+fn answers_at_once_need_a_policy_that_predicts_and_time_to_settle() {
+    let camera = "[[camera]]\nname = \"front\"\nanswer = \"at_once\"\n";
+    for policy in ["albireo", "expected-loss", "expected-loss+flow"] {
+        let text = format!("policy.name = \"{policy}\"\n{camera}");
+        assert_eq!(
+            load(&text).unwrap().cameras[0].answer,
+            Some(AnswerTime::AtOnce)
+        );
+    }
+    let found = problems(&format!("policy.name = \"vanilla\"\n{camera}"));
+    assert_eq!(found.len(), 1, "{found:?}");
+    assert!(found[0].contains("does not predict boxes"), "{found:?}");
+    let settle = "settle = { enabled = true, longest_ms = 500 }\ndetector.timeout_ms = 1000\n";
+    assert!(load(settle).is_ok());
+    let found = problems(&format!("{settle}{camera}"));
+    assert!(
+        found[0].starts_with("settle.longest_ms: is 500"),
+        "{found:?}"
+    );
+}
+
+#[test]
 fn an_impossible_value_is_refused_with_its_key() {
     for (text, key) in [
         ("[node]\nname = \"a/b\"", "node.name"),

@@ -1,9 +1,10 @@
 //! What a configuration's values must keep to beyond their types.
 
 use super::{CameraConfig, NodeConfig};
+use crate::camera::AnswerTime;
 use crate::input::Delivery;
 use crate::input::source::SourceKind;
-use albireo_core::policy::Knob;
+use albireo_core::policy::{Knob, LatePolicy, Policy};
 use albireo_core::target::{KnobRange, Target};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings, NamedToken};
 use albireo_vision::detector::ClassNames;
@@ -24,7 +25,7 @@ const NO_GPU: &str =
 impl Configuration for NodeConfig {
     const SECTIONS: &'static [&'static str] = &[
         "NODE", "ZENOH", "UPLINK", "OUTBOX", "HTTP", "DETECTOR", "SCREEN", "POLICY", "TARGET",
-        "REPORT", "AUDIT", "CLIP", "FRAME", "POWER", "LOG", "TOKEN",
+        "REPORT", "SETTLE", "AUDIT", "CLIP", "FRAME", "POWER", "LOG", "TOKEN",
     ];
 
     const REMOVED: &'static [(&'static str, &'static str)] = &[
@@ -59,7 +60,9 @@ impl Configuration for NodeConfig {
         self.check_models(&mut findings);
         self.check_figures(&mut findings);
         self.log.check(&mut findings);
-        let knob = self.check_policy(&mut findings);
+        let policy = self.check_policy(&mut findings);
+        let knob = policy.as_ref().map(|policy| policy.knob());
+        self.check_answers(policy, &mut findings);
         self.check_target(knob, &mut findings);
         self.check_cameras(knob, &mut findings);
         findings.into_vec()
@@ -149,10 +152,9 @@ impl NodeConfig {
         }
     }
 
-    /// The policy's knob; `None` when there is no policy to ask.
-    fn check_policy(&self, findings: &mut Findings) -> Option<Option<Knob>> {
+    fn check_policy(&self, findings: &mut Findings) -> Option<Box<dyn Policy>> {
         match self.policy.build() {
-            Ok(policy) => Some(policy.knob()),
+            Ok(policy) => Some(policy),
             Err(error) => {
                 // The message begins with the key, as other users of the error want it.
                 let message = error.to_string();
@@ -160,6 +162,30 @@ impl NodeConfig {
                 findings.add(key, reason);
                 None
             }
+        }
+    }
+
+    /// Whether the policy can answer at once, and settled frames wait long enough for the detector.
+    fn check_answers(&self, policy: Option<Box<dyn Policy>>, findings: &mut Findings) {
+        let mut cameras = self.cameras.iter();
+        let at_once = cameras.any(|camera| self.answer_time(camera) == AnswerTime::AtOnce);
+        let longest = self.settle.longest_ms;
+        findings.count("settle.longest_ms", longest, 1, 60_000);
+        if !at_once {
+            return;
+        }
+        if let Some(Err(error)) = policy.map(LatePolicy::new) {
+            findings.add("node.answer", error.to_string());
+        }
+        let deadline = self.detector.timeout_ms;
+        if self.settle.enabled && longest < deadline {
+            findings.add(
+                "settle.longest_ms",
+                format!(
+                    "is {longest}, and with answers at once a detector may take {deadline} ms \
+                     (detector.timeout_ms): raise the one or lower the other"
+                ),
+            );
         }
     }
 
@@ -221,6 +247,8 @@ impl NodeConfig {
             for keys in written.into_iter().flatten() {
                 let outputs = [
                     keys.detections(),
+                    keys.late(),
+                    keys.settled(),
                     keys.clip(),
                     keys.counters(),
                     keys.threshold(),

@@ -1,14 +1,15 @@
 //! Makes reports of closed clips: each camera's loop counts its open clip, and a task behind it waits for the energy, keeps
 //! the report in the outbox and publishes it for whoever listens.
 
+use crate::camera::FrameRecord;
 use crate::camera::audit::CameraAudit;
 use crate::camera::clip::{ClipMeta, ClipTracker, ClosedClip, FrameArrival, FrameResult};
-use crate::camera::evidence::DetectorRun;
 use crate::camera::publishing::PublishLane;
 use crate::delivery::outbox::Outbox;
 use crate::input::receiver::DropCounts;
 use crate::state::board::Board;
 use albireo_vision::detector::DetectorHandle;
+use albireo_wire::Threshold;
 use std::sync::Arc;
 use tokio::sync::mpsc;
 use tokio::time::Instant;
@@ -48,14 +49,28 @@ impl ClipAccounts {
         self.tracker.clip().map_or_else(|| "".into(), Arc::clone)
     }
 
-    /// Notes what this camera used of a run of the detector.
-    pub(crate) fn detector_ran(&mut self, run: DetectorRun) {
-        self.tracker.detector_ran(run.end, run.used);
+    /// The frame that arrived last is pending: it is counted by [`count_late`](Self::count_late).
+    pub(crate) fn pending(&mut self, seq: u64, threshold: Option<Threshold>) {
+        self.tracker.pending(seq, threshold);
     }
 
-    /// Counts the outcome of the frame that arrived last.
-    pub(crate) fn count(&mut self, result: &FrameResult) {
-        self.tracker.count(result);
+    /// Counts the frame that arrived last.
+    pub(crate) fn count(&mut self, frame: &FrameRecord) {
+        self.detector_ran(frame);
+        self.tracker.count(&FrameResult::from(frame));
+    }
+
+    /// Counts the pending frame.
+    pub(crate) fn count_late(&mut self, frame: &FrameRecord) {
+        self.detector_ran(frame);
+        let closed = self.tracker.count_late(&FrameResult::from(frame));
+        self.hand_over(closed);
+    }
+
+    fn detector_ran(&mut self, frame: &FrameRecord) {
+        if let Some(run) = frame.detector_run {
+            self.tracker.detector_ran(run.end, run.used);
+        }
     }
 
     /// When [`tick`](Self::tick) should be called, should no frame come before.
@@ -73,6 +88,8 @@ impl ClipAccounts {
     /// Ends the open clip because the node stops.
     pub(crate) fn shutdown(&mut self) {
         self.take_counts();
+        let ended = self.tracker.nothing_is_pending();
+        self.hand_over(ended);
         let closed = self.tracker.shutdown(Instant::now());
         self.hand_over(closed);
     }

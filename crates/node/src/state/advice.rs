@@ -154,6 +154,7 @@ mod tests {
             t_ns: 0,
             clip: String::new(),
             state,
+            pending: false,
             degraded: false,
             cause: None,
             tau_max,

@@ -37,7 +37,7 @@ const LAGGED: &str = "lagged";
 pub(super) struct Selection {
     /// About this camera only. Events about the detector come all the same.
     camera: Option<String>,
-    /// Names of the kinds wanted, separated by commas: `frame`, `clip`, `counters`, `threshold`,
+    /// Names of the kinds wanted, separated by commas: `frame`, `late`, `clip`, `counters`, `threshold`,
     /// `detector`. All of them without it.
     types: Option<String>,
 }
@@ -189,7 +189,7 @@ fn wanted(
     get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),
     responses(
         (status = 200, content_type = "text/event-stream", body = String,
-         description = "Events `frame`, `clip`, `counters`, `threshold`, `detector`, `lagged`."),
+         description = "Events `frame`, `late`, `clip`, `counters`, `threshold`, `detector`, `lagged`."),
         (status = "4XX", body = Problem, content_type = "application/problem+json"),
         (status = 503, body = Problem, content_type = "application/problem+json", description = "Too many streams."),
     )

@@ -15,7 +15,7 @@ use super::RouteState;
 use super::health::provider;
 use super::pictures::Pictures;
 use crate::state::board::{Board, CameraBoard, CameraSnapshot};
-use albireo_core::policy::FrameState;
+use albireo_core::policy::{CallCause, FrameState};
 use albireo_service::http::Problem;
 use albireo_vision::detector::DetectorStatus;
 use albireo_wire::EnergyQuality;
@@ -388,7 +388,7 @@ fn frames(encoder: &mut DescriptorEncoder<'_>, cameras: &Snapshots<'_>) -> fmt::
         |family| {
             cameras.iter().try_for_each(|(camera, snapshot)| {
                 let labels = vec![("camera", camera.name())];
-                family.counter(labels, snapshot.screen_overruled as f64)
+                family.counter(labels, snapshot.calls.get(CallCause::EmptyLimit) as f64)
             })
         },
     )?;

@@ -49,16 +49,21 @@ impl Camera {
             clip,
             arrival: self.at(at),
         });
+        self.tracker.count(&self.result(at, seq, u));
+        closed
+    }
+
+    fn result(&self, at: u64, seq: u64, u: Option<f64>) -> FrameResult {
         let state = FrameState::ALL[(seq % 5) as usize];
-        self.tracker.count(&FrameResult {
+        FrameResult {
             seq,
             state,
             degraded: state == FrameState::P && seq.is_multiple_of(7),
             total: ms(12),
+            answered: self.at(at) + ms(12),
             detector: (!state.is_skipped()).then_some(ms(10)),
             threshold: u.map(|u| Threshold::new(Albireo::KNOB.name, u)),
-        });
-        closed
+        }
     }
 }
 
@@ -211,6 +216,28 @@ fn shutdown_ends_the_open_clip_and_only_that() {
     assert_eq!(closed.ended_by, ClipEnd::Shutdown);
     assert_eq!(closed.end, camera.at(150), "no clip ends in the future");
     assert!(camera.tracker.shutdown(camera.at(200)).is_none());
+}
+
+#[test]
+fn a_clip_is_given_back_when_its_pending_frame_has_its_final_answer() {
+    let mut camera = Camera::new();
+    camera.frame(0, Some("a"));
+    camera.tracker.arrive(&FrameArrival {
+        t_ns: 0,
+        clip: Some("a"),
+        arrival: camera.at(100),
+    });
+    let u = |u| Some(Threshold::new(Albireo::KNOB.name, u));
+    camera.tracker.pending(1, u(3e-4));
+    // The next clip begins, and its frames are its own.
+    assert!(camera.frame_with(200, Some("b"), Some(5e-4)).is_none());
+    let late = camera.result(300, 1, Some(3e-4));
+    let closed = camera.tracker.count_late(&late).expect("clip a has ended");
+    assert_eq!((&*closed.clip, closed.states.frames()), ("a", 2));
+    assert_eq!(closed.threshold, u(3e-4));
+    let closed = camera.tracker.shutdown(camera.at(400)).unwrap();
+    assert_eq!((&*closed.clip, closed.states.frames()), ("b", 1));
+    assert_eq!(closed.threshold_changes.len(), 1);
 }
 
 #[test]

@@ -9,6 +9,7 @@
 use super::config::ClipConfig;
 use super::latencies::Latencies;
 use super::report::{ClosedAudit, ClosedClip};
+use crate::camera::FrameRecord;
 use crate::camera::audit::AuditCount;
 use albireo_core::policy::FrameState;
 use albireo_power::{CameraEnergy, Measurement};
@@ -40,12 +41,29 @@ pub(crate) struct FrameResult {
     pub state: FrameState,
     /// The detector was needed but could not be had.
     pub degraded: bool,
-    /// From reception to publication.
+    /// From reception to the first answer.
     pub total: Duration,
+    /// When the final answer was published.
+    pub answered: Instant,
     /// Time of the detector, if it ran.
     pub detector: Option<Duration>,
     /// Threshold in force for this frame, if the policy has one.
     pub threshold: Option<Threshold>,
+}
+
+impl From<&FrameRecord> for FrameResult {
+    fn from(frame: &FrameRecord) -> Self {
+        let detections = &frame.detections;
+        Self {
+            seq: detections.seq,
+            state: detections.state,
+            degraded: detections.degraded,
+            total: frame.first_answer,
+            answered: frame.answered,
+            detector: frame.detector,
+            threshold: detections.threshold,
+        }
+    }
 }
 
 /// The clip now open.
@@ -70,6 +88,8 @@ struct OpenClip {
     detector_used: Duration,
     energy: Measurement,
     audit: AuditCount,
+    /// One of its frames waits for its final answer.
+    pending: bool,
 }
 
 /// The audit that a camera's clips tell of.
@@ -90,6 +110,8 @@ pub(crate) struct ClipTracker {
     silence: Duration,
     windows: u64,
     open: Option<OpenClip>,
+    /// A clip that ended before the final answer of its last frame.
+    ended: Option<(OpenClip, ClipEnd, Instant)>,
     /// Drops counted while no clip was open: they go to the next.
     pending: DroppedFrames,
     /// The window or part that was full last: what follows begins where it ended, if frames keep coming.
@@ -118,6 +140,7 @@ impl ClipTracker {
             silence: seconds(config.silence_s, 0.001),
             windows: 0,
             open: None,
+            ended: None,
             pending: DroppedFrames::default(),
             full: None,
         }
@@ -160,38 +183,61 @@ impl ClipTracker {
         closed
     }
 
+    /// The frame that arrived last, with sequence number `seq` and this threshold, gets its final answer by
+    /// [`count_late`](Self::count_late): until then the clip that it belongs to is not given back. At most one frame is
+    /// pending at a time.
+    pub(crate) fn pending(&mut self, seq: u64, threshold: Option<Threshold>) {
+        if let Some(open) = &mut self.open {
+            open.pending = true;
+            open.note_threshold(seq, threshold);
+        }
+    }
+
     /// Counts the outcome of the frame that arrived last.
     pub(crate) fn count(&mut self, frame: &FrameResult) {
-        let Some(open) = &mut self.open else { return };
+        self.count_avoided(frame);
+        if let Some(open) = &mut self.open {
+            open.note_threshold(frame.seq, frame.threshold);
+            open.count(frame);
+        }
+    }
+
+    /// Counts the outcome of the pending frame. Gives back its clip if that has ended.
+    pub(crate) fn count_late(&mut self, frame: &FrameResult) -> Option<ClosedClip> {
+        self.count_avoided(frame);
+        if let Some(clip) = self.clip_of_pending() {
+            clip.count(frame);
+        }
+        self.nothing_is_pending()
+    }
+
+    /// The pending frame gets no answer. Gives back its clip if that has ended.
+    pub(crate) fn nothing_is_pending(&mut self) -> Option<ClosedClip> {
+        if let Some(open) = &mut self.open {
+            open.pending = false;
+        }
+        let (ended, ended_by, end) = self.ended.take()?;
+        Some(self.closed(ended, ended_by, end))
+    }
+
+    fn count_avoided(&self, frame: &FrameResult) {
         if frame.state.is_skipped() && !frame.degraded {
             self.energy.call_avoided();
         }
-        open.states.count(frame.state);
-        open.degraded += u64::from(frame.degraded);
-        open.total.add(frame.total);
-        if let Some(detector) = frame.detector {
-            open.detector.add(detector);
+    }
+
+    /// The clip of the pending frame; the open one where none is pending.
+    fn clip_of_pending(&mut self) -> Option<&mut OpenClip> {
+        match &mut self.ended {
+            Some((ended, ..)) => Some(ended),
+            None => self.open.as_mut(),
         }
-        open.last_answered = open.last_answered.max(open.last_arrival + frame.total);
-        if let Some(threshold) = frame.threshold
-            && open.threshold != Some(threshold)
-        {
-            if open.threshold_changes.len() == MOST_CHANGES {
-                open.threshold_changes.pop();
-            }
-            open.threshold_changes.push(ThresholdChange {
-                seq: frame.seq,
-                threshold,
-            });
-        }
-        open.threshold = frame.threshold;
-        open.keep_until_its_end();
     }
 
     /// Counts a run of the detector that ended at `end`, of which this camera used `used`.
     pub(crate) fn detector_ran(&mut self, end: Instant, used: Duration) {
         self.energy.detector_called(end, used);
-        if let Some(open) = &mut self.open {
+        if let Some(open) = self.clip_of_pending() {
             open.detector_used += used;
         }
     }
@@ -311,6 +357,7 @@ impl ClipTracker {
             detector_used: Duration::ZERO,
             energy,
             audit: pending.unwrap_or_default(),
+            pending: false,
         });
     }
 
@@ -323,7 +370,15 @@ impl ClipTracker {
             windowed: open.windowed,
             end,
         });
-        Some(ClosedClip {
+        if open.pending {
+            self.ended = Some((open, ended_by, end));
+            return None;
+        }
+        Some(self.closed(open, ended_by, end))
+    }
+
+    fn closed(&self, open: OpenClip, ended_by: ClipEnd, end: Instant) -> ClosedClip {
+        ClosedClip {
             clip: open.clip,
             part: open.part,
             ended_by,
@@ -343,11 +398,35 @@ impl ClipTracker {
                 share: audit.share,
                 count: open.audit,
             }),
-        })
+        }
     }
 }
 
 impl OpenClip {
+    fn count(&mut self, frame: &FrameResult) {
+        self.states.count(frame.state);
+        self.degraded += u64::from(frame.degraded);
+        self.total.add(frame.total);
+        if let Some(detector) = frame.detector {
+            self.detector.add(detector);
+        }
+        self.last_answered = self.last_answered.max(frame.answered);
+        self.keep_until_its_end();
+    }
+
+    fn note_threshold(&mut self, seq: u64, threshold: Option<Threshold>) {
+        if let Some(threshold) = threshold
+            && self.threshold != Some(threshold)
+        {
+            if self.threshold_changes.len() == MOST_CHANGES {
+                self.threshold_changes.pop();
+            }
+            self.threshold_changes
+                .push(ThresholdChange { seq, threshold });
+        }
+        self.threshold = threshold;
+    }
+
     /// Keeps the energy up to where the clip ends if nothing more happens.
     fn keep_until_its_end(&self) {
         self.energy.until(self.natural_end());

@@ -3,6 +3,7 @@
 use super::event::{Event, FrameEvent, SharedEvent, ThresholdEvent};
 use super::history::{History, PastFrame, PastSlot, SkipEstimate};
 use super::thresholds;
+use crate::camera::FrameRecord;
 use crate::camera::audit::AuditCount;
 use crate::delivery::outbox::Outbox;
 use crate::state::advice::{Advice, SkipWatch};
@@ -74,8 +75,6 @@ pub struct CameraSnapshot {
     pub calls: DetectorCalls,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
-    /// Frames that the detector ran on although the empty-scene screen said "empty".
-    pub screen_overruled: u64,
     /// Frames of which a small grey picture was looked at, to follow boxes by optical flow.
     pub looks: u64,
     /// What the audit has found.
@@ -126,7 +125,6 @@ struct Counts {
     degraded_frames: u64,
     calls: DetectorCalls,
     dropped: DroppedFrames,
-    screen_overruled: u64,
     looks: u64,
     audit: AuditCount,
     /// What of it the target has not heard of.
@@ -278,16 +276,6 @@ impl CameraBoard {
         self.audited
     }
 
-    /// Takes over how often the empty-scene screen was overruled.
-    pub(crate) fn record_screen(&self, overruled: u64) {
-        self.counts.lock().screen_overruled = overruled;
-    }
-
-    /// Counts a frame of which a grey picture was looked at.
-    pub(crate) fn record_look(&self) {
-        self.counts.lock().looks += 1;
-    }
-
     /// What the audit has found since the node started.
     pub(crate) fn audit(&self) -> AuditCount {
         self.counts.lock().audit.clone()
@@ -298,13 +286,6 @@ impl CameraBoard {
         let mut counts = self.counts.lock();
         counts.audit.merge(more);
         counts.untold_audit.merge(&more.sums);
-    }
-
-    /// Notes how long the detector worked for a frame.
-    pub(crate) fn record_detector(&self, used: Duration) {
-        let used = u64::try_from(used.as_micros()).unwrap_or(u64::MAX);
-        let mut counts = self.counts.lock();
-        counts.detector_us = counts.detector_us.saturating_add(used);
     }
 
     /// What the target goes by: sums since the start, and of the audit what it has not been told.
@@ -319,41 +300,59 @@ impl CameraBoard {
         }
     }
 
-    /// Counts a processed frame by what was published for it, and tells it to subscribers.
-    pub fn record_frame(&self, detections: Arc<DetectionsMessage>) {
-        let latency = &detections.latency_ms;
+    /// Counts a frame with its final answer.
+    pub fn record_frame(&self, frame: &FrameRecord) {
+        let detections = &frame.detections;
         let index = FrameState::ALL
             .iter()
             .position(|state| *state == detections.state);
         if let Some(histogram) = index.and_then(|index| self.total_latency.get(index)) {
-            histogram.observe(latency.total / 1e3);
+            histogram.observe(frame.first_answer.as_secs_f64());
         }
-        if let Some(detector) = latency.detector {
+        if let Some(detector) = detections.latency_ms.detector {
             self.detector_latency.observe(detector / 1e3);
         }
+        let used = frame.detector_run.map_or(0, |run| run.used.as_micros());
         let mut counts = self.counts.lock();
         counts.states.count(detections.state);
         counts.degraded_frames += u64::from(detections.degraded);
+        counts.looks += u64::from(frame.looked);
+        counts.detector_us =
+            (counts.detector_us).saturating_add(used.try_into().unwrap_or(u64::MAX));
         counts.count_boxes(&detections.boxes);
         if let Some(cause) = detections.cause {
             counts.calls.count(cause);
         }
-        let now = Instant::now();
-        counts.last_frame = Some(now);
-        let first = counts.latest.replace(Arc::clone(&detections)).is_none();
-        let clear = counts.watch.count(&detections);
+        let clear = counts.watch.count(detections);
         let advice = clear.then(|| self.advice(&counts)).flatten();
         drop(counts);
-        let at = now.saturating_duration_since(self.started);
-        self.history.lock().add(&detections, at);
-        if first {
-            self.tell_first_frame(&detections);
-        }
+        let at = self.started.elapsed();
+        self.history.lock().add(detections, at);
         if let Some(advice) = advice {
             tracing::warn!(camera = %self.name, "{advice}");
         }
+    }
+
+    /// Shows the answer of a frame, which may be pending, to whoever watches.
+    pub fn show(&self, detections: Arc<DetectionsMessage>) {
+        let mut counts = self.counts.lock();
+        counts.last_frame = Some(Instant::now());
+        let first = counts.latest.replace(Arc::clone(&detections)).is_none();
+        drop(counts);
+        if first {
+            self.tell_first_frame(&detections);
+        }
+        self.tell(Event::Frame, detections);
+    }
+
+    /// Shows the final answer of a frame that was pending.
+    pub fn show_late(&self, detections: Arc<DetectionsMessage>) {
+        self.tell(Event::Late, detections);
+    }
+
+    fn tell(&self, kind: fn(FrameEvent) -> Event, detections: Arc<DetectionsMessage>) {
         if self.events.receiver_count() > 0 {
-            let event = Event::Frame(FrameEvent {
+            let event = kind(FrameEvent {
                 camera: Arc::clone(&self.name),
                 detections,
             });
@@ -418,7 +417,6 @@ impl CameraBoard {
             degraded_frames: counts.degraded_frames,
             calls: counts.calls,
             dropped: counts.dropped,
-            screen_overruled: counts.screen_overruled,
             looks: counts.looks,
             audit: counts.audit.clone(),
             audit_joules: counts.audit_joules,

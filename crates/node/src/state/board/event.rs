@@ -10,8 +10,10 @@ use std::sync::{Arc, OnceLock};
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]
 pub enum Event {
-    /// A frame was processed.
+    /// A frame was answered.
     Frame(FrameEvent),
+    /// A frame that was pending has its final answer.
+    Late(FrameEvent),
     /// A clip ended.
     Clip(Arc<ClipReport>),
     /// Where a camera stands, once a second.
@@ -22,12 +24,13 @@ pub enum Event {
 
 impl Event {
     /// Names of all kinds, as [`Event::name`] gives them.
-    pub const NAMES: [&'static str; 4] = ["frame", "clip", "counters", "threshold"];
+    pub const NAMES: [&'static str; 5] = ["frame", "late", "clip", "counters", "threshold"];
 
     /// The kind, as the `event:` line of a server-sent event has it.
     pub const fn name(&self) -> &'static str {
         match self {
             Self::Frame(_) => "frame",
+            Self::Late(_) => "late",
             Self::Clip(_) => "clip",
             Self::Counters(_) => "counters",
             Self::Threshold(_) => "threshold",
@@ -37,7 +40,7 @@ impl Event {
     /// The camera it is about.
     pub fn camera(&self) -> &str {
         match self {
-            Self::Frame(event) => &event.camera,
+            Self::Frame(event) | Self::Late(event) => &event.camera,
             Self::Clip(report) => &report.camera,
             Self::Counters(message) => &message.camera,
             Self::Threshold(event) => &event.camera,
@@ -83,7 +86,7 @@ impl Deref for SharedEvent {
     }
 }
 
-/// A frame was processed: its detections message and whose it is.
+/// A frame was answered: its detections message and its camera.
 #[derive(Clone, Debug, PartialEq, Serialize, utoipa::ToSchema)]
 pub struct FrameEvent {
     /// Camera.

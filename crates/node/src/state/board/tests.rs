@@ -1,4 +1,5 @@
 use super::*;
+use crate::camera::FrameRecord;
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::outbox::{OutboxConfig, OutboxCounts};
 use crate::state::target::TargetSetup;
@@ -6,6 +7,7 @@ use albireo_core::policy::{FrameState, Knob};
 use albireo_vision::detector::ExecutionProvider;
 use albireo_wire::{CallCause, DetectionsMessage, DroppedFrames, Latency, Threshold};
 use std::path::PathBuf;
+use std::time::Duration;
 
 const KNOB: Knob = Knob {
     name: "u",
@@ -47,6 +49,7 @@ fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
         t_ns: 0,
         clip: "c".to_owned(),
         state,
+        pending: false,
         degraded: state == FrameState::P,
         cause: (!matches!(state, FrameState::E)).then_some(CallCause::Uncertain),
         tau_max: Some(1e-4),
@@ -61,13 +64,22 @@ fn frame(seq: u64, state: FrameState) -> Arc<DetectionsMessage> {
     })
 }
 
+impl CameraBoard {
+    /// A frame gets its only answer.
+    fn answered(&self, detections: Arc<DetectionsMessage>) {
+        let total = Duration::from_secs_f64(detections.latency_ms.total / 1e3);
+        self.show(Arc::clone(&detections));
+        self.record_frame(&FrameRecord::new(detections, total));
+    }
+}
+
 #[test]
 fn every_frame_is_counted_under_its_state_and_told_to_subscribers() {
     let board = board(None, KNOB, None);
     let mut events = board.subscribe();
     let camera = board.camera("front").unwrap();
     for (seq, state) in FrameState::ALL.into_iter().enumerate() {
-        camera.record_frame(frame(seq as u64, state));
+        camera.answered(frame(seq as u64, state));
         let event = events.try_recv().unwrap();
         assert_eq!((event.name(), event.camera()), ("frame", "front"));
         let json: serde_json::Value = serde_json::from_str(event.json().unwrap()).unwrap();
@@ -193,7 +205,7 @@ fn an_event_is_written_as_json_once_however_many_read_it() {
     let board = board(None, KNOB, None);
     let mut readers: Vec<_> = (0..64).map(|_| board.subscribe()).collect();
     let camera = board.camera("front").unwrap();
-    camera.record_frame(frame(0, FrameState::I));
+    camera.answered(frame(0, FrameState::I));
     let events: Vec<_> = (readers.iter_mut())
         .map(|reader| reader.try_recv().unwrap())
         .collect();

@@ -13,6 +13,7 @@ fn message(seq: u64, outcome: &Outcome, u: f64) -> DetectionsMessage {
         t_ns: 0,
         clip: "c".to_owned(),
         state: outcome.state,
+        pending: false,
         degraded: outcome.degraded,
         cause: outcome.cause,
         tau_max: outcome.tau_max,

@@ -163,6 +163,7 @@ async fn play(
             state: outcome.state,
             degraded: outcome.degraded,
             total: arrival.elapsed(),
+            answered: Instant::now(),
             detector: frame.ended.map(|_| arrival.elapsed()),
             threshold: None,
         });

@@ -1,0 +1,41 @@
+//! When a camera's frames are answered: `node.answer`, `camera.answer` and the `[settle]` section.
+
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// When a frame is answered.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum AnswerTime {
+    /// When the detector has answered, if it is needed: frames that come meanwhile wait or are dropped.
+    #[default]
+    WhenKnown,
+    /// When the frame comes, by prediction; what the detector finds is published later.
+    AtOnce,
+}
+
+/// The `[settle]` section of the configuration.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SettleConfig {
+    /// Whether each frame is published once more, with its boxes drawn between two detector calls.
+    pub enabled: bool,
+    /// Longest time a frame is held back for the second of them, milliseconds.
+    pub longest_ms: u64,
+}
+
+impl SettleConfig {
+    /// [`longest_ms`](Self::longest_ms) as a time.
+    pub(crate) const fn longest(self) -> Duration {
+        Duration::from_millis(self.longest_ms)
+    }
+}
+
+impl Default for SettleConfig {
+    fn default() -> Self {
+        Self {
+            enabled: false,
+            longest_ms: 2000,
+        }
+    }
+}

@@ -1,0 +1,255 @@
+//! Answers at once and settled answers of a node whose detector is slower than its camera, fails and hangs in between.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic)]
+
+use crate::node_frames::{Bench, CAMERA, LONG, configuration, pictures};
+use crate::support::detectors::model;
+use albireo_core::geometry::PictureSize;
+use albireo_core::policy::FrameState;
+use albireo_node::camera::AnswerTime;
+use albireo_node::config::NodeConfig;
+use albireo_scene::BoxScene;
+use albireo_vision::picture::Picture;
+use albireo_wire::{ClipReport, DetectionsMessage, SettledMessage};
+use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
+use std::time::Duration;
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::time::{interval, timeout};
+
+/// Time between two frames: the detector takes five of them.
+const PERIOD: Duration = Duration::from_millis(20);
+
+/// A node that answers at once, with a detector of some 100 ms that must answer within 1 s.
+fn at_once(policy: &str) -> NodeConfig {
+    let mut config = configuration();
+    config.node.answer = AnswerTime::AtOnce;
+    config.policy.select(policy).unwrap();
+    config.detector.model = model("slow.onnx");
+    config.detector.timeout_ms = 1000;
+    config.settle.enabled = true;
+    config.audit.share = 0.0;
+    config
+}
+
+/// What the node publishes on `key` from now on.
+async fn published<T: DeserializeOwned + Send + 'static>(
+    bench: &Bench,
+    key: &str,
+) -> UnboundedReceiver<T> {
+    let (sender, messages) = unbounded_channel();
+    bench
+        .session
+        .declare_subscriber(format!("albireo/node/{CAMERA}/{key}"))
+        .callback(move |sample| {
+            let message = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+            let _ = sender.send(message);
+        })
+        .background()
+        .await
+        .unwrap();
+    // The node has heard of the subscriber before it answers this.
+    let replies = bench.session.get("albireo/node/front/threshold").await;
+    while timeout(LONG, replies.as_ref().unwrap().recv_async())
+        .await
+        .unwrap()
+        .is_ok()
+    {}
+    messages
+}
+
+/// All that was published and not yet taken.
+fn taken<T>(messages: &mut UnboundedReceiver<T>) -> Vec<T> {
+    std::iter::from_fn(|| messages.try_recv().ok()).collect()
+}
+
+fn of_one_colour(value: u8) -> Vec<u8> {
+    let mut picture = Picture::black(PictureSize::new(640, 360));
+    picture.pixels.fill(value);
+    let mut jpeg = Vec::new();
+    let encoder = jpeg_encoder::Encoder::new(&mut jpeg, 90);
+    encoder
+        .encode(&picture.pixels, 640, 360, jpeg_encoder::ColorType::Rgb)
+        .unwrap();
+    jpeg
+}
+
+/// A drive, and what the node published of it.
+struct Drive {
+    bench: Bench,
+    late: UnboundedReceiver<DetectionsMessage>,
+    settled: UnboundedReceiver<SettledMessage>,
+    reports: UnboundedReceiver<ClipReport>,
+    sent: u64,
+    live: Vec<DetectionsMessage>,
+    finals: BTreeMap<u64, DetectionsMessage>,
+}
+
+impl Drive {
+    async fn start(config: &NodeConfig) -> Self {
+        let bench = Bench::start(config).await;
+        Self {
+            late: published(&bench, "late").await,
+            settled: published(&bench, "settled").await,
+            reports: bench.reports().await,
+            bench,
+            sent: 0,
+            live: Vec::new(),
+            finals: BTreeMap::new(),
+        }
+    }
+
+    /// Sends these pictures over and over, at the camera's pace, until a final answer comes that `is_wanted`.
+    async fn until(
+        &mut self,
+        pictures: &[Vec<u8>],
+        is_wanted: impl Fn(&DetectionsMessage) -> bool,
+    ) {
+        let mut pace = interval(PERIOD);
+        for picture in pictures.iter().cycle().take(2000) {
+            pace.tick().await;
+            self.frame(picture, "drive").await;
+            let mut came = false;
+            for message in taken(&mut self.late) {
+                came |= is_wanted(&message);
+                assert!(self.finals.insert(message.seq, message).is_none());
+            }
+            if came {
+                return;
+            }
+        }
+        panic!("no such answer in {} frames", self.sent);
+    }
+
+    /// Sends a frame and waits for its first answer.
+    async fn frame(&mut self, picture: &[u8], clip: &str) {
+        self.bench
+            .send_of_clip(picture, "image/jpeg", self.sent, Some(clip))
+            .await;
+        let live = self.bench.answer().await;
+        assert_eq!(live.seq, self.sent, "each frame is answered once, in order");
+        self.live.push(live);
+        self.sent += 1;
+    }
+
+    /// Stops the node; the settled frames and the reports.
+    async fn stop(mut self) -> Ended {
+        let board = self.bench.board.clone();
+        self.bench.shutdown.cancel();
+        let stopped = timeout(LONG, &mut self.bench.stopped).await.unwrap();
+        stopped.unwrap().unwrap();
+        let mut settled = Vec::new();
+        while settled.len() < self.live.len() {
+            settled.push(timeout(LONG, self.settled.recv()).await.unwrap().unwrap());
+        }
+        let pending = self.live.iter().filter(|live| live.pending).count();
+        while self.finals.len() < pending {
+            let message = timeout(LONG, self.late.recv()).await.unwrap().unwrap();
+            assert!(self.finals.insert(message.seq, message).is_none());
+        }
+        let report = timeout(LONG, self.reports.recv()).await.unwrap().unwrap();
+        let mut reports = vec![report];
+        reports.extend(taken(&mut self.reports));
+        assert!(taken(&mut self.settled).is_empty() && taken(&mut self.late).is_empty());
+        let camera = board.camera(CAMERA).unwrap().snapshot();
+        Ended {
+            live: self.live,
+            finals: self.finals,
+            settled,
+            reports,
+            counted: (camera.states.frames(), camera.degraded_frames),
+        }
+    }
+}
+
+struct Ended {
+    live: Vec<DetectionsMessage>,
+    finals: BTreeMap<u64, DetectionsMessage>,
+    settled: Vec<SettledMessage>,
+    reports: Vec<ClipReport>,
+    /// Frames and degraded frames on the board.
+    counted: (u64, u64),
+}
+
+impl Ended {
+    /// What holds whatever the detector did.
+    fn check(&self) {
+        let frames = self.live.len() as u64;
+        let is_degraded = |message: &&DetectionsMessage| message.degraded;
+        let degraded = self.finals.values().filter(is_degraded).count() as u64;
+        for live in &self.live {
+            assert_eq!(live.state, FrameState::P, "{live:?}");
+            assert!(!live.degraded && live.cause.is_none(), "{live:?}");
+            assert!(
+                live.latency_ms.total < 90.0,
+                "waits for the detector: {live:?}"
+            );
+            assert_eq!(live.pending, self.finals.contains_key(&live.seq));
+        }
+        assert!(self.finals.values().all(|message| !message.pending));
+        assert_eq!(self.counted, (frames, degraded));
+        let reported: u64 = self.reports.iter().map(|report| report.frames).sum();
+        let states: u64 = (self.reports.iter())
+            .map(|report| report.states.frames())
+            .sum();
+        let reported_degraded: u64 = self.reports.iter().map(|r| r.degraded_frames).sum();
+        assert_eq!(
+            (reported, states, reported_degraded),
+            (frames, frames, degraded)
+        );
+        let order: Vec<u64> = self.settled.iter().map(|frame| frame.seq).collect();
+        assert_eq!(order, (0..frames).collect::<Vec<_>>());
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fails() {
+    let scene = pictures(100);
+    let (white, dark) = ([of_one_colour(255)], [of_one_colour(36)]);
+    let is_seen = |late: &DetectionsMessage| !late.degraded && !late.boxes.is_empty();
+    for policy in ["albireo:1e-3", "expected-loss:0.3"] {
+        let mut drive = Drive::start(&at_once(policy)).await;
+        for _ in 0..3 {
+            drive.until(&scene, is_seen).await;
+        }
+        // Not back at its deadline, and back again afterwards.
+        drive.until(&white, |late| late.degraded).await;
+        drive.until(&scene, is_seen).await;
+        // Its run fails, and its session is built again.
+        drive.until(&dark, |late| late.degraded).await;
+        drive.until(&scene, is_seen).await;
+        let ended = drive.stop().await;
+        ended.check();
+        let is_predicted = |live: &&DetectionsMessage| !live.pending && !live.boxes.is_empty();
+        let predicted = ended.live.iter().filter(is_predicted).count();
+        assert!(
+            predicted > 20,
+            "{policy}: {predicted} with boxes beside the pending ones"
+        );
+        let drawn = ended.settled.iter().filter(|frame| frame.settled).count();
+        assert!(drawn > 20, "{policy}: {drawn} settled");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+#[ignore = "needs ONNX Runtime"]
+async fn a_clip_is_reported_when_its_pending_frame_has_its_final_answer() {
+    let mut config = at_once("expected-loss:0.3");
+    config.cameras[0].reset_at_clip = false;
+    let mut drive = Drive::start(&config).await;
+    let picture = BoxScene::new(5, PictureSize::new(640, 360)).frame(0);
+    let picture = picture.jpeg(85).unwrap();
+    drive.frame(&picture, "a").await;
+    assert!(drive.live[0].pending);
+    drive.frame(&picture, "b").await;
+    let ended = drive.stop().await;
+    ended.check();
+    let clips: Vec<_> = ended
+        .reports
+        .iter()
+        .map(|report| (report.clip.as_str(), report.frames))
+        .collect();
+    assert_eq!(clips, [("a", 1), ("b", 1)]);
+    assert!(ended.finals[&0].state != FrameState::P, "it was examined");
+}
