@@ -1,6 +1,7 @@
 //! A frame that needs no detector, end to end: a picture of some 36 kB to a node and to a bare Zenoh echo in a process of
 //! its own, which answers with a message as long as the node's. They take turns within one run, and so does a node that
-//! is audited as it is by default: its detector looks at one predicted frame of fifty afterwards.
+//! is audited as it is by default: its detector looks at one predicted frame of fifty afterwards. The last node answers at
+//! once while its detector works all the time.
 //!
 //! ```text
 //! cargo bench --bench predicted_frame [-- ROUNDS]
@@ -71,13 +72,36 @@ impl Drop for Answerer {
 impl Answerer {
     /// A node whose detector runs on one frame of a thousand.
     fn node(folder: &std::path::Path, audit: f64) -> Self {
+        let model = concat!(env!("CARGO_MANIFEST_DIR"), "/models/yolox_nano.onnx");
+        let policy = "policy.name = \"fixed-skip\"\npolicy.fixed_skip.n = 1000";
+        Self::configured(
+            folder,
+            &format!("detector.model = \"{model}\"\n{policy}\naudit.share = {audit}\n"),
+        )
+    }
+
+    /// A node that answers at once, whose detector holds one core for some 110 ms at a time and finds nothing: it is asked
+    /// again as soon as it is free.
+    fn at_once(folder: &std::path::Path) -> Self {
+        let model = concat!(
+            env!("CARGO_MANIFEST_DIR"),
+            "/tests/fixtures/models/slow.onnx"
+        );
+        Self::configured(
+            folder,
+            &format!(
+                "detector.model = \"{model}\"\ndetector.threads = 1\npolicy.name = \"expected-loss\"\n\
+                 node.answer = \"at_once\"\naudit.share = 0.0\n"
+            ),
+        )
+    }
+
+    fn configured(folder: &std::path::Path, settings: &str) -> Self {
         let port = free_port();
-        let file = folder.join(format!("node-{audit}.toml"));
-        let models = concat!(env!("CARGO_MANIFEST_DIR"), "/models/yolox_nano.onnx");
+        let file = folder.join(format!("{port}.toml"));
         let text = format!(
             "http.listen = \"127.0.0.1:0\"\nzenoh.listen = [\"tcp/127.0.0.1:{port}\"]\nlog.level = \"warn\"\n\
-             detector.model = \"{models}\"\npower.source = \"none\"\npolicy.name = \"fixed-skip\"\n\
-             policy.fixed_skip.n = 1000\naudit.share = {audit}\n"
+             power.source = \"none\"\n{settings}"
         );
         std::fs::write(&file, text).expect("the configuration is written");
         let mut program = Command::new(
@@ -295,6 +319,7 @@ async fn main() {
         ("bare echo", Answerer::echo()),
         ("node", Answerer::node(folder.path(), 0.0)),
         ("node, audited", Answerer::node(folder.path(), 0.02)),
+        ("node, at once", Answerer::at_once(folder.path())),
     ];
     let mut lines = Vec::new();
     for (_, answerer) in &answerers {
@@ -333,12 +358,17 @@ async fn main() {
         println!();
         medians.push(cells);
     }
-    if let [echo, node, ..] = &medians[..] {
+    if let [echo, node, _, at_once] = &medians[..] {
         println!(
             "the node adds {:.3} ms at 30 frames/s and {:.3} ms at 1000; its processor time is {:.2} times the echo's",
             node[0] - echo[0],
             node[3] - echo[3],
             node[5] / echo[5]
+        );
+        println!(
+            "answering at once adds {:.3} ms at 30 frames/s, and {:.3} ms to its 99 %",
+            at_once[0] - echo[0],
+            at_once[1] - echo[1]
         );
     }
 }

@@ -81,6 +81,17 @@ group("the log of frames", () => {
     expect(log.last(3).map((kept) => kept.seq)).toEqual([9_997, 9_998, 9_999]);
   });
 
+  test("puts the final answer of a pending frame where its first answer was", () => {
+    const log = new FrameLog(10);
+    log.push(frame(1, "P", { pending: true }));
+    log.push(frame(2, "P"));
+    expect(describe(log.at(0)!, 1)).toContain("predicted, detector at work");
+    log.finish(frame(1, "I", { cause: "uncertain" }));
+    log.finish(frame(7, "I"));
+    expect(log.last(10).map((kept) => [kept.seq, kept.state, kept.pending])).toEqual([[1, "I", false], [2, "P", undefined]]);
+    expect(log.newestFinal?.seq).toBe(1);
+  });
+
   test("knows the newer of two frames with one number", () => {
     const log = new FrameLog(10);
     log.push(frame(1, "P"));

@@ -108,7 +108,7 @@ export function describe(frame: Seen, now: number): string {
   const parts = [
     `frame ${frame.seq}`,
     `${age.toFixed(1)} s ago`,
-    frame.degraded ? `${state}, degraded` : `${state}, ${name}`,
+    frame.pending ? "predicted, detector at work" : frame.degraded ? `${state}, degraded` : `${state}, ${name}`,
     ...(reason ? [reason] : []),
     boxes === 1 ? "1 box" : `${boxes} boxes`,
     `${frame.latency_ms.total.toFixed(1)} ms`,
@@ -122,6 +122,9 @@ export class FrameLog {
   #bySeq = new Map<number, Seen>();
   /** Frames that were pushed out: the first one kept has this place in all that came. */
   #gone = 0;
+
+  /** The newest frame whose final answer came after its first one. */
+  newestFinal: Seen | undefined;
 
   constructor(readonly most: number) {}
 
@@ -146,6 +149,14 @@ export class FrameLog {
     }
   }
 
+  /** The final answer of a frame that was answered by prediction: it takes that answer's place. */
+  finish(answer: Detections): void {
+    const frame = this.#bySeq.get(answer.seq);
+    if (!frame) return;
+    Object.assign(frame, { pending: false, cause: undefined }, answer);
+    this.newestFinal = frame;
+  }
+
   /** Puts frames before those that are there, as far as they are older and there is room. */
   unshift(frames: readonly Seen[]): void {
     const known = new Set(this.#frames.slice(0, 512).map((frame) => frame.seq));
@@ -158,6 +169,7 @@ export class FrameLog {
     this.#frames = [];
     this.#bySeq.clear();
     this.#gone = 0;
+    this.newestFinal = undefined;
   }
 
   at(index: number): Seen | undefined {

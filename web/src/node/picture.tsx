@@ -148,6 +148,11 @@ export function Picture() {
         <li>
           <i class="line predicted" /> predicted, detector not asked
         </li>
+        {log.newestFinal && (
+          <li>
+            <i class="line earlier" /> found by the detector in an earlier frame
+          </li>
+        )}
         <li>
           <i class="line followed" /> followed by optical flow
         </li>
@@ -179,6 +184,16 @@ function draw(canvas: HTMLCanvasElement, frame: Seen | undefined, bitmap: ImageB
   context.lineWidth = 2 * unit;
   context.font = `600 ${11 * unit}px system-ui, sans-serif`;
   context.textBaseline = "bottom";
+  // Where frames are answered at once: what the detector found in a frame shortly before this one.
+  const earlier = frame && log.newestFinal !== frame && frame.at - (log.newestFinal?.at ?? 0) < 2 ? log.newestFinal : undefined;
+  context.lineWidth = unit;
+  context.strokeStyle = "#4fb3ff99";
+  context.setLineDash([]);
+  for (const box of earlier?.boxes ?? []) {
+    const [x1, y1, x2, y2] = box.box as [number, number, number, number];
+    if (box.source === "detected") context.strokeRect(x1, y1, x2 - x1, y2 - y1);
+  }
+  context.lineWidth = 2 * unit;
   for (const box of frame?.boxes ?? []) {
     const { colour, dash } = LINES[box.source];
     const [x1, y1, x2, y2] = box.box as [number, number, number, number];

@@ -231,8 +231,9 @@ export function watchFrames(camera: string, signal: AbortSignal): void {
   hour.value = [];
   dirty = true;
   void follow({
-    path: () => `/api/v1/events?camera=${encodeURIComponent(camera)}&types=frame`,
+    path: () => `/api/v1/events?camera=${encodeURIComponent(camera)}&types=frame,late`,
     onEvent: (name, data) => {
+      if (name === "late") log.finish(data as Frame);
       if (name !== "frame") return;
       log.push({ ...(data as Frame), at: Date.now() / 1000 });
       dirty = true;
