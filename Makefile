@@ -7,6 +7,7 @@ CACHE := .cache
 ONNXRUNTIME := $(CACHE)/onnxruntime/.ready
 PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
 PARITY_ENVIRONMENT := $(CACHE)/parity/.ready
+PEERS_ENVIRONMENT := $(CACHE)/peers/.ready
 WHEEL := target/wheels/.built$(if $(TARGET),-$(TARGET))
 WHEEL_ENVIRONMENT := $(CACHE)/wheel/.ready
 WHEEL_SOURCES := $(wildcard Cargo.toml crates/core/Cargo.toml crates/python/*.* crates/python/src/*) \
@@ -15,7 +16,7 @@ DEMO_SECONDS ?=
 # Python's ONNX Runtime as ours keeps and sends nothing of what is run.
 export ORT_DISABLE_TELEMETRY := 1
 
-.PHONY: help demo test web browser lint soak board onnxruntime python wheel wheel-tests debian release dist bench bench-peers gpu parity clean
+.PHONY: help demo test web browser lint soak board onnxruntime python wheel wheel-tests debian release dist bench bench-peers peers gpu parity clean
 
 help: ## list the commands
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -46,6 +47,18 @@ bench: onnxruntime web ## the benches, optimised (takes a while the first time)
 bench-peers: ## the decision core beside other trackers, the JPEG decoder beside others
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
 	cargo run --release --locked --manifest-path benches/decoders/Cargo.toml
+
+peers: $(PEERS_ENVIRONMENT) ## Python's trackers beside ours on the recordings, into EVALUATION.md (by hand: fetches 0.3 GB)
+	cargo build --locked $$(bash tests/features.sh)
+	$(CACHE)/peers/bin/python tests/peers/compare.py --shared "$${ALBIREO_SHARED:-../shared}" --page EVALUATION.md
+
+# Norfair's requirements exclude those of trackers, though it runs with them; TrackEval's bring what only its data sets use.
+$(PEERS_ENVIRONMENT): tests/peers/requirements.txt $(WHEEL)
+	python3 -m venv $(CACHE)/peers
+	$(CACHE)/peers/bin/python -m pip install --quiet --disable-pip-version-check -r tests/peers/requirements.txt
+	$(CACHE)/peers/bin/python -m pip install --quiet --disable-pip-version-check --no-deps norfair==2.3.0 trackeval==1.3.0
+	$(CACHE)/peers/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall target/wheels/albireo-*.whl
+	@touch $@
 
 gpu: onnxruntime ## what an NVIDIA GPU does for the node, into benches/gpu.md (PROVIDER=cpu: a trial without one)
 	@ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" bash benches/gpu.sh

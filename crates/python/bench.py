@@ -1,6 +1,6 @@
 """Microseconds a frame at 30 moving objects, beside other trackers where they are installed.
 
-`pip install norfair trackers trackforge` brings the others. Each gets the detector's boxes on every frame, as its own
+`make peers` sets up an environment that has the others (.cache/peers). Each gets the detector's boxes on every frame, as its own
 documentation says; the time is that of its call and of the conversion to its own type of detections.
 """
 
@@ -87,8 +87,8 @@ CANDIDATES = {
     "norfair": norfair,
     "trackers SORT": lambda: trackers("SORTTracker"),
     "trackers ByteTrack": lambda: trackers("ByteTrackTracker"),
-    "trackforge SORT": lambda: trackforge("Sort"),
-    "trackforge ByteTrack": lambda: trackforge("ByteTrack"),
+    "trackforge SORT": lambda: trackforge("SORT"),
+    "trackforge ByteTrack": lambda: trackforge("BYTETRACK"),
 }
 
 for name, make in CANDIDATES.items():
