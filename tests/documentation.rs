@@ -192,33 +192,47 @@ fn every_command_that_is_printed_is_one_the_program_takes() {
 }
 
 #[test]
-fn the_readme_is_short_and_goes_from_the_camera_to_the_limits() {
+fn the_readme_is_short_and_goes_from_the_savings_to_the_index() {
     let text = page("README.md");
-    assert!(text.lines().count() <= 150, "{}", text.lines().count());
+    assert!(text.lines().count() <= 120, "{}", text.lines().count());
     let headings: Vec<_> = text
         .lines()
         .filter(|line| line.starts_with("## "))
         .collect();
     let expected = [
-        "## Install",
+        "## What it saves",
+        "## Try it",
         "## Your camera",
-        "## What you see",
         "## Does it save on my board?",
-        "## Your own detector",
-        "## In Python",
-        "## Tune",
+        "## Your detector",
+        "## Python",
         "## A fleet",
-        "## Evaluate",
         "## Limits",
+        "## Documentation",
     ];
     assert_eq!(headings, expected);
+}
+
+#[test]
+fn the_docs_are_at_most_twelve_pages_and_each_is_in_the_index() {
+    let readme = page("README.md");
+    let (_, index) = readme.split_once("## Documentation").unwrap();
+    let docs: Vec<_> = (pages().into_iter())
+        .filter(|name| name.starts_with("docs/"))
+        .collect();
+    assert!(docs.len() <= 12, "{docs:?}");
+    let mut lines = 0;
+    for name in docs {
+        assert!(index.contains(&format!("({name})")), "{name}");
+        lines += page(name).lines().count();
+    }
+    assert!(lines <= 2000, "{lines}");
 }
 
 /// The words of a schema's type.
 fn type_of(schema: &Value) -> String {
     if let Some(reference) = schema["$ref"].as_str() {
-        let name = reference.rsplit('/').next().unwrap_or(reference);
-        return format!("[{name}](#{})", name.to_lowercase());
+        return format!("`{}`", reference.rsplit('/').next().unwrap_or(reference));
     }
     for one_of in ["oneOf", "anyOf", "allOf"] {
         if let Some(options) = schema[one_of].as_array() {
@@ -288,17 +302,30 @@ fn fields<'a>(schemas: &'a Value, schema: &'a Value, into: &mut Vec<(String, &'a
     }
 }
 
-fn references(value: &Value, found: &mut Vec<String>) {
-    match value {
-        Value::Object(map) => {
-            if let Some(reference) = map.get("$ref").and_then(Value::as_str) {
-                found.push(reference.rsplit('/').next().unwrap().to_owned());
-            }
-            map.values().for_each(|value| references(value, found));
+/// Messages whose fields the page lists; those of the others are in `/openapi.json`.
+const IN_FULL: [&str; 8] = [
+    "DetectionsMessage",
+    "BoxMessage",
+    "Latency",
+    "ClipReport",
+    "ClipEnergy",
+    "DroppedFrames",
+    "CountersMessage",
+    "FrameAttachment",
+];
+
+/// An entry of a list, in lines of at most 128 characters.
+fn entry(text: &str) -> String {
+    let mut lines = vec!["-".to_owned()];
+    for word in text.split_whitespace() {
+        if lines.last().unwrap().len() + word.len() >= 128 {
+            lines.push(" ".to_owned());
         }
-        Value::Array(list) => list.iter().for_each(|value| references(value, found)),
-        _ => {}
+        let line = lines.last_mut().unwrap();
+        line.push(' ');
+        line.push_str(word);
     }
+    lines.join("\n")
 }
 
 /// What goes over Zenoh: key, who writes it, message.
@@ -366,93 +393,162 @@ const MESSAGES: [(&str, &str, &str); 17] = [
     ),
 ];
 
+/// The page's table of messages, and the fields of those that [`IN_FULL`] names.
 fn message_reference() -> String {
     let document = serde_json::to_value(albireo_node::api::http::openapi()).unwrap();
     let schemas = &document["components"]["schemas"];
-    let mut text = "# Messages\n\nWhat goes over Zenoh, and the events of HTTP, as the code has them; a test holds this page to it \
-        (`ALBIREO_UPDATE=1` writes it). All are JSON. `…` is `{prefix}/{node}`, by default `albireo/node`. Every message carries \
-        its version as `v`; another version is refused, counted and logged. A field in *italics* may be missing. Routes are \
-        described by a node itself, at `/api/v1` and `/openapi.json`.\n\n| key | direction | message |\n| --- | --- | --- |\n"
-        .to_owned();
-    let mut wanted: Vec<String> = Vec::new();
+    let mut text = "| key | direction | message |\n| --- | --- | --- |\n".to_owned();
     for (key, direction, message) in MESSAGES {
         let name = message.rsplit(' ').next().unwrap();
-        let linked = message.replace(name, &format!("[{name}](#{})", name.to_lowercase()));
+        assert!(schemas[name].is_object(), "{name} is not described");
         let key = if key.starts_with("HTTP") {
             key.to_owned()
         } else {
             format!("`{key}`")
         };
-        writeln!(text, "| {key} | {direction} | {linked} |").unwrap();
-        wanted.push(name.to_owned());
+        let message = message.replace(name, &format!("`{name}`"));
+        writeln!(text, "| {key} | {direction} | {message} |").unwrap();
     }
-    let mut done: BTreeSet<String> = BTreeSet::new();
-    let mut next = 0;
-    while let Some(name) = wanted.get(next).cloned() {
-        next += 1;
-        if !done.insert(name.clone()) {
-            continue;
-        }
-        let schema = &schemas[&name];
-        assert!(schema.is_object(), "{name} is not described");
-        writeln!(text, "\n## {name}\n\n{}", description(schema)).unwrap();
+    for name in IN_FULL {
+        let schema = &schemas[name];
+        writeln!(text, "\n### {name}\n\n{}\n", description(schema)).unwrap();
         let mut found = Vec::new();
         fields(schemas, schema, &mut found);
-        if found.is_empty() {
-            writeln!(text, "\nOne of {}.", values(schema)).unwrap();
-        } else {
-            text.push_str("\n| field | type | what |\n| --- | --- | --- |\n");
-            for (field, schema, required) in found {
-                let shown = if required {
-                    field
-                } else {
-                    format!("*{field}*")
-                };
-                writeln!(
-                    text,
-                    "| {shown} | {} | {} |",
-                    type_of(schema),
-                    description(schema)
-                )
-                .unwrap();
-            }
+        for (field, schema, required) in found {
+            let shown = if required {
+                field
+            } else {
+                format!("*{field}*")
+            };
+            let kind = type_of(schema);
+            let line = format!("{shown} ({kind}): {}", description(schema));
+            writeln!(text, "{}", entry(line.trim_end_matches([':', ' ']))).unwrap();
         }
-        references(schema, &mut wanted);
     }
     text
 }
 
-/// The values of an enumeration, with what each means.
-fn values(schema: &Value) -> String {
-    if let Some(options) = schema["oneOf"].as_array() {
-        let words: Vec<_> = (options.iter())
-            .map(|option| {
-                let said = description(option);
-                let said = if said.is_empty() {
-                    said
-                } else {
-                    format!(" ({said})")
-                };
-                type_of(option) + &said
-            })
-            .collect();
-        return words.join("; ");
-    }
-    type_of(schema)
-}
+/// Where the generated part of the page begins and ends.
+const GENERATED: [&str; 2] = ["<!-- generated -->\n\n", "\n<!-- end -->\n"];
 
 #[test]
 fn the_message_reference_is_what_the_code_says() {
     let now = message_reference();
     let path = root().join("docs/messages.md");
+    let kept = page("docs/messages.md");
+    let parts = kept.split_once(GENERATED[0]).and_then(|(before, rest)| {
+        let (generated, after) = rest.split_once(GENERATED[1])?;
+        Some((before, generated, after))
+    });
+    let (before, generated, after) = parts.expect("docs/messages.md has both markers");
     if std::env::var_os("ALBIREO_UPDATE").is_some() {
-        std::fs::write(&path, &now).unwrap();
+        let page = [before, GENERATED[0], &now, GENERATED[1], after].concat();
+        std::fs::write(&path, page).unwrap();
+    } else {
+        assert!(
+            generated == now,
+            "docs/messages.md is not what the program says: run this test with ALBIREO_UPDATE=1"
+        );
     }
-    let kept = std::fs::read_to_string(&path).unwrap_or_default();
-    assert!(
-        kept == now,
-        "docs/messages.md is not what the program says: run this test with ALBIREO_UPDATE=1"
+}
+
+/// What is wrong with `value` as an example of `schema`; nothing where it is one.
+fn misfits(schemas: &Value, schema: &Value, value: &Value, at: &str, wrong: &mut Vec<String>) {
+    if let Some(reference) = schema["$ref"].as_str() {
+        let schema = &schemas[reference.rsplit('/').next().unwrap()];
+        return misfits(schemas, schema, value, at, wrong);
+    }
+    for one_of in ["oneOf", "anyOf"] {
+        if let Some(options) = schema[one_of].as_array() {
+            let fits = options.iter().any(|option| {
+                let mut found = Vec::new();
+                misfits(schemas, option, value, at, &mut found);
+                found.is_empty()
+            });
+            if !fits {
+                wrong.push(format!("{at}: {value} is none of {one_of}"));
+            }
+            return;
+        }
+    }
+    let kinds = match &schema["type"] {
+        Value::Array(kinds) => kinds.clone(),
+        Value::Null => Vec::new(),
+        kind => vec![kind.clone()],
+    };
+    let fits = |kind: &Value| match kind.as_str().unwrap() {
+        "object" => value.is_object(),
+        "array" => value.is_array(),
+        "string" => value.is_string(),
+        "integer" => value.is_i64() || value.is_u64(),
+        "number" => value.is_number(),
+        "boolean" => value.is_boolean(),
+        kind => kind == "null" && value.is_null(),
+    };
+    let listed = schema["enum"].as_array();
+    if !(kinds.is_empty() || kinds.iter().any(fits))
+        || listed.is_some_and(|listed| !listed.contains(value))
+    {
+        wrong.push(format!("{at}: {value} is not {}", type_of(schema)));
+    }
+    for item in value.as_array().into_iter().flatten() {
+        misfits(schemas, &schema["items"], item, at, wrong);
+    }
+    let mut known = Vec::new();
+    fields(schemas, schema, &mut known);
+    for (name, field, required) in &known {
+        match value.get(name.trim_matches('`')) {
+            Some(value) => misfits(schemas, field, value, &format!("{at}.{name}"), wrong),
+            None if *required => wrong.push(format!("{at}: {name} is missing")),
+            None => {}
+        }
+    }
+    let others = &schema["additionalProperties"];
+    for (name, value) in value.as_object().into_iter().flatten() {
+        if !known
+            .iter()
+            .any(|(known, ..)| known.trim_matches('`') == name)
+        {
+            if others.is_object() {
+                misfits(schemas, others, value, &format!("{at}.{name}"), wrong);
+            } else if !known.is_empty() {
+                wrong.push(format!("{at}: there is no {name}"));
+            }
+        }
+    }
+}
+
+/// An example is marked by the line before it, `<!-- example: NAME -->`.
+#[test]
+fn the_examples_of_messages_are_messages() {
+    let document = serde_json::to_value(albireo_node::api::http::openapi()).unwrap();
+    let schemas = &document["components"]["schemas"];
+    let text = page("docs/messages.md");
+    let mut seen = BTreeSet::new();
+    for part in text.split("<!-- example: ").skip(1) {
+        let (name, rest) = part.split_once(" -->\n```json\n").unwrap();
+        let (example, _) = rest.split_once("```").unwrap();
+        let example: Value =
+            serde_json::from_str(example).unwrap_or_else(|error| panic!("{name}: {error}"));
+        let schema = &schemas[name];
+        assert!(schema.is_object(), "{name} is not described");
+        let mut wrong = Vec::new();
+        misfits(schemas, schema, &example, name, &mut wrong);
+        assert!(wrong.is_empty(), "{wrong:#?}");
+        seen.insert(name);
+    }
+    assert!(seen.len() >= 6, "{seen:?}");
+    // The check finds what is wrong.
+    let mut wrong = Vec::new();
+    let example = serde_json::json!({"boxes": 3, "colour": "red"});
+    misfits(
+        schemas,
+        &schemas["DetectionsMessage"],
+        &example,
+        "",
+        &mut wrong,
     );
+    assert!(wrong.len() > 5, "{wrong:?}");
 }
 
 /// A message as it is sent has no field that the reference does not name.
