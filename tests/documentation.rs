@@ -314,50 +314,62 @@ const IN_FULL: [&str; 8] = [
     "FrameAttachment",
 ];
 
-/// An entry of a list, in lines of at most 128 characters.
-fn entry(text: &str) -> String {
-    let mut lines = vec!["-".to_owned()];
+/// Text in lines of at most 128 characters; with `bullet`, an entry of a list.
+fn wrapped(bullet: &str, text: &str) -> String {
+    let mut lines = vec![bullet.to_owned()];
     for word in text.split_whitespace() {
         if lines.last().unwrap().len() + word.len() >= 128 {
-            lines.push(" ".to_owned());
+            lines.push(" ".repeat(bullet.len()));
         }
         let line = lines.last_mut().unwrap();
-        line.push(' ');
+        if !line.is_empty() && !line.ends_with(' ') {
+            line.push(' ');
+        }
         line.push_str(word);
     }
     lines.join("\n")
 }
 
 /// What goes over Zenoh: key, who writes it, message.
-const MESSAGES: [(&str, &str, &str); 17] = [
+const MESSAGES: [(&str, &str, &str); 19] = [
     (
         "…/{camera}/frame",
         "in",
-        "the picture; its attachment, which may be missing: FrameAttachment",
+        "the picture; as its attachment, optional: FrameAttachment",
     ),
     (
         "…/{camera}/frame",
-        "answer, where the camera has `delivery = \"every\"`",
+        "answer, with `delivery = \"every\"`",
         "FrameAnswer",
     ),
-    ("…/{camera}/detections", "out, a frame", "DetectionsMessage"),
+    (
+        "…/{camera}/detections",
+        "out, per frame",
+        "DetectionsMessage",
+    ),
     (
         "…/{camera}/late",
-        "out, a frame whose first answer was `pending`",
+        "out, per frame whose first answer was `pending`",
         "DetectionsMessage",
     ),
     (
         "…/{camera}/settled",
-        "out, a frame, where `settle.enabled`",
+        "out, per frame, with `settle.enabled`",
         "SettledMessage",
     ),
-    ("…/{camera}/clip", "out, a clip", "ClipReport"),
-    ("…/{camera}/counters", "out, a second", "CountersMessage"),
+    ("…/{camera}/clip", "out, per clip", "ClipReport"),
+    (
+        "…/{camera}/counters",
+        "out, every second",
+        "CountersMessage",
+    ),
     (
         "…/{camera}/threshold",
         "in by put; in and out by query",
         "ThresholdMessage",
     ),
+    ("…/target", "in by put; in by query", "TargetMessage"),
+    ("…/target", "answer to a query", "TargetReport"),
     (
         "{prefix}/@report/{node}",
         "query to the hub, compressed",
@@ -411,7 +423,12 @@ fn message_reference() -> String {
     }
     for name in IN_FULL {
         let schema = &schemas[name];
-        writeln!(text, "\n### {name}\n\n{}\n", description(schema)).unwrap();
+        writeln!(
+            text,
+            "\n### {name}\n\n{}\n",
+            wrapped("", &description(schema))
+        )
+        .unwrap();
         let mut found = Vec::new();
         fields(schemas, schema, &mut found);
         for (field, schema, required) in found {
@@ -422,7 +439,7 @@ fn message_reference() -> String {
             };
             let kind = type_of(schema);
             let line = format!("{shown} ({kind}): {}", description(schema));
-            writeln!(text, "{}", entry(line.trim_end_matches([':', ' ']))).unwrap();
+            writeln!(text, "{}", wrapped("- ", line.trim_end_matches([':', ' ']))).unwrap();
         }
     }
     text
