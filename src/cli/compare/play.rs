@@ -8,6 +8,7 @@ use crate::cli::replay::{
 use albireo_core::policy::{Knob, PolicyConfig};
 use albireo_eval::compare::{Advice, Boxes, ClassNumbers};
 use albireo_node::PreparedNode;
+use albireo_node::camera::{AnswerTime, SettleConfig};
 use albireo_node::config::{CameraConfig, NodeConfig};
 use albireo_node::input::Delivery;
 use albireo_node::state::advice::SkipWatch;
@@ -256,7 +257,7 @@ impl Player {
 }
 
 /// The configuration of a run under `policy`: that of `base` with one camera, an endpoint of its own and nothing kept. It
-/// reports to no hub, and nothing but the policy moves the threshold.
+/// reports to no hub, answers a frame when it is known, and nothing but the policy moves the threshold.
 fn configuration(
     base: &NodeConfig,
     policy: &PolicyConfig,
@@ -265,6 +266,9 @@ fn configuration(
     let mut config = base.clone();
     config.node.name = NODE.to_owned();
     config.node.state_dir = None;
+    // Only `vanilla` sees every frame, and it cannot answer at once: all of them wait for the detector.
+    config.node.answer = AnswerTime::WhenKnown;
+    config.settle = SettleConfig::default();
     config.zenoh = ZenohConfig {
         listen: vec!["tcp/127.0.0.1:0".to_owned()],
         ..ZenohConfig::default()
@@ -325,6 +329,8 @@ mod tests {
         base.zenoh.connect = vec!["tcp/hub.example:7447".to_owned()];
         base.uplink.connect = vec!["tls/hub.example:7447".to_owned()];
         base.target.hold = Some(Target::SkipRate(0.5));
+        base.node.answer = AnswerTime::AtOnce;
+        base.settle.enabled = true;
         for policy in ["albireo", "vanilla"] {
             let policy = PolicyConfig {
                 name: policy.to_owned(),
@@ -333,6 +339,8 @@ mod tests {
             let config = configuration(&base, &policy, Delivery::Newest).unwrap();
             assert!(!config.uplink.is_set() && config.zenoh.connect.is_empty());
             assert_eq!((config.target.hold, config.node.state_dir), (None, None));
+            assert_eq!(config.node.answer, AnswerTime::WhenKnown);
+            assert!(!config.settle.enabled);
         }
     }
 }
