@@ -117,7 +117,7 @@ enum Command {
     /// Play a clip to the live node under several policies: what each costs and finds here.
     Compare(compare::Arguments),
     #[cfg(feature = "eval")]
-    /// Publish a video, a folder of pictures or the synthetic dashcam as a camera.
+    /// Publish a video, a folder of pictures or the recorded road as a camera.
     Replay(replay::ReplayArguments),
     #[cfg(feature = "eval")]
     /// Replay recordings through any policy: accuracy against what it saves.

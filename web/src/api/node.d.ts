@@ -644,7 +644,7 @@ export interface paths {
                     /** @description About this camera only. Events about the detector come all the same. */
                     camera?: string;
                     /**
-                     * @description Names of the kinds wanted, separated by commas: `frame`, `clip`, `counters`, `threshold`,
+                     * @description Names of the kinds wanted, separated by commas: `frame`, `late`, `clip`, `counters`, `threshold`,
                      *     `detector`. All of them without it.
                      */
                     types?: string;
@@ -655,7 +655,7 @@ export interface paths {
             };
             requestBody?: never;
             responses: {
-                /** @description Events `frame`, `clip`, `counters`, `threshold`, `detector`, `lagged`. */
+                /** @description Events `frame`, `late`, `clip`, `counters`, `threshold`, `detector`, `lagged`. */
                 200: {
                     headers: {
                         [name: string]: unknown;
