@@ -60,7 +60,7 @@ $(PEERS_ENVIRONMENT): tests/peers/requirements.txt $(WHEEL)
 	$(CACHE)/peers/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall target/wheels/albireo-*.whl
 	@touch $@
 
-gpu: onnxruntime ## what an NVIDIA GPU does for the node, into benches/gpu.md (PROVIDER=cpu: a trial without one)
+gpu: onnxruntime ## measure the node on an NVIDIA GPU, write benches/gpu.md (PROVIDER=cpu: a trial without one)
 	@ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" bash benches/gpu.sh
 
 parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md

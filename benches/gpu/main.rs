@@ -114,9 +114,9 @@ fn beginning(page: &mut Page, arguments: &Arguments, card: Option<&Card>) -> any
         ));
     } else {
         page.text(format!(
-            "{TRIAL} No GPU was at hand: not one figure of CUDA or TensorRT has been measured. Each table below is what the \
+            "{TRIAL} No GPU was available: no figure of CUDA or TensorRT has been measured. Each table below is what the \
              same script wrote with ONNX Runtime's CPU provider, so that script and tables are known to work; on a machine with a \
-             GPU the same command writes this page anew, with the GPU's figures in the same places."
+             GPU the same command fills these tables with the GPU's figures."
         ));
     }
     page.lines(format!(
@@ -126,7 +126,7 @@ fn beginning(page: &mut Page, arguments: &Arguments, card: Option<&Card>) -> any
         arguments.date
     ));
     page.text(
-        "It wants NVIDIA's driver, and ONNX Runtime's CUDA build with the CUDA and cuDNN libraries that it loads: the wheel \
+        "It needs NVIDIA's driver, and ONNX Runtime's CUDA build with the CUDA and cuDNN libraries that it loads: the wheel \
          `onnxruntime-gpu` has the build, `ORT_DYLIB_PATH` names its `libonnxruntime.so`, `LD_LIBRARY_PATH` the rest. Without them \
          it stops with what ONNX Runtime said and writes nothing. `CAMERA_MODELS`, `SECONDS_EACH`, `MOST_CAMERAS`, `RUNS`, `DEVICE` and \
          `OUT` set the rest. For a machine without Rust the bench is built elsewhere (`cargo bench --no-run --bench gpu` says where it \

@@ -226,7 +226,7 @@ pub struct Outcome {
     pub tau_max: Option<f64>,
     /// Active objects before the decision.
     pub active: usize,
-    /// The detector was needed but could not be had; the boxes are predictions.
+    /// The detector was needed but not available; the boxes are predictions.
     pub degraded: bool,
     /// Why the detector was called; `None` on a frame that did without it.
     pub cause: Option<CallCause>,

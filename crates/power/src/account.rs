@@ -22,7 +22,7 @@ const MOST_RULES: usize = 8;
 pub struct Energy {
     /// The source's name: `rapl`, `estimate`, …
     pub source: String,
-    /// How far to trust it.
+    /// Quality of the figures.
     pub quality: EnergyQuality,
     /// How the total came about.
     pub total_from: String,

@@ -77,7 +77,7 @@ pub struct ClipEnergy {
     /// without frames, and when samples do not cover the whole clip (`coverage` below 0.999).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub edp: Option<f64>,
-    /// How far to trust it.
+    /// Quality of the figures.
     pub quality: EnergyQuality,
     /// Where it comes from: `rapl`, `estimate`, …
     pub source: String,
@@ -128,7 +128,7 @@ pub enum ClipEnd {
 pub struct ClipReport {
     /// Version.
     pub v: u32,
-    /// Identity, a UUID of version 7: made with the report, of the node's clock at that time, and never changed.
+    /// Id, a UUID of version 7 from the node's clock; it never changes.
     #[schema(value_type = String, format = "uuid")]
     pub id: Uuid,
     /// Node.
@@ -137,12 +137,11 @@ pub struct ClipReport {
     pub camera: String,
     /// Clip id: the camera's own, or `window-N`.
     pub clip: String,
-    /// Number of this part of the clip, from 0: a clip that lasts long is reported in parts.
+    /// Number of this part, from 0: a long clip is reported in parts.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub part: u32,
-    /// Reports that the node has made so far, with this one: numbers that never come tell how many are missing. Absent
-    /// where the node could not read how many there were before. Whatever happens to the count, the identity is the
-    /// report's own.
+    /// Running number of the node's reports: gaps show how many are missing. Absent if the node could not read the last
+    /// number. The id does not depend on it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub count: Option<u64>,
     /// Why it ended.
@@ -157,7 +156,7 @@ pub struct ClipReport {
     pub states: FrameStates,
     /// Share of frames that skipped the detector: state E or P and not degraded.
     pub skip_rate: f64,
-    /// Frames answered from prediction because the detector could not be had: state P, and not skipped.
+    /// Frames answered by prediction because the detector was not available: state P, not counted as skipped.
     pub degraded_frames: u64,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,
@@ -170,14 +169,14 @@ pub struct ClipReport {
     pub threshold_changes: Vec<ThresholdChange>,
     /// Detector model: file name.
     pub model: String,
-    /// Execution provider that really ran it.
+    /// Execution provider that ran it.
     pub provider: String,
-    /// Latency from reception until the answer is handed over to be put; the way through Zenoh is not in it.
+    /// Latency from reception until the answer is handed to Zenoh.
     pub total_latency_ms: Percentiles,
     /// Latency of the detector alone, over the frames where it ran.
     pub detector_latency_ms: Percentiles,
-    /// Time for which the detector ran for this clip's frames, milliseconds: of each run an even part for each of its
-    /// pictures. Waiting and the audit are not in it.
+    /// Time the detector ran for this clip's frames, milliseconds, without waiting and audit. A run for several
+    /// pictures is divided evenly.
     #[serde(default)]
     pub detector_used_ms: f64,
     /// Energy.

@@ -5,12 +5,12 @@ use crate::{AuditFigures, DetectorCalls, DroppedFrames, EnergyQuality, FrameStat
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// Where a camera stands, once a second.
+/// The counters of a camera, once a second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CountersMessage {
     /// Version.
     pub v: u32,
-    /// When, nanoseconds since the Unix epoch.
+    /// Time, nanoseconds since the Unix epoch.
     pub t_ns: u64,
     /// Camera.
     pub camera: String,
@@ -20,9 +20,9 @@ pub struct CountersMessage {
     pub states: FrameStates,
     /// Share of frames that skipped the detector since the node started: state E or P and not degraded.
     pub skip_rate: f64,
-    /// Frames answered from prediction because the detector could not be had: state P, and not skipped.
+    /// Frames answered by prediction because the detector was not available: state P, not counted as skipped.
     pub degraded_frames: u64,
-    /// Frames that the detector was called for since the node started, by cause; degraded ones are among them.
+    /// Frames that called the detector since the node started, by cause, including degraded ones.
     #[serde(default, skip_serializing_if = "DetectorCalls::is_empty")]
     #[schema(value_type = std::collections::BTreeMap<String, u64>)]
     pub calls: DetectorCalls,
@@ -33,7 +33,7 @@ pub struct CountersMessage {
     pub threshold: Option<Threshold>,
     /// Power now by domain, watts; empty without a source.
     pub watts: Vec<DomainWatts>,
-    /// How far to trust the watts.
+    /// Quality of the watts.
     pub power_quality: EnergyQuality,
     /// What the node holds instead of a fixed threshold; absent when it holds nothing.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -6,7 +6,7 @@ use albireo_core::policy::{BoxSource, CallCause, FrameState};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// What a camera may say about a frame, in the attachment of its sample.
+/// What a camera may add to a frame, in the attachment of its sample.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FrameAttachment {
     /// Version.
@@ -14,8 +14,8 @@ pub struct FrameAttachment {
     /// Sequence number, one more for each frame. Without it frames are numbered by arrival.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub seq: Option<u64>,
-    /// Which numbering `seq` belongs to: a sender that starts anew says another number, such as the time of its start
-    /// in nanoseconds, and loses no frame then.
+    /// Numbering that `seq` belongs to: a sender that restarts uses another number, such as its start time in
+    /// nanoseconds, and then loses no frame.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stream: Option<u64>,
     /// Capture time, nanoseconds since the Unix epoch. Without it the sample's timestamp counts.
@@ -53,22 +53,21 @@ pub struct BoxMessage {
     pub class: String,
     /// Confidence, 0 to 1.
     pub confidence: f32,
-    /// How the box is known.
+    /// Origin of the box.
     pub source: BoxSource,
     /// Object the box belongs to.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub object: Option<ObjectId>,
-    /// Whether that object is confirmed.
+    /// Whether the object is confirmed.
     pub confirmed: bool,
 }
 
-/// Where the time of one frame went, milliseconds. A step that did not happen is absent.
+/// Time of each step of one frame, milliseconds. A step that did not happen is absent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Latency {
-    /// From reception until the answer is made, before it is written as JSON and put: the way through Zenoh is not in
-    /// it.
+    /// From reception to the answer, before it is written as JSON and published; without the time in Zenoh.
     pub total: f64,
-    /// Waiting in the ring before the camera's loop took the frame.
+    /// Waiting in the ring for the camera's loop.
     pub waiting: f64,
     /// Picture decoding.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -99,7 +98,7 @@ pub struct DetectionsMessage {
     /// The boxes are predictions made at once. The frame's final state and boxes follow on the camera's key `late`.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub pending: bool,
-    /// The detector was needed but could not be had; the boxes are predictions.
+    /// The detector was needed but not available; the boxes are predictions.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub degraded: bool,
     /// Why the detector was called, also where it could not be had; absent on a frame that did without it.
@@ -117,7 +116,7 @@ pub struct DetectionsMessage {
     pub height: u32,
     /// What is in view.
     pub boxes: Vec<BoxMessage>,
-    /// Where the time went.
+    /// Time of each step.
     pub latency_ms: Latency,
 }
 

@@ -146,9 +146,9 @@ pub struct DroppedFrames {
     pub lost: u64,
     /// Pushed out of the ring by a newer one before its turn.
     pub overrun: u64,
-    /// Arrived after a later frame (it had been counted as lost when the later one came).
+    /// Arrived after a later frame (first counted as lost).
     pub late: u64,
-    /// Of another stream than the camera's present one: another publisher's, or with a number far from all others.
+    /// Of another stream than the camera's present one: another publisher, or a number far off.
     pub stray: u64,
     /// Arrived again with the same sequence number.
     pub duplicate: u64,
@@ -158,7 +158,7 @@ pub struct DroppedFrames {
     pub oversized: u64,
     /// A payload encoding that is not known, or an attachment that cannot be read.
     pub unknown_format: u64,
-    /// Arrived, or waited in the ring, while the camera's loop did not run: it had failed, or the node stopped.
+    /// Arrived or waited while the camera's loop was not running, after a failure or while stopping.
     pub stopped: u64,
 }
 

@@ -1635,10 +1635,10 @@ export interface components {
          * @enum {string}
          */
         Command: "pause" | "resume" | "next" | "return" | "stop";
-        /** @description Where a camera stands, once a second. */
+        /** @description The counters of a camera, once a second. */
         CountersMessage: {
             audit?: components["schemas"]["AuditFigures"] | null;
-            /** @description Frames that the detector was called for since the node started, by cause; degraded ones are among them. */
+            /** @description Frames that called the detector since the node started, by cause, including degraded ones. */
             calls?: {
                 [key: string]: number;
             };
@@ -1646,7 +1646,7 @@ export interface components {
             camera: string;
             /**
              * Format: int64
-             * @description Frames answered from prediction because the detector could not be had: state P, and not skipped.
+             * @description Frames answered by prediction because the detector was not available: state P, not counted as skipped.
              */
             degraded_frames: number;
             /** @description Frames not processed, by kind. */
@@ -1656,7 +1656,7 @@ export interface components {
              * @description Frames processed since the node started.
              */
             frames: number;
-            /** @description How far to trust the watts. */
+            /** @description Quality of the watts. */
             power_quality: components["schemas"]["EnergyQuality"];
             /**
              * Format: double
@@ -1667,7 +1667,7 @@ export interface components {
             states: components["schemas"]["FrameStates"];
             /**
              * Format: int64
-             * @description When, nanoseconds since the Unix epoch.
+             * @description Time, nanoseconds since the Unix epoch.
              */
             t_ns: number;
             target?: components["schemas"]["TargetReport"] | null;
@@ -1747,7 +1747,7 @@ export interface components {
             duplicate: number;
             /**
              * Format: int64
-             * @description Arrived after a later frame (it had been counted as lost when the later one came).
+             * @description Arrived after a later frame (first counted as lost).
              * @default 0
              */
             late: number;
@@ -1771,13 +1771,13 @@ export interface components {
             oversized: number;
             /**
              * Format: int64
-             * @description Arrived, or waited in the ring, while the camera's loop did not run: it had failed, or the node stopped.
+             * @description Arrived or waited while the camera's loop was not running, after a failure or while stopping.
              * @default 0
              */
             stopped: number;
             /**
              * Format: int64
-             * @description Of another stream than the camera's present one: another publisher's, or with a number far from all others.
+             * @description Of another stream than the camera's present one: another publisher, or a number far off.
              * @default 0
              */
             stray: number;

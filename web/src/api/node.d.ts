@@ -1402,10 +1402,10 @@ export interface components {
              * @description Confidence, 0 to 1.
              */
             confidence: number;
-            /** @description Whether that object is confirmed. */
+            /** @description Whether the object is confirmed. */
             confirmed: boolean;
             object?: components["schemas"]["ObjectId"] | null;
-            /** @description How the box is known. */
+            /** @description Origin of the box. */
             source: components["schemas"]["BoxSource"];
         };
         /**
@@ -1647,7 +1647,7 @@ export interface components {
              *     number when the node has one camera.
              */
             node_joules?: number | null;
-            /** @description How far to trust it. */
+            /** @description Quality of the figures. */
             quality: components["schemas"]["EnergyQuality"];
             /**
              * Format: int64
@@ -1679,22 +1679,21 @@ export interface components {
             clip: string;
             /**
              * Format: int64
-             * @description Reports that the node has made so far, with this one: numbers that never come tell how many are missing. Absent
-             *     where the node could not read how many there were before. Whatever happens to the count, the identity is the
-             *     report's own.
+             * @description Running number of the node's reports: gaps show how many are missing. Absent if the node could not read the last
+             *     number. The id does not depend on it.
              */
             count?: number | null;
             /**
              * Format: int64
-             * @description Frames answered from prediction because the detector could not be had: state P, and not skipped.
+             * @description Frames answered by prediction because the detector was not available: state P, not counted as skipped.
              */
             degraded_frames: number;
             /** @description Latency of the detector alone, over the frames where it ran. */
             detector_latency_ms: components["schemas"]["Percentiles"];
             /**
              * Format: double
-             * @description Time for which the detector ran for this clip's frames, milliseconds: of each run an even part for each of its
-             *     pictures. Waiting and the audit are not in it.
+             * @description Time the detector ran for this clip's frames, milliseconds, without waiting and audit. A run for several
+             *     pictures is divided evenly.
              */
             detector_used_ms?: number;
             /** @description Frames not processed, by kind. */
@@ -1715,7 +1714,7 @@ export interface components {
             frames: number;
             /**
              * Format: uuid
-             * @description Identity, a UUID of version 7: made with the report, of the node's clock at that time, and never changed.
+             * @description Id, a UUID of version 7 from the node's clock; it never changes.
              */
             id: string;
             /** @description Detector model: file name. */
@@ -1724,12 +1723,12 @@ export interface components {
             node: string;
             /**
              * Format: int32
-             * @description Number of this part of the clip, from 0: a clip that lasts long is reported in parts.
+             * @description Number of this part, from 0: a long clip is reported in parts.
              */
             part?: number;
             /** @description Policy. */
             policy: string;
-            /** @description Execution provider that really ran it. */
+            /** @description Execution provider that ran it. */
             provider: string;
             /**
              * Format: double
@@ -1746,7 +1745,7 @@ export interface components {
             threshold?: components["schemas"]["Threshold"] | null;
             /** @description Every value in force during the clip, in order: the one at the start, then the changes. */
             threshold_changes: components["schemas"]["ThresholdChange"][];
-            /** @description Latency from reception until the answer is handed over to be put; the way through Zenoh is not in it. */
+            /** @description Latency from reception until the answer is handed to Zenoh. */
             total_latency_ms: components["schemas"]["Percentiles"];
             /**
              * Format: int32
@@ -1777,10 +1776,10 @@ export interface components {
              */
             v: number;
         };
-        /** @description Where a camera stands, once a second. */
+        /** @description The counters of a camera, once a second. */
         CountersMessage: {
             audit?: components["schemas"]["AuditFigures"] | null;
-            /** @description Frames that the detector was called for since the node started, by cause; degraded ones are among them. */
+            /** @description Frames that called the detector since the node started, by cause, including degraded ones. */
             calls?: {
                 [key: string]: number;
             };
@@ -1788,7 +1787,7 @@ export interface components {
             camera: string;
             /**
              * Format: int64
-             * @description Frames answered from prediction because the detector could not be had: state P, and not skipped.
+             * @description Frames answered by prediction because the detector was not available: state P, not counted as skipped.
              */
             degraded_frames: number;
             /** @description Frames not processed, by kind. */
@@ -1798,7 +1797,7 @@ export interface components {
              * @description Frames processed since the node started.
              */
             frames: number;
-            /** @description How far to trust the watts. */
+            /** @description Quality of the watts. */
             power_quality: components["schemas"]["EnergyQuality"];
             /**
              * Format: double
@@ -1809,7 +1808,7 @@ export interface components {
             states: components["schemas"]["FrameStates"];
             /**
              * Format: int64
-             * @description When, nanoseconds since the Unix epoch.
+             * @description Time, nanoseconds since the Unix epoch.
              */
             t_ns: number;
             target?: components["schemas"]["TargetReport"] | null;
@@ -1858,14 +1857,14 @@ export interface components {
             cause?: components["schemas"]["CallCause"] | null;
             /** @description Clip the frame belongs to. */
             clip: string;
-            /** @description The detector was needed but could not be had; the boxes are predictions. */
+            /** @description The detector was needed but not available; the boxes are predictions. */
             degraded?: boolean;
             /**
              * Format: int32
              * @description Rows of the picture.
              */
             height: number;
-            /** @description Where the time went. */
+            /** @description Time of each step. */
             latency_ms: components["schemas"]["Latency"];
             /** @description The boxes are predictions made at once. The frame's final state and boxes follow on the camera's key `late`. */
             pending?: boolean;
@@ -1948,7 +1947,7 @@ export interface components {
             duplicate: number;
             /**
              * Format: int64
-             * @description Arrived after a later frame (it had been counted as lost when the later one came).
+             * @description Arrived after a later frame (first counted as lost).
              * @default 0
              */
             late: number;
@@ -1972,13 +1971,13 @@ export interface components {
             oversized: number;
             /**
              * Format: int64
-             * @description Arrived, or waited in the ring, while the camera's loop did not run: it had failed, or the node stopped.
+             * @description Arrived or waited while the camera's loop was not running, after a failure or while stopping.
              * @default 0
              */
             stopped: number;
             /**
              * Format: int64
-             * @description Of another stream than the camera's present one: another publisher's, or with a number far from all others.
+             * @description Of another stream than the camera's present one: another publisher, or a number far off.
              * @default 0
              */
             stray: number;
@@ -2050,7 +2049,7 @@ export interface components {
              */
             v: number;
         };
-        /** @description What a camera may say about a frame, in the attachment of its sample. */
+        /** @description What a camera may add to a frame, in the attachment of its sample. */
         FrameAttachment: {
             /** @description Clip the frame belongs to. Without it clips are fixed time windows. */
             clip?: string | null;
@@ -2066,8 +2065,8 @@ export interface components {
             seq?: number | null;
             /**
              * Format: int64
-             * @description Which numbering `seq` belongs to: a sender that starts anew says another number, such as the time of its start
-             *     in nanoseconds, and loses no frame then.
+             * @description Numbering that `seq` belongs to: a sender that restarts uses another number, such as its start time in
+             *     nanoseconds, and then loses no frame.
              */
             stream?: number | null;
             /**
@@ -2212,7 +2211,7 @@ export interface components {
              */
             most: number;
         };
-        /** @description Where the time of one frame went, milliseconds. A step that did not happen is absent. */
+        /** @description Time of each step of one frame, milliseconds. A step that did not happen is absent. */
         Latency: {
             /**
              * Format: double
@@ -2236,13 +2235,12 @@ export interface components {
             screen?: number | null;
             /**
              * Format: double
-             * @description From reception until the answer is made, before it is written as JSON and put: the way through Zenoh is not in
-             *     it.
+             * @description From reception to the answer, before it is written as JSON and published; without the time in Zenoh.
              */
             total: number;
             /**
              * Format: double
-             * @description Waiting in the ring before the camera's loop took the frame.
+             * @description Waiting in the ring for the camera's loop.
              */
             waiting: number;
         };

@@ -19,7 +19,7 @@ pub struct AnswerContext<'a> {
     pub threshold: Option<Threshold>,
     /// Names of the detector's classes.
     pub class_names: &'a [String],
-    /// Where the time went.
+    /// Time of each step.
     pub latency: Latency,
 }
 

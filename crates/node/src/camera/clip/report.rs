@@ -85,7 +85,7 @@ pub(crate) struct ClipMeta {
     pub policy: String,
     /// Detector model: file name.
     pub model: String,
-    /// Execution provider that really ran it.
+    /// Execution provider that ran it.
     pub provider: String,
 }
 

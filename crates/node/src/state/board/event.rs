@@ -16,7 +16,7 @@ pub enum Event {
     Late(FrameEvent),
     /// A clip ended.
     Clip(Arc<ClipReport>),
-    /// Where a camera stands, once a second.
+    /// The counters of a camera, once a second.
     Counters(Arc<CountersMessage>),
     /// A threshold changed.
     Threshold(ThresholdEvent),
