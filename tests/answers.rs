@@ -219,6 +219,10 @@ async fn every_frame_is_answered_at_once_while_the_detector_is_slow_late_or_fail
         // Its run fails, and its session is built again.
         drive.until(&dark, |late| late.degraded).await;
         drive.until(&scene, is_seen).await;
+        // A picture that ends in its middle.
+        let half = scene[0][..scene[0].len() / 2].to_vec();
+        drive.until(&[half], |late| late.degraded).await;
+        drive.until(&scene, is_seen).await;
         let ended = drive.stop().await;
         ended.check();
         let is_predicted = |live: &&DetectionsMessage| !live.pending && !live.boxes.is_empty();

@@ -2,6 +2,7 @@
 
 use super::evidence::LiveEvidence;
 use super::{BegunFrame, Spent};
+use crate::rate_limit::SharedLimit;
 use albireo_core::policy::{
     CannotRewind, Evidence, FrameHead, KnobError, LatePolicy, Need, Outcome, Policy,
 };
@@ -10,6 +11,8 @@ use std::future::Future;
 use std::pin::Pin;
 use std::time::Duration;
 use tokio::time::Instant;
+
+static BROKEN: SharedLimit = SharedLimit::new();
 
 /// A policy that answers at once, and the evidence that it waits for.
 pub(crate) struct AtOnce {
@@ -154,7 +157,9 @@ impl AtOnce {
         let found = match &fetched {
             Ok(()) => evidence.fetched(need),
             Err(fault) => {
-                tracing::debug!(index, %fault, "a frame that was answered at once cannot be examined");
+                BROKEN.tell(|held_back| {
+                    tracing::warn!(held_back, %fault, "a frame that was answered at once stays as predicted");
+                });
                 Evidence::Unavailable
             }
         };
