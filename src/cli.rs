@@ -11,6 +11,8 @@ mod completions;
 #[cfg(feature = "eval")]
 mod demo;
 mod detect;
+#[cfg(feature = "development")]
+mod development;
 #[cfg(feature = "hub")]
 mod diag;
 #[cfg(feature = "eval")]
@@ -23,6 +25,7 @@ mod help;
 mod hub;
 mod man;
 mod node;
+mod node_config;
 mod power;
 mod publish;
 mod rate;

@@ -169,7 +169,7 @@ async fn a_node_s_own_camera_goes_away_and_comes_back_and_its_password_is_never_
     let camera = RtspCamera::start("h264", &login).await;
     let port = camera.port;
     let settings = format!(
-        "[[camera]]\nname = \"front\"\nring = 64\nsource_timeout_s = 20.0\n\
+        "[[camera]]\nname = \"front\"\n# development: ring=64 source_timeout_s=20\n\
          source = \"rtsp://${{GATE_USER}}:${{GATE_PASSWORD}}@127.0.0.1:{port}/stream\"\n"
     );
     let environment = [("GATE_USER", USER), ("GATE_PASSWORD", PASSWORD)];
@@ -364,7 +364,7 @@ async fn a_file_is_a_camera_that_never_ends() {
         .status();
     assert!(made.unwrap().success());
     let settings = format!(
-        "[[camera]]\nname = \"front\"\nring = 64\nsource = \"{}\"\n",
+        "[[camera]]\nname = \"front\"\n# development: ring=64\nsource = \"{}\"\n",
         file.display()
     );
     let begun = Instant::now();
@@ -446,7 +446,9 @@ async fn a_source_that_cannot_be_opened_is_named_with_what_to_do() {
 
 /// Settings of a node's camera `front` with this source.
 fn source(address: &str, more: &str) -> String {
-    format!("[[camera]]\nname = \"front\"\nring = 64\nsource = \"{address}\"\n{more}\n")
+    format!(
+        "[[camera]]\nname = \"front\"\n# development: ring=64\nsource = \"{address}\"\n{more}\n"
+    )
 }
 
 async fn front(node: &Node) -> Value {
@@ -503,7 +505,11 @@ async fn a_camera_that_cannot_be_reached_is_named_in_clear_words() {
 async fn a_source_that_falls_silent_fails_when_it_is_to() {
     let script = Script::FallSilent(vec![picture(); 20]);
     let camera = MotionJpegCamera::playing(script, Duration::from_millis(10)).await;
-    let node = Node::start(&source(&camera.address, "source_timeout_s = 3.0")).await;
+    let node = Node::start(&source(
+        &camera.address,
+        "# development: source_timeout_s=3",
+    ))
+    .await;
     wait_until("frames come", async || processed(&node).await >= 1).await;
     let mut last = (processed(&node).await, Instant::now());
     let fault = loop {

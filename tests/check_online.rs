@@ -46,7 +46,7 @@ async fn check_online_tells_the_provider_that_runs_and_that_the_hub_takes_report
 #[ignore = "needs ONNX Runtime"]
 async fn check_online_names_what_does_not_answer_and_exits_1() {
     let nobody = format!("tcp/127.0.0.1:{}", free_port());
-    let cameras = "[{name=\"road\",source=\"rtsp://127.0.0.1:9/road\",source_timeout_s=1}]";
+    let cameras = "[{name=\"road\",source=\"rtsp://127.0.0.1:9/road\"}]";
     let (output, said) = check_online(&nobody, &[("ALBIREO_CAMERA", cameras)]).await;
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("works  detector: runs on cpu, "), "{said}");

@@ -93,7 +93,7 @@ fn check_names_file_key_and_reason_and_exits_1() {
     let file = directory.path().join("bad.toml");
     std::fs::write(
         &file,
-        "[clip]\nwindow_s = -1\n[[camera]]\nname = \"a\"\nring = 0\n",
+        "[clip]\nwindow_s = -1\n[[camera]]\nname = \"a\"\nmax_rate = 0\nsource = \"a.mp4\"\n",
     )
     .unwrap();
     let output = albireo(&["check", file.to_str().unwrap()], &[]);
@@ -102,7 +102,7 @@ fn check_names_file_key_and_reason_and_exits_1() {
     for part in [
         file.to_str().unwrap(),
         "clip.window_s: must be above 0",
-        "camera[0].ring: must be from 1",
+        "camera[0].max_rate: must be above 0",
     ] {
         assert!(said.contains(part), "{said}");
     }

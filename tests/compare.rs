@@ -24,9 +24,15 @@ const SHORT: [&str; 10] = [
 ];
 
 async fn compare(arguments: &[&str]) -> Output {
+    compare_with("", arguments).await
+}
+
+/// As [`compare`], with constants changed.
+async fn compare_with(development: &str, arguments: &[&str]) -> Output {
     let output = albireo()
         .args(SHORT)
         .args(arguments)
+        .env("ALBIREO_DEVELOPMENT", development)
         .stdout(std::process::Stdio::piped())
         .stderr(std::process::Stdio::piped())
         .output();
@@ -164,25 +170,29 @@ async fn the_boards_own_meter_is_read_in_every_run() {
     let task = json!({"curve": [[0, 21.5], [1, 21.5]]});
     std::fs::write(folder.path().join("tegrastats.json"), task.to_string()).unwrap();
     let power = format!(
-        "source = \"tegrastats\"\ntegrastats = \"{}\"\nsysfs = \"{}\"\nnvpmodel = \"{}\"",
+        "source = \"tegrastats\"\ntegrastats = \"{}\"",
         program.display(),
-        folder.path().join("sys").display(),
-        fake_nvpmodel(folder.path()).display()
     );
     let config = configuration(folder.path(), &power);
     let out = folder.path().join("out");
-    let output = compare(&[
+    let constants = format!(
+        "sysfs={} nvpmodel={}",
+        folder.path().join("sys").display(),
+        fake_nvpmodel(folder.path()).display()
+    );
+    let (config, files) = (config.to_str().unwrap(), out.to_str().unwrap());
+    let arguments = [
         "--policy",
         "vanilla",
         "--policy",
         "albireo",
         "--config",
-        config.to_str().unwrap(),
+        config,
         "--unpaced",
         "--out",
-        out.to_str().unwrap(),
-    ])
-    .await;
+        files,
+    ];
+    let output = compare_with(&constants, &arguments).await;
     let found = written(&out, &output);
     let said = text(&output.stdout);
     assert!(

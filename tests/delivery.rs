@@ -17,7 +17,7 @@ fn settings() -> String {
     format!(
         "detector.model = \"{}/tests/fixtures/models/boxes.onnx\"\ndetector.timeout_ms = 60000\n\
          policy.name = \"vanilla\"\npower.source = \"none\"\n\
-         outbox.retry_min_ms = 50\noutbox.retry_max_ms = 200\noutbox.answer_timeout_ms = 1500\n",
+         # development: retry_min_ms=50 retry_max_ms=200 answer_timeout_ms=1500\n",
         env!("CARGO_MANIFEST_DIR")
     )
 }

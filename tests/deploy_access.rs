@@ -421,7 +421,7 @@ async fn a_real_node_reports_through_the_router_with_its_certificate() {
         "node.name = \"car-7\"\ndetector.model = \"{}/tests/fixtures/models/boxes.onnx\"\npower.source = \"none\"\n\
          uplink.connect = [\"{}\"]\nuplink.root_ca_certificate = \"{authority}/authority.pem\"\n\
          uplink.certificate = \"{authority}/node/car-7.pem\"\nuplink.private_key = \"{authority}/node/car-7.key\"\n\
-         uplink.liveliness = true\noutbox.retry_min_ms = 50\n",
+         uplink.liveliness = true\n# development: retry_min_ms=50\n",
         env!("CARGO_MANIFEST_DIR"),
         fleet.endpoint,
     );

@@ -138,22 +138,21 @@ async fn a_truncated_missing_or_foreign_file_is_refused_with_its_name() {
 
 #[tokio::test]
 #[ignore = "needs ONNX Runtime"]
-async fn a_missing_provider_is_an_error_unless_the_list_may_fall_back() {
+async fn a_missing_provider_is_an_error_unless_the_list_has_another() {
     use ExecutionProvider::{Cpu, Cuda, TensorRt};
-    for (providers, named) in [(vec![Cuda, Cpu], "`cuda`"), (vec![TensorRt], "`tensorrt`")] {
+    for (providers, named) in [(vec![Cuda], "`cuda`"), (vec![TensorRt], "`tensorrt`")] {
         let error = refusal(DetectorConfig {
             providers,
             ..config("colours.onnx")
         })
         .await;
         assert!(
-            error.contains(named) && error.contains("may_fall_back"),
+            error.contains(named) && error.contains("detector.providers"),
             "{error}"
         );
     }
     let detector = DetectorHandle::start(&DetectorConfig {
         providers: vec![TensorRt, Cuda, Cpu],
-        may_fall_back: true,
         ..config("colours.onnx")
     })
     .await
@@ -166,7 +165,6 @@ async fn a_missing_provider_is_an_error_unless_the_list_may_fall_back() {
     );
     let error = refusal(DetectorConfig {
         providers: vec![TensorRt, Cuda],
-        may_fall_back: true,
         ..config("colours.onnx")
     })
     .await;

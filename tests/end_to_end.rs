@@ -27,7 +27,7 @@ silence_s = 2.0
 [[camera]]
 name = "front"
 delivery = "every"
-ring = 4
+# development: ring=4
 "#,
         shared("models/yolox_nano_416.onnx").display()
     )

@@ -40,8 +40,8 @@ impl Car {
             "node.name = \"{name}\"\nnode.state_dir = \"{}\"\n\
              detector.model = \"{}/tests/fixtures/models/boxes.onnx\"\ndetector.timeout_ms = 60000\n\
              policy.name = \"{policy}\"\npower.source = \"none\"\n\
-             outbox.retry_min_ms = 50\noutbox.retry_max_ms = 200\noutbox.answer_timeout_ms = 1500\n\
-             uplink.connect = [\"{router}\"]\nuplink.retry_max_ms = 500\n",
+             # development: retry_min_ms=50 retry_max_ms=200 answer_timeout_ms=1500\n\
+             uplink.connect = [\"{router}\"]\n# development: reconnect_max_ms=500\n",
             folder.path().join("state").display(),
             env!("CARGO_MANIFEST_DIR")
         );

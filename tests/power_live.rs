@@ -51,8 +51,7 @@ n = 3
 silence_s = 1.0
 [power]
 source = "ina"
-sysfs = "{}"
-nvpmodel = "{}"
+# development: sysfs={} nvpmodel={}
 [[camera]]
 name = "front"
 delivery = "every"
@@ -274,7 +273,7 @@ async fn no_frame_waits_for_a_meter_that_hangs_and_neither_does_the_end() {
 }
 
 #[tokio::test]
-async fn the_survey_lists_every_source_and_runs_tegrastats_by_sudo_only_when_told() {
+async fn the_survey_lists_every_source_and_runs_tegrastats_by_a_script_when_told() {
     let folder = tempfile::tempdir().unwrap();
     let program = folder.path().join("tegrastats");
     let fake = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fixtures/fake_tegrastats");
@@ -294,13 +293,20 @@ async fn the_survey_lists_every_source_and_runs_tegrastats_by_sudo_only_when_tol
         folder.path().display(),
         std::env::var("PATH").unwrap_or_default()
     );
+    let script = folder.path().join("by-sudo");
+    let text = format!("#!/bin/sh\nexec sudo -n {} \"$@\"\n", program.display());
+    std::fs::write(&script, text).unwrap();
+    std::fs::set_permissions(&script, std::fs::Permissions::from_mode(0o755)).unwrap();
+    let sysfs = folder.path().join("sys");
     for asked in [false, true] {
         let output = albireo()
             .args(["power", "--json"])
             .env("PATH", &path)
-            .env("ALBIREO_POWER__TEGRASTATS", &program)
-            .env("ALBIREO_POWER__SYSFS", folder.path().join("sys"))
-            .env("ALBIREO_POWER__SUDO", asked.to_string())
+            .env(
+                "ALBIREO_POWER__TEGRASTATS",
+                if asked { &script } else { &program },
+            )
+            .env("ALBIREO_DEVELOPMENT", format!("sysfs={}", sysfs.display()))
             .stdout(Stdio::piped())
             .output();
         let output = timeout(PATIENCE, output).await.unwrap().unwrap();

@@ -187,7 +187,7 @@ async fn a_program_without_rails_says_that_root_is_needed() {
         .unwrap()
         .unwrap();
     assert!(matches!(error, MeterError::Permission { .. }));
-    assert!(error.to_string().contains("sudo = true"), "{error}");
+    assert!(error.to_string().contains("sudo -n tegrastats"), "{error}");
 }
 
 #[test]

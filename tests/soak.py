@@ -46,9 +46,6 @@ u = 1e-3
 [clip]
 window_s = 10.0
 silence_s = 5.0
-[outbox]
-retry_min_ms = 200
-retry_max_ms = 5000
 [[camera]]
 name = "front"
 [[camera]]

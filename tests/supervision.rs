@@ -189,7 +189,7 @@ async fn a_second_node_of_one_name_says_so_and_takes_the_name_when_it_is_free() 
 #[ignore = "needs ONNX Runtime"]
 async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     let settings = format!(
-        "node.stop_timeout_s = 60.0\ndetector.model = \"{}\"\ndetector.timeout_ms = 600000\n\
+        "# development: stop_timeout_s=60\ndetector.model = \"{}\"\ndetector.timeout_ms = 600000\n\
          policy.name = \"vanilla\"\npower.source = \"none\"\n",
         model("hanging.onnx").display()
     );

@@ -192,7 +192,7 @@ pub(super) async fn run(arguments: Arguments) -> anyhow::Result<()> {
 
 /// The node's configuration and what is compared, checked before anything starts.
 fn prepare(arguments: &Arguments) -> anyhow::Result<(NodeConfig, Vec<Variant>)> {
-    let mut config: NodeConfig = albireo_service::config::load(arguments.config.as_deref())?;
+    let mut config = super::node_config::load(arguments.config.as_deref())?;
     if let Some(model) = &arguments.detector {
         config.detector.model.clone_from(model);
         config.screen.model = None;

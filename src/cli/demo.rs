@@ -146,7 +146,7 @@ fn configuration(arguments: &Arguments, endpoint: &str) -> anyhow::Result<NodeCo
     config.node.name = "demo".to_owned();
     config.zenoh.listen = vec![endpoint.to_owned()];
     // Who looks at a demonstration wants to see each clip arrive.
-    config.outbox.gather_reports = 1;
+    config.outbox.gather_s = 0;
     config.uplink.pictures = true;
     config.detector.model.clone_from(&arguments.detector);
     config.policy.select(&arguments.policy)?;

@@ -122,7 +122,7 @@ struct RunArguments {
     #[arg(long, help_heading = JUDGED, value_enum, default_value_t = ScreenRule::Nonempty)]
     screen: ScreenRule,
     /// Frames in a row that a real screen may call empty before the detector looks anyway, as
-    /// `screen.longest_empty_run` of a node; 0 for any number.
+    /// Frames in a row that the screen may call empty; 0 for any number.
     #[arg(long, help_heading = JUDGED, value_name = "COUNT", default_value_t = 100)]
     longest_empty_run: u32,
     /// Detections below this confidence are not used.

@@ -2,7 +2,7 @@
 
 use super::block_on;
 use albireo_node::config::NodeConfig;
-use albireo_service::{config, logging, signals};
+use albireo_service::{logging, signals};
 use anyhow::Context;
 use std::path::PathBuf;
 use tokio::net::TcpListener;
@@ -27,7 +27,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let config: NodeConfig = config::load(arguments.config.as_deref())?;
+    let config = super::node_config::load(arguments.config.as_deref())?;
     logging::start(&config.log)?;
     let file = arguments.config.as_ref();
     tracing::info!(

@@ -1,6 +1,5 @@
 //! `albireo power`: which power sources work on this machine, their rails, and watts now.
 
-use albireo_node::config::NodeConfig;
 use albireo_power::{SourceSurvey, survey};
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -27,7 +26,7 @@ pub(super) struct Arguments {
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let config: NodeConfig = albireo_service::config::load(arguments.config.as_deref())?;
+    let config = super::node_config::load(arguments.config.as_deref())?;
     let found = survey(&config.power);
     if arguments.json {
         println!("{}", serde_json::to_string_pretty(&found)?);

@@ -66,7 +66,7 @@ async fn when_every_connection_is_in_use_a_new_one_is_told_so() {
     let answer = timeout(LONG, node.get("/healthz")).await.unwrap();
     let told = super::served::problem(answer, 503).await;
     let detail = told["detail"].as_str().unwrap();
-    assert!(detail.contains("http.max_connections"), "{detail}");
+    assert!(detail.contains("all connections are in use"), "{detail}");
 }
 
 #[tokio::test]

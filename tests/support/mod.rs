@@ -90,6 +90,13 @@ pub(crate) fn fake_nvpmodel(folder: &Path) -> PathBuf {
     program
 }
 
+/// The constants that settings change in their comments, `# development: name=value …`.
+pub(crate) fn development(settings: &str) -> String {
+    let named = |line: &'_ str| line.strip_prefix("# development: ").map(str::to_owned);
+    let lines: Vec<_> = settings.lines().filter_map(named).collect();
+    lines.join(" ")
+}
+
 /// `albireo node`, running.
 pub(crate) struct Node {
     child: Child,
@@ -142,16 +149,17 @@ impl Node {
             "http.listen = \"127.0.0.1:0\"\nzenoh.listen = {listen}\nlog.format = \"json\"\n"
         );
         // Each report goes at once, unless gathering is what is tested.
-        let at_once = if settings.contains("gather_reports") {
+        let at_once = if settings.contains("gather_s") {
             ""
         } else {
-            "outbox.gather_reports = 1\n"
+            "outbox.gather_s = 0\n"
         };
         std::fs::write(&file, addresses + at_once + settings)
             .expect("the configuration is written");
         let mut child = albireo()
             .args(["node", "--config"])
             .arg(&file)
+            .env("ALBIREO_DEVELOPMENT", development(settings))
             .envs(environment.iter().copied())
             .stderr(Stdio::piped())
             .spawn()

@@ -129,17 +129,13 @@ pub struct NodeSection {
     /// Folder for what must survive a restart: changed thresholds, undelivered clip reports. Without it
     /// both are forgotten.
     pub state_dir: Option<PathBuf>,
-    /// Whether a threshold changed at the node gives way when the hub is next heard to desire another. Otherwise it
-    /// stays until the hub desires something new; the hub shows the difference either way.
-    pub hub_wins: bool,
     /// When frames are answered.
     pub answer: AnswerTime,
     /// Labels by which a hub selects nodes.
     pub labels: BTreeMap<String, String>,
-    /// Longest time stopping may take, seconds, whatever hangs.
+    /// Longest time stopping may take, seconds, whatever hangs. No setting: service managers wait for 10 s and more.
+    #[serde(skip)]
     pub stop_timeout_s: f64,
-    /// A camera without a frame for so long makes the node degraded, seconds.
-    pub camera_silence_s: f64,
     /// Under a service manager: a detector, screen or camera loop that has been broken for so long ends the feeding of
     /// the watchdog, seconds.
     pub stuck_after_s: f64,
@@ -149,11 +145,6 @@ impl NodeSection {
     /// [`stop_timeout_s`](Self::stop_timeout_s) as a time.
     pub fn stop_timeout(&self) -> Duration {
         Duration::try_from_secs_f64(self.stop_timeout_s).unwrap_or(Duration::from_secs(5))
-    }
-
-    /// [`camera_silence_s`](Self::camera_silence_s) as a time.
-    pub fn camera_silence(&self) -> Duration {
-        Duration::try_from_secs_f64(self.camera_silence_s).unwrap_or(Duration::MAX)
     }
 
     /// [`stuck_after_s`](Self::stuck_after_s) as a time.
@@ -168,11 +159,9 @@ impl Default for NodeSection {
             name: "node".to_owned(),
             prefix: "albireo".to_owned(),
             state_dir: None,
-            hub_wins: false,
             answer: AnswerTime::default(),
             labels: BTreeMap::new(),
             stop_timeout_s: 5.0,
-            camera_silence_s: 30.0,
             stuck_after_s: 900.0,
         }
     }
@@ -202,8 +191,13 @@ pub struct CameraConfig {
     /// Options of ffmpeg for the source.
     #[serde(default)]
     pub source_options: SourceOptions,
-    /// A source without a picture for so long is opened anew, seconds.
-    #[serde(default = "default_source_timeout")]
+    /// A source without a picture for so long is opened anew, seconds. No setting: a camera that records only what moves
+    /// is published by a program of its own.
+    #[serde(
+        skip_serializing,
+        skip_deserializing,
+        default = "default_source_timeout"
+    )]
     pub source_timeout_s: f64,
     /// How its payload is to be read.
     #[serde(default)]
@@ -211,8 +205,8 @@ pub struct CameraConfig {
     /// Which frames are processed when they come faster than the node works.
     #[serde(default)]
     pub delivery: Delivery,
-    /// Frames that may wait.
-    #[serde(default = "default_ring")]
+    /// Frames that may wait. No setting: a third one would only make answers later.
+    #[serde(skip_serializing, skip_deserializing, default = "default_ring")]
     pub ring: usize,
     /// When its frames are answered, if not as `node.answer` says.
     #[serde(default)]

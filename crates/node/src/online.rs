@@ -127,7 +127,7 @@ fn try_detector(config: &DetectorConfig) -> Result<String, String> {
         && *first != provider
     {
         text.push_str(&format!(
-            "; `{}` does not work here, and detector.may_fall_back = true lets the next one in the list run",
+            "; `{}` does not work here, and detector.providers lists another after it",
             first.as_str()
         ));
     }

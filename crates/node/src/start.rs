@@ -224,7 +224,7 @@ impl PreparedNode {
                 }
             });
         }
-        readiness::look_at_cameras(&board, config.node.camera_silence());
+        readiness::look_at_cameras(&board, readiness::CAMERA_SILENCE);
         readiness::look_at_power(&board, &power);
         let watched = board.readiness().clone();
         let stop = shutdown.clone();
@@ -330,7 +330,7 @@ impl PreparedNode {
             config: config.outbox.clone(),
             keys: keys.fleet(),
             labels: config.node.labels.clone(),
-            desired: DesiredKeeper::open(board.outbox(), config.node.hub_wins),
+            desired: DesiredKeeper::open(board.outbox()),
             pictures: config.uplink.pictures,
             limits: config.frame,
             route: if config.uplink.is_set() {
@@ -379,7 +379,7 @@ impl Node {
     }
 
     /// Runs until the shutdown token is cancelled or a task fails that the node cannot do without. Then lets the
-    /// frames in hand and the open clips out, and closes. Takes at most the configured `node.stop_timeout_s`,
+    /// frames in hand and the open clips out, and closes. Takes at most 5 s,
     /// whatever hangs: after a quarter of it no detector is waited for, and what has not ended in time is named in
     /// the log and given up.
     ///

@@ -72,30 +72,21 @@ impl Nvml {
     /// Loads NVML and asks each card once.
     ///
     /// # Errors
-    /// [`MeterError::Missing`] without a driver, without a card, or when no card can tell its power;
-    /// [`MeterError::Configuration`] when `nvml_cards` names a card that is not there.
+    /// [`MeterError::Missing`] without a driver, without a card, or when no card can tell its power.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         config.check()?;
         let driver = driver::Driver::load(&driver::LIBRARIES).map_err(missing)?;
-        Self::with(Box::new(driver), &config.nvml_cards)
+        Self::with(Box::new(driver))
     }
 
-    fn with(driver: Box<dyn Cards>, wanted: &[u32]) -> Result<Self, MeterError> {
+    fn with(driver: Box<dyn Cards>) -> Result<Self, MeterError> {
         let failed = |error: CardError| match error {
             CardError::NotSupported => missing("the driver does not list its cards".to_owned()),
             CardError::Failed(reason) => missing(reason),
         };
         let count = driver.count().map_err(failed)?;
-        if let Some(index) = wanted.iter().find(|i| **i >= count) {
-            return Err(MeterError::Configuration {
-                key: "nvml_cards".to_owned(),
-                reason: format!(
-                    "there is no card {index}; this machine has {count}, numbered from 0"
-                ),
-            });
-        }
         let (mut cards, mut all_count) = (Vec::new(), true);
-        for index in (0..count).filter(|i| wanted.is_empty() || wanted.contains(i)) {
+        for index in 0..count {
             let counts = driver.energy_mj(index).is_ok();
             match driver.power_mw(index) {
                 _ if counts => {}

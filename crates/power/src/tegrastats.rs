@@ -1,7 +1,7 @@
 //! NVIDIA's `tegrastats`, the meter every Jetson has, as a supervised child process (JetPack 4 to 7).
 //!
-//! On several releases it prints the power rails to root only. `power.sudo = true` runs it by `sudo -n`,
-//! which never asks for a password: a rule in sudoers must allow it.
+//! On several releases it prints the power rails to root only: then `power.tegrastats` names a script that runs it by
+//! `exec sudo -n`, which never asks for a password; a rule in sudoers must allow it.
 
 mod line;
 
@@ -48,13 +48,8 @@ impl Tegrastats {
     pub fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         config.check()?;
         let interval = config.interval_ms.to_string();
-        let (program, mut arguments) = if config.sudo {
-            let own = config.tegrastats.to_string_lossy().into_owned();
-            (PathBuf::from("sudo"), vec!["-n".to_owned(), own])
-        } else {
-            (config.tegrastats.clone(), Vec::new())
-        };
-        arguments.extend(["--interval".to_owned(), interval]);
+        let program = config.tegrastats.clone();
+        let arguments = ["--interval".to_owned(), interval];
         let child = LineChild::start(&program, &arguments).map_err(|error| match error.kind() {
             std::io::ErrorKind::NotFound => MeterError::Missing {
                 source_name: SOURCE,
@@ -71,18 +66,14 @@ impl Tegrastats {
             newest: Instant::now(),
             condition: Condition::default(),
         };
-        meter.first_line(config.sudo)?;
+        meter.first_line()?;
         Ok(meter)
     }
 
-    fn first_line(&mut self, sudo: bool) -> Result<(), MeterError> {
+    fn first_line(&mut self) -> Result<(), MeterError> {
         let Some(line) = self.child.first_line(FIRST_LINE) else {
             let why = self.child.trouble().unwrap_or("it prints nothing");
-            let sudo = match sudo {
-                true => "; does sudoers allow it without a password?",
-                false => "",
-            };
-            return Err(self.unreadable(format!("{why}{sudo}")));
+            return Err(self.unreadable(why.to_owned()));
         };
         let Some(line) = TegrastatsLine::parse(&line) else {
             return Err(self.unreadable("it does not print lines of tegrastats".to_owned()));
@@ -91,8 +82,8 @@ impl Tegrastats {
             return Err(MeterError::Permission {
                 source_name: SOURCE,
                 path: self.program.clone(),
-                remedy: "it prints no power rails for this user; run as root, or set `sudo = true` in [power] and \
-                         allow it in sudoers without a password"
+                remedy: "it prints no power rails for this user; run as root, or let power.tegrastats name a script \
+                         that runs `exec sudo -n tegrastats \"$@\"`, allowed in sudoers without a password"
                     .to_owned(),
             });
         }

@@ -12,7 +12,6 @@ mod uplink;
 mod zenoh;
 
 pub use error::{ConfigError, Finding};
-pub(crate) use findings::DAY_MS;
 pub use findings::{DAY_S, Findings};
 pub use http::{HttpConfig, Token};
 pub use load::{Configuration, examine, load};

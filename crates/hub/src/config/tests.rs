@@ -68,11 +68,13 @@ fn every_key_is_in_the_shipped_file_with_a_comment() {
 
 #[test]
 fn a_key_that_is_not_given_has_the_hubs_default_and_not_the_nodes() {
-    let config = read("[zenoh]\nmulticast_scouting = true\n[http]\ntimeout_ms = 5000").unwrap();
+    let config =
+        read("[zenoh]\nmulticast_scouting = true\n[http]\ncors_origins = [\"https://a.example\"]")
+            .unwrap();
     assert_eq!(config.zenoh.listen, ["tcp/127.0.0.1:7448"]);
     assert!(config.zenoh.multicast_scouting);
     assert_eq!(config.http.listen.port(), 8090);
-    assert_eq!(config.http.timeout_ms, 5000);
+    assert_eq!(config.http.cors_origins, ["https://a.example"]);
 }
 
 #[test]

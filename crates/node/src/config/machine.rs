@@ -64,33 +64,26 @@ impl NodeConfig {
             Ok(library) => library,
             Err(error) => return findings.add("detector.onnxruntime", error.to_string()),
         };
-        let wanted = &self.detector.providers;
-        let tried = if self.detector.may_fall_back {
-            &[]
-        } else {
-            &wanted[..wanted.len().min(1)]
+        // Where another provider is listed after it, a missing one is no fault.
+        let name = match self.detector.providers.as_slice() {
+            [ExecutionProvider::Cuda] => "cuda",
+            [ExecutionProvider::TensorRt] => "tensorrt",
+            _ => return,
         };
-        for provider in tried {
-            let name = match provider {
-                ExecutionProvider::Cpu => continue,
-                ExecutionProvider::Cuda => "cuda",
-                ExecutionProvider::TensorRt => "tensorrt",
-            };
-            let file = format!(
-                "{}onnxruntime_providers_{name}{}",
-                std::env::consts::DLL_PREFIX,
-                std::env::consts::DLL_SUFFIX
+        let file = format!(
+            "{}onnxruntime_providers_{name}{}",
+            std::env::consts::DLL_PREFIX,
+            std::env::consts::DLL_SUFFIX
+        );
+        if !library.with_file_name(&file).exists() {
+            findings.add(
+                "detector.providers",
+                format!(
+                    "`{name}` is not in this ONNX Runtime: there is no {file} beside {}; install a build with it, \
+                     or list \"cpu\" after it",
+                    library.display()
+                ),
             );
-            if !library.with_file_name(&file).exists() {
-                findings.add(
-                    "detector.providers",
-                    format!(
-                        "`{name}` is not in this ONNX Runtime: there is no {file} beside {}; install a build with it, \
-                         or list \"cpu\" first",
-                        library.display()
-                    ),
-                );
-            }
         }
     }
 }

@@ -16,6 +16,9 @@ const PROFILE: &str =
 const FITTED: &str = "its numbers are fitted to recordings and fixed; `expected-loss+flow` in policy.name follows \
                       boxes in pictures";
 const PICTURE: &str = "a picture may have 7680x4320 pixels and 128 MiB when decoded";
+const RETRY: &str = "a batch is sent again after 1 s, then after pauses that double up to 60 s";
+const CERTIFICATE: &str =
+    "a node shows its certificate: uplink.certificate, which `albireo certificate` makes";
 const NO_BATTERY: &str = "a battery renews its figures too seldom to measure clips by; `estimate` works on every machine";
 const ONE_METER: &str =
     "name one meter in power.source: `rapl` for the processor or `nvml` for the cards";
@@ -29,6 +32,99 @@ impl Configuration for NodeConfig {
     ];
 
     const REMOVED: &'static [(&'static str, &'static str)] = &[
+        (
+            "node.hub_wins",
+            "a value set at the node stays until the hub desires a new one",
+        ),
+        ("node.stop_timeout_s", "stopping takes at most 5 s"),
+        (
+            "node.camera_silence_s",
+            "a camera counts as silent after 30 s without a frame",
+        ),
+        (
+            "outbox.max_bytes",
+            "the file of reports takes at most 256 MiB",
+        ),
+        (
+            "outbox.gather_reports",
+            "12 reports go together; outbox.gather_s = 0 sends each at once",
+        ),
+        (
+            "outbox.answer_timeout_ms",
+            "a hub may take 10 s to answer a batch",
+        ),
+        ("outbox.retry_min_ms", RETRY),
+        ("outbox.retry_max_ms", RETRY),
+        ("outbox.status_s", "a heartbeat goes every 30 s"),
+        (
+            "uplink.retry_max_ms",
+            "the router is tried again after at most 30 s",
+        ),
+        (
+            "uplink.verify_name",
+            "the router's certificate is always compared with its name: `albireo certificate` takes several names and \
+             addresses",
+        ),
+        ("uplink.user", CERTIFICATE),
+        ("uplink.password_file", CERTIFICATE),
+        ("http.timeout_ms", "a request may take 10 s"),
+        (
+            "http.idle_timeout_ms",
+            "a connection that is silent for 30 s is closed",
+        ),
+        (
+            "http.max_connections",
+            "256 connections may be open at a time",
+        ),
+        (
+            "detector.suppression_per_class",
+            "boxes of one class suppress each other",
+        ),
+        (
+            "detector.most_detections",
+            "a frame has at most 300 detections",
+        ),
+        (
+            "detector.batch_wait_ms",
+            "a frame waits 5 ms for those that share its run",
+        ),
+        (
+            "detector.may_fall_back",
+            "each provider in detector.providers stands in for those before it: list one alone to have no other",
+        ),
+        (
+            "detector.gpu.device",
+            "the environment variable CUDA_VISIBLE_DEVICES chooses the GPU",
+        ),
+        (
+            "detector.gpu.memory_limit_mib",
+            "there is no limit but the card's memory",
+        ),
+        (
+            "screen.empty_class",
+            "the first of the network's two outputs means \"empty\"",
+        ),
+        (
+            "screen.timeout_ms",
+            "a verdict that takes longer than 1 s counts as \"not empty\"",
+        ),
+        (
+            "screen.longest_empty_run",
+            "the detector looks after 100 empty frames in a row",
+        ),
+        ("power.sysfs", "sysfs is read at /sys"),
+        ("power.procfs", "procfs is read at /proc"),
+        ("power.nvpmodel", "nvpmodel is looked for in PATH"),
+        ("power.nvml_cards", "all cards of the machine count"),
+        (
+            "power.sudo",
+            "power.tegrastats may name a script that runs `exec sudo -n tegrastats \"$@\"`",
+        ),
+        ("camera.ring", "two frames may wait"),
+        (
+            "camera.source_timeout_s",
+            "a source without a picture for 15 s is opened again",
+        ),
         ("policy.albireo", PROFILE),
         ("policy.expected_loss", FITTED),
         ("audit.wait_s", "a drawn frame waits 5 s for the detector"),
@@ -54,7 +150,7 @@ impl Configuration for NodeConfig {
         self.zenoh
             .check("zenoh", self.frame.max_payload_bytes, &mut findings);
         self.uplink.check("uplink", &mut findings);
-        self.check_outbox(&mut findings);
+        findings.count("outbox.gather_s", self.outbox.gather_s, 0, 86_400);
         self.http.check_beside(&self.tokens, &mut findings);
         NamedToken::check(&self.tokens, &mut findings);
         self.check_models(&mut findings);
@@ -77,32 +173,7 @@ impl NodeConfig {
             findings.add("node.prefix", error.to_string());
         }
         findings.path("node.state_dir", self.node.state_dir.as_deref());
-        findings.above_zero("node.stop_timeout_s", self.node.stop_timeout_s, 3600.0);
-        findings.above_zero("node.camera_silence_s", self.node.camera_silence_s, DAY_S);
         findings.above_zero("node.stuck_after_s", self.node.stuck_after_s, DAY_S);
-    }
-
-    fn check_outbox(&self, findings: &mut Findings) {
-        let outbox = &self.outbox;
-        findings.count("outbox.max_bytes", outbox.max_bytes, 1 << 16, 1 << 40);
-        let figure = outbox.gather_reports as u64;
-        findings.count("outbox.gather_reports", figure, 1, 1000);
-        findings.count("outbox.gather_s", outbox.gather_s, 0, 86_400);
-        findings.count(
-            "outbox.answer_timeout_ms",
-            outbox.answer_timeout_ms,
-            100,
-            600_000,
-        );
-        findings.count("outbox.retry_min_ms", outbox.retry_min_ms, 1, 3_600_000);
-        let most = outbox.retry_max_ms;
-        findings.count(
-            "outbox.retry_max_ms",
-            most,
-            outbox.retry_min_ms.max(1),
-            3_600_000,
-        );
-        findings.count("outbox.status_s", outbox.status_s, 1, 86_400);
     }
 
     fn check_models(&self, findings: &mut Findings) {
@@ -111,14 +182,11 @@ impl NodeConfig {
         if let Some(ClassNames::File(names)) = &detector.class_names {
             findings.path("detector.class_names", Some(names));
         }
-        findings.path("detector.onnxruntime", detector.onnxruntime.as_deref());
         for (key, reason) in detector.problems() {
             findings.add(format!("detector.{key}"), reason);
         }
+        findings.path("detector.onnxruntime", detector.onnxruntime.as_deref());
         findings.path("screen.model", self.screen.model.as_deref());
-        for (key, reason) in self.screen.problems() {
-            findings.add(format!("screen.{key}"), reason);
-        }
     }
 
     fn check_figures(&self, findings: &mut Findings) {
@@ -316,7 +384,6 @@ fn check_camera(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
             Err(error) => findings.add(key("key"), format!("`{frames}` is no Zenoh key: {error}")),
         }
     }
-    findings.count(&key("ring"), camera.ring as u64, 1, 1024);
     check_source(camera, key, findings);
 }
 
@@ -324,7 +391,6 @@ fn check_source(camera: &CameraConfig, key: &dyn Fn(&str) -> String, findings: &
     if let Some(rate) = camera.max_rate {
         findings.above_zero(&key("max_rate"), rate, 1000.0);
     }
-    findings.above_zero(&key("source_timeout_s"), camera.source_timeout_s, DAY_S);
     if camera.hardware.as_ref().is_some_and(String::is_empty) {
         findings.add(key("hardware"), "is empty; leave the key out instead");
     }

@@ -414,7 +414,7 @@ impl FrameReceiver {
         let (mut frame, kind, reason) = match pushed {
             Pushed::Queued => return Ok(()),
             Pushed::Replaced(_) => {
-                let reason = "a newer frame came before its turn (camera.ring, camera.delivery)";
+                let reason = "a newer frame came before its turn (camera.delivery)";
                 self.drops.count(DropKind::Overrun, 1, &reason);
                 return Ok(());
             }

@@ -115,6 +115,9 @@ pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fa
     }
 }
 
+/// A camera without a frame for so long makes the node degraded.
+pub(crate) const CAMERA_SILENCE: Duration = Duration::from_secs(30);
+
 /// Looks from now on whether frames come from every camera that has no source: a source says itself why none come.
 pub(crate) fn look_at_cameras(board: &Board, silence: Duration) {
     let start = tokio::time::Instant::now();

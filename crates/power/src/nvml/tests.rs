@@ -23,8 +23,8 @@ impl FakeMachine {
         self.0.lock().unwrap()[card] = fake;
     }
 
-    fn open(&self, wanted: &[u32]) -> Result<Nvml, MeterError> {
-        Nvml::with(Box::new(self.clone()), wanted)
+    fn open(&self) -> Result<Nvml, MeterError> {
+        Nvml::with(Box::new(self.clone()))
     }
 }
 
@@ -78,7 +78,7 @@ fn jetson() -> Fake {
 #[test]
 fn the_energy_counters_are_used_where_all_cards_have_one() {
     let machine = FakeMachine::new(&[counting(5_000), counting(7_000)]);
-    let mut meter = machine.open(&[]).unwrap();
+    let mut meter = machine.open().unwrap();
     let start = Instant::now();
     meter.poll(start).unwrap();
     machine.set(0, counting(65_000));
@@ -95,7 +95,7 @@ fn the_energy_counters_are_used_where_all_cards_have_one() {
 #[test]
 fn power_is_used_where_a_card_counts_no_energy() {
     let machine = FakeMachine::new(&[counting(5_000), power_only(75_500)]);
-    let mut meter = machine.open(&[]).unwrap();
+    let mut meter = machine.open().unwrap();
     let reading = meter.poll(Instant::now()).unwrap().remove(0);
     assert_eq!(
         reading.value(Domain::Total),
@@ -106,7 +106,7 @@ fn power_is_used_where_a_card_counts_no_energy() {
 #[test]
 fn a_driver_that_says_not_supported_to_every_power_call_is_no_meter() {
     let text = FakeMachine::new(&[jetson()])
-        .open(&[])
+        .open()
         .unwrap_err()
         .to_string();
     assert!(text.contains("no card tells its power"), "{text}");
@@ -115,22 +115,18 @@ fn a_driver_that_says_not_supported_to_every_power_call_is_no_meter() {
 
 #[test]
 fn a_card_that_tells_nothing_is_left_out_beside_one_that_does() {
-    let meter = FakeMachine::new(&[jetson(), counting(0)])
-        .open(&[])
-        .unwrap();
+    let meter = FakeMachine::new(&[jetson(), counting(0)]).open().unwrap();
     assert_eq!(meter.cards.len(), 1);
     assert_eq!(&*meter.cards[0].name, "1 Test GPU");
 }
 
 #[test]
-fn only_the_cards_asked_for_count_and_one_that_is_not_there_is_refused() {
+fn every_card_counts_and_a_driver_without_one_is_no_meter() {
     let machine = FakeMachine::new(&[counting(0), counting(0), counting(0)]);
-    assert_eq!(machine.open(&[2, 0]).unwrap().cards.len(), 2);
-    let text = machine.open(&[3]).unwrap_err().to_string();
-    assert!(text.contains("nvml_cards: there is no card 3"), "{text}");
+    assert_eq!(machine.open().unwrap().cards.len(), 3);
     assert!(
         FakeMachine::new(&[])
-            .open(&[])
+            .open()
             .unwrap_err()
             .to_string()
             .contains("no card")
@@ -140,7 +136,7 @@ fn only_the_cards_asked_for_count_and_one_that_is_not_there_is_refused() {
 #[test]
 fn a_card_that_falls_off_the_bus_is_an_error_and_not_zero() {
     let machine = FakeMachine::new(&[counting(0), counting(0)]);
-    let mut meter = machine.open(&[]).unwrap();
+    let mut meter = machine.open().unwrap();
     meter.poll(Instant::now()).unwrap();
     let lost = CardError::Failed("GPU is lost".to_owned());
     machine.set(
@@ -160,7 +156,7 @@ fn a_card_that_falls_off_the_bus_is_an_error_and_not_zero() {
 #[test]
 fn a_driver_that_was_loaded_anew_does_not_take_energy_back() {
     let machine = FakeMachine::new(&[counting(9_000_000)]);
-    let mut meter = machine.open(&[]).unwrap();
+    let mut meter = machine.open().unwrap();
     let start = Instant::now();
     meter.poll(start).unwrap();
     machine.set(0, counting(10));
@@ -174,7 +170,7 @@ fn a_driver_that_was_loaded_anew_does_not_take_energy_back() {
 #[test]
 fn the_condition_is_that_of_the_hottest_card_and_throttling_of_any() {
     let mut meter = FakeMachine::new(&[counting(0), counting(0)])
-        .open(&[])
+        .open()
         .unwrap();
     let found = meter.condition();
     assert_eq!(found.hottest, Some(("gpu".into(), 41.0)));

@@ -5,9 +5,6 @@ use std::path::Path;
 
 /// Seconds of a day: longer timeouts and windows are slips of the pen.
 pub const DAY_S: f64 = 86_400.0;
-/// Milliseconds of a day.
-pub(crate) const DAY_MS: u64 = 86_400_000;
-
 /// Collects what is wrong.
 #[derive(Debug, Default)]
 pub struct Findings(Vec<Finding>);

@@ -1,6 +1,6 @@
 //! The `[http]` section of the configuration.
 
-use super::{DAY_MS, Findings, NamedToken};
+use super::{Findings, NamedToken};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -60,11 +60,15 @@ pub struct HttpConfig {
     pub token_file: Option<PathBuf>,
     /// Whether anybody may use an address that other machines reach without a token.
     pub allow_unauthenticated: bool,
-    /// A request other than the event stream that takes longer is answered with an error.
+    /// A request other than the event stream that takes longer is answered with an error. No setting.
+    #[serde(skip)]
     pub timeout_ms: u64,
-    /// A connection that says nothing, or takes nothing of what is sent to it, for so long is closed.
+    /// A connection that says nothing, or takes nothing of what is sent to it, for so long is closed. No setting.
+    #[serde(skip)]
     pub idle_timeout_ms: u64,
-    /// Connections at a time. When all are taken, the one that was idle longest is closed for a new one.
+    /// Connections at a time. When all are taken, the one that was idle longest is closed for a new one. No setting:
+    /// 256 of them take some 10 MB.
+    #[serde(skip)]
     pub max_connections: usize,
     /// Web origins whose pages may call the interface (`https://fleet.example`); none by default.
     pub cors_origins: Vec<String>,
@@ -115,10 +119,6 @@ impl HttpConfig {
                 ),
             );
         }
-        findings.count("http.timeout_ms", self.timeout_ms, 1, DAY_MS);
-        findings.count("http.idle_timeout_ms", self.idle_timeout_ms, 100, DAY_MS);
-        let connections = self.max_connections as u64;
-        findings.count("http.max_connections", connections, 1, 100_000);
         for origin in &self.cors_origins {
             let host = origin
                 .strip_prefix("https://")

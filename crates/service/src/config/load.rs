@@ -235,7 +235,16 @@ fn finding(error: figment::Error, removed: &[(&str, &str)]) -> Finding {
             key.push_str(part);
         }
     }
-    let removed = |wanted: &str| removed.iter().find(|(name, _)| *name == wanted);
+    // Of whichever camera: `camera[1].ring` is `camera.ring`.
+    let without_places = |key: &str| {
+        let parts = key.split('.');
+        let names = parts.map(|part| part.split('[').next().unwrap_or_default());
+        names.collect::<Vec<_>>().join(".")
+    };
+    let removed = |wanted: &str| {
+        let wanted = without_places(wanted);
+        removed.iter().find(|(name, _)| *name == wanted)
+    };
     let removed = match &error.kind {
         figment::error::Kind::UnknownField(..) => removed(&key),
         figment::error::Kind::UnknownVariant(value, _) => removed(&format!("{key} = {value}")),
@@ -384,8 +393,8 @@ mod tests {
     #[test]
     fn a_variable_is_named_as_it_is_set() {
         assert_eq!(
-            variable("http.idle_timeout_ms"),
-            "environment variable ALBIREO_HTTP__IDLE_TIMEOUT_MS"
+            variable("http.cors_origins"),
+            "environment variable ALBIREO_HTTP__CORS_ORIGINS"
         );
     }
 

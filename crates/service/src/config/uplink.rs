@@ -22,13 +22,9 @@ pub struct UplinkConfig {
     pub certificate: Option<PathBuf>,
     /// Its private key.
     pub private_key: Option<PathBuf>,
-    /// Whether the router's certificate must be for the name that is connected to.
-    pub verify_name: bool,
-    /// User name, where the router asks for one.
-    pub user: Option<String>,
-    /// File whose first line is the password.
-    pub password_file: Option<PathBuf>,
-    /// Longest pause between two attempts to reach the router again, milliseconds.
+    /// Longest pause between two attempts to reach the router again, milliseconds. No setting: a fleet whose router
+    /// was away comes back within half a minute, spread over it.
+    #[serde(skip)]
     pub retry_max_ms: u64,
     /// Whether to declare a liveliness token. A help for some thousand nodes, a burden for many more.
     pub liveliness: bool,
@@ -43,9 +39,6 @@ impl Default for UplinkConfig {
             root_ca_certificate: None,
             certificate: None,
             private_key: None,
-            verify_name: true,
-            user: None,
-            password_file: None,
             retry_max_ms: 30_000,
             liveliness: false,
             pictures: false,
@@ -60,7 +53,6 @@ impl UplinkConfig {
             ("uplink.root_ca_certificate", &self.root_ca_certificate),
             ("uplink.certificate", &self.certificate),
             ("uplink.private_key", &self.private_key),
-            ("uplink.password_file", &self.password_file),
         ]
         .into_iter()
         .filter_map(|(key, path)| Some((key, path.as_deref()?)))
@@ -116,20 +108,8 @@ impl UplinkConfig {
         }
         if !tls.is_empty() {
             tls.insert("enable_mtls".to_owned(), self.certificate.is_some().into());
-            tls.insert("verify_name_on_connect".to_owned(), self.verify_name.into());
+            tls.insert("verify_name_on_connect".to_owned(), true.into());
             insert("transport/link/tls", tls.into())?;
-        }
-        if let Some(user) = &self.user {
-            insert("transport/auth/usrpwd/user", user.as_str().into())?;
-        }
-        if let Some(file) = &self.password_file {
-            let text = std::fs::read_to_string(file)
-                .map_err(|error| format!("password_file {}: {error}", file.display()))?;
-            let password = text.lines().next().unwrap_or_default().trim();
-            crate::logging::conceal(password);
-            // Zenoh's own message would show the value.
-            insert("transport/auth/usrpwd/password", password.into())
-                .map_err(|_| "the password is not one that Zenoh takes".to_owned())?;
         }
         Ok(config)
     }
@@ -142,7 +122,6 @@ impl UplinkConfig {
             ("root_ca_certificate", &self.root_ca_certificate),
             ("certificate", &self.certificate),
             ("private_key", &self.private_key),
-            ("password_file", &self.password_file),
         ] {
             findings.path(&key(name), file.as_deref());
         }
@@ -152,13 +131,6 @@ impl UplinkConfig {
                 "and certificate belong together: name both, or neither",
             );
         }
-        if self.user.is_some() != self.password_file.is_some() {
-            findings.add(
-                key("password_file"),
-                "and user belong together: name both, or neither",
-            );
-        }
-        findings.count(&key("retry_max_ms"), self.retry_max_ms, 100, 3_600_000);
     }
 }
 

@@ -33,7 +33,7 @@ const TURNING_AWAY: Duration = Duration::from_millis(250);
 
 /// What is answered when every connection is in the middle of a request.
 fn turned_away() -> std::io::Result<Vec<u8>> {
-    let detail = "all connections are in use (http.max_connections); close one, or try again later";
+    let detail = "all connections are in use; close one, or try again later";
     let body = serde_json::to_string(&Problem::new(StatusCode::SERVICE_UNAVAILABLE, detail))?;
     let answer = format!(
         "HTTP/1.1 503 Service Unavailable\r\ncontent-type: {MEDIA_TYPE}\r\nretry-after: 1\r\n\

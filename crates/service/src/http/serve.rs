@@ -30,8 +30,8 @@ const NO_DESCRIPTORS: Duration = Duration::from_millis(100);
 /// Serves `router` on `listener` with authentication, limits and problem documents until `shutdown`, then lets
 /// requests in hand end (event streams are closed by their router) for at most a second.
 ///
-/// A connection that says nothing, or does not take what is sent to it, for `http.idle_timeout_ms` is closed. There
-/// are at most `http.max_connections`; when all are taken the one that was idle longest is closed for a new one.
+/// A connection that says nothing, or does not take what is sent to it, for [`HttpConfig::idle_timeout_ms`] is closed. There
+/// are at most [`HttpConfig::max_connections`]; when all are taken the one that was idle longest is closed for a new one.
 ///
 /// # Errors
 /// [`HttpError`] when the token cannot be read, or the listener can be reached from other machines and

@@ -67,15 +67,14 @@ pub struct DetectorConfig {
     /// Non-maximum suppression drops a box that overlaps a better one of its class more than this. Models that
     /// end with finished boxes have no use for it.
     pub suppression_overlap: f64,
-    /// Whether only boxes of the same class suppress each other.
+    /// Whether only boxes of the same class suppress each other. No setting of a node.
+    #[serde(skip)]
     pub suppression_per_class: bool,
-    /// The most detections of a frame, the most confident ones.
+    /// The most detections of a frame, the most confident ones. No setting of a node.
+    #[serde(skip)]
     pub most_detections: usize,
-    /// Execution providers in order of preference. The first that works is used.
+    /// Execution providers in order of preference. The first that works is used; a list of one has no other.
     pub providers: Vec<ExecutionProvider>,
-    /// Whether a later provider of the list may stand in for the first. Otherwise a missing first
-    /// provider is an error at start.
-    pub may_fall_back: bool,
     /// What a provider on a GPU is told.
     pub gpu: GpuConfig,
     /// Threads ONNX Runtime uses inside one run; 0 for one less than the machine has cores.
@@ -85,7 +84,8 @@ pub struct DetectorConfig {
     /// The most frames that one run of the model takes, each of another camera; more than 1 for a model with an
     /// open batch.
     pub batch_size: usize,
-    /// How long a frame waits for those of other cameras to share its run, from being asked.
+    /// How long a frame waits for those of other cameras to share its run, from being asked. No setting of a node.
+    #[serde(skip)]
     pub batch_wait_ms: u64,
     /// The ONNX Runtime library; empty to look at `ORT_DYLIB_PATH`, beside the program, in
     /// `.cache/onnxruntime`, and where the system keeps libraries.
@@ -106,7 +106,6 @@ impl Default for DetectorConfig {
             suppression_per_class: true,
             most_detections: 300,
             providers: vec![ExecutionProvider::Cpu],
-            may_fall_back: false,
             gpu: GpuConfig::default(),
             threads: 0,
             timeout_ms: 2000,
@@ -141,11 +140,9 @@ impl DetectorConfig {
             check(key, (0.0..=1.0).contains(&value), reason);
         }
         for (key, value, least, most) in [
-            ("most_detections", self.most_detections as u64, 1, 10_000),
             ("threads", self.threads as u64, 0, 1024),
             ("timeout_ms", self.timeout_ms, 1, LONGEST_TIMEOUT_MS),
             ("batch_size", self.batch_size as u64, 1, 64),
-            ("batch_wait_ms", self.batch_wait_ms, 0, 1000),
         ] {
             let reason = format!("must be from {least} to {most}, not {value}");
             check(key, (least..=most).contains(&value), reason);

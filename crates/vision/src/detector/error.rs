@@ -68,8 +68,8 @@ pub enum StartError {
     },
     /// An execution provider that was asked for does not work here.
     #[error(
-        "the execution provider `{provider}` does not work here: {reason}. Install what it needs, remove it \
-         from detector.providers, or set detector.may_fall_back = true with another provider after it"
+        "the execution provider `{provider}` does not work here: {reason}. Install what it needs, or list \
+         another in detector.providers"
     )]
     ProviderUnavailable {
         /// The provider as named in the configuration.

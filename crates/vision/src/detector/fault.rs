@@ -77,13 +77,13 @@ pub(crate) fn in_words(said: &str) -> String {
         )
     } else if is_one_of(&NO_DEVICE) {
         format!(
-            "there is no such GPU that this process can use (nvidia-smi shows those there are, detector.gpu.device \
+            "there is no such GPU that this process can use (nvidia-smi shows those there are, CUDA_VISIBLE_DEVICES \
              names one): {said}"
         )
     } else if MEMORY_RAN_OUT.iter().any(|phrase| lower.contains(phrase)) {
         format!(
             "there is not enough memory for it; a smaller model or input size or detector.batch_size needs less, and \
-             on a GPU other programs may hold it, or detector.gpu.memory_limit_mib may be too low: {said}"
+             on a GPU other programs may hold it: {said}"
         )
     } else {
         said.to_owned()

@@ -7,10 +7,12 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GpuConfig {
-    /// Which GPU, as CUDA numbers them.
+    /// Which GPU, as CUDA numbers them. No setting of a node: `CUDA_VISIBLE_DEVICES` chooses.
+    #[serde(skip)]
     pub device: u32,
     /// The most GPU memory that CUDA's arena, and TensorRT's workspace while it builds an engine, may take, MiB;
-    /// 0 for no limit.
+    /// 0 for no limit. No setting of a node.
+    #[serde(skip)]
     pub memory_limit_mib: u32,
     /// Whether TensorRT may compute in half precision: about twice as fast, and scores move in the third
     /// decimal place.

@@ -58,7 +58,6 @@ impl DetectorNetwork {
         let session = OnnxSession::open(&SessionSettings {
             model: config.model.clone(),
             providers: config.providers.clone(),
-            may_fall_back: config.may_fall_back,
             gpu: config.gpu.clone(),
             threads: config.threads,
             onnxruntime: config.onnxruntime.clone(),

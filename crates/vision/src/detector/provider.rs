@@ -53,26 +53,19 @@ fn tensorrt(gpu: &GpuConfig) -> TensorRT {
     tensorrt
 }
 
-/// Tries `attempt` with each of `providers` in order and returns the first that works. Without
-/// `may_fall_back` only the first is tried.
+/// Tries `attempt` with each of `providers` in order and returns the first that works.
 ///
 /// # Errors
 /// What `attempt` said of the last provider tried.
 pub(super) fn first_that_works<T>(
     providers: &[ExecutionProvider],
-    may_fall_back: bool,
     mut attempt: impl FnMut(ExecutionProvider) -> Result<T, StartError>,
 ) -> Result<T, StartError> {
-    let tried = if may_fall_back {
-        providers
-    } else {
-        &providers[..providers.len().min(1)]
-    };
     let mut outcome = Err(StartError::Configuration {
         key: "detector.providers".to_owned(),
         reason: "the list is empty; [\"cpu\"] works everywhere".to_owned(),
     });
-    for (index, &provider) in tried.iter().enumerate() {
+    for (index, &provider) in providers.iter().enumerate() {
         outcome = attempt(provider);
         match &outcome {
             Ok(_) => {
@@ -80,7 +73,7 @@ pub(super) fn first_that_works<T>(
                     warn!(
                         asked = providers[0].as_str(),
                         used = provider.as_str(),
-                        "fell back to another execution provider, as detector.may_fall_back allows"
+                        "fell back to another execution provider of detector.providers"
                     );
                 }
                 return outcome;
@@ -98,14 +91,13 @@ mod tests {
 
     fn try_with(
         providers: &[ExecutionProvider],
-        may_fall_back: bool,
         working: &[ExecutionProvider],
     ) -> (
         Result<ExecutionProvider, StartError>,
         Vec<ExecutionProvider>,
     ) {
         let mut tried = Vec::new();
-        let outcome = first_that_works(providers, may_fall_back, |provider| {
+        let outcome = first_that_works(providers, |provider| {
             tried.push(provider);
             if working.contains(&provider) {
                 Ok(provider)
@@ -121,21 +113,21 @@ mod tests {
 
     #[test]
     fn the_first_provider_that_works_is_used() {
-        let (outcome, tried) = try_with(&[TensorRt, Cuda, Cpu], true, &[Cuda, Cpu]);
+        let (outcome, tried) = try_with(&[TensorRt, Cuda, Cpu], &[Cuda, Cpu]);
         assert_eq!(outcome.unwrap(), Cuda);
         assert_eq!(tried, [TensorRt, Cuda]);
     }
 
     #[test]
-    fn without_leave_to_fall_back_only_the_first_is_tried() {
-        let (outcome, tried) = try_with(&[Cuda, Cpu], false, &[Cpu]);
+    fn a_list_of_one_has_no_other() {
+        let (outcome, tried) = try_with(&[Cuda], &[Cpu]);
         assert!(outcome.unwrap_err().to_string().contains("`cuda`"));
         assert_eq!(tried, [Cuda]);
     }
 
     #[test]
     fn an_empty_list_is_an_error_that_names_its_key() {
-        let (outcome, _) = try_with(&[], true, &[Cpu]);
+        let (outcome, _) = try_with(&[], &[Cpu]);
         assert!(
             outcome
                 .unwrap_err()

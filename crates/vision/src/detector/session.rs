@@ -25,8 +25,6 @@ pub struct SessionSettings {
     pub model: PathBuf,
     /// In order of preference.
     pub providers: Vec<ExecutionProvider>,
-    /// Whether a later one may stand in for the first.
-    pub may_fall_back: bool,
     /// What a provider on a GPU is told.
     pub gpu: GpuConfig,
     /// Threads inside one run; 0 for one less than the machine has cores.
@@ -71,7 +69,7 @@ impl OnnxSession {
             })?;
         }
         let environment = onnxruntime::environment(settings.onnxruntime.as_deref())?;
-        provider::first_that_works(&settings.providers, settings.may_fall_back, |provider| {
+        provider::first_that_works(&settings.providers, |provider| {
             Self::open_with(&environment, settings, provider)
         })
     }

@@ -1,6 +1,6 @@
 //! The `[screen]` section of the configuration.
 
-use crate::detector::{LONGEST_TIMEOUT_MS, StartError};
+use crate::detector::StartError;
 use crate::picture::ColorOrder;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -14,11 +14,15 @@ pub struct ScreenConfig {
     pub model: Option<PathBuf>,
     /// Order of its colour planes.
     pub color_order: ColorOrder,
-    /// Which of its two outputs means "empty": 0 or 1.
+    /// Which of its two outputs means "empty": 0 or 1. No setting of a node, where it is 0.
+    #[serde(skip)]
     pub empty_class: usize,
-    /// A verdict that takes longer counts as "not empty".
+    /// A verdict that takes longer counts as "not empty". No setting of a node.
+    #[serde(skip)]
     pub timeout_ms: u64,
-    /// Frames in a row that may be called empty before the detector looks anyway; 0 for any number.
+    /// Frames in a row that may be called empty before the detector looks anyway; 0 for any number. No
+    /// setting of a node.
+    #[serde(skip)]
     pub longest_empty_run: u32,
 }
 
@@ -43,15 +47,6 @@ impl ScreenConfig {
             problems.push((
                 "empty_class",
                 format!("must be from 0 to 1, not {}", self.empty_class),
-            ));
-        }
-        if !(1..=LONGEST_TIMEOUT_MS).contains(&self.timeout_ms) {
-            problems.push((
-                "timeout_ms",
-                format!(
-                    "must be from 1 to {LONGEST_TIMEOUT_MS}, not {}",
-                    self.timeout_ms
-                ),
             ));
         }
         problems

@@ -31,7 +31,6 @@ impl ScreenNetwork {
         let session = OnnxSession::open(&SessionSettings {
             model: model.to_owned(),
             providers: vec![ExecutionProvider::Cpu],
-            may_fall_back: false,
             gpu: GpuConfig::default(),
             threads: 1,
             onnxruntime,

@@ -39,16 +39,13 @@ impl Kept {
 /// Applies what is desired, once a revision.
 #[derive(Debug)]
 pub(crate) struct DesiredKeeper {
-    /// Whether a value changed at the node gives way to the hub's when next heard.
-    hub_wins: bool,
     kept: Mutex<Kept>,
 }
 
 impl DesiredKeeper {
     /// With what was desired before the restart.
-    pub(crate) fn open(outbox: &Outbox, hub_wins: bool) -> Self {
+    pub(crate) fn open(outbox: &Outbox) -> Self {
         Self {
-            hub_wins,
             kept: Mutex::new(outbox.setting(SETTING).unwrap_or_default()),
         }
     }
@@ -106,9 +103,7 @@ impl DesiredKeeper {
             }
             return newer;
         };
-        if desired.revision == kept.revision
-            && (kept.refused.is_some() || !self.hub_wins || is_in_force(setting, board))
-        {
+        if desired.revision == kept.revision {
             return false;
         }
         let applied = match setting {
@@ -120,17 +115,6 @@ impl DesiredKeeper {
         kept.note(desired.revision, applied);
         outbox.set(SETTING, &*kept);
         true
-    }
-}
-
-/// Whether the node still has what the hub set.
-fn is_in_force(setting: DesiredSetting, board: &Board) -> bool {
-    match setting {
-        DesiredSetting::Threshold(threshold) => board.cameras().iter().all(|camera| {
-            camera.threshold_source() == SettingSource::Hub
-                && camera.threshold_in_force() == Some(threshold)
-        }),
-        DesiredSetting::Target(target) => board.target().report().target == target,
     }
 }
 
@@ -227,7 +211,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let board = board(folder.path());
         let outbox = board.outbox();
-        let keeper = DesiredKeeper::open(outbox, false);
+        let keeper = DesiredKeeper::open(outbox);
         let half = Some(Target::SkipRate(0.5));
         assert!(keeper.take(&held(3, half), &board, outbox));
         assert_eq!((target(&board), keeper.revision_in_force()), (half, 3));
@@ -258,7 +242,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let board = board(folder.path());
         let outbox = board.outbox();
-        let keeper = DesiredKeeper::open(outbox, false);
+        let keeper = DesiredKeeper::open(outbox);
         assert!(keeper.take(&desired(1, 0.07), &board, outbox));
         assert!(keeper.take(&held(2, Some(Target::SkipRate(1.5))), &board, outbox));
         let refused = keeper.refused().unwrap();
@@ -271,19 +255,19 @@ mod tests {
     }
 
     #[test]
-    fn a_knob_turned_at_the_node_ends_the_hubs_target_unless_the_hub_wins() {
-        for hub_wins in [false, true] {
-            let folder = tempfile::tempdir().unwrap();
-            let board = board(folder.path());
-            let outbox = board.outbox();
-            let keeper = DesiredKeeper::open(outbox, hub_wins);
-            let half = Some(Target::SkipRate(0.5));
-            assert!(keeper.take(&held(3, half), &board, outbox));
-            board.cameras()[1].set_threshold(0.01).unwrap();
-            assert_eq!(target(&board), None);
-            assert_eq!(keeper.take(&held(3, half), &board, outbox), hub_wins);
-            assert_eq!(target(&board).is_some(), hub_wins);
-        }
+    fn a_knob_turned_at_the_node_ends_the_hubs_target_until_the_hub_desires_anew() {
+        let folder = tempfile::tempdir().unwrap();
+        let board = board(folder.path());
+        let outbox = board.outbox();
+        let keeper = DesiredKeeper::open(outbox);
+        let half = Some(Target::SkipRate(0.5));
+        assert!(keeper.take(&held(3, half), &board, outbox));
+        board.cameras()[1].set_threshold(0.01).unwrap();
+        assert_eq!(target(&board), None);
+        assert!(!keeper.take(&held(3, half), &board, outbox));
+        assert_eq!(target(&board), None);
+        assert!(keeper.take(&held(4, half), &board, outbox));
+        assert_eq!(target(&board), half);
     }
 
     #[test]
@@ -292,7 +276,7 @@ mod tests {
         let disk = folder.path().join("disk");
         let half = Some(Target::SkipRate(0.5));
         let before = board(&disk.join("state"));
-        let keeper = DesiredKeeper::open(before.outbox(), false);
+        let keeper = DesiredKeeper::open(before.outbox());
         assert!(keeper.take(&held(7, half), &before, before.outbox()));
         drop((before, keeper));
         let restarted = board(&disk.join("state"));
@@ -302,7 +286,7 @@ mod tests {
         std::fs::rename(&disk, folder.path().join("away")).unwrap();
         std::fs::write(&disk, b"").unwrap();
         let late = board(&disk.join("state"));
-        let keeper = DesiredKeeper::open(late.outbox(), false);
+        let keeper = DesiredKeeper::open(late.outbox());
         assert_eq!((target(&late), keeper.revision()), (None, 0));
         std::fs::remove_file(&disk).unwrap();
         std::fs::rename(folder.path().join("away"), &disk).unwrap();
@@ -331,7 +315,7 @@ mod tests {
             let folder = tempfile::tempdir().unwrap();
             let disk = folder.path().join("disk");
             let before = board(&disk.join("state"));
-            let keeper = DesiredKeeper::open(before.outbox(), false);
+            let keeper = DesiredKeeper::open(before.outbox());
             assert!(keeper.take(&desired(7, 0.07), &before, before.outbox()));
             before.cameras()[0].set_threshold(0.5).unwrap();
             drop((before, keeper));
@@ -339,7 +323,7 @@ mod tests {
             std::fs::write(&disk, b"").unwrap();
             let board = board(&disk.join("state"));
             assert_eq!(thresholds(&board), [3e-4, 3e-4]);
-            let keeper = DesiredKeeper::open(board.outbox(), false);
+            let keeper = DesiredKeeper::open(board.outbox());
             assert_eq!(keeper.revision(), 0);
             Self {
                 folder,
@@ -369,7 +353,7 @@ mod tests {
             let state = self.folder.path().join("disk/state");
             drop((self.board, self.keeper));
             let board = board(&state);
-            let keeper = DesiredKeeper::open(board.outbox(), false);
+            let keeper = DesiredKeeper::open(board.outbox());
             (keeper.revision(), thresholds(&board))
         }
     }

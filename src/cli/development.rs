@@ -1,0 +1,42 @@
+//! Constants of a node that tests change, in builds for tests alone (the feature `development`): the variable
+//! `ALBIREO_DEVELOPMENT` holds them as `name=value`, with white space between them.
+
+use albireo_node::config::NodeConfig;
+use anyhow::{Context, bail};
+
+/// Sets in `config` what the variable names.
+pub(super) fn apply(config: &mut NodeConfig) -> anyhow::Result<()> {
+    for pair in std::env::var("ALBIREO_DEVELOPMENT")
+        .unwrap_or_default()
+        .split_whitespace()
+    {
+        set(config, pair).with_context(|| format!("ALBIREO_DEVELOPMENT: {pair}"))?;
+    }
+    Ok(())
+}
+
+fn set(config: &mut NodeConfig, pair: &str) -> anyhow::Result<()> {
+    let (name, value) = pair.split_once('=').context("is no name=value")?;
+    match name {
+        "sysfs" => config.power.sysfs = value.into(),
+        "nvpmodel" => config.power.nvpmodel = value.into(),
+        "stop_timeout_s" => config.node.stop_timeout_s = value.parse()?,
+        "retry_min_ms" => config.outbox.retry_min_ms = value.parse()?,
+        "retry_max_ms" => config.outbox.retry_max_ms = value.parse()?,
+        "answer_timeout_ms" => config.outbox.answer_timeout_ms = value.parse()?,
+        "reconnect_max_ms" => config.uplink.retry_max_ms = value.parse()?,
+        "ring" => {
+            let ring = value.parse()?;
+            config
+                .cameras
+                .iter_mut()
+                .for_each(|camera| camera.ring = ring);
+        }
+        "source_timeout_s" => {
+            let seconds = value.parse()?;
+            (config.cameras.iter_mut()).for_each(|camera| camera.source_timeout_s = seconds);
+        }
+        _ => bail!("is no constant that tests change"),
+    }
+    Ok(())
+}
