@@ -63,11 +63,13 @@ $(PEERS_ENVIRONMENT): tests/peers/requirements.txt $(WHEEL)
 gpu: onnxruntime ## measure the node on an NVIDIA GPU, write benches/gpu.md (PROVIDER=cpu: a trial without one)
 	@ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" bash benches/gpu.sh
 
-parity: onnxruntime $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
+parity: onnxruntime $(WHEEL) $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
 	cargo build --locked $$(bash tests/features.sh)
 	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" YOLO_OFFLINE=true \
 		YOLO_CONFIG_DIR="$(abspath $(CACHE))/parity/config" $(CACHE)/parity/bin/python \
 		tests/parity/compare.py --shared "$${ALBIREO_SHARED:-../shared}"
+	$(CACHE)/parity/bin/python -m pip install --quiet --disable-pip-version-check --force-reinstall --no-deps target/wheels/albireo-*.whl
+	YOLO_OFFLINE=true YOLO_CONFIG_DIR="$(abspath $(CACHE))/parity/config" $(CACHE)/parity/bin/python tests/parity/python_results.py
 
 $(PARITY_ENVIRONMENT): tests/parity/requirements.txt
 	python3 -m venv $(CACHE)/parity

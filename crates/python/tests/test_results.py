@@ -1,5 +1,7 @@
 """Types of results: what goes in comes out."""
 
+import json
+import pathlib
 import unittest
 import warnings
 
@@ -112,7 +114,7 @@ class Tensor:
 
 
 class ResultBoxes:
-    """The layout of ultralytics.engine.results.Boxes of version 8.3: rows of x1, y1, x2, y2, (id,) confidence, class."""
+    """The layout of ultralytics.engine.results.Boxes of version 8: rows of x1, y1, x2, y2, (id,) confidence, class."""
 
     def __init__(self, data, orig_shape):
         columns = (data.array if isinstance(data, Tensor) else data).shape[-1]
@@ -126,7 +128,7 @@ class ResultBoxes:
 
 
 class Results:
-    """The layout of ultralytics.engine.results.Results of version 8.3."""
+    """The layout of ultralytics.engine.results.Results of version 8."""
 
     def __init__(self, orig_img, path, names, boxes=None):
         self.orig_img, self.orig_shape = orig_img, orig_img.shape[:2]
@@ -141,39 +143,39 @@ class Results:
 
 
 class Ultralytics(unittest.TestCase):
-    # In the layout of Ultralytics 8.3; the figures are made up.
-    ROWS = np.array(
-        [[48.55, 398.55, 245.35, 479.3, 0.8729, 0], [669.0 - 400, 392.2, 409.7, 470.9, 0.8637, 0], [11.0, 25, 580, 330, 0.91, 5]],
-        np.float32,
-    )
+    # What a network of Ultralytics found; `make parity` records it and runs this loop with Ultralytics itself.
+    FOUND = json.loads((pathlib.Path(__file__).parent / "ultralytics.json").read_text())
+    ROWS = np.array(FOUND["rows"], np.float32)
+    NAMES = {int(number): name for number, name in FOUND["names"].items()}
 
     def results(self, device):
         data = Tensor(self.ROWS) if device else self.ROWS.copy()
-        return Results(np.zeros((480, 640, 3), np.uint8), "bus.jpg", {0: "person", 5: "bus"}, data)
+        return Results(np.zeros((*self.FOUND["orig_shape"], 3), np.uint8), "busy.jpg", self.NAMES, data)
 
     def test_results_come_back_as_results_with_ids(self):
         for device in (False, True):
             with self.subTest(device=device):
-                skip = Skipper("fixed-skip-in-tracker", threshold=2, size=SIZE)
+                height, width = self.FOUND["orig_shape"]
+                skip = Skipper("fixed-skip-in-tracker", threshold=2, size=(width, height))
                 for n in range(4):
-                    image = np.full((480, 640, 3), n, np.uint8)
+                    image = np.full((height, width, 3), n, np.uint8)
                     shown = skip.update(self.results(device)) if skip.wants_detector(n) else skip.predict(image)
                     self.assertIsInstance(shown, Results)
                     boxes = shown.boxes
                     array = (lambda t: t.cpu().numpy()) if device else np.asarray
                     self.assertEqual(isinstance(boxes.data, Tensor), device)
                     self.assertEqual(array(boxes.data).dtype, np.float32)
-                    self.assertEqual(array(boxes.id).tolist(), [0, 1, 2])
-                    self.assertEqual(array(boxes.cls).tolist(), [0, 0, 5])
+                    self.assertEqual(array(boxes.id).tolist(), list(range(len(self.ROWS))))
+                    self.assertEqual(array(boxes.cls).tolist(), self.ROWS[:, 5].tolist())
                     np.testing.assert_allclose(array(boxes.xyxy), self.ROWS[:, :4], atol=1)
-                    self.assertEqual(shown.names[5], "bus")
+                    self.assertEqual(shown.names, self.NAMES)
                     self.assertEqual(shown.source[0], "predicted" if n % 2 else "detected")
                     self.assertEqual(shown.orig_img[0, 0, 0], n if n % 2 else 0)
 
     def test_a_result_of_another_size_or_without_boxes_is_refused(self):
         skip = Skipper(size=(1280, 720))
         skip.wants_detector(0)
-        with self.assertRaisesRegex(ValueError, "640x480 pixels; this skipper takes 1280x720"):
+        with self.assertRaisesRegex(ValueError, "640x360 pixels; this skipper takes 1280x720"):
             skip.update(self.results(False))
         with self.assertRaisesRegex(TypeError, "has no boxes"):
             skip.update(self.results(False).new())

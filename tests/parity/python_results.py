@@ -1,0 +1,69 @@
+"""The Python package in a loop with Ultralytics' own results: they come back as results, with ids, and can be plotted. Writes
+the rows of one result to crates/python/tests/ultralytics.json, which the package's tests are run on. Part of `make parity`."""
+
+import json
+import tarfile
+
+import albireo
+import cv2
+import numpy
+import torch
+import ultralytics
+from networks import Ultralytics
+from pictures import ROAD
+
+RECORDED = ROAD.parents[1] / "crates/python/tests/ultralytics.json"
+FRAMES = 12
+
+
+def road(count):
+    """The first pictures of the busy road."""
+    with tarfile.open(ROAD) as archive:
+        files = [archive.extractfile(f"busy/{number:04}.jpg").read() for number in range(1, count + 1)]
+    return [cv2.imdecode(numpy.frombuffer(file, numpy.uint8), cv2.IMREAD_COLOR) for file in files]
+
+
+def main():
+    torch.set_num_threads(2)
+    frames = road(FRAMES)
+    network = Ultralytics("yolo11n", None)
+    network.calibrate([cv2.resize(frame, (network.side, network.side)) for frame in frames[:2]])
+    height, width = frames[0].shape[:2]
+    skip = albireo.Skipper("fixed-skip-in-tracker", threshold=2, size=(width, height))
+    asked = 0
+    for number, frame in enumerate(frames):
+        if skip.wants_detector(number):
+            [result] = network.model.predict(frame, conf=0.4, iou=0.1, max_det=12, device="cpu", verbose=False)
+            shown, asked = skip.update(result), asked + 1
+            if number == 0:
+                record(result)
+        else:
+            shown = skip.predict(frame)
+        assert type(shown) is type(result), type(shown)
+        boxes = shown.boxes
+        assert boxes.data.dtype == result.boxes.data.dtype and boxes.data.device == result.boxes.data.device
+        assert len(boxes) > 0 and boxes.is_track and len(set(boxes.id.tolist())) == len(boxes)
+        assert shown.names == result.names and shown.orig_shape == result.orig_shape
+        assert shown.plot().shape == frame.shape
+        assert len(shown.source) == len(boxes)
+    assert asked == FRAMES // 2, asked
+    print(f"Ultralytics {ultralytics.__version__}: {FRAMES} frames, {asked} detector calls, results with ids on all")
+
+
+def record(result):
+    """The rows of `result` as they are: x1, y1, x2, y2, confidence, class."""
+    rows = result.boxes.data.numpy()
+    assert rows.shape[1] == 6 and rows.dtype == numpy.float32
+    recorded = {
+        "ultralytics": ultralytics.__version__,
+        "orig_shape": list(result.orig_shape),
+        "names": {number: name for number, name in result.names.items() if number in rows[:, 5]},
+        "rows": [[float(value) for value in row] for row in rows],
+    }
+    lines = [f'"{key}": {json.dumps(value)}' for key, value in recorded.items() if key != "rows"]
+    rows = ",\n  ".join(json.dumps(row) for row in recorded["rows"])
+    RECORDED.write_text("{\n" + ",\n".join([*lines, f'"rows": [\n  {rows}\n]']) + "\n}\n")
+
+
+if __name__ == "__main__":
+    main()
