@@ -74,6 +74,7 @@ parity: onnxruntime $(WHEEL) $(PARITY_ENVIRONMENT) ## compare with the vendors' 
 $(PARITY_ENVIRONMENT): tests/parity/requirements.txt
 	python3 -m venv $(CACHE)/parity
 	$(CACHE)/parity/bin/python -m pip install --quiet --disable-pip-version-check -r tests/parity/requirements.txt
+	$(CACHE)/parity/bin/python -m pip install --quiet --disable-pip-version-check --no-deps boxmot==25.0.0
 	@touch $@
 
 board: ## the node for a small board: without hub, simulator, evaluation and renderer

@@ -1,14 +1,17 @@
-"""The Python package in a loop with Ultralytics' own results: they come back as results, with ids, and can be plotted. Writes
-the rows of one result to crates/python/tests/ultralytics.json, which the package's tests are run on. Part of `make parity`."""
+"""The Python package in a loop with Ultralytics' own results: they come back as results, with ids, and can be plotted; and on
+the rows that BoxMOT's trackers take, which come back in the columns of its tracks. Writes the rows of one result to
+crates/python/tests/ultralytics.json, which the package's tests are run on. Part of `make parity`."""
 
 import json
 import tarfile
 
 import albireo
+import boxmot
 import cv2
 import numpy
 import torch
 import ultralytics
+from boxmot import ByteTrack
 from networks import Ultralytics
 from pictures import ROAD
 
@@ -47,7 +50,29 @@ def main():
         assert shown.plot().shape == frame.shape
         assert len(shown.source) == len(boxes)
     assert asked == FRAMES // 2, asked
+    rows(network, frames)
     print(f"Ultralytics {ultralytics.__version__}: {FRAMES} frames, {asked} detector calls, results with ids on all")
+
+
+def rows(network, frames):
+    """BoxMOT's ByteTrack and ours on the same rows: on frames with detections both give one track for each."""
+    theirs = ByteTrack()
+    height, width = frames[0].shape[:2]
+    ours = albireo.Skipper("fixed-skip-in-tracker", threshold=2, size=(width, height))
+    [result] = network.model.predict(frames[0], conf=0.4, iou=0.1, max_det=12, device="cpu", verbose=False)
+    found = result.boxes.data.numpy()
+    for number in range(FRAMES):
+        tracks = theirs.update(found, frames[0])
+        shown = ours.update(found) if ours.wants_detector(number) else ours.predict()
+        # x1, y1, x2, y2, id, confidence, class; BoxMOT adds the detection's place.
+        for columns in (numpy.asarray(tracks)[:, :7], shown):
+            assert len(columns) == len(found), (number, len(columns), len(found))
+            columns = columns[numpy.lexsort(columns[:, :4].round().T)]
+            expected = found[numpy.lexsort(found[:, :4].round().T)]
+            assert numpy.abs(columns[:, :4] - expected[:, :4]).max() < 2
+            assert len(set(columns[:, 4].tolist())) == len(found)
+            assert numpy.array_equal(columns[:, 6], expected[:, 5])
+    print(f"BoxMOT {boxmot.__version__}: {FRAMES} frames, {len(found)} tracks in the same columns")
 
 
 def record(result):

@@ -18,6 +18,19 @@ XYXY = np.array([[10.0, 20, 110, 220], [300, 40, 380, 90]])
 
 
 class Arrays(unittest.TestCase):
+    def test_rows_come_back_with_ids_before_the_confidence(self):
+        rows = np.array([[*XYXY[0], 0.9, 2], [*XYXY[1], 0.8, 7]], np.float32)
+        skip = Skipper("fixed-skip-in-tracker", threshold=2, size=SIZE)
+        for n in range(4):
+            shown = skip.update(rows) if skip.wants_detector(n) else skip.predict()
+            self.assertEqual((shown.shape, shown.dtype), ((2, 7), np.float32))
+            np.testing.assert_allclose(shown[:, :4], XYXY, atol=1)
+            self.assertEqual(shown[:, 4].tolist(), [0, 1])
+            self.assertEqual(shown[:, 6].tolist(), [2, 7])
+        for shape in [(2, 4), (6,), (1, 2, 6)]:
+            with self.assertRaisesRegex(ValueError, r"must be \(N, 6\): x1, y1, x2, y2, confidence, class"):
+                Skipper(size=SIZE).update(np.zeros(shape))
+
     def test_boxes_come_back_in_the_precision_they_came_in(self):
         for dtype in (np.float32, np.float64):
             skip = Skipper(size=SIZE)
@@ -39,7 +52,7 @@ class Arrays(unittest.TestCase):
         skip.wants_detector(0)
         for result, kind, said in [
             (None, TypeError, "NoneType"),
-            (XYXY, TypeError, "ndarray"),
+            (XYXY, ValueError, r"shape \(2, 4\); it must be \(N, 6\)"),
             ([1], TypeError, "a list with one result for each picture"),
             ((XYXY,), ValueError, "length 1"),
             ((XYXY, [0.9], [1, 2]), ValueError, r"\(2, 4\), 1 confidences and 2 classes"),

@@ -42,6 +42,8 @@ def read(result: Any, size: tuple[int, int], names: dict[int, str]) -> tuple[Arr
     """
     if isinstance(result, tuple):
         return _read_tuple(result)
+    if isinstance(result, np.ndarray):
+        return _read_rows(result)
     if hasattr(result, "xyxy") and hasattr(result, "class_id"):
         return _read_supervision(result, names)
     if hasattr(result, "boxes") and hasattr(result, "orig_shape"):
@@ -51,7 +53,8 @@ def read(result: Any, size: tuple[int, int], names: dict[int, str]) -> tuple[Arr
         hint = " (Ultralytics' models return a list with one result for each picture: give one of them)"
     raise TypeError(
         f"cannot read detections of type {type(result).__name__}: give a tuple (xyxy, confidence, class_id) of arrays, "
-        f"supervision's Detections or one of Ultralytics' Results{hint}"
+        f"an array with rows of x1, y1, x2, y2, confidence and class, supervision's Detections or one of Ultralytics' "
+        f"Results{hint}"
     )
 
 
@@ -70,6 +73,20 @@ def _read_tuple(result: tuple[Any, ...]) -> tuple[Arrays, Back]:
 
     def back(boxes: Boxes, _image: Any) -> Boxes:
         return boxes._replace(xyxy=boxes.xyxy.astype(dtype), confidence=boxes.confidence.astype(dtype))
+
+    return arrays, back
+
+
+def _read_rows(rows: NDArray[Any]) -> tuple[Arrays, Back]:
+    if rows.ndim != 2 or rows.shape[1] != 6:
+        raise ValueError(
+            f"an array of detections has the shape {rows.shape}; it must be (N, 6): x1, y1, x2, y2, confidence, class"
+        )
+    xyxy, dtype = _boxes(rows[:, :4])
+    arrays = xyxy, _column(rows[:, 4], "confidence"), _column(rows[:, 5], "class")
+
+    def back(boxes: Boxes, _image: Any) -> NDArray[Any]:
+        return np.column_stack([boxes.xyxy, boxes.tracker_id, boxes.confidence, boxes.class_id]).astype(dtype)
 
     return arrays, back
 

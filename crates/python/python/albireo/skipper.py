@@ -60,9 +60,10 @@ class Skipper:
     True
 
     One skipper follows one stream. Frame numbers increase and may jump: over lost frames the objects move on.
-    `update` takes what the detector found as a tuple of arrays `(xyxy, confidence, class_id)`, as supervision's
-    `Detections` or as Ultralytics' `Results`; boxes come back as the same type, with `tracker_id` and `source`
-    ("detected", "predicted", "followed" or "rescued"). `print(skip)` says what was skipped and why the detector was called.
+    `update` takes what the detector found as a tuple of arrays `(xyxy, confidence, class_id)`, as one array with rows of x1,
+    y1, x2, y2, confidence and class, as supervision's `Detections` or as Ultralytics' `Results`; boxes come back as the same
+    type, with `tracker_id` and `source` ("detected", "predicted", "followed" or "rescued"). Rows come back with the id
+    before the confidence and without `source`, as Ultralytics and BoxMOT write tracks. `print(skip)` says what was skipped and why the detector was called.
 
     policy: `"expected-loss"`, `"albireo"`, `"fixed-skip"`, … With `+flow` (`"expected-loss+flow"`) optical flow moves the
         boxes of skipped frames; it wants the picture of every frame (`look`).
