@@ -188,6 +188,29 @@ fn the_method_depends_on_numbers_and_data_alone() {
     assert!(seen > 4, "{tree}");
 }
 
+/// clippy (`make lint`) refuses what the standard library did not have in that version.
+#[test]
+fn the_method_asks_for_the_oldest_rust_that_its_dependencies_take() {
+    let version = cargo(&["-vV"]);
+    let host = version.lines().find_map(|line| line.strip_prefix("host: "));
+    let platform = format!("--filter-platform={}", host.unwrap());
+    let text = cargo(&["metadata", "--offline", "--format-version=1", &platform]);
+    let metadata: Value = serde_json::from_str(&text).unwrap();
+    let asked_by = |name: &str| -> Option<(u32, u32)> {
+        let packages = metadata["packages"].as_array().unwrap().iter();
+        let found = packages.filter(|package| package["name"] == name);
+        let versions = found.filter_map(|package| package["rust_version"].as_str());
+        let parts = versions.map(|version| {
+            let mut parts = version.split('.').map(|part| part.parse().unwrap());
+            (parts.next().unwrap(), parts.next().unwrap_or(0))
+        });
+        parts.max()
+    };
+    let others = METHOD.iter().filter(|name| **name != "albireo-core");
+    let needed = others.filter_map(|name| asked_by(name)).max();
+    assert_eq!(asked_by("albireo-core"), needed);
+}
+
 /// The first table of the page: crate, and the crates it uses.
 fn table(page: &str) -> BTreeMap<String, BTreeSet<String>> {
     let names = |cell: &str| -> BTreeSet<String> {
