@@ -107,6 +107,7 @@ async fn decided(
     let mut camera = node.camera();
     let mut outcome = Outcome::default();
     let mut states = Vec::new();
+    let mut overruled = 0;
     for (index, encoded) in pictures.iter().enumerate() {
         let head = FrameHead {
             index: index as u64,
@@ -124,8 +125,9 @@ async fn decided(
             .await
             .unwrap();
         states.push(outcome.state);
+        overruled += u64::from(camera.screen_is_overruled());
     }
-    (states, camera.screen_overruled())
+    (states, overruled)
 }
 
 /// The node's detections on the same pictures are the pass's, and every policy that asks for itself decides

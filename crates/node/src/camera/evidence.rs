@@ -274,13 +274,8 @@ impl LiveEvidence {
     }
 
     /// Whether the detector is asked about this frame although the screen said "empty", too often in a row.
-    pub(crate) fn screen_is_overruled(&self) -> bool {
+    pub fn screen_is_overruled(&self) -> bool {
         self.screen.is_overruled()
-    }
-
-    /// Frames of which that was so.
-    pub fn screen_overruled(&self) -> u64 {
-        self.screen.overruled()
     }
 
     /// Makes of the picture what is needed, unless that is done, or nothing is waited for any more. Screen and detector

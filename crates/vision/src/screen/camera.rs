@@ -70,9 +70,4 @@ impl CameraScreen {
     pub const fn is_overruled(&self) -> bool {
         self.run.is_overruled()
     }
-
-    /// Frames of which that was so.
-    pub const fn overruled(&self) -> u64 {
-        self.run.overruled()
-    }
 }
