@@ -254,8 +254,7 @@ impl Camera {
                 let message = self.answer(&frame, outcome, &spent, Answer::Final).await;
                 let record = FrameRecord::new(message, frame.incoming.frame.received.elapsed());
                 let record = record.examined(&spent.times);
-                self.accounts.count(&record);
-                self.count(&record, &frame, outcome);
+                self.count(&record, &frame, outcome, Answer::Final);
             }
             Decider::AtOnce(at_once) => {
                 let deciding = Instant::now();
@@ -272,8 +271,7 @@ impl Camera {
                 let first_answer = frame.incoming.frame.received.elapsed();
                 if answer == Answer::Final {
                     let record = FrameRecord::new(message, first_answer);
-                    self.accounts.count(&record);
-                    self.count(&record, &frame, outcome);
+                    self.count(&record, &frame, outcome, answer);
                 } else if let Decider::AtOnce(at_once) = &mut self.decider {
                     self.accounts.pending(message.seq, frame.threshold);
                     at_once.fetch(frame, need, first_answer);
@@ -307,8 +305,7 @@ impl Camera {
             .answer(&pending.frame, outcome, &spent, Answer::Late)
             .await;
         let record = FrameRecord::new(message, pending.first_answer).examined(&spent.times);
-        self.accounts.count_late(&record);
-        self.count(&record, &pending.frame, outcome);
+        self.count(&record, &pending.frame, outcome, Answer::Late);
     }
 
     /// Prepares for a frame: its place in the stream, the threshold in force, its clip. `None` for one that was overtaken.
@@ -432,7 +429,17 @@ impl Camera {
     }
 
     /// Counts a frame whose answer is final, and leaves it to the audit if it is drawn.
-    fn count(&self, record: &FrameRecord, frame: &BegunFrame, outcome: &Outcome) {
+    fn count(
+        &mut self,
+        record: &FrameRecord,
+        frame: &BegunFrame,
+        outcome: &Outcome,
+        answer: Answer,
+    ) {
+        match answer {
+            Answer::Late => self.accounts.count_late(record),
+            _ => self.accounts.count(record),
+        }
         self.board.record_frame(record);
         let skipped = outcome.state.is_skipped() && !outcome.degraded;
         if skipped && self.audit.draws(frame.incoming.index) {

@@ -22,8 +22,6 @@ pub(crate) struct AtOnce {
     /// Where evidence comes from; not here while some is being fetched.
     evidence: Option<LiveEvidence>,
     fetching: Option<Pin<Box<dyn Future<Output = Fetched> + Send>>>,
-    /// Time of the policy for the pending frame.
-    deciding: Duration,
 }
 
 /// A frame that was answered by prediction and waits for its final answer.
@@ -32,6 +30,8 @@ pub(super) struct PendingFrame {
     /// From its reception to the prediction.
     pub first_answer: Duration,
     need: Need,
+    /// Time of the policy since the prediction.
+    deciding: Duration,
 }
 
 /// A frame that was pending, with its final answer.
@@ -62,7 +62,6 @@ impl AtOnce {
             pending: None,
             evidence: Some(evidence),
             fetching: None,
-            deciding: Duration::ZERO,
         })
     }
 
@@ -91,11 +90,11 @@ impl AtOnce {
 
     /// Fetches what a frame needs that was answered by prediction.
     pub(super) fn fetch(&mut self, frame: BegunFrame, need: Need, first_answer: Duration) {
-        self.deciding = Duration::ZERO;
         self.pending = Some(PendingFrame {
             frame,
             first_answer,
             need,
+            deciding: Duration::ZERO,
         });
         if let Some(evidence) = &mut self.evidence {
             evidence.next_frame();
@@ -163,8 +162,10 @@ impl AtOnce {
                 Evidence::Unavailable
             }
         };
-        let next = self.give(found, outcome);
-        let done = self.done(next, Spent::of(&evidence, self.deciding));
+        let done = self.give(found, outcome).map(|pending| Answered {
+            spent: Spent::of(&evidence, pending.deciding),
+            pending,
+        });
         if done.is_some() {
             evidence.end_frame();
         }
@@ -176,37 +177,29 @@ impl AtOnce {
     /// Takes what the policy predicts for the final answer of the pending frame, if there is one.
     pub(super) fn give_up(&mut self, outcome: &mut Outcome) -> Option<Answered> {
         while self.pending.is_some() {
-            let next = self.give(Evidence::Unavailable, outcome);
-            let spent = Spent {
-                policy: self.deciding,
-                ..Spent::default()
-            };
-            if let Some(done) = self.done(next, spent) {
-                return Some(done);
+            if let Some(pending) = self.give(Evidence::Unavailable, outcome) {
+                let spent = Spent {
+                    policy: pending.deciding,
+                    ..Spent::default()
+                };
+                return Some(Answered { pending, spent });
             }
         }
         None
     }
 
-    /// Gives the policy evidence for the pending frame; what it needs next.
-    fn give(&mut self, evidence: Evidence<'_>, outcome: &mut Outcome) -> Need {
+    /// Gives the policy evidence for the pending frame; the frame, if it needs nothing more.
+    fn give(&mut self, evidence: Evidence<'_>, outcome: &mut Outcome) -> Option<PendingFrame> {
+        let mut pending = self.pending.take()?;
+        let frame = pending.frame.head.index;
         let deciding = Instant::now();
-        let delivered = match self.policy.pending() {
-            Some(frame) => self.policy.deliver(frame, evidence, outcome),
-            None => Ok(Need::Nothing),
-        };
-        self.deciding += deciding.elapsed();
-        delivered.unwrap_or(Need::Nothing)
-    }
-
-    /// The pending frame, if it needs nothing more.
-    fn done(&mut self, next: Need, spent: Spent) -> Option<Answered> {
-        let pending = self.pending.as_mut()?;
-        pending.need = next;
-        if next != Need::Nothing {
-            return None;
+        let delivered = self.policy.deliver(frame, evidence, outcome);
+        pending.deciding += deciding.elapsed();
+        pending.need = delivered.unwrap_or(Need::Nothing);
+        if pending.need == Need::Nothing {
+            return Some(pending);
         }
-        let pending = self.pending.take()?;
-        Some(Answered { pending, spent })
+        self.pending = Some(pending);
+        None
     }
 }
