@@ -11,10 +11,9 @@ use albireo_node::config::NodeConfig;
 use albireo_scene::BoxScene;
 use albireo_vision::picture::Picture;
 use albireo_wire::{ClipReport, DetectionsMessage, SettledMessage};
-use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::time::Duration;
-use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::time::{interval, timeout};
 
 /// Time between two frames: the detector takes five of them.
@@ -32,30 +31,11 @@ fn at_once(policy: &str) -> NodeConfig {
     config
 }
 
-/// What the node publishes on `key` from now on.
-async fn published<T: DeserializeOwned + Send + 'static>(
-    bench: &Bench,
-    key: &str,
-) -> UnboundedReceiver<T> {
-    let (sender, messages) = unbounded_channel();
-    bench
-        .session
-        .declare_subscriber(format!("albireo/node/{CAMERA}/{key}"))
-        .callback(move |sample| {
-            let message = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-            let _ = sender.send(message);
-        })
-        .background()
-        .await
-        .unwrap();
-    // The node has heard of the subscriber before it answers this.
-    let replies = bench.session.get("albireo/node/front/threshold").await;
-    while timeout(LONG, replies.as_ref().unwrap().recv_async())
-        .await
-        .unwrap()
-        .is_ok()
-    {}
-    messages
+/// Waits until the node has heard of what was subscribed to before.
+async fn heard(bench: &Bench) {
+    let key = format!("albireo/node/{CAMERA}/threshold");
+    let replies = bench.session.get(key).await.unwrap();
+    while timeout(LONG, replies.recv_async()).await.unwrap().is_ok() {}
 }
 
 /// All that was published and not yet taken.
@@ -88,10 +68,14 @@ struct Drive {
 impl Drive {
     async fn start(config: &NodeConfig) -> Self {
         let bench = Bench::start(config).await;
+        let late = bench.published("late").await;
+        let settled = bench.published("settled").await;
+        let reports = bench.reports().await;
+        heard(&bench).await;
         Self {
-            late: published(&bench, "late").await,
-            settled: published(&bench, "settled").await,
-            reports: bench.reports().await,
+            late,
+            settled,
+            reports,
             bench,
             sent: 0,
             live: Vec::new(),

@@ -10,6 +10,7 @@ use albireo_node::state::board::Board;
 use albireo_node::{Node, NodeError, PreparedNode};
 use albireo_scene::BoxScene;
 use albireo_wire::{ClipReport, DetectionsMessage, FrameAttachment, VERSION};
+use serde::de::DeserializeOwned;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -131,17 +132,25 @@ impl Bench {
 
     /// The clip reports of the camera from now on.
     pub(crate) async fn reports(&self) -> UnboundedReceiver<ClipReport> {
-        let (sender, reports) = unbounded_channel();
+        self.published("clip").await
+    }
+
+    /// What the node publishes of the camera on `key` from now on.
+    pub(crate) async fn published<T: DeserializeOwned + Send + 'static>(
+        &self,
+        key: &str,
+    ) -> UnboundedReceiver<T> {
+        let (sender, messages) = unbounded_channel();
         self.session
-            .declare_subscriber("albireo/node/front/clip")
+            .declare_subscriber(format!("albireo/node/{CAMERA}/{key}"))
             .callback(move |sample| {
-                let report = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
-                let _ = sender.send(report);
+                let message = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+                let _ = sender.send(message);
             })
             .background()
             .await
             .unwrap();
-        reports
+        messages
     }
 
     pub(crate) async fn answer(&mut self) -> DetectionsMessage {

@@ -9,16 +9,18 @@ pub(crate) mod detectors;
 pub(crate) mod fleet;
 pub(crate) mod live_camera;
 pub(crate) mod policies;
+mod ports;
 #[cfg(feature = "hub")]
 #[path = "../../crates/hub/tests/support/postgres.rs"]
 #[allow(unreachable_pub)]
 pub(crate) mod postgres;
 
+pub(crate) use ports::free_port;
+
 use albireo::cli::replay::{FrameSender, Pacing};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{ExitStatus, Stdio};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader, Lines};
 use tokio::process::{Child, ChildStdin, ChildStdout, Command};
@@ -61,22 +63,6 @@ pub(crate) fn answer_of(script: &mut std::process::Command, request: &Value) -> 
     let output = child.wait_with_output().expect("Python ends");
     assert!(output.status.success(), "{script:?} failed, see above");
     serde_json::from_slice(&output.stdout).expect("it answers in JSON")
-}
-
-/// A port nobody listens on at this moment.
-pub(crate) fn free_port() -> u16 {
-    // Each port is given once, and below those of outgoing connections: nobody takes it before its listener does.
-    static GIVEN: AtomicU32 = AtomicU32::new(0);
-    let start = std::process::id().wrapping_mul(250);
-    let ports = std::iter::repeat_with(|| {
-        let given = GIVEN.fetch_add(1, Ordering::Relaxed);
-        10_000 + (start.wrapping_add(given) % 22_000) as u16
-    });
-    let is_free = |port: &u16| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok();
-    ports
-        .take(22_000)
-        .find(is_free)
-        .expect("the loopback interface has a free port")
 }
 
 /// The program itself, with a clean environment for its configuration.

@@ -7,7 +7,11 @@
     unreachable_pub
 )]
 
+#[path = "../../../../tests/support/ports.rs"]
+mod ports;
 pub mod postgres;
+
+pub(crate) use ports::free_port;
 
 use albireo_hub::config::HubConfig;
 use albireo_wire::{
@@ -17,7 +21,6 @@ use albireo_wire::{
 };
 use serde_json::Value;
 use std::path::Path;
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
@@ -25,19 +28,6 @@ use uuid::{Builder, Uuid};
 
 /// The longest any single thing may take on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(60);
-
-/// A port nobody listens on at this moment.
-pub fn free_port() -> u16 {
-    // Each port is given once, and below those of outgoing connections: nobody takes it before its listener does.
-    static GIVEN: AtomicU32 = AtomicU32::new(0);
-    let start = std::process::id().wrapping_mul(250);
-    let ports = std::iter::repeat_with(|| {
-        let given = GIVEN.fetch_add(1, Ordering::Relaxed);
-        10_000 + (start.wrapping_add(given) % 22_000) as u16
-    });
-    let is_free = |port: &u16| std::net::TcpListener::bind(("127.0.0.1", *port)).is_ok();
-    ports.take(22_000).find(is_free).expect("a free port")
-}
 
 /// A running hub.
 pub struct Hub {
