@@ -14,14 +14,13 @@ use albireo_eval::report::Report;
 use albireo_eval::run::{Settings, run_stored};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, PolicySpec, Sweep, resolve};
-use albireo_eval::streams::{self, Stream};
+use albireo_eval::streams::{self, RunTimes, Stream};
 use albireo_eval::text::wrapped;
 use albireo_eval::{summary, table};
 use anyhow::Context;
 use clap::{Args, Subcommand};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 const EXAMPLES: &str = "\
 Examples:
@@ -134,9 +133,10 @@ struct RunArguments {
     /// Area under the precision-recall curve at COCO's 101 recall levels instead of all points.
     #[arg(long, help_heading = JUDGED)]
     coco_interpolation: bool,
-    /// Judge boxes when frames arrive too, with a detector that takes this many milliseconds; at-arrival.txt in --out.
-    #[arg(long, help_heading = JUDGED, value_name = "MILLISECONDS", value_parser = positive_milliseconds)]
-    detector_ms: Option<f64>,
+    /// Judge boxes when frames arrive too, with a detector that takes this many milliseconds, or those of FILE in
+    /// turn, one measured run on each line; at-arrival.txt in --out.
+    #[arg(long, help_heading = JUDGED, value_name = "MILLISECONDS|FILE", value_parser = RunTimes::read)]
+    detector_ms: Option<RunTimes>,
     /// Judge the boxes too that are drawn between two detector calls when the second is known; settled.txt in --out.
     #[arg(long, help_heading = JUDGED)]
     settled: bool,
@@ -211,10 +211,8 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
     let results = run_stored(&clips.clips, &policies, &settings, &|| bar.inc(1))?;
     bar.finish_and_clear();
     let mut streams = Vec::new();
-    if let Some(milliseconds) = arguments.detector_ms {
-        streams.push(Stream::AtArrival {
-            detector: Duration::from_secs_f64(milliseconds / 1e3),
-        });
+    if let Some(detector) = arguments.detector_ms.clone() {
+        streams.push(Stream::AtArrival { detector });
     }
     if arguments.settled {
         streams.push(Stream::Settled);
@@ -299,17 +297,6 @@ fn settings(arguments: &RunArguments) -> anyhow::Result<Settings> {
         energy_model,
         threads: arguments.threads,
     })
-}
-
-fn positive_milliseconds(text: &str) -> Result<f64, String> {
-    let milliseconds: f64 = text
-        .parse()
-        .map_err(|_| "this is not a number".to_owned())?;
-    if milliseconds > 0.0 && milliseconds <= 60_000.0 {
-        Ok(milliseconds)
-    } else {
-        Err("this must be above 0 and at most 60000".to_owned())
-    }
 }
 
 /// The settings that decide what the figures mean.

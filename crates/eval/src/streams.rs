@@ -4,6 +4,10 @@
 //! once and takes detections late ([`LatePolicy`]). Any other one lets frames wait for the detector: it takes the newest
 //! frame when it is free, and every frame is judged by the boxes of the last frame that it has finished.
 
+mod run_times;
+
+pub use run_times::RunTimes;
+
 use crate::average_precision::{Accuracy, ScoredBox, outside_ignored};
 use crate::data::Clip;
 use crate::replay::drive;
@@ -33,12 +37,12 @@ const SMOOTHED: &str = "vanilla-smoothed";
 const SAME_TIME: f64 = 1e-9;
 
 /// Which boxes of a frame are judged.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub enum Stream {
     /// Those that have been published when the frame comes.
     AtArrival {
-        /// Time of a detector run.
-        detector: Duration,
+        /// Times of the detector's runs.
+        detector: RunTimes,
     },
     /// Those drawn between two detector calls; the detector takes no time.
     Settled,
@@ -96,7 +100,7 @@ pub fn run(
             .config
             .build()
             .map_err(|source| cannot_build(spec, source))?;
-        let published = publish(clip, spec, policy, settings, stream)
+        let published = publish(clip, spec, policy, settings, &stream)
             .map_err(|source| no_evidence(clip, spec, source))?;
         let frames = clip.frames.max(1) as f64;
         let boxes = match &clip.truth {
@@ -129,7 +133,7 @@ fn publish(
     spec: &PolicySpec,
     mut policy: Box<dyn Policy>,
     settings: &Settings,
-    stream: Stream,
+    stream: &Stream,
 ) -> Result<Published, SourceError> {
     let mut source = StoredEvidence::new(clip, settings)?;
     let Stream::AtArrival { detector } = stream else {
@@ -145,7 +149,7 @@ fn publish(
     })?;
     let timing = Timing {
         interval: 1.0 / rate,
-        detector: detector.as_secs_f64(),
+        detector,
     };
     if policy.can_rewind() {
         at_once(policy, &mut source, timing)
@@ -154,19 +158,19 @@ fn publish(
     }
 }
 
-/// Seconds.
+/// When frames and the detector's results come.
 #[derive(Clone, Copy, Debug)]
-struct Timing {
-    /// From frame to frame.
+struct Timing<'a> {
+    /// From frame to frame, seconds.
     interval: f64,
-    /// Of a detector run.
-    detector: f64,
+    detector: &'a RunTimes,
 }
 
-impl Timing {
-    fn of(self, need: Need) -> f64 {
+impl Timing<'_> {
+    /// How long `need` takes to be fetched after `calls` detector runs, seconds.
+    fn of(self, need: Need, calls: usize) -> f64 {
         match need {
-            Need::Detections => self.detector,
+            Need::Detections => self.detector.of(calls),
             _ => 0.0,
         }
     }
@@ -176,7 +180,7 @@ impl Timing {
 fn at_once(
     policy: Box<dyn Policy>,
     source: &mut dyn ClipEvidence,
-    timing: Timing,
+    timing: Timing<'_>,
 ) -> Result<Published, SourceError> {
     let failed = |error: &dyn std::fmt::Display| SourceError::Failed(error.to_string());
     let mut late = LatePolicy::new(policy).map_err(|error| failed(&error))?;
@@ -197,14 +201,15 @@ fn at_once(
             let evidence = stored.evidence(need)?;
             let next = late.deliver(asked as u64, evidence, &mut unused);
             let next = next.map_err(|error| failed(&error))?;
+            let took = timing.of(next, published.calls);
             published.calls += usize::from(next == Need::Detections);
-            waits = (next != Need::Nothing).then_some((asked, next, at + timing.of(next)));
+            waits = (next != Need::Nothing).then_some((asked, next, at + took));
         }
         let need = late.frame(head(frame, 1, source.picture()), &mut outcome);
-        published.calls += usize::from(need == Need::Detections);
         if need != Need::Nothing {
-            waits = Some((frame, need, now + timing.of(need)));
+            waits = Some((frame, need, now + timing.of(need, published.calls)));
         }
+        published.calls += usize::from(need == Need::Detections);
         published
             .boxes
             .push(scored(&outcome.boxes, source.picture()));
@@ -216,7 +221,7 @@ fn at_once(
 fn when_known(
     policy: &mut dyn Policy,
     source: &mut dyn ClipEvidence,
-    timing: Timing,
+    timing: Timing<'_>,
 ) -> Result<Published, SourceError> {
     let mut published = Published::default();
     let mut outcome = Outcome::default();
@@ -238,9 +243,11 @@ fn when_known(
             calls: 0,
         };
         decide_at_once(policy, head, &mut stored, &mut outcome)?;
-        let calls = stored.calls;
-        published.calls += calls;
-        free = start + calls as f64 * timing.detector;
+        free = start;
+        for _ in 0..stored.calls {
+            free += timing.detector.of(published.calls);
+            published.calls += 1;
+        }
         next = frame + 1;
         // Frames that come before this answer show the one before it.
         while published.boxes.len() < source.frames()
@@ -407,22 +414,20 @@ impl StreamResults {
 
     /// The table: one line a policy.
     pub fn table(&self) -> String {
-        let title = match self.stream {
+        let title = match &self.stream {
             Stream::AtArrival { detector } => format!(
-                "Judged when frames arrive, with a detector that takes {:.0} ms",
-                detector.as_secs_f64() * 1e3
+                "Judged when frames arrive, with a detector that takes {}",
+                detector.describe()
             ),
             Stream::Settled => "Judged when settled between two detector calls".to_owned(),
         };
         let baseline = self.policies.iter().position(|policy| policy == BASELINE);
         let clips = baseline.map_or(0, |baseline| self.of(baseline).len());
-        let mut text = format!(
-            "{title}: means over {clips} clips, differences to vanilla in points with their 95 % interval\n\n"
-        );
         // Writing to a string cannot fail.
-        let _ = write!(text, "{:<24} {:>6}", "policy", "calls%");
+        let mut text = format!("{title};\nmeans over {clips} clips\n\n");
+        let _ = write!(text, "{:<22} {:>6}", "policy", "calls%");
         for (name, _) in FIGURES {
-            let _ = write!(text, " {name:>24}");
+            let _ = write!(text, " {name:>10}");
         }
         let _ = writeln!(text, " {:>5} {:>5} {:>5}", "F1@50", "mAP", "delay");
         for (index, policy) in self.policies.iter().enumerate() {
@@ -431,24 +436,42 @@ impl StreamResults {
                 mean(own.iter().map(|judged| figure(judged))).unwrap_or_default()
             };
             let calls = 100.0 * average(|judged| judged.calls);
-            let _ = write!(text, "{:<24} {calls:>6.1}", crate::table::short(policy));
+            let _ = write!(text, "{:<22} {calls:>6.1}", crate::table::short(policy));
             for (_, figure) in FIGURES {
-                let change = baseline
-                    .filter(|baseline| *baseline != index)
-                    .map_or_else(String::new, |baseline| {
-                        self.against(index, baseline, figure)
-                    });
-                let _ = write!(text, " {} {change:>18}", three(&own, figure));
+                let _ = write!(text, " {:>10}", three(&own, figure));
             }
             let rest = [three(&own, |a| a.f1_50), three(&own, |a| a.map)];
             let delay = average(|judged| judged.delay);
             let _ = writeln!(text, " {} {} {delay:>5.1}", rest[0], rest[1]);
         }
+        if let Some(baseline) = baseline {
+            self.write_differences(baseline, &mut text);
+        }
         text.push_str("\ncalls%: detector calls of 100 frames; delay: frames.\n");
         if self.stream == Stream::Settled {
-            text.push_str("vanilla-smoothed fills gaps when an object is found again, however late: its delay is not counted.\n");
+            text.push_str("vanilla-smoothed fills gaps when an object is found again, however late:\nits delay is not counted.\n");
         }
         text
+    }
+
+    /// The table of differences to the baseline: one line for each other policy.
+    fn write_differences(&self, baseline: usize, text: &mut String) {
+        text.push_str("\nDifferences to vanilla in points, with their 95 % intervals\n\n");
+        let _ = write!(text, "{:<22}", "policy");
+        for (name, _) in FIGURES {
+            let _ = write!(text, " {name:>18}");
+        }
+        text.push('\n');
+        for (index, policy) in self.policies.iter().enumerate() {
+            if index == baseline {
+                continue;
+            }
+            let _ = write!(text, "{:<22}", crate::table::short(policy));
+            for (_, figure) in FIGURES {
+                let _ = write!(text, " {:>18}", self.against(index, baseline, figure));
+            }
+            text.push('\n');
+        }
     }
 
     /// A policy's results on the clips with ground truth, in order of clips.

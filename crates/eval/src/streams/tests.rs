@@ -6,9 +6,12 @@ use albireo_core::detection::ClassId;
 use albireo_core::geometry::Corners;
 use albireo_core::policy::Profile;
 
-const MS_113: Stream = Stream::AtArrival {
-    detector: Duration::from_millis(113),
-};
+/// With a detector whose runs take these milliseconds in turn.
+fn at_arrival(milliseconds: &str) -> Stream {
+    Stream::AtArrival {
+        detector: RunTimes::read(milliseconds).unwrap(),
+    }
+}
 
 /// Ten frames a second; one car that moves by `speed` pixels a frame.
 fn drive_by(frames: usize, speed: f64) -> Clip {
@@ -58,7 +61,7 @@ fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {
     let specs = policies(&[policy]);
     let spec = specs.last().unwrap();
     let policy = spec.config.build().unwrap();
-    publish(clip, spec, policy, &Settings::default(), stream).unwrap()
+    publish(clip, spec, policy, &Settings::default(), &stream).unwrap()
 }
 
 /// The left edge of the box of each frame.
@@ -72,17 +75,14 @@ fn left_edges(published: &Published) -> Vec<Option<i64>> {
 fn vanilla_as_delivered_shows_every_frame_what_was_finished_when_it_came() {
     let clip = drive_by(6, 10.0);
     // Runs of 113 ms begin at 0, 113, … 565 ms, each with the newest frame.
-    let late = published(&clip, "vanilla", MS_113);
+    let late = published(&clip, "vanilla", at_arrival("113"));
     assert_eq!(
         left_edges(&late),
         [None, None, Some(100), Some(110), Some(120), Some(130)]
     );
     assert_eq!(late.calls, 6);
     // At 250 ms the newest frame is taken and the others are lost.
-    let slow = Stream::AtArrival {
-        detector: Duration::from_millis(250),
-    };
-    let slow = published(&clip, "vanilla", slow);
+    let slow = published(&clip, "vanilla", at_arrival("250"));
     assert_eq!(
         left_edges(&slow),
         [None, None, None, Some(100), Some(100), Some(120)]
@@ -91,9 +91,22 @@ fn vanilla_as_delivered_shows_every_frame_what_was_finished_when_it_came() {
 }
 
 #[test]
+fn measured_times_of_the_detector_are_used_in_turn() {
+    let clip = drive_by(6, 10.0);
+    let measured = RunTimes::measured(&[50.0, 250.0]);
+    // Runs begin at 0, 100, 350 and 400 ms with the newest frame, 0, 1, 3 and 4, and take 50 and 250 ms in turn.
+    let late = published(&clip, "vanilla", Stream::AtArrival { detector: measured });
+    assert_eq!(
+        left_edges(&late),
+        [None, Some(100), Some(100), Some(100), Some(130), Some(130)]
+    );
+    assert_eq!(late.calls, 4);
+}
+
+#[test]
 fn a_policy_that_answers_at_once_is_where_the_car_is() {
     let clip = drive_by(40, 6.0);
-    let at_once = published(&clip, "expected-loss:0", MS_113);
+    let at_once = published(&clip, "expected-loss:0", at_arrival("113"));
     let edges = left_edges(&at_once);
     assert_eq!(edges[..2], [None, None]);
     for (frame, edge) in edges.iter().enumerate().skip(20) {
@@ -102,7 +115,7 @@ fn a_policy_that_answers_at_once_is_where_the_car_is() {
     }
     // One frame of two finds the detector free.
     assert_eq!(at_once.calls, 20);
-    let waiting = published(&clip, "vanilla", MS_113);
+    let waiting = published(&clip, "vanilla", at_arrival("113"));
     let behind = 100 + 6 * 30 - left_edges(&waiting)[30].unwrap();
     assert_eq!(behind, 12);
 }
@@ -134,7 +147,7 @@ fn smoothing_fills_the_gaps_between_two_detections_of_an_object_and_adds_nothing
     }
     let spec = smoothing().unwrap();
     let policy = spec.config.build().unwrap();
-    let smoothed = publish(&clip, &spec, policy, &Settings::default(), Stream::Settled).unwrap();
+    let smoothed = publish(&clip, &spec, policy, &Settings::default(), &Stream::Settled).unwrap();
     let expected: Vec<_> = (0..20)
         .map(|frame| (frame < 19).then_some(100 + 6 * frame))
         .collect();
@@ -150,17 +163,19 @@ fn smoothing_fills_the_gaps_between_two_detections_of_an_object_and_adds_nothing
 fn the_table_compares_with_vanilla_and_a_clip_without_times_is_refused() {
     let specs = policies(&["expected-loss:0"]);
     let clips = [drive_by(40, 6.0), drive_by(40, 7.0)];
-    let table = run(&clips, &specs, &Settings::default(), MS_113)
+    let table = run(&clips, &specs, &Settings::default(), at_arrival("113"))
         .unwrap()
         .table();
-    let row = table
+    let mut rows = table
         .lines()
-        .find(|line| line.starts_with("expected-loss-0"));
-    assert!(row.unwrap().contains(" +"), "{table}");
+        .filter(|line| line.starts_with("expected-loss-0"));
+    assert!(rows.next().unwrap().contains(" 50.0 "), "{table}");
+    assert!(rows.next().unwrap().contains(" +"), "{table}");
+    assert!(table.lines().all(|line| line.len() <= 80), "{table}");
     let clip = Clip {
         frame_rate: None,
         ..drive_by(3, 1.0)
     };
-    let refused = run(&[clip], &specs, &Settings::default(), MS_113).unwrap_err();
+    let refused = run(&[clip], &specs, &Settings::default(), at_arrival("113")).unwrap_err();
     assert!(refused.to_string().contains("frame rate"), "{refused}");
 }

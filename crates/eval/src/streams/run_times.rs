@@ -1,0 +1,117 @@
+//! How long the detector's runs take.
+
+use std::path::Path;
+
+/// The longest time a run may have, milliseconds.
+const LONGEST_MS: f64 = 60_000.0;
+
+/// Times of detector runs, which are used in turn; at least one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunTimes {
+    /// Seconds.
+    seconds: Vec<f64>,
+}
+
+impl RunTimes {
+    /// Reads `text`: milliseconds, or else a file with the milliseconds of one measured run on each line.
+    ///
+    /// # Errors
+    /// A sentence with what was wrong and in which line.
+    pub fn read(text: &str) -> Result<Self, String> {
+        if text.parse::<f64>().is_ok() {
+            return Self::parse([text].into_iter());
+        }
+        let file = Path::new(text);
+        let lines = std::fs::read_to_string(file).map_err(|error| {
+            format!("this is neither a number of milliseconds nor a file that can be read: {error}")
+        })?;
+        Self::parse(lines.lines())
+            .map_err(|reason| format!("a file has one run's milliseconds on each line: {reason}"))
+    }
+
+    fn parse<'a>(lines: impl Iterator<Item = &'a str>) -> Result<Self, String> {
+        let mut seconds = Vec::new();
+        for (index, line) in lines.enumerate() {
+            let line = line.trim();
+            if line.is_empty() {
+                continue;
+            }
+            match line.parse::<f64>() {
+                Ok(run) if run > 0.0 && run <= LONGEST_MS => seconds.push(run / 1e3),
+                _ => {
+                    return Err(format!(
+                        "line {}: {line:?} is not above 0 and at most {LONGEST_MS}",
+                        index + 1
+                    ));
+                }
+            }
+        }
+        if seconds.is_empty() {
+            return Err("there is no number".to_owned());
+        }
+        Ok(Self { seconds })
+    }
+
+    #[cfg(test)]
+    pub(super) fn measured(milliseconds: &[f64]) -> Self {
+        let seconds = milliseconds.iter().map(|run| run / 1e3).collect();
+        Self { seconds }
+    }
+
+    /// Time of run number `run`, seconds.
+    pub(super) fn of(&self, run: usize) -> f64 {
+        self.seconds[run % self.seconds.len()]
+    }
+
+    /// What they are, for a title.
+    pub(super) fn describe(&self) -> String {
+        let mut sorted = self.seconds.clone();
+        sorted.sort_by(f64::total_cmp);
+        let ms = |index: usize| format!("{:.0}", 1e3 * sorted[index]);
+        match sorted.len() {
+            1 => format!("{} ms", ms(0)),
+            count => format!(
+                "{} to {} ms ({count} measured runs, median {})",
+                ms(0),
+                ms(count - 1),
+                ms(count / 2)
+            ),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_or_a_file_of_measured_runs_is_read_and_used_in_turn() {
+        let always = RunTimes::read("113").unwrap();
+        assert_eq!((always.of(0), always.of(7)), (0.113, 0.113));
+        assert_eq!(always.describe(), "113 ms");
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "20\n100.5\n\n40\n").unwrap();
+        let measured = RunTimes::read(file.path().to_str().unwrap()).unwrap();
+        let runs: Vec<_> = (0..4).map(|run| measured.of(run)).collect();
+        assert_eq!(runs, [0.02, 0.1005, 0.04, 0.02]);
+        assert_eq!(
+            measured.describe(),
+            "20 to 100 ms (3 measured runs, median 40)"
+        );
+    }
+
+    #[test]
+    fn a_time_that_cannot_be_is_refused_with_its_line() {
+        for wrong in ["0", "-3", "60001", "nan", "inf"] {
+            assert!(RunTimes::read(wrong).is_err(), "{wrong}");
+        }
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let path = file.path().to_str().unwrap();
+        std::fs::write(path, "20\nfast\n").unwrap();
+        let reason = RunTimes::read(path).unwrap_err();
+        assert!(reason.contains("line 2: \"fast\""), "{reason}");
+        std::fs::write(path, "\n").unwrap();
+        assert!(RunTimes::read(path).is_err());
+        assert!(RunTimes::read("no such file").is_err());
+    }
+}
