@@ -6,8 +6,8 @@ SHELL := /bin/bash
 CACHE := .cache
 ONNXRUNTIME := $(CACHE)/onnxruntime/.ready
 PYTHON_ENVIRONMENT := $(CACHE)/python/.ready
-PARITY_ENVIRONMENT := $(CACHE)/parity/.ready
-PEERS_ENVIRONMENT := $(CACHE)/peers/.ready
+VENDORS := $(CACHE)/vendors/bin
+VENDORS_ENVIRONMENT := $(CACHE)/vendors/.ready
 WHEEL := target/wheels/.built$(if $(TARGET),-$(TARGET))
 WHEEL_ENVIRONMENT := $(CACHE)/wheel/.ready
 WHEEL_SOURCES := $(wildcard Cargo.toml crates/core/Cargo.toml crates/python/*.* crates/python/src/*) \
@@ -48,33 +48,28 @@ bench-peers: ## the decision core beside other trackers, the JPEG decoder beside
 	cargo run --release --locked --manifest-path benches/standalone/Cargo.toml
 	cargo run --release --locked --manifest-path benches/decoders/Cargo.toml
 
-peers: $(PEERS_ENVIRONMENT) ## Python's trackers beside ours on the recordings, into EVALUATION.md (by hand: fetches 0.3 GB)
+peers: $(WHEEL) $(VENDORS_ENVIRONMENT) ## Python's trackers beside ours on the recordings, into EVALUATION.md (by hand: fetches 6.5 GB)
 	cargo build --locked $$(bash tests/features.sh)
-	$(CACHE)/peers/bin/python tests/peers/compare.py --shared "$${ALBIREO_SHARED:-../shared}" --page EVALUATION.md
-
-# Norfair's requirements exclude those of trackers, though it runs with them; TrackEval's bring what only its data sets use.
-$(PEERS_ENVIRONMENT): tests/peers/requirements.txt $(WHEEL)
-	python3 -m venv $(CACHE)/peers
-	$(CACHE)/peers/bin/python -m pip install --quiet --disable-pip-version-check -r tests/peers/requirements.txt
-	$(CACHE)/peers/bin/python -m pip install --quiet --disable-pip-version-check --no-deps norfair==2.3.0 trackeval==1.3.0
-	$(CACHE)/peers/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall target/wheels/albireo-*.whl
-	@touch $@
+	$(VENDORS)/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps target/wheels/albireo-*.whl
+	$(VENDORS)/python tests/peers/compare.py --shared "$${ALBIREO_SHARED:-../shared}" --page EVALUATION.md
 
 gpu: onnxruntime ## measure the node on an NVIDIA GPU, write benches/gpu.md (PROVIDER=cpu: a trial without one)
 	@ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" bash benches/gpu.sh
 
-parity: onnxruntime $(WHEEL) $(PARITY_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
+parity: onnxruntime $(WHEEL) $(VENDORS_ENVIRONMENT) ## compare with the vendors' own detectors (by hand: fetches 6.5 GB), write models/PARITY.md
 	cargo build --locked $$(bash tests/features.sh)
 	ORT_DYLIB_PATH="$${ORT_DYLIB_PATH:-$(abspath $(CACHE))/onnxruntime}" YOLO_OFFLINE=true \
-		YOLO_CONFIG_DIR="$(abspath $(CACHE))/parity/config" $(CACHE)/parity/bin/python \
+		YOLO_CONFIG_DIR="$(abspath $(CACHE))/vendors/config" $(VENDORS)/python \
 		tests/parity/compare.py --shared "$${ALBIREO_SHARED:-../shared}"
-	$(CACHE)/parity/bin/python -m pip install --quiet --disable-pip-version-check --force-reinstall --no-deps target/wheels/albireo-*.whl
-	YOLO_OFFLINE=true YOLO_CONFIG_DIR="$(abspath $(CACHE))/parity/config" $(CACHE)/parity/bin/python tests/parity/python_results.py
+	$(VENDORS)/pip install --quiet --disable-pip-version-check --force-reinstall --no-deps target/wheels/albireo-*.whl
+	YOLO_OFFLINE=true YOLO_CONFIG_DIR="$(abspath $(CACHE))/vendors/config" $(VENDORS)/python tests/parity/python_results.py
 
-$(PARITY_ENVIRONMENT): tests/parity/requirements.txt
-	python3 -m venv $(CACHE)/parity
-	$(CACHE)/parity/bin/python -m pip install --quiet --disable-pip-version-check -r tests/parity/requirements.txt
-	$(CACHE)/parity/bin/python -m pip install --quiet --disable-pip-version-check --no-deps boxmot==25.0.0
+# Installed without their dependencies: those of Norfair exclude those of trackers, BoxMOT's have an older OpenCV, TrackEval's
+# are for its data sets only.
+$(VENDORS_ENVIRONMENT): tests/parity/requirements.txt
+	python3 -m venv $(CACHE)/vendors
+	$(VENDORS)/pip install --quiet --disable-pip-version-check -r tests/parity/requirements.txt
+	$(VENDORS)/pip install --quiet --disable-pip-version-check --no-deps boxmot==25.0.0 norfair==2.3.0 trackeval==1.3.0
 	@touch $@
 
 board: ## the node for a small board: without hub, simulator, evaluation and renderer

@@ -1,6 +1,6 @@
 """Microseconds a frame at 30 moving objects, beside other trackers where they are installed.
 
-`make peers` sets up an environment that has the others (.cache/peers). Each gets the detector's boxes on every frame, as its own
+`make peers` sets up an environment that has the others (.cache/vendors). Each gets the detector's boxes on every frame, as its own
 documentation says; the time is that of its call and of the conversion to its own type of detections.
 """
 

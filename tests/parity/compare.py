@@ -131,7 +131,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--program", default="target/debug/albireo")
     parser.add_argument("--shared", default="../shared")
-    parser.add_argument("--work", default=".cache/parity/work")
+    parser.add_argument("--work", default=".cache/vendors/work")
     parser.add_argument("--report", default="models/PARITY.md")
     parser.add_argument("--fixtures", default="tests/fixtures/parity")
     arguments = parser.parse_args()
