@@ -222,6 +222,62 @@ fn the_program_saves_and_replays_with_the_same_traces_and_names_what_it_judged_a
     }
 }
 
+#[test]
+#[ignore = "needs ONNX Runtime"]
+fn boxes_at_arrival_and_settled_are_judged_with_pictures_as_from_stored_detections() {
+    let folder = tempfile::tempdir().unwrap();
+    let at = |name: &str| folder.path().join(name).display().to_string();
+    let (sequence, saved, first, second) = (at("boxes"), at("saved"), at("first"), at("second"));
+    write_sequence(Path::new(&sequence), 40);
+    let detector = model("boxes.onnx").display().to_string();
+    let drive = format!("{sequence}/img1");
+    let streams = [
+        "--policy",
+        "expected-loss",
+        "--detector-ms",
+        "113",
+        "--settled",
+    ];
+    let mut pictures = vec!["eval", "video", &drive, "--detector", &detector];
+    pictures.extend([
+        "--truth-format",
+        "motchallenge",
+        "--ground-truth",
+        &sequence,
+    ]);
+    pictures.extend([
+        "--policy",
+        "expected-loss+flow",
+        "--save-detections",
+        &saved,
+    ]);
+    pictures.extend(["--out", &first]);
+    pictures.extend(streams);
+    let mut recorded = vec!["eval", "recorded", &saved, "--out", &second];
+    recorded.extend(streams);
+    for arguments in [pictures, recorded] {
+        let output = albireo(&arguments);
+        let complaint = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert!(output.status.success(), "{complaint}");
+    }
+    let line = |file: String, policy: &str| {
+        let text = std::fs::read_to_string(file).unwrap();
+        let mut lines = text.lines().filter(|line| line.starts_with(policy));
+        lines
+            .next()
+            .unwrap_or_else(|| panic!("no {policy} in\n{text}"))
+            .to_owned()
+    };
+    for file in ["at-arrival.txt", "settled.txt"] {
+        let with_pictures = |policy| line(format!("{first}/{file}"), policy);
+        assert_eq!(
+            with_pictures("expected-loss-"),
+            line(format!("{second}/{file}"), "expected-loss-")
+        );
+        assert!(with_pictures("expected-loss+flow").contains("0."), "{file}");
+    }
+}
+
 /// A sequence as MOTChallenge lays it out: pictures of boxes and their exact places.
 fn write_sequence(folder: &Path, frames: u64) {
     use std::fmt::Write;

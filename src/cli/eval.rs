@@ -14,7 +14,7 @@ use albireo_eval::report::Report;
 use albireo_eval::run::{Settings, run_stored};
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::{Common, PolicySpec, Sweep, resolve};
-use albireo_eval::streams::{self, RunTimes, Stream};
+use albireo_eval::streams::{self, RunTimes, Stream, StreamResults};
 use albireo_eval::text::wrapped;
 use albireo_eval::{summary, table};
 use anyhow::Context;
@@ -210,14 +210,7 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
     );
     let results = run_stored(&clips.clips, &policies, &settings, &|| bar.inc(1))?;
     bar.finish_and_clear();
-    let mut streams = Vec::new();
-    if let Some(detector) = arguments.detector_ms.clone() {
-        streams.push(Stream::AtArrival { detector });
-    }
-    if arguments.settled {
-        streams.push(Stream::Settled);
-    }
-    let streams = (streams.into_iter())
+    let streams = (streams_asked(arguments).into_iter())
         .map(|stream| streams::run(&clips.clips, &policies, &settings, stream))
         .collect::<Result<Vec<_>, _>>()?;
     let report = Report {
@@ -229,17 +222,33 @@ fn compare(clips: Clips, path: &Path, arguments: &RunArguments) -> anyhow::Resul
     };
     print!("{}", table::render(&report.policies));
     print_conclusion(&report.policies);
-    for stream in &streams {
-        print!("\n{}", stream.table());
-    }
+    print_streams(&streams);
     if let Some(folder) = &arguments.out {
         report.write(folder)?;
-        for stream in &streams {
-            let file = folder.join(stream.file_name());
-            std::fs::write(&file, stream.table())
-                .with_context(|| format!("cannot write {}", file.display()))?;
-        }
+        write_streams(&streams, folder)?;
         eprintln!("Written to {}", folder.display());
+    }
+    Ok(())
+}
+
+/// Which boxes are judged beside those of a detector that takes no time.
+fn streams_asked(arguments: &RunArguments) -> Vec<Stream> {
+    let at_arrival = (arguments.detector_ms.clone()).map(|detector| Stream::AtArrival { detector });
+    let settled = arguments.settled.then_some(Stream::Settled);
+    at_arrival.into_iter().chain(settled).collect()
+}
+
+fn print_streams(streams: &[StreamResults]) {
+    for stream in streams {
+        print!("\n{}", stream.table());
+    }
+}
+
+fn write_streams(streams: &[StreamResults], folder: &Path) -> anyhow::Result<()> {
+    for stream in streams {
+        let file = folder.join(stream.file_name());
+        std::fs::write(&file, stream.table())
+            .with_context(|| format!("cannot write {}", file.display()))?;
     }
     Ok(())
 }

@@ -10,6 +10,7 @@ pub use run_times::RunTimes;
 
 use crate::average_precision::{Accuracy, ScoredBox, outside_ignored};
 use crate::data::Clip;
+use crate::pictures::{PictureEvidence, PicturedClip};
 use crate::replay::drive;
 use crate::run::{RunError, Settings, in_parallel, judge, no_evidence};
 use crate::scoring::{DEFAULT_DECAY_U, score_reported};
@@ -87,20 +88,58 @@ pub fn run(
     settings: &Settings,
     stream: Stream,
 ) -> Result<StreamResults, RunError> {
+    run_clips(clips.len(), policies, settings, stream, &|clip| {
+        let clip = &clips[clip];
+        let evidence = StoredEvidence::new(clip, settings);
+        (clip, evidence.map(|evidence| Box::new(evidence) as _))
+    })
+}
+
+/// The same of one clip, for policies that look at its pictures.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_pictured(
+    pictured: &PicturedClip,
+    policies: &[PolicySpec],
+    settings: &Settings,
+    stream: Stream,
+) -> Result<StreamResults, RunError> {
+    run_clips(1, policies, settings, stream, &|_| {
+        let evidence = PictureEvidence::new(pictured, settings);
+        (
+            &pictured.clip,
+            evidence.map(|evidence| Box::new(evidence) as _),
+        )
+    })
+}
+
+/// A clip and the evidence that policies get of it.
+type Opened<'a> = (&'a Clip, Result<Box<dyn ClipEvidence + 'a>, SourceError>);
+
+fn run_clips<'a>(
+    clips: usize,
+    policies: &[PolicySpec],
+    settings: &Settings,
+    stream: Stream,
+    open: &(dyn Fn(usize) -> Opened<'a> + Sync),
+) -> Result<StreamResults, RunError> {
     let mut policies = policies.to_vec();
     if stream == Stream::Settled {
         policies.extend(smoothing());
     }
     let steps: Vec<(usize, usize)> = (0..policies.len())
-        .flat_map(|policy| (0..clips.len()).map(move |clip| (policy, clip)))
+        .flat_map(|policy| (0..clips).map(move |clip| (policy, clip)))
         .collect();
     let judged = in_parallel(&steps, settings.threads, &|| (), &|(index, clip)| {
-        let (clip, spec) = (&clips[clip], &policies[index]);
+        let spec = &policies[index];
+        let (clip, evidence) = open(clip);
         let policy = spec
             .config
             .build()
             .map_err(|source| cannot_build(spec, source))?;
-        let published = publish(clip, spec, policy, settings, &stream)
+        let published = evidence
+            .and_then(|mut evidence| publish(clip, spec, policy, &mut *evidence, &stream))
             .map_err(|source| no_evidence(clip, spec, source))?;
         let frames = clip.frames.max(1) as f64;
         let boxes = match &clip.truth {
@@ -132,16 +171,15 @@ fn publish(
     clip: &Clip,
     spec: &PolicySpec,
     mut policy: Box<dyn Policy>,
-    settings: &Settings,
+    source: &mut dyn ClipEvidence,
     stream: &Stream,
 ) -> Result<Published, SourceError> {
-    let mut source = StoredEvidence::new(clip, settings)?;
     let Stream::AtArrival { detector } = stream else {
         if spec.label == SMOOTHED {
-            return smoothed(&mut *policy, &mut source);
+            return smoothed(&mut *policy, source);
         }
         let interval = Duration::from_secs_f64(1.0 / clip.frame_rate.unwrap_or(10.0).max(0.1));
-        return settled(&mut *policy, &mut source, interval);
+        return settled(&mut *policy, source, interval);
     };
     let rate = clip.frame_rate.filter(|rate| *rate > 0.0);
     let rate = rate.ok_or_else(|| {
@@ -152,9 +190,9 @@ fn publish(
         detector,
     };
     if policy.can_rewind() {
-        at_once(policy, &mut source, timing)
+        at_once(policy, source, timing)
     } else {
-        when_known(&mut *policy, &mut source, timing)
+        when_known(&mut *policy, source, timing)
     }
 }
 
@@ -410,6 +448,11 @@ impl StreamResults {
             Stream::AtArrival { .. } => "at-arrival.txt",
             Stream::Settled => "settled.txt",
         }
+    }
+
+    /// Takes in the results of other clips, of the same policies and stream.
+    pub fn extend(&mut self, others: Self) {
+        self.judged.extend(others.judged);
     }
 
     /// The table: one line a policy.

@@ -1,6 +1,9 @@
 //! `albireo eval video`: a real detector's one pass over videos or pictures, then every policy on what it found.
 
-use super::{LOOKED, RunArguments, listed, policies, print_conclusion, settings};
+use super::{
+    LOOKED, RunArguments, listed, policies, print_conclusion, print_streams, settings,
+    streams_asked, write_streams,
+};
 use crate::cli::rate::parse_rate;
 use albireo_core::policy::FrameState;
 use albireo_eval::data::{Clip, LoadReport, recorded};
@@ -14,6 +17,7 @@ use albireo_eval::result::{ClipResult, Spread};
 use albireo_eval::run::Settings;
 use albireo_eval::source::ScreenRule;
 use albireo_eval::spec::PolicySpec;
+use albireo_eval::streams::{self, StreamResults};
 use albireo_eval::worst::attach_pictures;
 use albireo_eval::{summary, table};
 use albireo_vision::detector::{ClassNames, DetectorConfig, ExecutionProvider, HeadName};
@@ -144,9 +148,14 @@ struct Evaluation<'a> {
     kept: Vec<Clip>,
 }
 
-/// Results that are judged alike, a list of policies for each clip.
+/// Results that are judged alike.
 #[derive(Default)]
-struct Judged(Vec<Vec<ClipResult>>);
+struct Judged {
+    /// A list of policies for each clip.
+    clips: Vec<Vec<ClipResult>>,
+    /// Of all clips, one for each stream that was asked for.
+    streams: Vec<StreamResults>,
+}
 
 /// Picks one step out of the times of a frame.
 type StepTime = fn(&StepTimes) -> f64;
@@ -154,7 +163,7 @@ type StepTime = fn(&StepTimes) -> f64;
 impl Judged {
     /// In order of policies, then clips.
     fn into_results(self) -> Vec<ClipResult> {
-        let mut clips: Vec<_> = self.0.into_iter().map(Vec::into_iter).collect();
+        let mut clips: Vec<_> = self.clips.into_iter().map(Vec::into_iter).collect();
         let mut results = Vec::new();
         loop {
             let before = results.len();
@@ -174,11 +183,6 @@ impl<'a> Evaluation<'a> {
         names: Vec<String>,
     ) -> anyhow::Result<Self> {
         let mut arguments = run.clone();
-        ensure!(
-            arguments.detector_ms.is_none() && !arguments.settled,
-            "--detector-ms and --settled judge stored detections: keep these with --save-detections DIR, then run \
-             `albireo eval recorded DIR` with them"
-        );
         ensure!(
             (LOWEST_CONFIDENCE..=1.0).contains(&arguments.confidence),
             "--confidence {} is not between {LOWEST_CONFIDENCE} and 1",
@@ -266,7 +270,14 @@ impl<'a> Evaluation<'a> {
             let note = format!("{name}: no pictures of the frames that lost most: {error}");
             self.report.notes.push(note);
         }
-        judged.0.push(results);
+        judged.clips.push(results);
+        for (at, stream) in streams_asked(&self.arguments).into_iter().enumerate() {
+            let results = streams::run_pictured(&pictured, &self.policies, &self.settings, stream)?;
+            match judged.streams.get_mut(at) {
+                Some(clips_before) => clips_before.extend(results),
+                None => judged.streams.push(results),
+            }
+        }
         Ok(())
     }
 
@@ -281,7 +292,7 @@ impl<'a> Evaluation<'a> {
         }
         let mut settings = listed(&self.arguments);
         settings.extend(self.models());
-        let both = !self.judged.0.is_empty() && !self.against_vanilla.0.is_empty();
+        let both = !self.judged.clips.is_empty() && !self.against_vanilla.clips.is_empty();
         let vanilla = format!(
             "against vanilla: its own output at confidence {} stands for ground truth",
             self.settings.confidence
@@ -290,10 +301,11 @@ impl<'a> Evaluation<'a> {
             (self.judged, "ground truth".to_owned(), None),
             (self.against_vanilla, vanilla, Some("against-vanilla")),
         ];
-        for (judged, basis, folder) in parts {
-            if judged.0.is_empty() {
+        for (mut judged, basis, folder) in parts {
+            if judged.clips.is_empty() {
                 continue;
             }
+            let streams = std::mem::take(&mut judged.streams);
             let results = judged.into_results();
             let mut settings = settings.clone();
             settings.insert(0, ("Judged".to_owned(), basis.clone()));
@@ -317,6 +329,7 @@ impl<'a> Evaluation<'a> {
             );
             println!("{}", table::render(&report.policies));
             print_conclusion(&report.policies);
+            print_streams(&streams);
             for line in screen_lines(&report.clips) {
                 println!("{line}");
             }
@@ -326,6 +339,7 @@ impl<'a> Evaluation<'a> {
                     None => out.clone(),
                 };
                 report.write(&out)?;
+                write_streams(&streams, &out)?;
                 eprintln!("Written to {}", out.display());
             }
         }

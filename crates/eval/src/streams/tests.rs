@@ -61,7 +61,8 @@ fn published(clip: &Clip, policy: &str, stream: Stream) -> Published {
     let specs = policies(&[policy]);
     let spec = specs.last().unwrap();
     let policy = spec.config.build().unwrap();
-    publish(clip, spec, policy, &Settings::default(), &stream).unwrap()
+    let mut evidence = StoredEvidence::new(clip, &Settings::default()).unwrap();
+    publish(clip, spec, policy, &mut evidence, &stream).unwrap()
 }
 
 /// The left edge of the box of each frame.
@@ -147,7 +148,8 @@ fn smoothing_fills_the_gaps_between_two_detections_of_an_object_and_adds_nothing
     }
     let spec = smoothing().unwrap();
     let policy = spec.config.build().unwrap();
-    let smoothed = publish(&clip, &spec, policy, &Settings::default(), &Stream::Settled).unwrap();
+    let mut evidence = StoredEvidence::new(&clip, &Settings::default()).unwrap();
+    let smoothed = publish(&clip, &spec, policy, &mut evidence, &Stream::Settled).unwrap();
     let expected: Vec<_> = (0..20)
         .map(|frame| (frame < 19).then_some(100 + 6 * frame))
         .collect();
