@@ -169,7 +169,7 @@ impl PreparedNode {
         .map_err(|error| NodeError::Zenoh(format!("{error:#}")))?;
         zenoh.works();
         let opened = session.clone();
-        (board.readiness()).probe(readiness::ZENOH, "session", move || {
+        (board.readiness()).probe(readiness::ZENOH, readiness::ZENOH_SESSION, move || {
             (opened.is_closed()).then(|| Fault::not_ready("it is closed"))
         });
         let publishing = PublishingThread::start().map_err(|source| NodeError::System {

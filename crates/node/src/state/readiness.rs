@@ -34,6 +34,8 @@ pub const POWER: &str = "power";
 pub const OUTBOX: &str = "outbox";
 /// The local Zenoh session.
 pub const ZENOH: &str = "zenoh";
+/// Subject of [`ZENOH`]: the session was open, and is closed for good.
+pub(crate) const ZENOH_SESSION: &str = "session";
 /// The Zenoh session toward the hub.
 pub const UPLINK: &str = "uplink";
 /// The state directory.
@@ -64,13 +66,17 @@ pub(crate) fn look(
         DetectorStatus::Lost { reason, .. } => Some(format!("{DETECTOR}: {reason}")),
         _ => None,
     };
-    let waits = (health.faults.iter())
-        .any(|fault| fault.part == ZENOH && fault.fault.effect == Effect::NotReady);
+    // A detector is started once the session is open: until then it is not the one that is late.
+    let waits_for_session = *detector == DetectorStatus::Starting
+        && (health.faults.iter()).any(|fault| fault.part == ZENOH && fault.subject.is_empty());
     let stuck = health.faults.iter().find(|fault| {
-        !waits
-            && fault.fault.effect == Effect::NotReady
-            && [DETECTOR, TASKS].contains(&&*fault.part)
-            && fault.lasted >= stuck_after
+        let own = match &*fault.part {
+            DETECTOR => !waits_for_session,
+            TASKS => true,
+            ZENOH => fault.subject == ZENOH_SESSION,
+            _ => false,
+        };
+        own && fault.fault.effect == Effect::NotReady && fault.lasted >= stuck_after
     });
     let reasons: Vec<_> = (health.status().reasons.iter())
         .map(|(part, reason)| format!("{part}: {reason}"))
@@ -179,6 +185,31 @@ mod tests {
             "{}",
             seen.reasons
         );
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_zenoh_fault_hides_no_stuck_detector_and_a_session_that_stays_closed_is_stuck() {
+        let readiness = Readiness::default();
+        let limit = Duration::from_secs(60);
+        let degraded = DetectorStatus::Degraded {
+            reason: "the run does not come back".to_owned(),
+            provider: albireo_vision::detector::ExecutionProvider::Cpu,
+        };
+        let stuck = |status| look(&readiness, status, limit).stuck.unwrap_or_default();
+        let detector = readiness.part(DETECTOR);
+        detector.not_ready("the run does not come back");
+        readiness.part(ZENOH).not_ready("the router is away");
+        tokio::time::advance(limit).await;
+        assert!(stuck(&degraded).starts_with("detector: "));
+        // The session was opened, the detector is being built, and the session closes.
+        readiness.part(ZENOH).works();
+        let session = readiness.part_of(ZENOH, ZENOH_SESSION);
+        session.not_ready("it is closed");
+        assert!(stuck(&DetectorStatus::Starting).starts_with("detector: "));
+        detector.works();
+        assert_eq!(stuck(&degraded), "");
+        tokio::time::advance(limit).await;
+        assert_eq!(stuck(&degraded), "zenoh: it is closed");
     }
 
     #[test]
