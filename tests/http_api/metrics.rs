@@ -78,6 +78,7 @@ fn check(samples: &Samples) {
             1.0,
         ),
         (r#"albireo_clips_total{camera="front"}"#, 1.0),
+        (r#"albireo_messages_unpublished_total{camera="front"}"#, 0.0),
         (r#"albireo_threshold{camera="front",knob="u"}"#, 3e-4),
         (r#"albireo_tau_max{camera="front"}"#, 1.5e-4),
         ("albireo_ready{}", 1.0),

@@ -518,15 +518,18 @@ impl Parts<'_> {
 
         let answer = self.config.answer_time(config);
         let detections = self
-            .publisher(config, keys.detections(), WAITING_ANSWERS)
+            .publisher(config, keys.detections(), WAITING_ANSWERS, board)
             .await?;
         let late = match answer {
             AnswerTime::WhenKnown => None,
-            AnswerTime::AtOnce => Some(self.publisher(config, keys.late(), WAITING_ANSWERS).await?),
+            AnswerTime::AtOnce => Some(
+                self.publisher(config, keys.late(), WAITING_ANSWERS, board)
+                    .await?,
+            ),
         };
         let settled = match self.config.settle.enabled {
             true => Some(
-                self.publisher(config, keys.settled(), WAITING_SETTLED)
+                self.publisher(config, keys.settled(), WAITING_SETTLED, board)
                     .await?,
             ),
             false => None,
@@ -591,7 +594,9 @@ impl Parts<'_> {
             board: Arc::clone(self.board),
             camera: config.name.clone(),
             detector: self.detector.clone(),
-            listeners: self.publishing.lane(reports, CACHED_REPORTS),
+            listeners: self
+                .publishing
+                .lane(reports, CACHED_REPORTS, board.unpublished()),
             outbox: self.board.outbox().clone(),
         };
         let reporter = Arc::new(Mutex::new((reporter, clips)));
@@ -677,6 +682,7 @@ impl Parts<'_> {
         config: &CameraConfig,
         key: String,
         waiting: usize,
+        board: &CameraBoard,
     ) -> Result<Arc<Detections>, NodeError> {
         let (congestion, priority) = match config.delivery {
             Delivery::Newest => (CongestionControl::Drop, publishing::LIVE),
@@ -690,9 +696,13 @@ impl Parts<'_> {
             .await
             .map_err(refused(format!("`{key}` cannot be published")))?;
         Ok(Arc::new(match config.delivery {
-            Delivery::Newest => Detections::Live(self.publishing.lane(publisher, waiting)),
+            Delivery::Newest => Detections::Live(self.publishing.lane(
+                publisher,
+                waiting,
+                board.unpublished(),
+            )),
             Delivery::Every => {
-                let (detections, thread) = Detections::every(publisher);
+                let (detections, thread) = Detections::every(publisher, board.unpublished());
                 let span = tracing::info_span!("detections", key);
                 self.tasks
                     .essential(format!("publisher {key}"), span, async move {

@@ -6,6 +6,7 @@
 use crate::rate_limit::SharedLimit;
 use albireo_service::panics::{contain, message};
 use parking_lot::{Condvar, Mutex, MutexGuard};
+use prometheus_client::metrics::counter::Counter;
 use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
@@ -116,6 +117,8 @@ struct Lane {
     outlet: Arc<Outlet>,
     waiting: VecDeque<Vec<u8>>,
     most: usize,
+    /// Messages that did not go out.
+    unpublished: Counter,
     warned: bool,
 }
 
@@ -163,13 +166,20 @@ impl PublishingThread {
         Ok(Self(shared))
     }
 
-    /// A lane to `outlet` in which at most `most` messages wait: beyond that the oldest goes.
-    pub(crate) fn lane(&self, outlet: impl Into<Outlet>, most: usize) -> PublishLane {
+    /// A lane to `outlet` in which at most `most` messages wait: beyond that the oldest goes. `unpublished` counts the
+    /// messages that did not go out.
+    pub(crate) fn lane(
+        &self,
+        outlet: impl Into<Outlet>,
+        most: usize,
+        unpublished: Counter,
+    ) -> PublishLane {
         let mut state = self.0.state.lock();
         state.lanes.push(Lane {
             outlet: Arc::new(outlet.into()),
             waiting: VecDeque::new(),
             most: most.max(1),
+            unpublished,
             warned: false,
         });
         PublishLane {
@@ -205,10 +215,11 @@ impl PublishLane {
         };
         if lane.waiting.len() >= lane.most {
             lane.waiting.pop_front();
+            lane.unpublished.inc();
             if !std::mem::replace(&mut lane.warned, true) {
                 tracing::warn!(
                     key = lane.outlet.key(),
-                    "messages are dropped: Zenoh takes them too slowly (told once)"
+                    "messages are dropped: Zenoh takes them too slowly (logged once, counted in the metrics)"
                 );
             }
         }
@@ -230,13 +241,19 @@ impl Shared {
                 .find_map(|number| {
                     let lane = state.lanes.get_mut(number)?;
                     let json = lane.waiting.pop_front()?;
-                    Some((number, Arc::clone(&lane.outlet), json))
+                    Some((
+                        number,
+                        Arc::clone(&lane.outlet),
+                        lane.unpublished.clone(),
+                        json,
+                    ))
                 });
-            if let Some((number, outlet, json)) = found {
+            if let Some((number, outlet, unpublished, json)) = found {
                 next = number + 1;
                 state.busy = true;
                 MutexGuard::unlocked(&mut state, || {
                     if let Err(error) = outlet.put(json) {
+                        unpublished.inc();
                         error.log(&outlet.key(), false);
                     }
                 });
@@ -264,12 +281,17 @@ pub(crate) enum Detections {
 
 impl Detections {
     /// Detections that wait for a slow subscriber; [`finished`](tokio::task::JoinHandle) after the last is out.
-    pub(crate) fn every(publisher: Publisher<'static>) -> (Self, tokio::task::JoinHandle<()>) {
+    /// `unpublished` counts those that Zenoh did not take.
+    pub(crate) fn every(
+        publisher: Publisher<'static>,
+        unpublished: Counter,
+    ) -> (Self, tokio::task::JoinHandle<()>) {
         let (sender, mut waiting) = mpsc::channel::<Vec<u8>>(2);
         let outlet = Outlet::from(publisher);
         let thread = tokio::task::spawn_blocking(move || {
             while let Some(json) = waiting.blocking_recv() {
                 if let Err(error) = outlet.put(json) {
+                    unpublished.inc();
                     error.log(&outlet.key(), true);
                 }
             }
@@ -304,16 +326,19 @@ mod tests {
         let thread = PublishingThread::start().unwrap();
         let (out, published) = channel();
         let (broken, sound) = (out.clone(), out);
+        let unpublished = Counter::default();
         let broken = thread.lane(
             Outlet::Test(Box::new(move |json| {
                 assert_ne!(json, b"bad", "a bug of the transport");
                 broken.send(json).unwrap();
             })),
             4,
+            unpublished.clone(),
         );
         let sound = thread.lane(
             Outlet::Test(Box::new(move |json| sound.send(json).unwrap())),
             4,
+            Counter::default(),
         );
         broken.publish(b"bad".to_vec());
         thread.flush(Instant::now() + LIMIT);
@@ -323,6 +348,7 @@ mod tests {
         let mut both = [next(), next()];
         both.sort();
         assert_eq!(both, [b"good".to_vec(), b"of another camera".to_vec()]);
+        assert_eq!(unpublished.get(), 1);
     }
 
     /// A lane that tells what it published; what is `slow` waits to be let go.
@@ -330,6 +356,7 @@ mod tests {
         _thread: PublishingThread,
         lane: PublishLane,
         published: Receiver<Vec<u8>>,
+        unpublished: Counter,
         let_go: SyncSender<()>,
     }
 
@@ -344,10 +371,12 @@ mod tests {
             }
             out.send(json).unwrap();
         };
+        let unpublished = Counter::default();
         Told {
-            lane: thread.lane(Outlet::Test(Box::new(put)), 2),
+            lane: thread.lane(Outlet::Test(Box::new(put)), 2, unpublished.clone()),
             _thread: thread,
             published,
+            unpublished,
             let_go,
         }
     }
@@ -360,7 +389,7 @@ mod tests {
     }
 
     #[test]
-    fn a_camera_goes_on_while_a_put_waits_and_the_newest_go_out_in_order() {
+    fn a_camera_goes_on_while_a_put_waits_and_the_newest_go_out_in_order_the_others_counted() {
         let told = told();
         told.lane.publish(b"slow".to_vec());
         wait_until_busy(&told.lane);
@@ -373,6 +402,7 @@ mod tests {
             [next(), next(), next()],
             [b"slow".to_vec(), b"b".to_vec(), b"c".to_vec()]
         );
+        assert_eq!(told.unpublished.get(), 1);
     }
 
     #[test]
@@ -382,6 +412,7 @@ mod tests {
             lane,
             published,
             let_go,
+            ..
         } = told();
         lane.publish(b"slow".to_vec());
         wait_until_busy(&lane);

@@ -15,6 +15,7 @@ use albireo_vision::picture::{FrameLimits, PictureFormat};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenConfig};
 use albireo_wire::{AuditReport, ClipEnd, DetectionsMessage};
+use prometheus_client::metrics::counter::Counter;
 use std::path::Path;
 use std::time::Duration;
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -93,7 +94,7 @@ impl Bench {
                     pixels,
                 )),
             },
-            detections: Arc::new(Detections::every(silent_publisher().await).0),
+            detections: Arc::new(Detections::every(silent_publisher().await, Counter::default()).0),
             late: None,
             settled: None,
             min_confidence: MinConfidence::new(ReportConfig::default(), 0.5),

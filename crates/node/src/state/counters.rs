@@ -47,7 +47,10 @@ impl Counters {
                     let error = albireo_service::session::plain(&error);
                     NodeError::Zenoh(format!("counters cannot be published: {error}"))
                 })?;
-            lanes.insert(camera.name().to_owned(), publishing.lane(publisher, 4));
+            lanes.insert(
+                camera.name().to_owned(),
+                publishing.lane(publisher, 4, camera.unpublished()),
+            );
         }
         Ok(Self {
             board,

@@ -17,6 +17,7 @@ use albireo_wire::{
     Threshold,
 };
 use parking_lot::Mutex;
+use prometheus_client::metrics::counter::Counter;
 use prometheus_client::metrics::histogram::Histogram;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -93,6 +94,8 @@ pub struct CameraSnapshot {
     pub last_frame_age: Option<Duration>,
     /// Frames that came in memory which their sender shares.
     pub shared_frames: u64,
+    /// Messages about it that did not go out.
+    pub unpublished: u64,
     /// What to try, when nothing is skipped although objects are followed.
     pub advice: Option<Advice>,
 }
@@ -186,6 +189,7 @@ pub struct CameraBoard {
     history: Mutex<History>,
     latest_frame: Mutex<Option<LatestFrame>>,
     shared_frames: AtomicU64,
+    unpublished: Counter,
     total_latency: [Histogram; 5],
     detector_latency: Histogram,
     events: broadcast::Sender<SharedEvent>,
@@ -239,6 +243,7 @@ impl CameraBoard {
             history: Mutex::default(),
             latest_frame: Mutex::default(),
             shared_frames: AtomicU64::new(0),
+            unpublished: Counter::default(),
             total_latency: std::array::from_fn(|_| Histogram::new(LATENCY_BUCKETS_S)),
             detector_latency: Histogram::new(LATENCY_BUCKETS_S),
             events,
@@ -394,6 +399,11 @@ impl CameraBoard {
         self.shared_frames.fetch_add(1, Ordering::Relaxed);
     }
 
+    /// Counts the messages about it that did not go out; clones are the same counter.
+    pub(crate) fn unpublished(&self) -> Counter {
+        self.unpublished.clone()
+    }
+
     /// Adds frames that were not processed, each kind under its own name.
     pub fn record_dropped(&self, more: &DroppedFrames) {
         self.counts.lock().dropped += more;
@@ -426,6 +436,7 @@ impl CameraBoard {
             latest: counts.latest.clone(),
             last_frame_age: counts.last_frame.map(|instant| instant.elapsed()),
             shared_frames: self.shared_frames.load(Ordering::Relaxed),
+            unpublished: self.unpublished.get(),
             advice: self.advice(&counts),
         }
     }

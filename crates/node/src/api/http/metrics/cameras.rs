@@ -74,6 +74,18 @@ pub(super) fn cameras(
     )?;
     family(
         encoder,
+        "messages_unpublished",
+        "Messages about a camera (answers, counters, clip reports) that did not go out, as Zenoh took them too slowly or \
+         not at all",
+        MetricType::Counter,
+        |family| {
+            cameras.iter().try_for_each(|(camera, snapshot)| {
+                family.counter(vec![("camera", camera.name())], snapshot.unpublished as f64)
+            })
+        },
+    )?;
+    family(
+        encoder,
         "looks",
         "Frames of which a small grey picture was decoded, to follow boxes by optical flow in it",
         MetricType::Counter,
