@@ -59,21 +59,22 @@ pub async fn open(
     max_payload_bytes: usize,
     waiting: impl Fn(&str),
 ) -> Result<Session, SessionError> {
-    // A configuration that cannot be used is told at once, however often the network is tried.
-    config
+    let zenoh = config
         .to_zenoh(max_payload_bytes)
         .map_err(SessionError::zenoh)?;
+    // Of what Zenoh is given, as a file of its own settings has a mode of its own.
+    let is_client = (zenoh.get_json("mode").ok())
+        .and_then(|mode| serde_json::from_str::<ZenohMode>(&mode).ok())
+        == Some(ZenohMode::Client);
     let mut pause = RETRY.0;
     loop {
-        let zenoh = config
-            .to_zenoh(max_payload_bytes)
-            .map_err(SessionError::zenoh)?;
-        let opened = tokio::task::spawn_blocking(|| zenoh::open(zenoh).wait()).await?;
+        let attempt = zenoh.clone();
+        let opened = tokio::task::spawn_blocking(|| zenoh::open(attempt).wait()).await?;
         let error = match opened {
             Ok(session) => return Ok(session),
             Err(error) => not_opened(config, &error),
         };
-        if config.mode != ZenohMode::Client || config.config_file.is_some() {
+        if !is_client {
             return Err(error);
         }
         tracing::warn!("{error}; tried again");
@@ -201,6 +202,42 @@ mod tests {
             "Can not create listener [Address in use.]."
         );
         assert_eq!(without_places("nothing to hide"), "nothing to hide");
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn a_client_waits_for_its_router_also_with_a_configuration_file_of_zenoh() {
+        let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+        let endpoint = format!("tcp/{}", free.local_addr().unwrap());
+        drop(free);
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("zenoh.json5");
+        let written = format!(
+            r#"{{ mode: "client", connect: {{ endpoints: ["{endpoint}"] }}, scouting: {{ multicast: {{ enabled: false }} }} }}"#
+        );
+        std::fs::write(&file, written).unwrap();
+        let client = ZenohConfig {
+            config_file: Some(file),
+            ..ZenohConfig::default()
+        };
+        let (failed, failures) = std::sync::mpsc::channel();
+        let opening = tokio::spawn(async move {
+            open(&client, 1 << 20, |reason| {
+                let _ = failed.send(reason.to_owned());
+            })
+            .await
+        });
+        let first = tokio::task::spawn_blocking(move || failures.recv());
+        let reason = first.await.unwrap().expect("it is tried again");
+        assert!(reason.contains("zenoh.json5"), "{reason}");
+        let router = ZenohConfig {
+            mode: ZenohMode::Router,
+            listen: vec![endpoint],
+            ..ZenohConfig::default()
+        };
+        let router = open(&router, 1 << 20, |_| {}).await.unwrap();
+        let session = opening.await.unwrap().unwrap();
+        session.close().await.unwrap();
+        router.close().await.unwrap();
     }
 
     #[test]
