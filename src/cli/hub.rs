@@ -1,9 +1,11 @@
-//! `albireo hub`: runs a hub until it is told to stop.
+//! `albireo hub`: runs a hub until it is told to stop, or moves its database.
 
 use super::block_on;
-use albireo_hub::config::HubConfig;
+use albireo_hub::config::{DatabaseConfig, HubConfig};
+use albireo_hub::store::transfer;
 use albireo_service::{config, logging, signals};
 use anyhow::Context;
+use indicatif::{ProgressBar, ProgressStyle};
 use std::path::PathBuf;
 use tokio::net::TcpListener;
 
@@ -15,12 +17,23 @@ Ctrl-C or SIGTERM: the reports in hand are committed and acknowledged.
 Examples:
   albireo hub --config /etc/albireo/hub.toml
   albireo hub --check --config config/hub.toml
-  ALBIREO_DATABASE__URL=postgres://hub@db.example/fleet albireo hub";
+  ALBIREO_DATABASE__URL=postgres://hub@db.example/fleet albireo hub
+  albireo hub move albireo-hub.db postgres://hub@db.example/fleet";
+
+const MOVE_EXAMPLES: &str = "\
+Stop the hub first, and start it with the new database.url afterwards: what it still stores in the
+file in between is not moved. Nodes keep their reports until a hub takes them, so none is lost or counted
+twice. The file stays as it is. PGPASSWORD keeps the password out of the command line.
+
+Example:
+  PGPASSWORD=secret albireo hub move /var/lib/albireo/hub.db postgres://hub@db.example/fleet";
 
 /// Arguments of `albireo hub`.
 #[derive(Debug, clap::Args)]
-#[command(after_help = EXAMPLES)]
+#[command(after_help = EXAMPLES, args_conflicts_with_subcommands = true)]
 pub(super) struct Arguments {
+    #[command(subcommand)]
+    command: Option<Command>,
     /// The hub's configuration file.
     #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
@@ -29,7 +42,22 @@ pub(super) struct Arguments {
     check: bool,
 }
 
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Copy a hub's SQLite file into an empty PostgreSQL database.
+    #[command(after_help = MOVE_EXAMPLES)]
+    Move {
+        /// The file, as a path or as sqlite:FILE.
+        from: String,
+        /// The URL of the database: postgres://USER@HOST/DATABASE.
+        to: String,
+    },
+}
+
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    if let Some(Command::Move { from, to }) = &arguments.command {
+        return block_on(move_database(from, to));
+    }
     let config: HubConfig = config::load(arguments.config.as_deref())?;
     if arguments.check {
         println!(
@@ -41,6 +69,25 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     }
     logging::start(&config.log)?;
     block_on(serve(config))
+}
+
+async fn move_database(from: &str, to: &str) -> anyhow::Result<()> {
+    let to = DatabaseConfig {
+        url: to.to_owned(),
+        ..DatabaseConfig::default()
+    };
+    let style = ProgressStyle::with_template("{bar:40} {pos}/{len} rows, {msg}, {eta} left")
+        .context("the progress bar's template")?;
+    let bar = ProgressBar::new(0).with_style(style);
+    let rows = transfer::to_postgres(from, &to, &|progress| {
+        bar.set_length(progress.of);
+        bar.set_position(progress.rows);
+        bar.set_message(progress.table);
+    })
+    .await?;
+    bar.finish_and_clear();
+    println!("{rows} rows of {from} are now in {}", to.shown());
+    Ok(())
 }
 
 async fn serve(config: HubConfig) -> anyhow::Result<()> {

@@ -16,6 +16,7 @@ mod sqlite;
 pub(crate) mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
+pub mod transfer;
 mod write;
 
 pub(crate) use database::{Database, ReportKey, Transaction};

@@ -1,7 +1,10 @@
 //! Sums, pages, files.
 
 use crate::support::postgres::Postgres;
-use crate::support::{Hub, batch, config, deliver, now_ns, sqlite, uplink};
+use crate::support::{Hub, batch, config, counts, deliver, now_ns, pull, sqlite, uplink};
+use crate::tuning::{Played, fleet, put};
+use albireo_hub::store::{StoreError, transfer};
+use serde_json::json;
 use std::collections::BTreeMap;
 
 async fn sums_are_exact(database: &str) {
@@ -268,5 +271,77 @@ async fn the_archive_holds_what_a_hub_tells_of_itself() {
         assert!(text.contains(part), "no {part} in {text}");
     }
     session.close().await.unwrap();
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_takes_over_a_file_with_its_history_report_ids_and_revisions() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = sqlite(folder.path());
+    let start = now_ns() - 90_000_000_000_000;
+    let hub = Hub::start(config(&file)).await;
+    let session = uplink(&hub.zenoh).await;
+    for first in (0..1200).step_by(100) {
+        let sent = batch("car-1", 1, first..=first + 99, start);
+        deliver(&session, &sent).await.assert_stored();
+    }
+    let nodes = Played::begin(&hub, fleet(2)).await;
+    let order = |u: f64| json!({"u": u, "select": "sim-*"});
+    let (_, first) = put(&hub, order(5e-4)).await;
+    nodes.end().await;
+    let paths = [
+        "/api/v1/clips?limit=1000",
+        "/api/v1/energy?by=camera&since_ms=0",
+        "/api/v1/changes",
+    ];
+    let mut before = Vec::new();
+    for path in paths {
+        before.push(hub.get(path).await);
+    }
+    let desired = pull(&session, "sim-000001").await;
+    hub.stop().await;
+
+    let server = Postgres::start();
+    let to = config(&server.url());
+    let moved = transfer::to_postgres(&file, &to.database, &|_| ()).await;
+    assert!(moved.unwrap() > 2 * 1200);
+    let again = transfer::to_postgres(&file, &to.database, &|_| ()).await;
+    assert!(
+        again.unwrap_err().to_string().contains("empty"),
+        "a second time"
+    );
+    let not_ours = transfer::to_postgres("/dev/null", &to.database, &|_| ()).await;
+    assert!(
+        matches!(not_ours, Err(StoreError::Refused(_))),
+        "{not_ours:?}"
+    );
+
+    let hub = Hub::start(to).await;
+    for (path, before) in paths.into_iter().zip(before) {
+        assert_eq!(hub.get(path).await, before, "{path}");
+    }
+    let session = uplink(&hub.zenoh).await;
+    let taken_over = pull(&session, "sim-000001").await;
+    assert_eq!(
+        (taken_over.revision, taken_over.setting),
+        (desired.revision, desired.setting)
+    );
+    // What was stored before is known; what is new gets ids of its own.
+    deliver(&session, &batch("car-1", 1, 1150..=1249, start))
+        .await
+        .assert_stored();
+    assert_eq!(counts(&hub, "car-1").await.len(), 1000);
+    let energy = hub.get("/api/v1/energy?by=node&since_ms=0").await;
+    let clips: i64 = (energy["groups"].as_array().unwrap().iter())
+        .filter(|group| group["group"] == "car-1")
+        .map(|group| group["clips"].as_i64().unwrap())
+        .sum();
+    assert_eq!(clips, 1250);
+    let nodes = Played::begin(&hub, fleet(2)).await;
+    let (_, second) = put(&hub, order(7e-4)).await;
+    assert_eq!(second["counts"], first["counts"], "{second}");
+    assert!(second["revision"].as_u64() > first["revision"].as_u64());
+    nodes.end().await;
     hub.stop().await;
 }

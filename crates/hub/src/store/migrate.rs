@@ -5,15 +5,15 @@ use sqlx::{AnyConnection, Connection as _, Executor as _, Row as _};
 use uuid::Uuid;
 
 /// The version of the tables that this program makes. Up to 5 were those of 0.1.0.
-const VERSION: i64 = 6;
+pub(super) const VERSION: i64 = 6;
 /// The versions of 0.1.0.
 const BEFORE: i64 = 5;
 
 /// What stands in the table `hub_meta` of a hub's database.
-const MARK: &str = "albireo-hub";
+pub(super) const MARK: &str = "albireo-hub";
 
 /// Number of the lock that hubs on one PostgreSQL take while they migrate.
-const LOCK: i64 = 0x0a1b_14e0;
+pub(super) const LOCK: i64 = 0x0a1b_14e0;
 
 pub(super) async fn migrate(
     dialect: Dialect,
@@ -44,8 +44,8 @@ pub(super) async fn migrate(
     }
     if (1..=BEFORE).contains(&found) {
         return Err(StoreError::Refused(
-            "the database was written by albireo 0.1.0, whose tables this one does not go on with: take it over with \
-             `albireo hub move`, or give the hub another database.url"
+            "the database was written by albireo 0.1.0, whose tables this one does not read: give the hub another \
+             database.url"
                 .to_owned(),
         ));
     }
