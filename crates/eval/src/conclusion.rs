@@ -28,11 +28,10 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
         sentences.push(
             match kept.max_by(|a, b| a.skip_rate.total_cmp(&b.skip_rate)) {
                 Some(best) => format!(
-                    "Most is saved with AP@50 shown to be at most a point lower by {}",
+                    "The largest saving shown to cost at most one point of AP@50 is that of {}",
                     told(best, baseline)
                 ),
-                None => "For no policy these clips show that AP@50 is at most a point lower: the lower ends of the \
-                         intervals are all below that."
+                None => "No policy is shown to cost at most one point of AP@50: every interval reaches below that."
                     .to_owned(),
             },
         );
@@ -40,7 +39,7 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
         let best = half.max_by(|a, b| accuracy(a).total_cmp(&accuracy(b)));
         if let Some(best) = best.filter(|best| best.ap50.is_some()) {
             sentences.push(format!(
-                "With about half of the calls or fewer, the most accurate is {}",
+                "The most accurate policy with about half of the calls or fewer is {}",
                 told(best, baseline)
             ));
         }
@@ -50,7 +49,10 @@ pub fn conclusion(summaries: &[PolicySummary]) -> Vec<String> {
         .map(|found| short(&found.policy))
         .collect();
     if !idle.is_empty() {
-        sentences.push(format!("Nothing was skipped by {}.", idle.join(", ")));
+        sentences.push(format!(
+            "These policies skipped no frame: {}.",
+            idle.join(", ")
+        ));
     }
     sentences
 }
