@@ -212,6 +212,12 @@ impl Outbox {
         self.counts().durable
     }
 
+    /// A disk that stalls until this is dropped, for reports and settings.
+    #[cfg(test)]
+    pub(crate) fn stall(&self) -> impl Sized {
+        (self.shared.waiting.lock(), self.settings.stall())
+    }
+
     /// Makes it time to try a disk that failed.
     #[cfg(test)]
     pub(crate) fn disk_is_due(&self) {

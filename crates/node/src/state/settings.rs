@@ -20,6 +20,7 @@ pub(crate) struct Settings(Arc<Shared>);
 #[derive(Debug)]
 struct Shared {
     directory: Option<PathBuf>,
+    /// Held while a disk is read or written: no async worker takes it.
     state: Mutex<State>,
 }
 
@@ -91,6 +92,12 @@ impl Settings {
         if state.unwritten {
             self.0.write(&mut state);
         }
+    }
+
+    /// A disk that stalls until this is dropped.
+    #[cfg(test)]
+    pub(crate) fn stall(&self) -> impl Sized {
+        self.0.state.lock()
     }
 
     /// Whether the settings that an earlier run kept can be read since the last call, and could not when they were asked

@@ -178,8 +178,11 @@ pub struct CameraBoard {
     sizeless: bool,
     configured: Option<f64>,
     threshold: watch::Sender<Option<f64>>,
-    /// Makes changes of the threshold one at a time, so that file, loop and events see the same order.
+    /// Makes changes of the threshold that are kept one at a time, so that file, loop and events see the same order.
+    /// Held while a disk is written: no async worker takes it.
     changing: Mutex<()>,
+    /// Makes threshold events one at a time, so that the last one has the value in force.
+    announcing: Mutex<()>,
     counts: Mutex<Counts>,
     /// The node's start: times of the past are counted from there.
     started: Instant,
@@ -235,6 +238,7 @@ impl CameraBoard {
             threshold: watch::Sender::new(kept.map(|(value, _)| value).or(configured)),
             source: Mutex::new(kept.map_or(SettingSource::Configuration, |(_, source)| source)),
             changing: Mutex::default(),
+            announcing: Mutex::default(),
             counts: Mutex::default(),
             started,
             target,
@@ -511,6 +515,14 @@ impl CameraBoard {
         }))
     }
 
+    /// Sends the threshold in force to subscribers.
+    fn announce_threshold(&self) {
+        let _announcing = self.announcing.lock();
+        if let Some(event) = self.threshold_event() {
+            let _ = self.events.send(event.into());
+        }
+    }
+
     /// Checks a value without using it.
     ///
     /// # Errors
@@ -551,9 +563,7 @@ impl CameraBoard {
         if let Some(configured) = self.configured {
             thresholds::keep(&self.outbox, &self.name, &knob, configured, value, source);
         }
-        if let Some(event) = self.threshold_event() {
-            let _ = self.events.send(event.into());
-        }
+        self.announce_threshold();
         drop(changing);
         tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold changed");
         Ok(value)
@@ -565,12 +575,8 @@ impl CameraBoard {
         let Ok(knob) = self.check_threshold(value) else {
             return;
         };
-        let changing = self.changing.lock();
         let before = self.threshold.send_replace(Some(value));
-        if let Some(event) = self.threshold_event() {
-            let _ = self.events.send(event.into());
-        }
-        drop(changing);
+        self.announce_threshold();
         tracing::debug!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold moved");
     }
 
@@ -596,9 +602,7 @@ impl CameraBoard {
             Some((value, source)) => {
                 let before = self.threshold.send_replace(Some(value));
                 *self.source.lock() = source;
-                if let Some(event) = self.threshold_event() {
-                    let _ = self.events.send(event.into());
-                }
+                self.announce_threshold();
                 tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "kept threshold read");
             }
             None => {

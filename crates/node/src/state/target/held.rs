@@ -6,7 +6,7 @@ use albireo_core::target::{
     KnobRange, Measured, Target, TargetController, TargetError, TargetState,
 };
 use albireo_wire::{SettingSource, TargetReport, Threshold, VERSION};
-use parking_lot::Mutex;
+use parking_lot::{Mutex, MutexGuard};
 use serde::{Deserialize, Serialize};
 
 /// Name of the setting in the state file.
@@ -49,6 +49,10 @@ struct State {
 pub struct NodeTarget {
     setup: TargetSetup,
     outbox: Outbox,
+    /// Makes changes that are kept one at a time, so that the file is as the last one. Held while a disk is written: no
+    /// async worker takes it.
+    changing: Mutex<()>,
+    /// Never held while a disk is written.
     state: Mutex<State>,
 }
 
@@ -59,6 +63,7 @@ impl NodeTarget {
         let opened = Self {
             setup,
             outbox,
+            changing: Mutex::default(),
             state: Mutex::new(State {
                 controller: None,
                 source: SettingSource::Configuration,
@@ -109,6 +114,8 @@ impl NodeTarget {
     /// Reads the kept target where that could not be done before, and keeps what was set meanwhile: what was set at the
     /// node stands, and the hub's word unless what was kept knew it (`hub_was_known`); the configuration's does not.
     pub(crate) fn read_again(&self, hub_was_known: bool, knob: Option<f64>) {
+        let _changing = self.changing.lock();
+        let kept = self.kept();
         let mut state = self.state.lock();
         let stands = match state.source {
             SettingSource::Local => true,
@@ -116,8 +123,8 @@ impl NodeTarget {
             SettingSource::Configuration => false,
         };
         if stands {
-            self.keep(&state);
-        } else if let Some(kept) = self.kept() {
+            self.keep(state);
+        } else if let Some(kept) = kept {
             self.go_on(&mut state, kept, knob);
         }
     }
@@ -149,6 +156,7 @@ impl NodeTarget {
         let controller = target
             .map(|target| self.controller(target, knob))
             .transpose()?;
+        let _changing = self.changing.lock();
         let mut state = self.state.lock();
         // The same again changes nothing: what the controller has learnt stays.
         let same = state.controller.as_ref().map(TargetController::target) == target;
@@ -163,8 +171,7 @@ impl NodeTarget {
             state.controller = controller;
         }
         state.source = source;
-        self.keep(&state);
-        drop(state);
+        self.keep(state);
         match target {
             Some(target) => tracing::info!(%target, ?source, "target set"),
             None => tracing::info!(?source, "target switched off"),
@@ -174,6 +181,7 @@ impl NodeTarget {
 
     /// Somebody turns the knob by hand: nothing is held any more. Writes a small file if anything was.
     pub(crate) fn turned_by_hand(&self, source: SettingSource) {
+        let _changing = self.changing.lock();
         let mut state = self.state.lock();
         let Some(controller) = state.controller.take() else {
             return;
@@ -187,7 +195,7 @@ impl NodeTarget {
         state.off = Some(off);
         state.last = None;
         state.source = source;
-        self.keep(&state);
+        self.keep(state);
     }
 
     /// Lets the controller take a step; then `apply` gets the knob's value, before anybody can turn it by hand.
@@ -231,13 +239,15 @@ impl NodeTarget {
 
     /// Keeps the knob's value, so that a restart goes on from there. Writes a small file if anything is held.
     pub(crate) fn keep_place(&self) {
+        let _changing = self.changing.lock();
         let state = self.state.lock();
         if state.controller.is_some() {
-            self.keep(&state);
+            self.keep(state);
         }
     }
 
-    fn keep(&self, state: &State) {
+    /// Writes what is held; gives the state back before that, as a disk may stall.
+    fn keep(&self, state: MutexGuard<'_, State>) {
         let controller = state.controller.as_ref();
         let knob = self.setup.knob.zip(controller);
         let kept = Kept {
@@ -246,6 +256,7 @@ impl NodeTarget {
             knob: knob.map(|(knob, controller)| (knob.name.to_owned(), controller.knob())),
             configured: self.setup.configured,
         };
+        drop(state);
         if !self.outbox.set(SETTING, &kept) && self.outbox.has_directory() {
             tracing::warn!("target changed but not kept: it will not survive a restart");
         }

@@ -8,6 +8,9 @@ use albireo_vision::detector::DetectorStatus;
 use albireo_wire::SettingSource;
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::mpsc::{TryRecvError, channel};
+use std::thread;
+use std::time::Duration;
 use tokio::sync::watch;
 
 pub(super) fn board(state: Option<&Path>, policy: &str, target: TargetConfig) -> Arc<Board> {
@@ -127,6 +130,99 @@ fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited(
     let report = edited.target().report();
     assert_eq!(report.target, Some(Target::SkipRate(0.7)));
     assert_eq!(report.source, SettingSource::Configuration);
+}
+
+/// Lets `worker` end although `change` waits for a disk that stalls; `change` ends once that is over, not before.
+fn goes_on_while_the_disk_stalls(
+    board: &Arc<Board>,
+    change: impl FnOnce(&Board) + Send,
+    worker: impl FnOnce(&Board) + Send,
+) {
+    const LIMIT: Duration = Duration::from_secs(20);
+    thread::scope(|scope| {
+        let stalled = board.outbox().stall();
+        let ((changed, change_ended), (worked, worker_ended)) = (channel(), channel());
+        scope.spawn(move || {
+            change(board);
+            changed.send(()).unwrap();
+        });
+        scope.spawn(move || {
+            worker(board);
+            worked.send(()).unwrap();
+        });
+        let went_on = worker_ended.recv_timeout(LIMIT);
+        let early = change_ended.try_recv();
+        drop(stalled);
+        assert_eq!(went_on, Ok(()), "a worker waits for the disk");
+        assert_eq!(early, Err(TryRecvError::Empty), "acknowledged, not kept");
+        assert_eq!(change_ended.recv_timeout(LIMIT), Ok(()));
+    });
+}
+
+/// What workers ask of a board each second, and for a request.
+fn serve(board: &Board) {
+    pass(board, 1);
+    board.publish_counters(0);
+    board.target().report();
+    for camera in board.cameras() {
+        camera.threshold_in_force();
+        camera.threshold_source();
+    }
+    board.thresholds_are_kept();
+    board.outbox().counts();
+    board.readiness().health();
+}
+
+#[test]
+fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let state = folder.path().join("state");
+    let open = || board(Some(&state), "expected-loss:0.3", TargetConfig::default());
+    let first = open();
+    let half = Some(Target::SkipRate(0.5));
+    goes_on_while_the_disk_stalls(
+        &first,
+        |board| board.set_target(half, SettingSource::Local).unwrap(),
+        |board| {
+            while board.target().report().target != half {
+                thread::yield_now();
+            }
+            serve(board);
+        },
+    );
+    let there = pass(&first, 20);
+    goes_on_while_the_disk_stalls(&first, |board| board.target().keep_place(), serve);
+    drop(first);
+    let second = open();
+    let report = second.target().report();
+    assert_eq!(report.target, half);
+    assert!((report.threshold.unwrap().value / there - 1.0).abs() < 0.1);
+    // The target is switched off first, which is kept too.
+    goes_on_while_the_disk_stalls(
+        &second,
+        |board| drop(board.cameras()[0].set_threshold(0.25).unwrap()),
+        |board| {
+            while board.target().is_on() {
+                thread::yield_now();
+            }
+            serve(board);
+        },
+    );
+    goes_on_while_the_disk_stalls(
+        &second,
+        |board| drop(board.cameras()[0].set_threshold(0.26).unwrap()),
+        |board| {
+            while board.cameras()[0].threshold() != Some(0.26) {
+                thread::yield_now();
+            }
+            serve(board);
+            board.cameras()[0].move_threshold(0.27);
+        },
+    );
+    drop(second);
+    let third = open();
+    assert_eq!(third.target().report().target, None);
+    assert_eq!(third.cameras()[0].threshold(), Some(0.26));
 }
 
 #[test]
