@@ -17,7 +17,7 @@ use albireo_wire::{
 use reqwest::{Client, Method, RequestBuilder, Response, StatusCode};
 use serde_json::Value;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
@@ -91,7 +91,19 @@ impl Served {
     }
 
     pub(crate) async fn with(config: HttpConfig, knob: Option<Knob>) -> Self {
-        let (board, detector) = board(knob, None);
+        Self::over(config, board(knob, None)).await
+    }
+
+    /// Over a board with that state directory.
+    pub(crate) async fn kept_in(state_dir: &Path) -> Self {
+        let board = board(Some(KNOB), Some(state_dir.into()));
+        Self::over(HttpConfig::default(), board).await
+    }
+
+    async fn over(
+        config: HttpConfig,
+        (board, detector): (Arc<Board>, watch::Sender<DetectorStatus>),
+    ) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let shutdown = CancellationToken::new();

@@ -1,5 +1,9 @@
-use super::served::{Served, problem};
+use super::served::{Frames, Served, frame, problem};
+use albireo_core::policy::FrameState;
+use reqwest::Method;
 use serde_json::{Value, json};
+use std::process::Command;
+use std::time::Duration;
 
 const PATH: &str = "/api/v1/target";
 
@@ -64,4 +68,45 @@ async fn a_target_is_set_read_switched_off_by_hand_and_by_null_and_says_so() {
         (&off["target"], &off["off"]),
         (&Value::Null, &json!("it was switched off"))
     );
+}
+
+/// A pipe in the place of the file stalls who writes it until somebody reads.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn frames_and_requests_go_on_while_a_change_waits_for_a_disk_that_stalls() {
+    let directory = tempfile::tempdir().unwrap();
+    let pipe = directory.path().join("settings.json.new");
+    assert!(
+        Command::new("mkfifo")
+            .arg(&pipe)
+            .status()
+            .unwrap()
+            .success()
+    );
+    let node = Served::kept_in(directory.path()).await;
+    let body = r#"{"target": {"skip_rate": 0.5}}"#;
+    let change = tokio::spawn(node.request(Method::PUT, PATH).body(body).send());
+    let served = tokio::time::timeout(Duration::from_secs(20), async {
+        while read(&node).await["target"] != json!({"skip_rate": 0.5}) {}
+        for path in [
+            "/api/v1/threshold",
+            "/api/v1/cameras",
+            "/metrics",
+            "/readyz",
+        ] {
+            node.get(path).await.text().await.unwrap();
+        }
+        for (seq, camera) in node.board.cameras().iter().enumerate() {
+            camera.answered(frame(seq as u64, FrameState::P));
+        }
+        node.board.publish_counters(0);
+    });
+    let served = served.await;
+    let acknowledged = change.is_finished();
+    // Before anything is asserted: a test that fails would wait for the writer.
+    let reading = tokio::task::spawn_blocking(move || std::fs::read_to_string(pipe));
+    let written = reading.await.unwrap().unwrap();
+    served.expect("requests wait for the disk");
+    assert!(!acknowledged, "acknowledged, not written");
+    assert!(written.contains("skip_rate"), "{written}");
+    assert_eq!(change.await.unwrap().unwrap().status(), 200);
 }

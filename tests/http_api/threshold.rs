@@ -1,4 +1,4 @@
-use super::served::{KNOB, Served, board, problem};
+use super::served::{KNOB, Served, problem};
 use albireo_service::config::HttpConfig;
 use reqwest::{Method, StatusCode};
 use serde_json::json;
@@ -176,26 +176,7 @@ async fn a_policy_without_a_threshold_says_so() {
 #[tokio::test]
 async fn a_change_that_is_kept_is_said_to_survive() {
     let directory = tempfile::tempdir().unwrap();
-    let (board, _detector) = board(Some(KNOB), Some(directory.path().into()));
-    let mut node = Served::start().await;
-    // The same routes over a board with a state directory.
-    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-    node.address = listener.local_addr().unwrap();
-    let view = albireo_node::api::http::NodeView {
-        board,
-        limits: albireo_vision::picture::FrameLimits::default(),
-        config: std::sync::Arc::new(serde_json::Value::Null),
-    };
-    let stop = node.shutdown.clone();
-    tokio::spawn(async move {
-        albireo_service::http::run(
-            &HttpConfig::default(),
-            albireo_node::api::http::router(view, stop.clone()),
-            listener,
-            stop,
-        )
-        .await
-    });
+    let node = Served::kept_in(directory.path()).await;
     let response = node.put("/api/v1/threshold", r#"{"u": 7e-4}"#).await;
     let all: serde_json::Value = response.json().await.unwrap();
     assert_eq!(all["survives_restart"], true);
