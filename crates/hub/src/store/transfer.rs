@@ -218,3 +218,22 @@ fn json(cell: ValueRef<'_>) -> Result<Value, StoreError> {
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_table_of_both_databases_is_moved() {
+        for schema in [
+            include_str!("schema/sqlite.sql"),
+            include_str!("schema/postgres.sql"),
+        ] {
+            let tables: Vec<_> = schema
+                .lines()
+                .filter_map(|line| line.strip_prefix("CREATE TABLE ")?.strip_suffix(" ("))
+                .collect();
+            assert_eq!(tables, TABLES);
+        }
+    }
+}
