@@ -173,6 +173,85 @@ async fn state_that_goes_back_or_is_copied_loses_and_doubles_nothing() {
     hub.stop().await;
 }
 
+/// A hub whose database is replaced by the copy that `copy` makes over a connection to `from`.
+async fn restored_from_a_backup(database: &str, (from, copy): (&str, &str), backup: &str) {
+    use sqlx::Connection as _;
+    sqlx::any::install_default_drivers();
+    let hub = Hub::start(config(database)).await;
+    let session = uplink(&hub.zenoh).await;
+    let start = now_ns() - 3_600_000_000_000;
+    let first = batch("car-1", 1, 1..=5, start);
+    let identity = deliver(&session, &first).await.answer().database;
+    session.close().await.unwrap();
+    hub.stop().await;
+    let mut connection = sqlx::AnyConnection::connect(from).await.unwrap();
+    sqlx::query(sqlx::AssertSqlSafe(copy.to_owned()))
+        .execute(&mut connection)
+        .await
+        .unwrap();
+    connection.close().await.unwrap();
+
+    // What is stored after the copy was made is gone with it, all of car-2 too.
+    let hub = Hub::start(config(database)).await;
+    let session = uplink(&hub.zenoh).await;
+    for (node, series, counts) in [("car-1", 1, 6..=10), ("car-2", 2, 1..=4)] {
+        deliver(&session, &batch(node, series, counts, start))
+            .await
+            .assert_stored();
+    }
+    session.close().await.unwrap();
+    hub.stop().await;
+
+    let hub = Hub::start(config(backup)).await;
+    let session = uplink(&hub.zenoh).await;
+    for (node, series, next, lost) in [("car-1", 1, 11, (6, 10)), ("car-2", 2, 5, (1, 4))] {
+        // The next report of the node says what it had before; an answer that is lost is given again.
+        for _ in 0..2 {
+            let answer = deliver(&session, &batch(node, series, next..=next, start)).await;
+            let answer = answer.answer();
+            assert_eq!((answer.database, answer.missing), (identity, vec![lost]));
+        }
+        let (first, last) = lost;
+        let sent = batch(node, series, first..=last, start);
+        for _ in 0..2 {
+            let answer = deliver(&session, &sent).await.answer();
+            assert_eq!((answer.refused.len(), answer.missing.len()), (0, 0));
+        }
+        let all: Vec<u64> = (1..=next).collect();
+        assert_eq!(counts(&hub, node).await, all);
+        let shown = hub.get(&format!("/api/v1/nodes/{node}")).await;
+        assert_eq!(shown["reports"]["stored"], next, "{shown}");
+        assert_eq!(shown["reports"]["missing"], 0, "{shown}");
+        assert_eq!(shown["reports"]["resets"], 0, "{shown}");
+    }
+    let energy = hub.get("/api/v1/energy?by=node").await;
+    let groups = energy["groups"].as_array().unwrap().iter();
+    let clips: i64 = groups.map(|group| group["clips"].as_i64().unwrap()).sum();
+    assert_eq!(clips, 16, "{energy}");
+    session.close().await.unwrap();
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hub_restored_from_a_backup_asks_each_node_for_what_it_lost() {
+    let folder = tempfile::tempdir().unwrap();
+    let database = sqlite(folder.path());
+    let backup = folder.path().join("backup.db");
+    let copy = format!("VACUUM INTO '{}'", backup.display());
+    let backup = format!("sqlite:{}", backup.display());
+    restored_from_a_backup(&database, (&database, &copy), &backup).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_a_hub_restored_from_a_backup_asks_each_node_for_what_it_lost() {
+    let server = Postgres::start();
+    let other = |name: &str| server.url().replace("/postgres", &format!("/{name}"));
+    // A database is copied over a connection to another one.
+    let copy = "CREATE DATABASE backup TEMPLATE postgres";
+    restored_from_a_backup(&server.url(), (&other("template1"), copy), &other("backup")).await;
+}
+
 /// A report made so many days ago, by a clock that is right.
 fn aged(node: &str, number: u64, days: u64) -> ReportBatch {
     let made = now_ns() - days * 86_400_000_000_000;

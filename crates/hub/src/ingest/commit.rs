@@ -123,8 +123,8 @@ fn lost(what: &str) -> StoreError {
 pub(crate) struct Outcome {
     /// Reports that are not stored.
     pub(crate) refused: Vec<RefusedReport>,
-    /// Counts of the node that never came.
-    pub(crate) missing: Vec<(u64, u64)>,
+    /// Counts that the node is asked for.
+    pub(crate) wanted: Vec<(u64, u64)>,
     /// Cameras of the node.
     pub(crate) cameras: usize,
 }
@@ -320,7 +320,7 @@ pub(crate) fn write(
         }
         row.last_ms = now_ms.max(row.last_ms);
         counts.write(row);
-        outcome.missing = counts.missing().to_vec();
+        outcome.wanted = counts.wanted().to_vec();
         outcome.cameras = node_cameras.map_or(0, HashMap::len);
         committed.outcomes.push(outcome);
     }

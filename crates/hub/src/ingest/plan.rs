@@ -78,12 +78,13 @@ pub(crate) enum Seen {
 /// The running counts of a node's reports.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Counts {
-    /// Counts below are not known; 0 before the first.
+    /// The first count that came; 0 before it. Whether reports with lower counts exist is not known.
     base: u64,
     /// The highest since then.
     highest: u64,
-    /// Those in between that did not come.
-    missing: Vec<(u64, u64)>,
+    /// Ranges that did not come, below `base` too: a database restored from a backup of before the node's first report
+    /// does not know that it had them.
+    wanted: Vec<(u64, u64)>,
 }
 
 impl Counts {
@@ -92,7 +93,7 @@ impl Counts {
         Self {
             base: row.base.unsigned_abs(),
             highest: row.highest.unsigned_abs(),
-            missing: serde_json::from_str(&row.missing).unwrap_or_default(),
+            wanted: serde_json::from_str(&row.missing).unwrap_or_default(),
         }
     }
 
@@ -100,12 +101,13 @@ impl Counts {
     pub(crate) fn write(&self, row: &mut ReportCountsRow) {
         row.base = i64::try_from(self.base).unwrap_or(i64::MAX);
         row.highest = i64::try_from(self.highest).unwrap_or(i64::MAX);
-        row.missing = serde_json::to_string(&self.missing).unwrap_or_default();
+        row.missing = serde_json::to_string(&self.wanted).unwrap_or_default();
     }
 
-    /// Counts that did not come, in ranges from the first to the last.
-    pub(crate) fn missing(&self) -> &[(u64, u64)] {
-        &self.missing
+    /// Counts that the node is asked for, in ranges from the first to the last: those that are missing, and those of
+    /// before the first that came.
+    pub(crate) fn wanted(&self) -> &[(u64, u64)] {
+        &self.wanted
     }
 
     /// Takes the count of a report, which was `new` or known before.
@@ -115,6 +117,9 @@ impl Counts {
         }
         if self.base == 0 {
             (self.base, self.highest) = (count, count);
+            if count > 1 {
+                self.wanted.push((1, count - 1));
+            }
             return Seen::Expected;
         }
         if count > self.highest {
@@ -123,22 +128,22 @@ impl Counts {
             if gap.0 > gap.1 {
                 return Seen::Expected;
             }
-            if self.missing.len() == MOST_RANGES {
-                self.missing.remove(0);
+            if self.wanted.len() == MOST_RANGES {
+                self.wanted.remove(0);
             }
-            self.missing.push(gap);
+            self.wanted.push(gap);
             return Seen::Gap(gap.0, gap.1);
         }
         if let Some(place) = self
-            .missing
+            .wanted
             .iter()
             .position(|(first, last)| (*first..=*last).contains(&count))
         {
-            let (first, last) = self.missing.remove(place);
+            let (first, last) = self.wanted.remove(place);
             let rest = [(first, count - 1), (count + 1, last)];
             let rest = rest.into_iter().filter(|(first, last)| first <= last);
-            self.missing.splice(place..place, rest);
-            self.missing.truncate(MOST_RANGES);
+            self.wanted.splice(place..place, rest);
+            self.wanted.truncate(MOST_RANGES);
             return Seen::Expected;
         }
         if !new || count < self.base {
@@ -147,7 +152,7 @@ impl Counts {
         *self = Self {
             base: count,
             highest: count,
-            missing: Vec::new(),
+            wanted: Vec::new(),
         };
         Seen::Reset
     }

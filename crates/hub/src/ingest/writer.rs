@@ -314,7 +314,7 @@ impl Writer {
             desired.send_full_status = setup.fleet.needs_full_status(&batch.node);
             let answer = ReportAnswer {
                 refused: outcome.refused,
-                missing: outcome.missing,
+                missing: outcome.wanted,
                 desired: Some(desired),
                 ..ReportAnswer::new(self.identity.unwrap_or_default())
             };

@@ -328,14 +328,19 @@ impl Store {
             .bind(node.to_owned());
         let read = |row: &AnyRow| {
             let missing: String = row.try_get("missing")?;
-            let missing: Vec<(u64, u64)> = serde_json::from_str(&missing)?;
+            let ranges: Vec<(u64, u64)> = serde_json::from_str(&missing)?;
+            // Whether reports with lower counts exist is not known.
+            let base: i64 = row.try_get("base")?;
+            let missing = ranges
+                .iter()
+                .filter(|(first, _)| *first >= base.unsigned_abs());
             Ok(ReportCounts {
                 first_ms: row.try_get("first_ms")?,
                 last_ms: row.try_get("last_ms")?,
                 stored: row.try_get("stored")?,
                 set_aside: row.try_get("set_aside")?,
                 refused: row.try_get("refused")?,
-                missing: missing.iter().map(|(first, last)| last - first + 1).sum(),
+                missing: missing.map(|(first, last)| last - first + 1).sum(),
                 resets: row.try_get("resets")?,
             })
         };

@@ -17,7 +17,7 @@ CREATE TABLE nodes (
 );
 
 -- The reports of a node: how many were stored, and which of its running counts never came. Counts are told from `base` on;
--- `missing` is a JSON array of ranges.
+-- `missing` is a JSON array of ranges; one below `base` is asked for, but nobody knows whether those reports exist.
 CREATE TABLE report_counts (
     node_id BIGINT NOT NULL PRIMARY KEY REFERENCES nodes (id),
     first_ms BIGINT NOT NULL,
