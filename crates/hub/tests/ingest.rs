@@ -252,6 +252,75 @@ async fn postgres_a_hub_restored_from_a_backup_asks_each_node_for_what_it_lost()
     restored_from_a_backup(&server.url(), (&other("template1"), copy), &other("backup")).await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn a_node_that_floods_the_hub_in_every_way_holds_up_nobody() {
+    const OTHERS: u8 = 20;
+    let folder = tempfile::tempdir().unwrap();
+    let mut configuration = config(&sqlite(folder.path()));
+    // Its share is no bound here: all that it sends is dealt with.
+    configuration.ingest.camera_bytes_per_day = 1 << 40;
+    let hub = Hub::start(configuration).await;
+    let start = now_ns() - 3_600_000_000_000;
+    let stop = tokio_util::sync::CancellationToken::new();
+    let small = batch("hostile", 99, 1..=1, start).to_payload(albireo_wire::BatchCompression::Best);
+    // A report of two megabytes that is a kilobyte on the wire.
+    let mut blown = batch("hostile", 99, 2..=2, start);
+    blown.reports[0].clip = "x".repeat(albireo_wire::LARGEST_BATCH_BYTES - 4096);
+    let blown = blown.to_payload(albireo_wire::BatchCompression::Best);
+    let pull = serde_json::to_vec(&albireo_wire::PullRequest { v: 1, revision: 0 });
+    let mut flood = tokio::task::JoinSet::new();
+    for (kind, payload) in [
+        ("report", small.unwrap()),
+        ("report", blown.unwrap()),
+        ("report", b"nonsense".to_vec()),
+        ("report", vec![b'x'; 2 << 20]),
+        ("pull", pull.unwrap()),
+        ("status", b"nonsense".to_vec()),
+        ("status", vec![b' '; 60 << 10]),
+        ("status", vec![b' '; 4 << 20]),
+    ] {
+        let (session, stop) = (uplink(&hub.zenoh).await, stop.clone());
+        flood.spawn(async move {
+            let key = format!("albireo/@{kind}/hostile");
+            let mut sent = 0_u64;
+            while !stop.is_cancelled() {
+                if kind == "status" {
+                    session.put(&key, payload.clone()).await.unwrap();
+                } else {
+                    // Whoever drops the answers reads none.
+                    let asked = session.get(&key).payload(payload.clone());
+                    drop(asked.await.unwrap());
+                }
+                sent += 1;
+                tokio::task::yield_now().await;
+            }
+            session.close().await.unwrap();
+            sent
+        });
+    }
+    let session = uplink(&hub.zenoh).await;
+    let mut longest = std::time::Duration::ZERO;
+    for first in (1..=20).step_by(5) {
+        for node in 0..OTHERS {
+            let sent = batch(&format!("car-{node}"), node, first..=first + 4, start);
+            let began = std::time::Instant::now();
+            deliver(&session, &sent).await.assert_stored();
+            longest = longest.max(began.elapsed());
+        }
+    }
+    stop.cancel();
+    while let Some(sent) = flood.join_next().await {
+        assert!(sent.unwrap() > 0);
+    }
+    for node in 0..OTHERS {
+        let all: Vec<u64> = (1..=20).collect();
+        assert_eq!(counts(&hub, &format!("car-{node}")).await, all);
+    }
+    assert!(longest.as_secs() < 20, "{longest:?}");
+    session.close().await.unwrap();
+    hub.stop().await;
+}
+
 /// A report made so many days ago, by a clock that is right.
 fn aged(node: &str, number: u64, days: u64) -> ReportBatch {
     let made = now_ns() - days * 86_400_000_000_000;

@@ -1,7 +1,8 @@
 //! Sends answers, on a thread of its own: a reply to a slow network may block for seconds.
 
 use super::IngestCounters;
-use albireo_wire::{RefusalReason, ReportAnswer, ReportRefusal, VERSION};
+use crate::per_node::{PerNode, Place};
+use albireo_wire::{FleetKeys, RefusalReason, ReportAnswer, ReportRefusal, VERSION};
 use serde::Serialize;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -11,17 +12,21 @@ use zenoh::query::Query;
 
 /// Answers that may wait. One more is dropped: the node sees no answer, and asks again.
 const QUEUE: usize = 16_384;
+/// Those of one node: one that asks and does not read its answers fills no queue of the others.
+const MOST_OF_A_NODE: u32 = 16;
 
 struct Reply {
     query: Query,
     payload: Vec<u8>,
     error: bool,
+    _place: Place,
 }
 
 /// Where answers go.
 #[derive(Clone, Debug)]
 pub(crate) struct Replies {
     sender: SyncSender<Reply>,
+    places: Arc<PerNode>,
     counters: Arc<IngestCounters>,
 }
 
@@ -50,7 +55,12 @@ impl Replies {
         let thread = std::thread::Builder::new()
             .name("replies".to_owned())
             .spawn(move || send(&replies, &counted))?;
-        Ok((Self { sender, counters }, thread))
+        let replies = Self {
+            sender,
+            places: PerNode::new(MOST_OF_A_NODE),
+            counters,
+        };
+        Ok((replies, thread))
     }
 
     /// Acknowledges.
@@ -72,10 +82,15 @@ impl Replies {
         let Ok(payload) = serde_json::to_vec(message) else {
             return self.counters.answers_lost(1);
         };
+        let node = FleetKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
+        let Some(place) = self.places.place(node) else {
+            return self.counters.answers_lost(1);
+        };
         let reply = Reply {
             query,
             payload,
             error,
+            _place: place,
         };
         if self.sender.try_send(reply).is_err() {
             self.counters.answers_lost(1);
@@ -89,6 +104,7 @@ fn send(replies: &Receiver<Reply>, counters: &IngestCounters) {
             query,
             payload,
             error,
+            _place,
         } = reply;
         let sent = if error {
             query.reply_err(payload).wait()

@@ -7,6 +7,7 @@ use super::Fleet;
 use crate::desired::Desires;
 use crate::error::HubError;
 use crate::ingest::{Replies, refusal};
+use crate::per_node::{PerNode, Place};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{
     ConfigChanged, FleetKeys, Heartbeat, PullRequest, RefusalReason, StatusMessage, VERSION,
@@ -26,6 +27,10 @@ use zenoh::{Session, Wait};
 
 /// Messages that may wait.
 const QUEUE: usize = 65_536;
+/// Those of one node: it sends one every half a minute, and a few when it starts.
+const MOST_OF_A_NODE: u32 = 16;
+/// Largest status, bytes: with as many cameras as a node may have it is half of that.
+const LARGEST_STATUS: usize = 64 << 10;
 /// Notices that may wait; one more is not sent, and the next status finds out anyway.
 const NOTICES: usize = 65_536;
 /// Time between two looks at a tenth of the nodes.
@@ -34,9 +39,38 @@ const SWEEP: Duration = Duration::from_millis(500);
 const NOTICES_AT_ONCE: usize = 50;
 const NOTICE_PAUSE: Duration = Duration::from_millis(10);
 
-enum Heard {
-    Status { node: String, payload: Bytes },
-    Token { node: String, present: bool },
+struct Heard {
+    node: String,
+    what: What,
+    _place: Place,
+}
+
+enum What {
+    Status(Bytes),
+    /// Whether the liveliness token is there.
+    Token(bool),
+}
+
+/// Where Zenoh's threads put what they hear.
+#[derive(Clone)]
+struct Inbox {
+    queue: mpsc::Sender<Heard>,
+    places: Arc<PerNode>,
+    counters: Arc<ListenCounters>,
+}
+
+impl Inbox {
+    /// Puts it into the queue. Never waits: what finds no place is dropped.
+    fn put(&self, node: &str, what: What) {
+        let heard = self.places.place(node).map(|place| Heard {
+            node: node.to_owned(),
+            what,
+            _place: place,
+        });
+        if heard.is_none_or(|heard| self.queue.try_send(heard).is_err()) {
+            self.counters.overrun.fetch_add(1, Ordering::Relaxed);
+        }
+    }
 }
 
 /// What is declared; undeclared when dropped.
@@ -65,7 +99,7 @@ impl Notifier {
 pub struct ListenCounters {
     /// Status messages that found their queue full.
     pub overrun: AtomicU64,
-    /// Status messages that cannot be read.
+    /// Status messages that cannot be read, or are too large.
     pub unreadable: AtomicU64,
     /// Pulls answered.
     pub pulls: AtomicU64,
@@ -109,21 +143,26 @@ pub(crate) async fn listen(
         Arc::clone(&counters),
         shutdown,
     );
-    let queue = sender.clone();
-    let counted = Arc::clone(&counters);
+    let inbox = Inbox {
+        queue: sender,
+        places: PerNode::new(MOST_OF_A_NODE),
+        counters: Arc::clone(&counters),
+    };
+    let statuses = inbox.clone();
     let status = session
         .declare_subscriber(keys.status())
         .callback(move |sample| {
             let Some(node) = FleetKeys::node_of(sample.key_expr().as_str()) else {
                 return;
             };
-            let heard = Heard::Status {
-                node: node.to_owned(),
-                payload: Bytes::copy_from_slice(&sample.payload().to_bytes()),
-            };
-            if queue.try_send(heard).is_err() {
-                counted.overrun.fetch_add(1, Ordering::Relaxed);
+            if sample.payload().len() > LARGEST_STATUS {
+                let unreadable = &statuses.counters.unreadable;
+                unreadable.fetch_add(1, Ordering::Relaxed);
+                return;
             }
+            // A copy, so that what waits holds no buffers of the network.
+            let payload = Bytes::copy_from_slice(&sample.payload().to_bytes());
+            statuses.put(node, What::Status(payload));
         })
         .await
         .map_err(HubError::declaration("status messages cannot be heard"))?;
@@ -135,10 +174,7 @@ pub(crate) async fn listen(
             .callback(move |sample| {
                 if let Some(node) = FleetKeys::node_of(sample.key_expr().as_str()) {
                     // A token that is not taken costs time only: status tells the rest.
-                    let _ = sender.try_send(Heard::Token {
-                        node: node.to_owned(),
-                        present: sample.kind() == SampleKind::Put,
-                    });
+                    inbox.put(node, What::Token(sample.kind() == SampleKind::Put));
                 }
             })
             .await
@@ -253,9 +289,10 @@ async fn take(
 
 fn take_one(one: Heard, fleet: &Fleet, notifier: &Notifier, counters: &ListenCounters) {
     let (now, now_ms) = (Instant::now(), unix_milliseconds());
-    match one {
-        Heard::Token { node, present } => fleet.token(&node, present, now, now_ms),
-        Heard::Status { node, payload } => {
+    let Heard { node, what, _place } = one;
+    match what {
+        What::Token(present) => fleet.token(&node, present, now, now_ms),
+        What::Status(payload) => {
             let heard = if Heartbeat::is_one(&payload) {
                 Heartbeat::read(&payload).map(|sign| fleet.alive(&node, sign, now, now_ms))
             } else {
