@@ -200,7 +200,7 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
     // The target is switched off first, which is kept too.
     goes_on_while_the_disk_stalls(
         &second,
-        |board| drop(board.cameras()[0].set_threshold(0.25).unwrap()),
+        |board| assert_eq!(board.cameras()[0].set_threshold(0.25), Ok(0.25)),
         |board| {
             while board.target().is_on() {
                 thread::yield_now();
@@ -210,7 +210,7 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
     );
     goes_on_while_the_disk_stalls(
         &second,
-        |board| drop(board.cameras()[0].set_threshold(0.26).unwrap()),
+        |board| assert_eq!(board.cameras()[0].set_threshold(0.26), Ok(0.26)),
         |board| {
             while board.cameras()[0].threshold() != Some(0.26) {
                 thread::yield_now();
