@@ -18,6 +18,8 @@ const { frameAt, placeOf } = await import("../src/node/ribbon");
 const { estimated, fromSlider, toSlider, usefulRange } = await import("../src/node/knob");
 const { graver } = await import("../src/node/log");
 const { cameraState } = await import("../src/node/cameras");
+const { withGaps } = await import("../src/node/charts");
+const { headline } = await import("../src/node/header");
 const { href, parseRoute } = await import("../src/hub/route");
 const { Rows, PAGE, path } = await import("../src/hub/rows");
 const { LineParser, countOutcomes, ordered, terms } = await import("../src/hub/tune");
@@ -226,4 +228,23 @@ describe("tables", () => {
     const text = csv([{ v: -1.5, t: 'say "hi", you' }, { t: "=1+1" }], [column, words]);
     expect(text).toBe('v (J),t\r\n-1.5,"say ""hi"", you"\r\n,\'=1+1\r\n');
   });
+});
+
+describe("the headline of a node's page", () => {
+  const savings = { frames: 200, avoided_calls: 92, degraded_frames: 0 };
+  const recall = { rate: 0.951, low: 0.91, high: 0.98 } as never;
+  test("saving and recall are one sentence", () => {
+    const text = headline(savings, undefined, recall).replaceAll("\u202f", " ");
+    expect(text).toBe("46 % fewer detector calls; shows 95 % [91, 98] of what the detector would have found.");
+    expect(headline(savings, "gate", recall)).toContain("; camera gate shows ");
+  });
+  test("without an audit, without a frame and without a detector it promises nothing", () => {
+    expect(headline(savings, undefined, undefined).replaceAll("\u202f", " ")).toBe("46 % fewer detector calls.");
+    expect(headline({ ...savings, frames: 0 }, undefined, recall)).toBe("No frame yet.");
+    expect(headline({ frames: 60, avoided_calls: 0, degraded_frames: 60 }, undefined, recall)).toBe("Every frame was answered without the detector it needed.");
+  });
+});
+
+test("a chart's line ends where no frame came for long", () => {
+  expect(withGaps([{ at: 1, seq: 1 }, { at: 2, seq: 2 }, { at: 40, seq: 3 }])).toEqual([{ at: 1, seq: 1 }, { at: 2, seq: 2 }, { at: 3 }, { at: 40, seq: 3 }]);
 });

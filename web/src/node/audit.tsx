@@ -1,6 +1,6 @@
 // What skipping costs against the detector, which runs afterwards on a random share of the skipped frames.
 
-import { count, duration, percent } from "../shared/format";
+import { count, duration, percent, plural } from "../shared/format";
 import { Section } from "../shared/parts";
 import { counters, opened } from "./store";
 import type { AuditRate } from "./types";
@@ -14,7 +14,7 @@ export function rate(found: AuditRate | null | undefined): string {
 
 export function Audit() {
   const figures = counters.value.get(opened.value ?? "")?.audit;
-  if (!figures) return null;
+  if (!figures?.drawn) return null;
   return (
     <Section
       id="audit"
@@ -27,12 +27,12 @@ export function Audit() {
       }
     >
       <p class="message quiet">
-        Against the detector, not against the truth: {count(figures.drawn)} skipped frames were drawn at random and the detector ran on
-        them after they were answered. {count(figures.missed)} of them it had no time for: the intervals in brackets (95 %) allow for any
-        result on those. <b>Recall</b> is the share of its {count(figures.detected)} boxes that had been shown, <b>precision</b> the share
-        of the {count(figures.shown)} shown boxes that it confirms. A policy that keeps showing an object which the detector misses loses
-        precision here, although it may be right. It cost {count(figures.calls)} calls and {duration(figures.detector_s)} of the detector,
-        which are in no other figure of this page but the power.
+        The detector is the reference here, not the truth: {plural(figures.drawn, "skipped frame")} were drawn at random and given to the
+        detector after they were answered. It had no time for {count(figures.missed)} of them; the 95 % confidence intervals in brackets
+        allow for any result on those. <b>Recall</b> is the share of its {count(figures.detected)} boxes that had been shown;{" "}
+        <b>precision</b> is the share of the {count(figures.shown)} shown boxes that it confirms. Keeping an object that the detector
+        misses lowers precision here, even if the object is real. The audit used {plural(figures.calls, "extra detector call")} (
+        {duration(figures.detector_s)}). Only the power figure includes them.
       </p>
     </Section>
   );

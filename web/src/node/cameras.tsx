@@ -1,9 +1,10 @@
 // All cameras as tiles: which are live, stale, never seen, degraded.
 
+import type { ComponentChildren } from "preact";
 import { useEffect, useState } from "preact/hooks";
-import { ago, count, percent } from "../shared/format";
+import { ago, percent } from "../shared/format";
 import { CopyButton, Pill, Section, type Mood } from "../shared/parts";
-import { cameras, counters, lost, open, opened, picture, rates, samples, tick, usualGap } from "./store";
+import { cameras, lost, open, opened, picture, rates, samples, tick, usualGap } from "./store";
 import type { CameraEntry } from "./types";
 
 /** A camera is stale when no frame came for this long, or three times as long as between its frames lately. */
@@ -23,16 +24,20 @@ function snippet(key: string): string {
   return `albireo replay VIDEO.mp4 --loop --key ${key}`;
 }
 
-export function Tiles() {
-  // Ages grow by themselves.
+/** Draws again every second: ages grow by themselves. */
+function useSeconds(): void {
   const [, setNow] = useState(0);
   useEffect(() => {
     const timer = setInterval(() => setNow((now) => now + 1), 1000);
     return () => clearInterval(timer);
   }, []);
+}
+
+export function Tiles() {
+  useSeconds();
   void tick.value;
   return (
-    <Section id="cameras" title={cameras.value.length === 1 ? "Camera" : "Cameras"} wide>
+    <Section id="cameras" title="Cameras" wide>
       <ul class="tiles">
         {cameras.value.map((camera) => (
           <Tile key={camera.camera} camera={camera} />
@@ -42,41 +47,80 @@ export function Tiles() {
   );
 }
 
-function Tile({ camera }: { camera: CameraEntry & { readAt: number } }) {
-  const message = counters.value.get(camera.camera);
-  const lately = rates(camera.camera, 10);
+type Entry = CameraEntry & { readAt: number };
+
+/** How a camera is, in a pill; and how long ago its last picture came. */
+function stateOf(camera: Entry): { word: CameraWord; age: number | undefined; pill: ComponentChildren } {
   // What was read a while ago has aged since; frames counted since make it young again.
   const elapsed = (performance.now() - camera.readAt) / 1000;
   const known = camera.last_frame_age_s;
   const age = known === undefined || known === null ? undefined : lost.value === undefined ? known : known + elapsed;
   const word = cameraState(age, usualGap(camera.camera), degradedLately(camera.camera));
+  return { word, age, pill: <Pill mood={MOODS[word]}>{word}</Pill> };
+}
+
+function Tile({ camera }: { camera: Entry }) {
+  const { word, age, pill } = stateOf(camera);
+  const lately = rates(camera.camera, 10);
   const isOpen = opened.value === camera.camera;
+  const live = word === "live" || word === "degraded";
   return (
     <li class={isOpen ? "tile open" : "tile"}>
       <button type="button" class="tile-button" aria-pressed={isOpen} onClick={() => open(camera.camera)}>
-        {cameras.value.length > 1 && <Thumbnail camera={camera.camera} frames={camera.frames} />}
+        <Thumbnail camera={camera.camera} frames={camera.frames} />
         <span class="tile-name">{camera.camera}</span>
-        <Pill mood={MOODS[word]}>{word === "stale" && age !== undefined ? `stale, last picture ${ago(age)}` : word}</Pill>
+        {pill}
         <span class="quiet">
-          {word === "live" || word === "degraded"
-            ? `last picture ${ago(age ?? 0)}` +
-              (lately ? ` · ${lately.perSecond.toFixed(1)} frames/s · ${percent(lately.skipRate, 0)} skipped` : "")
-            : `${count(message?.frames ?? camera.frames)} frames since the start`}
-          {camera.width ? ` · ${camera.width}×${camera.height}` : ""}
+          {live && lately
+            ? `${lately.perSecond.toFixed(1)} frames/s · ${percent(lately.skipRate, 0)} skipped`
+            : age === undefined
+              ? "no picture yet"
+              : `last picture ${ago(age)}`}
         </span>
       </button>
-      {camera.fault && <p class="fault bad">{camera.source ? `${camera.source} ${camera.fault}` : camera.fault}</p>}
-      {word === "never seen" && camera.source && !camera.fault && <p class="fault quiet">Opening {camera.source} …</p>}
-      {word === "never seen" && camera.key && (
-        <div class="snippet">
-          <p>
-            No frame has come. Publish JPEG, PNG or raw pictures by Zenoh on the key <code>{camera.key}</code>, for example:
-          </p>
-          <pre tabIndex={0}>{snippet(camera.key)}</pre>
-          <CopyButton text={snippet(camera.key)} />
-        </div>
-      )}
+      <Help camera={camera} folded />
     </li>
+  );
+}
+
+/** The state of the only camera, beside its picture. */
+export function OnlyCamera() {
+  useSeconds();
+  const camera = cameras.value[0];
+  if (cameras.value.length !== 1 || !camera) return null;
+  const { word, age, pill } = stateOf(camera);
+  return (
+    <>
+      {pill}
+      {word === "stale" && <span class="quiet">last picture {ago(age ?? 0)}</span>}
+    </>
+  );
+}
+
+/** What is wrong with a camera, or how to send it pictures. */
+export function Help({ camera, folded = false }: { camera: CameraEntry; folded?: boolean }) {
+  const seen = camera.last_frame_age_s !== undefined && camera.last_frame_age_s !== null;
+  const command = snippet(camera.key ?? "");
+  const help = (
+    <>
+      <p>
+        Publish JPEG, PNG or raw pictures by Zenoh on the key <code>{camera.key}</code>, for example:
+      </p>
+      <pre tabIndex={0}>{command}</pre>
+      <CopyButton text={command} />
+    </>
+  );
+  if (camera.fault && (camera.source || seen)) return <p class="fault bad">{camera.source ? `${camera.source} ${camera.fault}` : camera.fault}</p>;
+  if (seen) return null;
+  if (camera.source) return <p class="fault quiet">Opening {camera.source} …</p>;
+  if (!camera.key) return null;
+  return folded ? (
+    <details class="snippet">
+      <summary>How to send it pictures</summary>
+      {help}
+    </details>
+  ) : (
+    <div class="snippet">{help}</div>
   );
 }
 

@@ -5,7 +5,7 @@ import type uPlot from "uplot";
 import { Chart } from "../shared/chart";
 import { milliseconds, percent, small, watts } from "../shared/format";
 import { Quality, Section } from "../shared/parts";
-import { percentile } from "./frames";
+import { percentile, type Seen } from "./frames";
 import { counters, hour, knob, log, opened, pointed, power, samples, tick } from "./store";
 
 /** Length of a piece of the hour, seconds. */
@@ -15,16 +15,32 @@ const FRAMES = 600;
 
 type Column = (number | null)[];
 
+/** Longest pause between two frames that a line is drawn across, seconds. */
+const LONGEST_PAUSE_S = 10;
+
+/** Frames, with an empty place in each long pause, where the line is to end. */
+export function withGaps<F extends { at: number }>(frames: readonly F[]): (F | { at: number })[] {
+  return frames.flatMap((frame, index) => {
+    const before = frames[index - 1];
+    return before && frame.at - before.at > LONGEST_PAUSE_S ? [{ at: before.at + 1 }, frame] : [frame];
+  });
+}
+
+function seqOf(frame: Seen | { at: number } | undefined): number | undefined {
+  return frame && "seq" in frame ? frame.seq : undefined;
+}
+
 /** τ_max of the last frames against the threshold they were decided with. */
 export function Uncertainty() {
   const now = tick.value;
   const name = knob.value?.name ?? "u";
   const frames = useMemo(() => log.last(FRAMES), [now, opened.value]);
+  const shownFrames = useMemo(() => withGaps(frames), [frames]);
   const data = useMemo((): uPlot.AlignedData => {
-    const taus: Column = frames.map((frame) => (frame.tau_max && frame.tau_max > 0 ? frame.tau_max : null));
-    const limits: Column = frames.map((frame) => frame.threshold?.value ?? null);
-    return [frames.map((frame) => frame.at), taus, limits];
-  }, [frames]);
+    const taus: Column = shownFrames.map((frame) => ("seq" in frame && frame.tau_max && frame.tau_max > 0 ? frame.tau_max : null));
+    const limits: Column = shownFrames.map((frame) => ("seq" in frame && frame.threshold?.value) || null);
+    return [shownFrames.map((frame) => frame.at), taus, limits];
+  }, [shownFrames]);
   // Another policy's knob is no bound on uncertainty.
   const comparable = name === "u";
   const shown = comparable ? data : ([data[0], data[1]] as uPlot.AlignedData);
@@ -32,7 +48,7 @@ export function Uncertainty() {
     <Section id="uncertainty" title="Uncertainty against the threshold" aside={<span class="quiet">logarithmic, no unit</span>}>
       <div
         onClick={() => {
-          if (under.index !== null) pointed.value = frames[under.index]?.seq;
+          if (under.index !== null) pointed.value = seqOf(shownFrames[under.index]);
         }}
       >
         <Chart
@@ -169,7 +185,7 @@ export function DetectorTime() {
   );
 }
 
-/** Skip rate, frames a second and detector time over the last hour: in pieces of ten seconds as the node remembers them. */
+/** Skip rate, frames per second and detector time over the last hour: in pieces of ten seconds as the node remembers them. */
 export function Rates() {
   const now = tick.value;
   const camera = opened.value ?? "";
@@ -220,8 +236,8 @@ export function Rates() {
       />
       <Chart
         data={data.rate}
-        label="Frames a second, over the last hour"
-        lines={[{ label: "frames a second", colour: "--state-e" }]}
+        label="Frames per second, over the last hour"
+        lines={[{ label: "frames per second", colour: "--state-e" }]}
         value={(value) => value.toFixed(1)}
         range={[0, null]}
         height={110}

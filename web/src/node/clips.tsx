@@ -24,6 +24,15 @@ function columns(knobName: string, several: boolean): Column<ClipReport>[] {
     { id: "frames", head: "frames", key: (clip) => clip.frames, cell: (clip) => count(clip.frames) },
     { id: "skip_rate", head: "skipped", key: (clip) => clip.skip_rate, cell: (clip) => percent(clip.skip_rate) },
     { id: "degraded_frames", head: "degraded", key: (clip) => clip.degraded_frames, cell: (clip) => count(clip.degraded_frames) },
+    {
+      id: "audit_recall", head: "recall*", key: (clip) => paired(clip, "detected"),
+      cell: (clip) => percent(paired(clip, "detected")),
+    },
+    {
+      id: "audit_precision", head: "precision*", key: (clip) => paired(clip, "shown"),
+      cell: (clip) => percent(paired(clip, "shown")),
+    },
+    { id: "audit_boxes", head: "boxes*", key: (clip) => clip.audit?.sums?.detected, cell: (clip) => count(clip.audit?.sums?.detected) },
     { id: "duration", head: "length", key: (clip) => clip.duration_s, cell: (clip) => duration(clip.duration_s), unit: "s" },
     {
       id: "energy", head: "energy", key: (clip) => clip.energy.joules ?? undefined, unit: "J",
@@ -38,15 +47,6 @@ function columns(knobName: string, several: boolean): Column<ClipReport>[] {
     { id: "detector_p50", head: "detector p50", key: (clip) => clip.detector_latency_ms.p50, cell: (clip) => milliseconds(clip.detector_latency_ms.p50), unit: "ms" },
     { id: "detector_p99", head: "p99", key: (clip) => clip.detector_latency_ms.p99, cell: (clip) => milliseconds(clip.detector_latency_ms.p99), unit: "ms" },
     { id: knobName, head: knobName, key: (clip) => clip.threshold?.value, cell: (clip) => small(clip.threshold?.value) },
-    {
-      id: "audit_recall", head: "recall*", key: (clip) => paired(clip, "detected"),
-      cell: (clip) => percent(paired(clip, "detected")),
-    },
-    {
-      id: "audit_precision", head: "precision*", key: (clip) => paired(clip, "shown"),
-      cell: (clip) => percent(paired(clip, "shown")),
-    },
-    { id: "audit_boxes", head: "boxes*", key: (clip) => clip.audit?.sums?.detected, cell: (clip) => count(clip.audit?.sums?.detected) },
     { id: "provider", head: "provider", key: (clip) => clip.provider, cell: (clip) => clip.provider, left: true },
     { id: "celsius", head: "hottest", key: (clip) => clip.board?.hottest_celsius ?? undefined, cell: (clip) => (clip.board?.hottest_celsius ? `${clip.board.hottest_celsius.toFixed(0)} °C` : "–"), unit: "°C" },
     {
@@ -118,7 +118,7 @@ export function Clips() {
         </div>
       )}
       {rows.some((clip) => clip.audit) && (
-        <p class="message quiet">* Against the detector, on the few skipped frames that it looked at afterwards; a single clip has few boxes.</p>
+        <p class="message quiet">* Compared with the detector, on the few skipped frames that were audited; one clip has few boxes.</p>
       )}
       {rows.length > SHOWN && <p class="message quiet">The first {SHOWN} of {count(rows.length)}; the file has them all.</p>}
     </Section>

@@ -1,10 +1,11 @@
 // The head of the page: which node, how it is, what runs the detector, what was saved.
 
 import { useComputed } from "@preact/signals";
-import { count, duration, joules, percent, small, watts } from "../shared/format";
-import { Figure, Pill, Quality, type Mood } from "../shared/parts";
-import type { Savings } from "./types";
-import { counters, detector, knob, knobInForce, lost, missed, overview } from "./store";
+import { count, duration, joules, percent, plural, small, watts } from "../shared/format";
+import { Figure, Pill, Quality, Section, type Mood } from "../shared/parts";
+import type { AuditRate, Savings } from "./types";
+import { rate } from "./audit";
+import { cameras, counters, detector, knob, knobInForce, lost, missed, opened, overview } from "./store";
 
 type Energy = NonNullable<Savings["energy"]>;
 
@@ -18,13 +19,35 @@ function state(): State {
   if (lost.value !== undefined) return { mood: "bad", word: "node does not answer", why: "Trying again. What is shown is the last that was heard." };
   const now = overview.value;
   if (!now) return { mood: "wait", word: "connecting", why: "" };
-  const reasons = now.reasons.map((reason) => {
-    const subject = reason.subject ? ` ${reason.subject}` : "";
-    return `${reason.part}${subject}: ${reason.reason} (for ${duration(reason.since_s)})`;
-  });
-  const why = reasons.join("; ");
-  if (now.state === "ready") return { mood: "good", word: "ready", why };
-  return { mood: "bad", word: now.state === "degraded" ? "degraded" : "not ready", why };
+  if (now.state === "ready") return { mood: "good", word: "ready", why: "" };
+  return { mood: "bad", word: now.state === "degraded" ? "degraded" : "not ready", why: "" };
+}
+
+/** What is wrong, by name on one line; opened, each with its reason. */
+function Faults() {
+  const reasons = overview.value?.reasons ?? [];
+  if (reasons.length === 0 || lost.value !== undefined) return null;
+  const names = [...new Set(reasons.map(({ part, subject }) => subject || part))];
+  const more = names.length > 4 ? ` and ${names.length - 4} more` : "";
+  return (
+    <details class="faults">
+      <summary>
+        {plural(reasons.length, "fault")}: {names.slice(0, 4).join(", ")}
+        {more}
+      </summary>
+      <ul class="reasons">
+        {reasons.map((reason) => (
+          <li key={`${reason.part} ${reason.subject ?? ""}`}>
+            <b>
+              {reason.part} {reason.subject ?? ""}
+            </b>{" "}
+            {reason.effect === "not_ready" && "(not ready) "}
+            {reason.reason} <span class="quiet">for {duration(reason.since_s)}</span>
+          </li>
+        ))}
+      </ul>
+    </details>
+  );
 }
 
 /** Whether the detector runs on something else than what was asked for first. */
@@ -53,6 +76,7 @@ export function Header() {
         <Pill mood={is.mood}>{is.word}</Pill>
       </span>
       {is.why && <span class="why">{is.why}</span>}
+      <Faults />
       {now && (
         <dl class="facts">
           <div>
@@ -85,74 +109,98 @@ export function Header() {
   );
 }
 
-/** What the whole node used and saved, since the start and today. */
+/** What the node saves and what that costs, in one sentence. */
+export function headline(savings: Pick<Savings, "frames" | "avoided_calls" | "degraded_frames"> | undefined, camera: string | undefined, recall: AuditRate | null | undefined): string {
+  if (!savings?.frames) return "No frame yet.";
+  if (savings.degraded_frames === savings.frames) return "Every frame was answered without the detector it needed.";
+  const saved = `${percent(savings.avoided_calls / savings.frames, 0)} fewer detector calls`;
+  if (!recall) return `${saved}.`;
+  const low = (100 * recall.low).toFixed(0);
+  const high = (100 * recall.high).toFixed(0);
+  return `${saved}; ${camera ? `camera ${camera} ` : ""}shows ${percent(recall.rate, 0)} [${low}, ${high}] of what the detector would have found.`;
+}
+
 export function Headline() {
+  const recall = counters.value.get(opened.value ?? "")?.audit?.recall;
+  return (
+    <p class="wide sentence" id="headline">
+      {headline(overview.value?.since_start, cameras.value.length > 1 ? opened.value : undefined, recall)}
+    </p>
+  );
+}
+
+/** What the whole node used and saved, since the start and today, and what skipping costs the opened camera. */
+export function Saving() {
   const now = overview.value;
   const all = [...counters.value.values()];
   const whole = now?.since_start;
   const power = all[0]?.watts.find((entry) => entry.domain === "total") ?? all[0]?.watts[0];
+  const audit = counters.value.get(opened.value ?? "")?.audit;
   // A node that began today has no other day to tell from.
-  const days: [string, Savings][] = !now || !whole ? [] : now.today.since_ms > whole.since_ms
-    ? [["since the start", whole], ["today", now.today]]
-    : [["since the start (today)", whole]];
+  const today = now && whole && now.today.since_ms > whole.since_ms ? now.today : undefined;
+  const energy = whole?.energy;
   return (
-    <section class="wide headline" aria-label="What was saved">
+    <Section id="saving" title="Saving" aside={<span class="quiet">since the start</span>}>
       <dl class="figures">
-        {days.map(([words, period]) => (
+        <Figure
+          label="detector calls avoided"
+          note={
+            whole?.frames
+              ? `${count(whole.avoided_calls)} of ${count(whole.frames)} frames${today?.frames ? `; today (UTC) ${percent(today.avoided_calls / today.frames)}` : ""}`
+              : "no frame yet"
+          }
+        >
+          <span class="big">{whole?.frames ? percent(whole.avoided_calls / whole.frames) : "–"}</span>
+        </Figure>
+        <Figure
+          label="recall against the detector"
+          note={audit?.recall ? `${rate(audit.recall).replace(/^.*\((.*)\)$/, "$1")} % at 95 % confidence; precision ${percent(audit.precision?.rate)}` : "no audited frame yet"}
+        >
+          <span class="big">{percent(audit?.recall?.rate)}</span>
+        </Figure>
+        {energy && (
           <Figure
-            key={words}
-            label={`detector calls avoided ${words}`}
-            note={period.frames ? `${count(period.avoided_calls)} of ${count(period.frames)} frames` : "no frame yet"}
+            label="energy per hour"
+            note={
+              <>
+                {energy.saved_joules_estimated != null && <Saved energy={energy} saved={energy.saved_joules_estimated} />}
+                {today?.energy && `; today (UTC) ${joules((today.energy.joules / today.energy.covered_s) * 3600)}`}
+              </>
+            }
           >
-            <span class="big">{period.frames ? percent(period.avoided_calls / period.frames) : "–"}</span>
+            <span class="big" title={`Sampled for ${duration(energy.covered_s)}`}>
+              {joules((energy.joules / energy.covered_s) * 3600)}
+            </span>{" "}
+            <Quality quality={energy.quality} />
           </Figure>
-        ))}
-        {days.length === 0 && (
-          <Figure label="detector calls avoided" note="no frame yet">
-            <span class="big">–</span>
-          </Figure>
-        )}
-        {days.map(
-          ([words, { energy }]) =>
-            energy && (
-              <Figure
-                key={`energy ${words}`}
-                label={`energy per hour ${words}, sampled for ${duration(energy.covered_s)}`}
-                note={energy.saved_joules_estimated != null && <Saved energy={energy} saved={energy.saved_joules_estimated} />}
-              >
-                <span class="big">{joules((energy.joules / energy.covered_s) * 3600)}</span> <Quality quality={energy.quality} />
-              </Figure>
-            ),
         )}
         {power && (
-          <Figure label="power now" note={<Quality quality={all[0]!.power_quality} />}>
-            <span class="big">{watts(power.watts)}</span>
+          <Figure label="power now">
+            <span class="big">{watts(power.watts)}</span> <Quality quality={all[0]!.power_quality} />
           </Figure>
         )}
         {whole && whole.degraded_frames > 0 && (
-          <Figure label="answered without the detector it needed" note="degraded frames: not among the avoided">
+          <Figure label="degraded frames" note="answered without the detector they needed; not among the avoided">
             <span class="big bad">{count(whole.degraded_frames)}</span>
           </Figure>
         )}
       </dl>
-      {now && days.length > 1 && <p class="message quiet">Today is the day of UTC.</p>}
       {now && !now.outbox.durable && now.outbox.waiting > 0 && (
         <p class="message quiet">
-          {count(now.outbox.waiting)} clip reports wait for a hub in memory: no state_dir is set, so they are gone when the
-          node stops.
+          {plural(now.outbox.waiting, "clip report")} in memory, waiting for a hub: lost when the node stops, because no state_dir
+          is set.
         </p>
       )}
-      {missed.value > 0 && <p class="message wait">This page was too slow for {count(missed.value)} events.</p>}
-    </section>
+      {missed.value > 0 && <p class="message wait">This page was too slow for {plural(missed.value, "event")}.</p>}
+    </Section>
   );
 }
 
 /** What the avoided calls would have added to that energy. */
 function Saved({ energy, saved }: { energy: Energy; saved: number }) {
   return (
-    <span title="Run time of the avoided detector calls, no longer than the detector was idle, times the watts that a running detector adds on this machine.">
-      avoided calls saved {joules((saved / energy.covered_s) * 3600)} per hour ({percent(saved / (energy.joules + saved))}){" "}
-      <Quality quality="estimated" />
+    <span title="Estimated: run time of the avoided detector calls, no longer than the detector was idle, times the watts that a running detector adds on this machine.">
+      avoided calls saved ≈ {joules((saved / energy.covered_s) * 3600)} ({percent(saved / (energy.joules + saved))})
     </span>
   );
 }

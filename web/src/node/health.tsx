@@ -1,19 +1,19 @@
 // Health part by part, frames that were not processed, and what waits for a hub.
 
-import { count, duration, plural } from "../shared/format";
-import { Pill, Section } from "../shared/parts";
+import { count, plural } from "../shared/format";
+import { Section } from "../shared/parts";
 import { counters, opened, overview } from "./store";
 
 const DROPPED: Record<string, string> = {
   lost: "lost on the way",
-  overrun: "pushed out by a newer one",
+  overrun: "replaced by a newer one",
   late: "too late",
   stray: "of another stream",
-  duplicate: "there twice",
-  undecodable: "not to be decoded",
+  duplicate: "received twice",
+  undecodable: "not decodable",
   oversized: "too large",
   unknown_format: "of an unknown format",
-  stopped: "left at the stop",
+  stopped: "left when the node stopped",
 };
 
 export function Health() {
@@ -26,15 +26,7 @@ export function Health() {
       {now.reasons.length === 0 ? (
         <p class="message good">Every part works.</p>
       ) : (
-        <ul class="reasons">
-          {now.reasons.map((reason) => (
-            <li key={`${reason.part} ${reason.subject ?? ""}`}>
-              <Pill mood="bad">{reason.effect === "not_ready" ? "not ready" : "degraded"}</Pill> <b>{reason.part}</b>
-              {reason.subject ? ` ${reason.subject}` : ""}: {reason.reason}
-              <span class="quiet"> for {duration(reason.since_s)}</span>
-            </li>
-          ))}
-        </ul>
+        <p class="message bad">{plural(now.reasons.length, "fault")}: the list is at the top of the page.</p>
       )}
       <dl class="pairs">
         <dt>model</dt>
@@ -50,7 +42,7 @@ export function Health() {
           {count(now.outbox.waiting)} waiting, {count(now.outbox.lost)} lost;{" "}
           {now.outbox.durable ? "kept on disk" : "in memory only"}
         </dd>
-        <dt>frames not processed</dt>
+        <dt>dropped frames</dt>
         <dd>
           {dropped.length
             ? dropped.map(([kind, number]) => `${count(number)} ${DROPPED[kind] ?? kind}`).join(", ")

@@ -133,8 +133,7 @@ export function KnobPanel() {
             At {small(value)}, <b>≈ {percent(estimated(estimates.values, value), 0)}</b> of the last {duration(estimates.duration_s)} would
             have skipped the detector{" "}
             <span class="quiet">
-              (it was {percent(estimates.skip_rate, 0)}). <Quality quality="estimated" /> Other frames would have been matched, so
-              objects would have been followed differently.
+              (it was {percent(estimates.skip_rate, 0)}). <Quality quality="estimated" /> Tracking would have gone differently, too.
             </span>
           </p>
         )}
@@ -182,7 +181,7 @@ export function KnobPanel() {
         )}
         {paper.length > 0 && (
           <p class="row marks">
-            <span class="quiet">measured in the paper:</span>
+            <span class="quiet">in the paper:</span>
             {paper.map((mark) => (
               <button key={mark} type="button" class="plain" onClick={() => change(typed(mark))}>
                 {small(mark, 1)}
@@ -194,12 +193,12 @@ export function KnobPanel() {
           {forbidden ?? said?.text ?? ""}
         </p>
         <p id="knob-range" class="message quiet">
-          From {small(about.minimum)} to {small(about.maximum)}; without configuration {small(about.default)}.{" "}
+          Range {small(about.minimum)} to {small(about.maximum)}, default {small(about.default)}.{" "}
           {camera?.u_as_published &&
-            `The published code would want ${small(camera.u_as_published, 3)} at ${camera.width}x${camera.height}. `}
+            `Equivalent in the published code at ${camera.width}x${camera.height}: ${small(camera.u_as_published, 3)}. `}
           {thresholds.value?.survives_restart
-            ? "A change survives a restart of the node."
-            : "A change is forgotten when the node restarts: it has no state_dir."}
+            ? "A change survives a restart."
+            : "A change is lost at a restart: no state_dir is set."}
         </p>
       </form>
     </Section>

@@ -9,7 +9,7 @@ import { Audit } from "./audit";
 import { Tiles } from "./cameras";
 import { DetectorTime, Power, Rates, Uncertainty } from "./charts";
 import { Clips } from "./clips";
-import { Header, Headline } from "./header";
+import { Header, Headline, Saving } from "./header";
 import { Health } from "./health";
 import { KnobPanel } from "./knob";
 import { Log } from "./log";
@@ -45,22 +45,23 @@ function Page() {
       {open && (
         <main>
           <Headline />
-          <Tiles />
           <div class="stack">
             <Picture />
-            <Uncertainty />
-          </div>
-          <div class="stack">
-            <States />
-            <KnobPanel />
             <TargetPanel />
           </div>
+          <div class="stack">
+            <Saving />
+            <KnobPanel />
+          </div>
+          {cameras.value.length > 1 && <Tiles />}
           <Ribbon />
           <div class="stack">
+            <States />
+            <Uncertainty />
             <Rates />
-            <Health />
           </div>
           <div class="stack">
+            <Health />
             <Power />
             <DetectorTime />
           </div>

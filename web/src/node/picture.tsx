@@ -4,8 +4,9 @@ import { useEffect, useRef, useState } from "preact/hooks";
 import { pause, Refused } from "../shared/api";
 import { percent } from "../shared/format";
 import { Section } from "../shared/parts";
+import { Help, OnlyCamera } from "./cameras";
 import { describe, type Seen } from "./frames";
-import { counters, frameListeners, log, opened, picture, pointed, tick } from "./store";
+import { cameras, counters, frameListeners, log, opened, picture, pointed, tick } from "./store";
 import type { BoxSource } from "./types";
 
 const LINES: Record<BoxSource, { colour: string; dash: number[] }> = {
@@ -117,6 +118,7 @@ export function Picture() {
     pointed.value = pointed.value === undefined ? shown.current?.seq : undefined;
   };
   const held = pointed.value !== undefined;
+  const entry = cameras.value.find((entry) => entry.camera === camera);
   void tick.value;
 
   return (
@@ -125,6 +127,7 @@ export function Picture() {
       title={camera ? `Camera ${camera}` : "Picture"}
       aside={
         <div class="row controls" role="group" aria-label="Frames">
+          <OnlyCamera />
           <button type="button" class="plain" onClick={() => step(-1)} aria-label="One frame back">
             ◀
           </button>
@@ -141,6 +144,7 @@ export function Picture() {
       <p class="under-picture" id="picture-note">
         {note}
       </p>
+      {entry && <Help camera={entry} />}
       <ul class="legend">
         <li>
           <i class="line detected" /> detected in this frame

@@ -6,11 +6,14 @@ import { CAUSES, STATES } from "./frames";
 import type { CallCause } from "./types";
 import { counters, opened, rates, tick } from "./store";
 
+const DEGRADED = { state: "–", name: "degraded", meaning: "predicted, because the detector it needed was not available", colour: "block degraded" } as const;
+
 export function States() {
   void tick.value;
   const message = counters.value.get(opened.value ?? "");
   const lately = rates(opened.value ?? "", 60);
   const total = message?.frames ?? 0;
+  const degraded = message?.degraded_frames ?? 0;
   return (
     <Section
       id="states"
@@ -23,15 +26,16 @@ export function States() {
       }
     >
       <div class="bars">
-        {STATES.map(({ state, name, meaning, colour }) => {
-          const number = message?.states[state] ?? 0;
+        {[...STATES, ...(degraded ? [DEGRADED] : [])].map(({ state, name, meaning, colour }) => {
+          // A degraded frame is a predicted one that should have had the detector.
+          const number = state === "–" ? degraded : (message?.states[state] ?? 0) - (state === "P" ? degraded : 0);
           const share = total ? number / total : 0;
           return (
             <div class="bar" key={state} title={meaning}>
               <b>{state}</b>
               <span class="bar-name">{name}</span>
               <span class="track" aria-hidden="true">
-                <span class={`fill ${colour.slice(2)}`} style={{ width: `${(100 * share).toFixed(1)}%` }} />
+                <span class={`fill ${colour.replace("--", "")}`} style={{ width: `${(100 * share).toFixed(1)}%` }} />
               </span>
               <span class="number">
                 {count(number)} · {percent(share)}

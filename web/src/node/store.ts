@@ -145,10 +145,10 @@ async function lookAtAll(): Promise<void> {
 /** What the node's power was before this page was opened. */
 async function lookAtPower(): Promise<void> {
   const { slots, slot_s } = await json<PowerHistory>("/api/v1/power");
-  const began = power[0]?.at ?? Infinity;
+  const began = power[0]?.at ?? Date.now() / 1000;
   const before = slots
     .map((slot) => ({ at: slot.at_ms / 1000 + slot_s / 2, watts: slot.watts }))
-    .filter((sample) => sample.at < began);
+    .filter((sample) => sample.at + slot_s / 2 <= began);
   power.unshift(...before);
   dirty = true;
 }

@@ -33,7 +33,7 @@ export function TargetPanel() {
   const submit = (event: Event) => {
     event.preventDefault();
     const value = parsed(text);
-    if (value === undefined) setSaid(`“${text}” is no number`);
+    if (value === undefined) setSaid(`“${text}” is not a number`);
     else void set({ [name]: value });
   };
   const held = nameAndValue(report.target);
@@ -45,16 +45,16 @@ export function TargetPanel() {
     <Section
       id="target"
       title="Target"
-      aside={<span id="target-why">{held ? (report.why ?? "begins") : (report.off ?? "none: the number stands")}</span>}
+      aside={<span id="target-why">{held ? (report.why ?? "starting") : (report.off ?? `none: ${knob.value!.name} stays as set`)}</span>}
     >
       <form onSubmit={submit}>
         {held && (
           <p class="message" id="target-state">
             {about?.words ?? held[0]} <b>{small(held[1])}</b> {about?.unit}, now{" "}
-            <b id="target-actual">{small(state?.actual)}</b>; the knob stands at <b>{small(state?.knob)}</b> of {small(report.range?.least)} to{" "}
+            <b id="target-actual">{small(state?.actual)}</b>; {knob.value!.name} is <b>{small(state?.knob)}</b>, allowed {small(report.range?.least)} to{" "}
             {small(report.range?.most)}.
-            {state && state.unmet > 0 && ` It could not be met for ${duration(state.unmet_s)} in all.`}
-            {state?.boxes !== undefined && state?.boxes !== null && ` It rests on ${state.boxes} boxes.`}
+            {state && state.unmet > 0 && ` Not met for ${duration(state.unmet_s)} in total.`}
+            {state?.boxes !== undefined && state?.boxes !== null && ` Based on ${state.boxes} boxes.`}
           </p>
         )}
         <div class="row">
@@ -92,7 +92,7 @@ export function TargetPanel() {
         <p id="target-message" class="message bad" role="alert">
           {forbidden ?? said ?? ""}
         </p>
-        <p class="message quiet">A controller moves the knob of all cameras together, inside its range. Setting the knob by hand switches it off.</p>
+        <p class="message quiet">A controller sets {knob.value!.name} for all cameras together. Setting it by hand turns the target off.</p>
       </form>
     </Section>
   );

@@ -1,7 +1,7 @@
 // A node's page.
 
 import { join } from "node:path";
-import { ROOT, accessible, answers, assert, fits, folder, freePort, open, quiet, start, stop, test, until } from "./harness.mjs";
+import { ROOT, accessible, answers, assert, file, fits, folder, freePort, open, quiet, start, stop, test, until } from "./harness.mjs";
 
 const frameNumber = async (page) => Number((await page.textContent("#picture-note")).match(/frame (\d+)/)?.[1]);
 const pixels = (page) =>
@@ -28,7 +28,7 @@ export async function nodeTests(browser) {
     const [first, before] = [await frameNumber(page), await pixels(page)];
     await until("later frames", async () => (await frameNumber(page)) > first + 3);
     await until("another picture", async () => (await pixels(page)) !== before);
-    await until("the share of avoided calls", async () => /\d\s?%/.test(await page.textContent(".headline .big")));
+    await until("the share of avoided calls", async () => /\d\s?%/.test(await page.textContent("#saving .big")));
     // Looking at the pixels is this test's doing.
     quiet(page, /willReadFrequently/);
   });
@@ -97,7 +97,7 @@ export async function nodeTests(browser) {
 
   await test("a change of u by keyboard alone shows in threshold, states and ribbon", async () => {
     const before = (await (await fetch(`${address}/api/v1/frame-states`)).json()).states;
-    await page.locator("#cameras button").first().focus();
+    await page.locator("#picture button").first().focus();
     for (let tabs = 0; tabs < 20; tabs += 1) {
       if (await page.evaluate(() => document.activeElement?.id === "u")) break;
       await page.keyboard.press("Tab");
@@ -187,16 +187,39 @@ async function cameraTests(browser) {
   });
 
   await test("a camera that was never seen shows the key to publish on", async () => {
-    const tile = page.locator(".tile").first();
+    const tile = page.locator("#picture");
     await tile.getByText("never seen").waitFor();
     assert((await tile.textContent()).includes("albireo/node/front/frame"), await tile.textContent());
     await accessible(page, "never seen");
     quiet(page);
   });
 
+  await test("many faults are one line that opens, and every camera has a tile", async () => {
+    const cameras = ["gate", "gone"].map((name) => `[[camera]]\nname = "${name}"\nsource = "rtsp://127.0.0.1:1/${name}"\n`);
+    const others = ["a", "b", "c", "d", "e"].map((name) => `[[camera]]\nname = "${name}"\n`);
+    const [port, zenoh] = [await freePort(), await freePort()];
+    const config = file("seven.toml", `[http]\nlisten = "127.0.0.1:${port}"\n[zenoh]\nlisten = ["tcp/127.0.0.1:${zenoh}"]\n${[...cameras, ...others].join("")}`);
+    const seven = start(["node", "--config", config]);
+    await answers(`http://127.0.0.1:${port}/healthz`, seven);
+    const phone = await open(browser, `http://127.0.0.1:${port}`, { width: 390, height: 844, scheme: "dark" });
+    const faults = phone.locator(".faults");
+    await faults.locator("summary").getByText(/faults?: .*gate/).waitFor();
+    assert((await faults.locator("summary").boundingBox()).height < 60, "the faults are a wall");
+    await faults.locator("summary").click();
+    await faults.getByText(/127\.0\.0\.1:1/).first().waitFor();
+    assert((await phone.locator(".tile").count()) === 7, "not seven tiles");
+    const below = await phone.evaluate(() => document.querySelector("#knob").getBoundingClientRect().top < document.querySelector("#uncertainty").getBoundingClientRect().top);
+    assert(below, "the threshold comes after the charts");
+    await fits(phone);
+    await accessible(phone, "seven cameras, 390, dark");
+    quiet(phone);
+    await phone.context().close();
+    await stop(seven);
+  });
+
   await test("a camera that stops is stale within five seconds", async () => {
     const camera = start(["replay", "demo", "--loop", "--rate", "5", "--connect", `tcp/127.0.0.1:${zenoh}`]);
-    const tile = page.locator(".tile").first();
+    const tile = page.locator("#picture");
     await tile.getByText("live", { exact: true }).waitFor();
     await until("a few frames", async () => (await frameNumber(page)) > 8);
     await stop(camera, "SIGKILL");
@@ -221,12 +244,12 @@ async function cameraTests(browser) {
     await broken.keyboard.press("Enter");
     const state = broken.getByRole("status").first().locator(".pill.bad");
     await state.waitFor();
-    await broken.locator("#health").getByText("detector", { exact: true }).first().waitFor();
+    await broken.locator(".faults summary").getByText(/detector/).waitFor();
     await until("frames answered without the detector, or none at all", async () => {
       const states = await (await fetch(`${address}/api/v1/frame-states`, { headers: { Authorization: "Bearer a-token-for-the-tests" } })).json();
       return states.frames === 0 ? states.uptime_s > 10 : states.degraded_frames > 3 && states.skip_rate < 0.5;
     });
-    const headline = await broken.textContent(".headline .big");
+    const headline = await broken.textContent("#saving .big");
     assert(!headline.startsWith("100"), headline);
     quiet(broken);
     await stop(camera, "SIGKILL");
