@@ -18,6 +18,7 @@ const { frameAt, placeOf } = await import("../src/node/ribbon");
 const { estimated, fromSlider, toSlider, usefulRange } = await import("../src/node/knob");
 const { graver } = await import("../src/node/log");
 const { cameraState } = await import("../src/node/cameras");
+const { afterReturn } = await import("../src/hub/rollouts");
 const { withGaps } = await import("../src/node/charts");
 const { headline } = await import("../src/node/header");
 const { href, parseRoute } = await import("../src/hub/route");
@@ -247,4 +248,9 @@ describe("the headline of a node's page", () => {
 
 test("a chart's line ends where no frame came for long", () => {
   expect(withGaps([{ at: 1, seq: 1 }, { at: 2, seq: 2 }, { at: 40, seq: 3 }])).toEqual([{ at: 1, seq: 1 }, { at: 2, seq: 2 }, { at: 3 }, { at: 40, seq: 3 }]);
+});
+
+test("after a return no node is said to have the new value", () => {
+  expect(afterReturn({ applied: 2, refused: 1 })).toEqual({ returned: 2, refused: 1 });
+  expect(afterReturn({ untouched: 3 })).toEqual({ untouched: 3 });
 });

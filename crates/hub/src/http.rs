@@ -8,6 +8,7 @@ mod diag;
 mod energy;
 mod events;
 mod health;
+mod index;
 mod live;
 mod metrics;
 mod node_list;
@@ -25,13 +26,13 @@ use crate::readiness::Readiness;
 use crate::store::{EnergyBy, Store, StoreError, StoredEvent};
 use crate::tuning::Tuner;
 use crate::tuning::rollout::Command;
-use albireo_service::http::{self, Page, Problem};
+use albireo_service::http::{self, Page, Problem, Route};
 use albireo_wire::CountersMessage;
-use axum::Router;
 use axum::extract::Query;
 use axum::extract::rejection::QueryRejection;
 use axum::http::StatusCode;
 use axum::routing::get;
+use axum::{Extension, Router};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 use tokio::sync::Semaphore;
@@ -218,6 +219,7 @@ fn described() -> OpenApiRouter<HubView> {
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
         .routes(routes!(http::caller))
+        .routes(routes!(index::index))
         .routes(routes!(metrics::text))
         .routes(routes!(node_list::list))
         .routes(routes!(nodes::one, nodes::forget))
@@ -250,6 +252,7 @@ pub fn openapi() -> OpenApi {
 /// All routes, with their description.
 pub fn router(view: HubView) -> Router {
     let (router, openapi) = described().split_for_parts();
+    let routes: Arc<[Route]> = http::routes(&openapi).into();
     let openapi = Arc::new(openapi);
     Page::Hub
         .serve_on(router)
@@ -257,5 +260,6 @@ pub fn router(view: HubView) -> Router {
             "/openapi.json",
             get(move || async move { axum::Json(Arc::unwrap_or_clone(openapi)) }),
         )
+        .layer(Extension(routes))
         .with_state(view)
 }

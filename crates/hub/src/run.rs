@@ -294,6 +294,10 @@ async fn remembered(config: &HubConfig) -> Result<(Store, Vec<Remembered>, UsedT
         let used = Used {
             uj: (group.joules * 1e6).round() as i64,
             estimated: group.quality == "estimated",
+            frames: u64::try_from(group.frames).unwrap_or(0),
+            skipped: u64::try_from(group.avoided_calls).unwrap_or(0),
+            detected: group.audit_counts.sums.detected,
+            paired: group.audit_counts.sums.paired,
         };
         (group.group, since_s * 1000, used)
     });

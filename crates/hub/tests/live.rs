@@ -127,6 +127,7 @@ async fn nodes_are_sorted_by_what_they_used_today_also_after_a_restart() {
         }
         deliver(&node, &one).await;
     }
+    let mut shown = Vec::new();
     for restarted in [false, true] {
         if restarted {
             hub.stop().await;
@@ -145,6 +146,9 @@ async fn nodes_are_sorted_by_what_they_used_today_also_after_a_restart() {
         assert_eq!(names(&rows), ["car-1", "car-3", "car-2"]);
         let today = &page["nodes"][0]["today"];
         assert_eq!(today["estimated_joules"], 0.0);
+        let skipped = today["skip_rate"].as_f64().unwrap();
+        assert!((0.0..=1.0).contains(&skipped), "{today}");
+        shown.push((today["skip_rate"].clone(), today["recall"].clone()));
         assert!(
             (today["measured_joules"].as_f64().unwrap() - 101.1).abs() < 1e-3,
             "{today}"
@@ -155,6 +159,25 @@ async fn nodes_are_sorted_by_what_they_used_today_also_after_a_restart() {
                 .unwrap()
                 > 100.0
         );
+    }
+    // The restarted hub reads the same from its database.
+    assert_eq!(shown[0], shown[1]);
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_index_lists_every_route_of_the_description() {
+    let folder = tempfile::tempdir().unwrap();
+    let hub = Hub::start(config(&sqlite(folder.path()))).await;
+    let index = hub.get("/api/v1").await;
+    let routes = index["routes"].as_array().unwrap();
+    let described = hub.get("/openapi.json").await;
+    for (path, methods) in described["paths"].as_object().unwrap() {
+        for method in methods.as_object().unwrap().keys() {
+            let of =
+                |route: &Value| route["path"] == *path && route["method"] == *method.to_uppercase();
+            assert!(routes.iter().any(of), "{method} {path}");
+        }
     }
     hub.stop().await;
 }

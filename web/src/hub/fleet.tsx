@@ -3,7 +3,7 @@
 import { signal } from "@preact/signals";
 import type { JSX } from "preact";
 import { useEffect, useMemo, useRef, useState } from "preact/hooks";
-import { ago, count, dateTime, joules, plural, small } from "../shared/format";
+import { ago, count, dateTime, joules, percent, plural, small } from "../shared/format";
 import { Section } from "../shared/parts";
 import { nameAndValue } from "../shared/target";
 import { Fault, Presence } from "./parts";
@@ -33,6 +33,8 @@ const COLUMNS: { id: string; head: string; sort?: string; class: string }[] = [
   { id: "why", head: "since, why", sort: "since", class: "c-why" },
   { id: "heard", head: "heard", sort: "heard", class: "c-heard" },
   { id: "knob", head: "threshold", class: "c-knob" },
+  { id: "skip", head: "skipped today", class: "c-skip" },
+  { id: "recall", head: "recall", class: "c-recall" },
   { id: "provider", head: "runs on", class: "c-provider" },
   { id: "joules", head: "energy today", sort: "joules", class: "c-joules" },
   { id: "waiting", head: "waiting", sort: "waiting", class: "c-waiting" },
@@ -111,7 +113,7 @@ export function Fleet() {
         id="fleet"
         title="Nodes"
         wide
-        aside={<span class="quiet" role="status">{plural(rows.total, "node")}{filter.state || filter.search || filter.select ? " of this selection" : ""}</span>}
+        aside={<span class="quiet" role="status">{plural(rows.total, "node")}{filter.state || filter.search || filter.select ? " match" : ""}</span>}
       >
         <Filters filter={filter} />
         <Fault text={rows.fault} />
@@ -145,6 +147,7 @@ export function Fleet() {
             role="rowgroup"
             tabIndex={0}
             ref={scroller}
+            style={{ height: `min(60vh, 40rem, ${Math.max(3, rows.total) * HEIGHT + 2}px)` }}
             onScroll={(event) => setTop(Math.floor(event.currentTarget.scrollTop / HEIGHT))}
           >
             <div role="presentation" style={{ height: `${Math.max(1, rows.total) * HEIGHT}px` }}>
@@ -152,7 +155,7 @@ export function Fleet() {
             </div>
           </div>
         </div>
-        {rows.total === 0 && !rows.fault && <p class="message quiet">No node is of this selection.</p>}
+        {rows.total === 0 && !rows.fault && <p class="message quiet">No node matches.</p>}
         <Picker filter={filter} total={rows.total} />
       </Section>
       <Tune />
@@ -211,6 +214,12 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
       </span>
       <span role="cell" class="c-knob" title={held && `now ${value}`}>
         {held ? `hold ${held[0]} = ${small(held[1])}` : value}
+      </span>
+      <span role="cell" class="c-skip">
+        {percent(node.today.skip_rate)}
+      </span>
+      <span role="cell" class="c-recall" title="Share of the detector's boxes on audited skipped frames of today that had been shown">
+        {percent(node.today.recall)}
       </span>
       <span role="cell" class="c-provider">
         {node.status?.provider ?? "–"}
@@ -273,12 +282,16 @@ function Filters({ filter }: { filter: Filter }) {
           onChange={(event) => refine({ select: event.currentTarget.value.trim() || undefined })}
         />
       </label>
-      <div class="row" role="group" aria-label="States">
-        {states.map((state) => (
-          <button key={state} type="button" class="plain" aria-pressed={chosen.has(state)} onClick={() => toggle(state)}>
-            {state}
-          </button>
-        ))}
+      <div class="field" role="group" aria-label="States">
+        <span>only nodes that are</span>
+        <div class="row">
+          {states.map((state) => (
+            <button key={state} type="button" class="plain chip" aria-pressed={chosen.has(state)} onClick={() => toggle(state)}>
+              <span aria-hidden="true">{chosen.has(state) ? "✓ " : ""}</span>
+              {state}
+            </button>
+          ))}
+        </div>
       </div>
     </form>
   );

@@ -18,9 +18,10 @@ export function Presence({ state }: { state: PresenceState }) {
 }
 
 /** Numbers of nodes by outcome, in the order of interest. */
-const OUTCOMES = ["refused", "timed_out", "missed", "waiting", "pending", "superseded", "would_change", "applied", "unchanged", "untouched"];
+const OUTCOMES = ["refused", "timed_out", "missed", "waiting", "pending", "superseded", "returned", "would_change", "applied", "unchanged", "untouched"];
 const OUTCOME_WORDS: Record<string, string> = {
   applied: "in force",
+  returned: "old value again",
   unchanged: "had it already",
   would_change: "would change",
   refused: "refused",

@@ -12,17 +12,17 @@ import type { GateResult, RolloutView } from "./types";
 const PHASES: Record<string, { words: string; mood: Mood }> = {
   applying: { words: "nodes are getting the value", mood: "wait" },
   soaking: { words: "measuring", mood: "wait" },
-  held: { words: "held: somebody has to decide", mood: "bad" },
-  finishing: { words: "passed; nodes out of reach are awaited", mood: "good" },
+  held: { words: "held, waiting for a decision", mood: "bad" },
+  finishing: { words: "passed; waiting for nodes out of reach", mood: "good" },
   returning: { words: "old values are returning", mood: "bad" },
   done: { words: "done", mood: "good" },
   returned: { words: "returned to the old values", mood: "bad" },
-  stopped: { words: "stopped by hand, values as they were", mood: "none" },
+  stopped: { words: "stopped; nodes keep their values", mood: "none" },
 };
 
 function Phase({ rollout }: { rollout: RolloutView }) {
   const phase = PHASES[rollout.phase] ?? { words: rollout.phase, mood: "none" as Mood };
-  const reason = "reason" in rollout && typeof rollout.reason === "string" ? rollout.reason : "";
+  const reason = "reason" in rollout && typeof rollout.reason === "string" ? rollout.reason : (rollout.why_returned ?? "");
   return (
     <>
       <Pill mood={phase.mood}>{phase.words}</Pill>
@@ -32,13 +32,21 @@ function Phase({ rollout }: { rollout: RolloutView }) {
   );
 }
 
-/** One bar a stage: how far its nodes are. */
+/** Outcomes of a stage after the old values were returned. */
+export function afterReturn(counts: Record<string, number>): Record<string, number> {
+  const { applied, ...rest } = counts;
+  return applied ? { ...rest, returned: applied } : rest;
+}
+
+/** One bar per stage: how far its nodes are. */
 function Stages({ rollout }: { rollout: RolloutView }) {
-  const over = ["done", "finishing"].includes(rollout.phase);
+  // Nodes that got the value have the old one again.
+  const returned = rollout.phase === "returned";
+  const over = returned || ["done", "finishing"].includes(rollout.phase);
   return (
     <ol class="stages">
       {rollout.stages.map((stage, index) => {
-        const share = stage.nodes ? (stage.counts.applied ?? 0) / stage.nodes : 0;
+        const share = stage.nodes && !returned ? (stage.counts.applied ?? 0) / stage.nodes : 0;
         const now = index + 1 === rollout.stage && !over;
         return (
           <li key={index} class={now ? "now" : ""} aria-current={now ? "step" : undefined}>
@@ -49,7 +57,7 @@ function Stages({ rollout }: { rollout: RolloutView }) {
               <span class="fill state-p" style={{ width: percent(share, 0).replace(/\s/g, "") }} />
             </span>
             <span class="stage-counts">
-              <Outcomes counts={stage.counts} />
+              <Outcomes counts={returned ? afterReturn(stage.counts) : stage.counts} />
             </span>
           </li>
         );
@@ -120,11 +128,11 @@ export function plainFigure(value: number | null | undefined): string {
 }
 
 const COMMANDS: { command: string; words: string; in: string[]; danger?: boolean }[] = [
-  { command: "pause", words: "Hold", in: ["applying", "soaking"] },
-  { command: "resume", words: "Go on", in: [] },
+  { command: "pause", words: "Pause", in: ["applying", "soaking"] },
+  { command: "resume", words: "Resume", in: [] },
   { command: "next", words: "Next stage now", in: ["applying", "soaking", "held"] },
   { command: "return", words: "Return the old values", in: ["applying", "soaking", "held", "finishing", "done", "stopped"], danger: true },
-  { command: "stop", words: "Stop, values as they are", in: ["applying", "soaking", "held", "finishing", "returning"], danger: true },
+  { command: "stop", words: "Stop, keep the values", in: ["applying", "soaking", "held", "finishing", "returning"], danger: true },
 ];
 
 export function Rollout({ id }: { id: string }) {
@@ -169,7 +177,7 @@ export function Rollout({ id }: { id: string }) {
           <Fault text={fault} />
           <h3>Gates{judged ? `, as judged ${dateTime(judged.at_ms)} in stage ${judged.stage}` : ""}</h3>
           {judged?.gates ? <Gates gates={judged.gates} /> : <p class="message quiet">Not judged yet: {rollout.plan.gates?.join(", ")}</p>}
-          <h3>Nodes that do not have the value</h3>
+          <h3>{rollout.phase === "returned" ? "Nodes that did not take part" : "Nodes without the value"}</h3>
           {others.length === 0 ? (
             <p class="message quiet">None of those that were asked.</p>
           ) : (

@@ -5,7 +5,7 @@ import { send } from "../shared/api";
 import { count, dateTime, duration, parsed, percent, small } from "../shared/format";
 import { Pill, Section, whyNot, type Mood } from "../shared/parts";
 import { Fault, Field, IntervalBar, Setting, Outcomes, useLoaded } from "./parts";
-import { figureWords, plainFigure, signed, signedPercent } from "./rollouts";
+import { afterReturn, figureWords, plainFigure, signed, signedPercent } from "./rollouts";
 import { href } from "./route";
 import { terms } from "./tune";
 import type { TrialView } from "./types";
@@ -20,6 +20,11 @@ const PHASES: Record<string, { words: string; mood: Mood }> = {
 function Phase({ trial }: { trial: TrialView }) {
   const phase = PHASES[trial.phase] ?? { words: trial.phase, mood: "none" as Mood };
   return <Pill mood={phase.mood}>{phase.words}</Pill>;
+}
+
+/** A trial that is over has given every node its old value back. */
+function counts(trial: TrialView): Record<string, number> {
+  return trial.phase === "done" ? afterReturn(trial.counts) : trial.counts;
 }
 
 /** Whether a difference of it is a share of what it was. */
@@ -55,7 +60,7 @@ export function Trial({ id }: { id: string }) {
             {trial.plan.why ? `: ${trial.plan.why}` : ""}
           </p>
           <p class="message">
-            <Phase trial={trial} /> <Outcomes counts={trial.counts} />
+            <Phase trial={trial} /> <Outcomes counts={counts(trial)} />
             {trial.ended_by ? ` · ended early by ${trial.ended_by}` : ""}
           </p>
           {["applying", "running"].includes(trial.phase) && (
@@ -121,7 +126,7 @@ export function Trials() {
           <article class="card" key={trial.id}>
             <p class="message">
               <a href={href(["trials", String(trial.id)])}><b>Trial {trial.id}</b></a> <Values trial={trial} /> on {trial.plan.select?.join(", ")} ·{" "}
-              {dateTime(trial.begun_ms)} by {trial.who} <Phase trial={trial} /> <Outcomes counts={trial.counts} />
+              {dateTime(trial.begun_ms)} by {trial.who} <Phase trial={trial} /> <Outcomes counts={counts(trial)} />
             </p>
           </article>
         ))}

@@ -166,6 +166,11 @@ token = "a-token-that-may-look"
     await accessible(page, "a rollout");
     await page.getByRole("button", { name: "Return the old values" }).click();
     await page.getByText("returned to the old values").waitFor();
+    await page.locator(".stages").getByText("old value again").waitFor();
+    await page.goto(`${address}/#/rollouts`);
+    const card = page.locator(".card").first();
+    await card.getByText("returned to the old values").waitFor();
+    assert(!/in force/.test(await card.textContent()), "a returned value is said to be in force");
     quiet(page);
   });
 

@@ -6,7 +6,7 @@ use super::order::of_store;
 use crate::store::CampaignRow;
 use crate::tuning::campaigns::{Campaign, CampaignError, LeftOut, counts};
 use crate::tuning::members::Member;
-use crate::tuning::rollout::{Command, Entry, Phase, Rollout, RolloutPlan, RolloutRequest};
+use crate::tuning::rollout::{Command, Entry, Phase, Rollout, RolloutPlan, RolloutRequest, What};
 use crate::tuning::trial::{Trial, TrialPhase, TrialPlan, TrialResult};
 use albireo_service::http::{Caller, Problem};
 use albireo_wire::Threshold;
@@ -72,6 +72,9 @@ pub(super) struct RolloutView {
     /// Where it is.
     #[serde(flatten)]
     phase: Phase,
+    /// Why the old values were returned; absent where they were not.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    why_returned: Option<String>,
     /// Whether it is paused.
     paused: bool,
     /// The stage it is in, from 1.
@@ -159,11 +162,17 @@ impl RolloutView {
                 counts: counts(&members),
             }
         };
+        let returned = (rollout.record.iter().rev()).find(|entry| entry.what == What::Returning);
+        let why_returned = match rollout.phase {
+            Phase::Returned => returned.map(|entry| entry.text.clone()),
+            _ => None,
+        };
         Self {
             id: row.id,
             who: row.who,
             begun_ms: row.begun_ms,
             ended_ms: row.ended_ms,
+            why_returned,
             to: rollout.knob,
             paused: rollout.paused_ms.is_some(),
             stage: rollout.stage + 1,

@@ -158,7 +158,7 @@ pub(crate) struct Committed {
     pub(crate) audit: Audited,
     /// Energy of the clips written that have a figure, microjoules.
     pub(crate) energy_uj: u64,
-    /// Energy of the clips written, each with its node's place among the batches and the time it is filed under.
+    /// What the clips written used and saved, each with its node's place among the batches and the time it is filed under.
     pub(crate) used: Vec<(usize, i64, Used)>,
 }
 
@@ -186,10 +186,15 @@ impl Committed {
         self.audit.shown += of(clip.audit_shown);
         self.audit.paired += of(clip.audit_paired);
         self.energy_uj += of(clip.energy_uj);
-        if let Some(uj) = clip.energy_uj {
-            let estimated = clip.quality == super::clip::quality_code(EnergyQuality::Estimated);
-            self.used.push((place, clip.at_ms, Used { uj, estimated }));
-        }
+        let used = Used {
+            uj: clip.energy_uj.unwrap_or(0),
+            estimated: clip.quality == super::clip::quality_code(EnergyQuality::Estimated),
+            frames: number(clip.frames),
+            skipped: number(clip.frames_e + clip.frames_p - clip.degraded),
+            detected: of(clip.audit_detected),
+            paired: of(clip.audit_paired),
+        };
+        self.used.push((place, clip.at_ms, used));
     }
 }
 

@@ -39,7 +39,7 @@ pub struct NodeView {
     pub waiting: u64,
     /// Revision of the desired value in force.
     pub revision: u64,
-    /// Energy of its clips of today (UTC).
+    /// What its clips of today (UTC) used and saved.
     pub today: TodaysEnergy,
     /// The last full status.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -238,7 +238,7 @@ impl Fleet {
             .or_insert_with(|| Entry::new(now_ms));
     }
 
-    /// Adds the energy of a clip filed under `at_ms`, to what its node used that day.
+    /// Adds a clip filed under `at_ms` to what its node used and saved that day.
     pub(crate) fn used(&self, node: &str, at_ms: i64, used: Used) {
         let mut nodes = self.nodes.write();
         if let Some(entry) = nodes.get_mut(node) {

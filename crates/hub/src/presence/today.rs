@@ -1,4 +1,4 @@
-//! What a node used today, in memory, so that a fleet can be sorted by it.
+//! What a node's clips of today used and saved, in memory, so that a fleet can be sorted by it.
 
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -17,18 +17,28 @@ pub struct TodaysEnergy {
     pub measured_joules: f64,
     /// Joules computed from utilisation.
     pub estimated_joules: f64,
+    /// Share of the frames that skipped the detector, 0 to 1; absent without a frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub skip_rate: Option<f64>,
+    /// Share of the detector's boxes on audited skipped frames that had been shown, 0 to 1; absent without such a box.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recall: Option<f64>,
 }
 
-/// The sums of one day, in whole microjoules.
+/// The sums of one day, energy in whole microjoules.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Today {
     day: i64,
     measured_uj: i64,
     estimated_uj: i64,
+    frames: u64,
+    skipped: u64,
+    detected: u64,
+    paired: u64,
 }
 
 impl Today {
-    /// Adds the energy of a clip filed under `day`; a day before the newest one is over.
+    /// Adds a clip filed under `day`; a day before the newest one is over.
     pub(super) fn add(&mut self, day: i64, used: Used) {
         if day > self.day {
             *self = Self {
@@ -42,21 +52,24 @@ impl Today {
                 false => &mut self.measured_uj,
             };
             *sum = sum.saturating_add(used.uj);
+            self.frames = self.frames.saturating_add(used.frames);
+            self.skipped = self.skipped.saturating_add(used.skipped);
+            self.detected = self.detected.saturating_add(used.detected);
+            self.paired = self.paired.saturating_add(used.paired);
         }
     }
 
     /// The sums, if they are of `day`.
     pub(super) fn energy(&self, day: i64) -> TodaysEnergy {
-        let of_day = |uj: i64| {
-            if self.day == day {
-                uj as f64 / 1e6
-            } else {
-                0.0
-            }
-        };
+        if self.day != day {
+            return TodaysEnergy::default();
+        }
+        let share = |part: u64, whole: u64| (whole > 0).then(|| part as f64 / whole as f64);
         TodaysEnergy {
-            measured_joules: of_day(self.measured_uj),
-            estimated_joules: of_day(self.estimated_uj),
+            measured_joules: self.measured_uj as f64 / 1e6,
+            estimated_joules: self.estimated_uj as f64 / 1e6,
+            skip_rate: share(self.skipped, self.frames),
+            recall: share(self.paired, self.detected),
         }
     }
 
@@ -69,13 +82,20 @@ impl Today {
     }
 }
 
-/// The energy of a clip.
-#[derive(Clone, Copy, Debug)]
+/// What a clip used and saved.
+#[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Used {
-    /// Microjoules.
+    /// Microjoules; 0 when not known.
     pub(crate) uj: i64,
     /// Computed and not read from a meter.
     pub(crate) estimated: bool,
+    pub(crate) frames: u64,
+    /// Frames that skipped the detector, degraded ones not among them.
+    pub(crate) skipped: u64,
+    /// Boxes of the detector on audited skipped frames.
+    pub(crate) detected: u64,
+    /// Those of them that had been shown.
+    pub(crate) paired: u64,
 }
 
 #[cfg(test)]
@@ -84,7 +104,14 @@ mod tests {
 
     #[test]
     fn a_day_ends_at_midnight_and_qualities_are_not_added() {
-        let used = |uj, estimated| Used { uj, estimated };
+        let used = |uj, estimated| Used {
+            uj,
+            estimated,
+            frames: 10,
+            skipped: 4,
+            detected: 0,
+            paired: 0,
+        };
         let mut today = Today::default();
         today.add(7, used(3_000_000, false));
         today.add(7, used(1_000_000, false));
@@ -96,6 +123,7 @@ mod tests {
             (energy.measured_joules, energy.estimated_joules),
             (4.0, 9.0)
         );
+        assert_eq!((energy.skip_rate, energy.recall), (Some(0.4), None));
         assert_eq!(today.key(7), 9_000_000);
         assert_eq!(
             (today.energy(8), today.key(8)),

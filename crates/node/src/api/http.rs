@@ -20,7 +20,7 @@ mod threshold;
 pub(crate) use health::provider;
 
 use crate::state::board::{Board, CameraBoard, FrameEvent, ThresholdEvent};
-use albireo_service::http::{self, Page, Problem};
+use albireo_service::http::{self, Page, Problem, Route};
 use albireo_vision::picture::FrameLimits;
 use albireo_wire::{
     ConfigChanged, CountersMessage, Desired, DetectionsMessage, FrameAnswer, FrameAttachment,
@@ -58,7 +58,7 @@ struct RouteState {
     streams: Arc<Semaphore>,
     shutdown: CancellationToken,
     /// For the index.
-    routes: Arc<[index::Route]>,
+    routes: Arc<[Route]>,
 }
 
 impl RouteState {
@@ -170,7 +170,7 @@ pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
         utoipa_swagger_ui::SwaggerUi::new("/docs")
             .config(utoipa_swagger_ui::Config::new(["/openapi.json"])),
     );
-    let routes = index::routes(&openapi).into();
+    let routes = http::routes(&openapi).into();
     let openapi = Arc::new(openapi);
     Page::Node
         .serve_on(router)

@@ -1,22 +1,11 @@
 //! The interface in one answer, for whoever finds it without a manual.
 
 use super::RouteState;
+use albireo_service::http::Route;
 use axum::Json;
 use axum::extract::State;
 use serde::Serialize;
 use utoipa::ToSchema;
-use utoipa::openapi::OpenApi;
-
-/// A route.
-#[derive(Clone, Debug, Serialize, ToSchema)]
-pub(super) struct Route {
-    /// `GET` or `PUT`.
-    method: &'static str,
-    /// Its path; `{camera}` stands for a camera's name.
-    path: String,
-    /// What it is for.
-    summary: String,
-}
 
 /// Who answers here, and what can be asked.
 #[derive(Serialize, ToSchema)]
@@ -33,23 +22,6 @@ pub(super) struct Index {
     openapi: &'static str,
     /// What can be asked.
     routes: Vec<Route>,
-}
-
-/// The routes that `document` describes, by path.
-pub(super) fn routes(document: &OpenApi) -> Vec<Route> {
-    let paths = document.paths.paths.iter();
-    paths
-        .flat_map(|(path, item)| {
-            let methods = [("GET", &item.get), ("PUT", &item.put)];
-            methods.into_iter().filter_map(move |(method, operation)| {
-                Some(Route {
-                    method,
-                    path: path.clone(),
-                    summary: operation.as_ref()?.summary.clone().unwrap_or_default(),
-                })
-            })
-        })
-        .collect()
 }
 
 /// Who answers here, and what can be asked

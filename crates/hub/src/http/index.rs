@@ -1,0 +1,33 @@
+//! The interface in one answer, for a reader without a manual.
+
+use albireo_service::http::Route;
+use axum::{Extension, Json};
+use serde::Serialize;
+use std::sync::Arc;
+use utoipa::ToSchema;
+
+/// Who answers here, and what can be asked.
+#[derive(Serialize, ToSchema)]
+pub(super) struct Index {
+    /// Always `hub`.
+    service: &'static str,
+    /// The program's version.
+    version: &'static str,
+    /// The interface described in full.
+    openapi: &'static str,
+    /// What can be asked.
+    routes: Vec<Route>,
+}
+
+/// Who answers here, and what can be asked
+///
+/// `curl http://127.0.0.1:8090/api/v1`
+#[utoipa::path(get, path = "/api/v1", tag = "health", responses((status = 200, body = Index)))]
+pub(super) async fn index(Extension(routes): Extension<Arc<[Route]>>) -> Json<Index> {
+    Json(Index {
+        service: "hub",
+        version: env!("CARGO_PKG_VERSION"),
+        openapi: "/openapi.json",
+        routes: routes.to_vec(),
+    })
+}
