@@ -286,8 +286,8 @@ async fn the_configurations_that_packages_and_the_compose_file_bring_can_be_used
     }
     #[cfg(feature = "hub")]
     {
-        says(&["hub", "--check", "--config", "deploy/debian/hub.toml"]).await;
-        says(&["hub", "--check", "--config", "deploy/docker/hub.toml"]).await;
+        says(&["check", "deploy/debian/hub.toml"]).await;
+        says(&["check", "deploy/docker/hub.toml"]).await;
         says(&[
             "router",
             "--check",

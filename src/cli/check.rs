@@ -1,4 +1,4 @@
-//! `albireo check`: says what is wrong with a configuration file.
+//! `albireo check`: lists what is wrong with the configuration file of a node or a hub.
 
 use super::block_on;
 use albireo_node::config::NodeConfig;
@@ -8,18 +8,24 @@ use anyhow::bail;
 use indicatif::ProgressBar;
 use std::path::PathBuf;
 use std::time::Duration;
+#[cfg(feature = "hub")]
+use {
+    albireo_hub::config::HubConfig,
+    albireo_service::config::{Configuration, load},
+};
 
 const EXAMPLES: &str = "\
-Looked at: every key and value, also of environment variables (ALBIREO_SECTION__KEY), and what this machine \
-needs for it: models, class names, token, certificates, ONNX Runtime and its providers, the state directory. \
-Ports that are taken now are told and no error: a running node has them. With --file-only this machine \
-is not looked at. With --online also what is named is tried: the model is run on its provider, each source opened until
-a picture comes, the router called, and a hub looked for behind it. A node may run meanwhile.
+The file is a node's or a hub's; its sections say which. Checked are every key and value, also those from environment
+variables (ALBIREO_SECTION__KEY), and for a node what it needs on this machine: models, class names, token, certificates,
+ONNX Runtime and its providers, the state directory. A port that is in use is a note, not an error: the node may be
+running. --file-only skips this machine. --online also tries what the file names: it runs the model on its provider, opens
+each source until a picture comes, calls the router and looks for a hub behind it.
 
 Exit code 0 when the configuration can be used (and everything tried works), 1 when not.
 
 Examples:
   albireo check config/node.toml
+  albireo check config/hub.toml
   albireo check --online /etc/albireo/node.toml
   albireo check --file-only config/node.toml
   ALBIREO_HTTP__LISTEN=0.0.0.0:8080 albireo check config/node.toml";
@@ -28,17 +34,21 @@ Examples:
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub(super) struct Arguments {
-    /// The node's configuration file.
+    /// Configuration file of a node or a hub.
     file: PathBuf,
-    /// Look at keys and values alone: for a file that is meant for another machine.
+    /// Check keys and values only: for a file that is meant for another machine.
     #[arg(long)]
     file_only: bool,
-    /// Also try what is named: model and provider, sources of cameras, router, hub.
+    /// Also try what a node's file names: model and provider, camera sources, router, hub.
     #[arg(long, conflicts_with = "file_only")]
     online: bool,
 }
 
 pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
+    #[cfg(feature = "hub")]
+    if is_for_a_hub(&arguments.file) {
+        return check_hub(arguments);
+    }
     let file = &arguments.file;
     let (config, mut findings) = examine::<NodeConfig>(Some(file));
     if let Some(config) = config.as_ref().filter(|_| !arguments.file_only) {
@@ -71,10 +81,43 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Tells a line for each thing that was tried.
+/// Whether a file has a section that only a hub's configuration has, and none that only a node's has.
+#[cfg(feature = "hub")]
+fn is_for_a_hub(file: &std::path::Path) -> bool {
+    let text = std::fs::read_to_string(file).unwrap_or_default();
+    let sections: Vec<String> = (text.lines())
+        .filter_map(|line| line.trim().strip_prefix('['))
+        .filter_map(|rest| rest.trim_start_matches('[').split([']', '.']).next())
+        .map(|name| name.trim().to_uppercase())
+        .collect();
+    let only = |mine: &[&str], others: &[&str]| {
+        (sections.iter())
+            .any(|name| mine.contains(&name.as_str()) && !others.contains(&name.as_str()))
+    };
+    only(HubConfig::SECTIONS, NodeConfig::SECTIONS)
+        && !only(NodeConfig::SECTIONS, HubConfig::SECTIONS)
+        && !sections.iter().any(|name| name == "CAMERA")
+}
+
+#[cfg(feature = "hub")]
+fn check_hub(arguments: &Arguments) -> anyhow::Result<()> {
+    if arguments.online {
+        bail!("--online tries what a node's file names; this is a hub's file");
+    }
+    let config: HubConfig = load(Some(&arguments.file))?;
+    println!(
+        "{} can be used: a hub for the nodes under `{}`, with the database {}",
+        arguments.file.display(),
+        config.hub.prefix,
+        config.database.shown()
+    );
+    Ok(())
+}
+
+/// Prints a line for each thing that was tried.
 async fn online(config: &NodeConfig) -> anyhow::Result<()> {
     // Seconds for a large model or a camera that is away, minutes for TensorRT's first engine.
-    let waiting = ProgressBar::new_spinner().with_message("trying what is named");
+    let waiting = ProgressBar::new_spinner().with_message("trying models, cameras and router");
     waiting.enable_steady_tick(Duration::from_millis(100));
     let mut failed = 0;
     try_all(config, |tried| {
@@ -91,7 +134,7 @@ async fn online(config: &NodeConfig) -> anyhow::Result<()> {
     waiting.finish_and_clear();
     match failed {
         0 => Ok(()),
-        1 => bail!("one thing that is named does not work"),
-        several => bail!("{several} things that are named do not work"),
+        1 => bail!("one of these does not work"),
+        several => bail!("{several} of these do not work"),
     }
 }

@@ -6,10 +6,11 @@ use albireo_vision::detector::{
     ClassNames, DetectorConfig, DetectorNetwork, ExecutionProvider, Found, HeadName,
 };
 use albireo_vision::picture::{
-    FrameLimits, Picture, PixelLayout, decode, picture_files, read_picture_file,
+    EncodedPicture, FrameLimits, Picture, PictureFormat, PixelLayout, decode, picture_files,
+    read_picture_file, to_jpeg,
 };
 use albireo_vision::screen::decoding_target;
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use indicatif::ProgressBar;
 use serde::Serialize;
 use std::io::Write;
@@ -20,7 +21,8 @@ const EXAMPLES: &str = "\
 Examples:
   albireo detect yolo26n.onnx                       say how the model is read
   albireo detect yolo26n.onnx frame.jpg             and what it finds
-  albireo detect yolo26n.onnx pictures/ --json      one JSON object a picture";
+  albireo detect yolo26n.onnx frame.jpg --out seen/ draw the boxes into seen/frame.jpg
+  albireo detect yolo26n.onnx pictures/ --json      one JSON object per picture";
 
 /// Arguments of `albireo detect`.
 #[derive(Debug, clap::Args)]
@@ -60,6 +62,9 @@ pub(super) struct Arguments {
     /// Write one JSON object a line: first the model, then each picture.
     #[arg(long)]
     json: bool,
+    /// Draw the boxes into copies of the pictures, as JPEG files in this folder.
+    #[arg(long, value_name = "FOLDER")]
+    out: Option<PathBuf>,
     /// Write what the model is given into this folder: for each picture a file PICTURE.f32 with the input
     /// tensor, float32, little-endian.
     #[arg(long, value_name = "FOLDER")]
@@ -152,6 +157,10 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 .detect(&prepared)
                 .with_context(|| file.display().to_string())?;
             tell(arguments.json, &file, &picture, decode_ms, &found, &names)?;
+            if let Some(folder) = &arguments.out {
+                write_drawn(folder, &file, &encoded, &found)
+                    .with_context(|| file.display().to_string())?;
+            }
             if let Some(folder) = &arguments.write_input {
                 write_input(folder, &file, prepared.values())?;
             }
@@ -247,6 +256,72 @@ fn tell(
     Ok(())
 }
 
+/// Colours of boxes, by class.
+const COLOURS: [[u8; 3]; 6] = [
+    [79, 179, 255],
+    [107, 226, 143],
+    [255, 180, 84],
+    [255, 105, 180],
+    [214, 226, 107],
+    [180, 140, 255],
+];
+
+/// Writes a picture with its boxes into `folder`.
+fn write_drawn(
+    folder: &Path,
+    file: &Path,
+    encoded: &EncodedPicture,
+    found: &Found,
+) -> anyhow::Result<()> {
+    let limits = FrameLimits::default();
+    // The network may have been given a smaller one.
+    let mut picture = Picture::default();
+    decode(encoded, &limits, PixelLayout::Rgb8, None, &mut picture)?;
+    for detection in &found.detections {
+        let corners = detection.bounding_box.pixel_corners(picture.size);
+        let colour = COLOURS[usize::from(detection.class.0) % COLOURS.len()];
+        outline(
+            &mut picture,
+            [corners.x1, corners.y1, corners.x2, corners.y2],
+            colour,
+        );
+    }
+    let drawn = EncodedPicture {
+        bytes: picture.pixels.into(),
+        format: PictureFormat::Rgb8,
+        size: picture.size,
+    };
+    std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    let name = Path::new(file.file_name().unwrap_or_default()).with_extension("jpg");
+    let target = folder.join(name);
+    if let (Ok(source), Ok(target)) = (file.canonicalize(), target.canonicalize()) {
+        ensure!(source != target, "--out would overwrite the picture itself");
+    }
+    std::fs::write(&target, to_jpeg(&drawn, &limits)?).with_context(|| target.display().to_string())
+}
+
+/// Draws the outline of a box, `[x1, y1, x2, y2]` in pixels, into an RGB picture; what lies outside it is cut off.
+fn outline(picture: &mut Picture, corners: [f64; 4], colour: [u8; 3]) {
+    let (width, height) = (
+        i64::from(picture.size.width),
+        i64::from(picture.size.height),
+    );
+    // Two pixels in a picture of 640 columns.
+    let thick = (width / 320).max(1);
+    let [x1, y1, x2, y2] = corners.map(|place| place.round() as i64);
+    for y in y1.max(0)..y2.min(height) {
+        let edge = y - y1 < thick || y2 - y <= thick;
+        for x in x1.max(0)..x2.min(width) {
+            if edge || x - x1 < thick || x2 - x <= thick {
+                let at = usize::try_from(3 * (y * width + x)).unwrap_or(usize::MAX);
+                if let Some(pixel) = picture.pixels.get_mut(at..at.saturating_add(3)) {
+                    pixel.copy_from_slice(&colour);
+                }
+            }
+        }
+    }
+}
+
 fn write_input(folder: &Path, picture: &Path, values: &[f32]) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
     let mut name = picture.file_name().unwrap_or_default().to_owned();
@@ -257,4 +332,21 @@ fn write_input(folder: &Path, picture: &Path, values: &[f32]) -> anyhow::Result<
         .flat_map(|value| value.to_le_bytes())
         .collect();
     std::fs::write(&file, bytes).with_context(|| file.display().to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_box_is_outlined_and_cut_off_at_the_border_of_the_picture() {
+        let mut picture = Picture::black(PictureSize {
+            width: 8,
+            height: 6,
+        });
+        outline(&mut picture, [2.0, 1.0, 20.0, 5.0], [9, 9, 9]);
+        let lit = |x: usize, y: usize| picture.pixels[3 * (8 * y + x)] == 9;
+        assert!(lit(2, 1) && lit(7, 1) && lit(2, 4) && lit(7, 4));
+        assert!(!lit(3, 2) && !lit(7, 2) && !lit(1, 1) && !lit(2, 5));
+    }
 }

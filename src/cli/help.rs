@@ -17,19 +17,20 @@ pub(super) fn fitted(command: Command) -> Command {
     }
 }
 
-/// The subcommands in groups, each named for what somebody is about to do.
-const GROUPS: [(&str, &[&str]); 5] = [
-    ("Node", &["node", "detect", "power"]),
+/// The subcommands in groups, in the order in which a newcomer uses them.
+const GROUPS: [(&str, &[&str]); 6] = [
+    ("Start", &["demo", "check", "detect", "power", "compare"]),
     ("Cameras", &["publish", "replay"]),
-    ("Fleet", &["hub", "fleet", "diag", "router", "simulate"]),
-    ("Evaluation", &["demo", "compare", "eval"]),
+    ("Node", &["node", "diag"]),
     (
-        "Setup",
-        &["check", "cert", "acl", "man", "completions", "help"],
+        "Fleet",
+        &["router", "cert", "acl", "hub", "fleet", "simulate"],
     ),
+    ("Evaluation", &["eval"]),
+    ("Setup", &["man", "completions", "help"]),
 ];
 
-/// The list of subcommands under headings, in the place of one long list. One that is in no group comes last, under none.
+/// The list of subcommands under headings. One that is in no group comes last, under none.
 pub(super) fn grouped(command: Command) -> Command {
     // Clap makes `help` when it parses; here it is only spoken of.
     let help =

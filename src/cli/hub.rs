@@ -10,13 +10,13 @@ use std::path::PathBuf;
 use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
-Without --config the built-in defaults hold; config/hub.toml shows them all. Environment variables
-override single keys: ALBIREO_ and section and key, with two underscores between them.
-Ctrl-C or SIGTERM: the reports in hand are committed and acknowledged.
+Without --config the built-in defaults apply; config/hub.toml lists them all. An environment variable
+overrides a single key: ALBIREO_SECTION__KEY, with two underscores between section and key.
+Ctrl-C or SIGTERM stops it: received reports are committed and acknowledged first.
 
 Examples:
   albireo hub --config /etc/albireo/hub.toml
-  albireo hub --check --config config/hub.toml
+  albireo check config/hub.toml
   ALBIREO_DATABASE__URL=postgres://hub@db.example/fleet albireo hub
   albireo hub move albireo-hub.db postgres://hub@db.example/fleet";
 
@@ -37,9 +37,6 @@ pub(super) struct Arguments {
     /// The hub's configuration file.
     #[arg(long, short, env = "ALBIREO_CONFIG", value_name = "FILE")]
     config: Option<PathBuf>,
-    /// Only say what is wrong with the configuration. Exit code 0 when it can be used, 1 when not.
-    #[arg(long)]
-    check: bool,
 }
 
 #[derive(Debug, clap::Subcommand)]
@@ -59,14 +56,6 @@ pub(super) fn run(arguments: &Arguments) -> anyhow::Result<()> {
         return block_on(move_database(from, to));
     }
     let config: HubConfig = config::load(arguments.config.as_deref())?;
-    if arguments.check {
-        println!(
-            "the configuration can be used: nodes under `{}`, history in {}",
-            config.hub.prefix,
-            config.database.shown()
-        );
-        return Ok(());
-    }
     logging::start(&config.log)?;
     block_on(serve(config))
 }

@@ -8,10 +8,10 @@ use std::path::PathBuf;
 use tokio::net::TcpListener;
 
 const EXAMPLES: &str = "\
-Without --config the built-in defaults hold; config/node.toml shows them all. Environment variables
-override single keys: ALBIREO_ and section and key, with two underscores between them. RUST_LOG goes
-before log.level.
-Ctrl-C or SIGTERM: the frame in hand is finished and the open clip published.
+Without --config the built-in defaults apply; config/node.toml lists them all. An environment variable
+overrides a single key: ALBIREO_SECTION__KEY, with two underscores between section and key. RUST_LOG
+overrides log.level.
+Ctrl-C or SIGTERM stops it: the current frame is finished and the open clip reported first.
 
 Examples:
   albireo node --config /etc/albireo/node.toml
