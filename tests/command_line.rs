@@ -166,7 +166,7 @@ fn every_subcommand_has_help_with_examples() {
     let help = text(&albireo(&["--help"], &[]).stdout);
     let commands: Vec<_> = help
         .lines()
-        .skip_while(|line| *line != "Node:")
+        .skip_while(|line| *line != "Start:")
         .take_while(|line| *line != "Options:")
         // Headings stand at the left; what is said of a command goes on further to the right.
         .filter(|line| line.starts_with("  ") && !line.starts_with("   "))

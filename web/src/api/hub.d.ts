@@ -1,6 +1,44 @@
 // Made by `npm run types` from api/hub.json. Do not edit.
 
 export interface paths {
+    "/api/v1": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * Who answers here, and what can be asked
+         * @description `curl http://127.0.0.1:8090/api/v1`
+         */
+        get: {
+            parameters: {
+                query?: never;
+                header?: never;
+                path?: never;
+                cookie?: never;
+            };
+            requestBody?: never;
+            responses: {
+                200: {
+                    headers: {
+                        [name: string]: unknown;
+                    };
+                    content: {
+                        "application/json": components["schemas"]["Index"];
+                    };
+                };
+            };
+        };
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/api/v1/caller": {
         parameters: {
             query?: never;
@@ -2002,6 +2040,17 @@ export interface components {
                 [key: string]: string;
             };
         };
+        /** @description Who answers here, and what can be asked. */
+        Index: {
+            /** @description The interface described in full. */
+            openapi: string;
+            /** @description What can be asked. */
+            routes: components["schemas"]["Route"][];
+            /** @description Always `hub`. */
+            service: string;
+            /** @description The program's version. */
+            version: string;
+        };
         /** @description Where a change lies: a share of the value before, or in the figure's unit. */
         Interval: {
             /**
@@ -2184,7 +2233,7 @@ export interface components {
             /** @description How it is. */
             state: components["schemas"]["PresenceState"];
             status?: components["schemas"]["NodeStatus"] | null;
-            /** @description Energy of its clips of today (UTC). */
+            /** @description What its clips of today (UTC) used and saved. */
             today: components["schemas"]["TodaysEnergy"];
             /**
              * Format: int64
@@ -2540,6 +2589,8 @@ export interface components {
             to: components["schemas"]["Threshold"];
             /** @description Who began it. */
             who: string;
+            /** @description Why the old values were returned; absent where they were not. */
+            why_returned?: string | null;
         };
         /** @description Rollouts, the newest first. */
         Rollouts: {
@@ -2549,6 +2600,15 @@ export interface components {
              */
             next?: number | null;
             rollouts: components["schemas"]["RolloutView"][];
+        };
+        /** @description A route. */
+        Route: {
+            /** @description `GET`, `PUT`, `POST` or `DELETE`. */
+            method: string;
+            /** @description Its path; `{camera}` is replaced by a camera's name. */
+            path: string;
+            /** @description What it is for. */
+            summary: string;
         };
         /**
          * @description Who set a threshold or a target.
@@ -2880,6 +2940,16 @@ export interface components {
              * @description Joules read from a meter, also where it was read for a part of the time.
              */
             measured_joules: number;
+            /**
+             * Format: double
+             * @description Share of the detector's boxes on audited skipped frames that had been shown, 0 to 1; absent without such a box.
+             */
+            recall?: number | null;
+            /**
+             * Format: double
+             * @description Share of the frames that skipped the detector, 0 to 1; absent without a frame.
+             */
+            skip_rate?: number | null;
         };
         /** @description Where a trial is. */
         TrialPhase: {

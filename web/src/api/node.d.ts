@@ -2610,9 +2610,9 @@ export interface components {
         };
         /** @description A route. */
         Route: {
-            /** @description `GET` or `PUT`. */
+            /** @description `GET`, `PUT`, `POST` or `DELETE`. */
             method: string;
-            /** @description Its path; `{camera}` stands for a camera's name. */
+            /** @description Its path; `{camera}` is replaced by a camera's name. */
             path: string;
             /** @description What it is for. */
             summary: string;
