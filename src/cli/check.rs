@@ -15,7 +15,7 @@ use {
 };
 
 const EXAMPLES: &str = "\
-The file is a node's or a hub's; its sections say which. Checked are every key and value, also those from environment
+The file is a node's or a hub's; its sections say which ([hub] or [database]: a hub). Checked are every key and value, also those from environment
 variables (ALBIREO_SECTION__KEY), and for a node what it needs on this machine: models, class names, token, certificates,
 ONNX Runtime and its providers, the state directory. A port that is in use is a note, not an error: the node may be
 running. --file-only skips this machine. --online also tries what the file names: it runs the model on its provider, opens

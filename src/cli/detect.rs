@@ -21,7 +21,7 @@ const EXAMPLES: &str = "\
 Examples:
   albireo detect yolo26n.onnx                       say how the model is read
   albireo detect yolo26n.onnx frame.jpg             and what it finds
-  albireo detect yolo26n.onnx frame.jpg --out seen/ draw the boxes into seen/frame.jpg
+  albireo detect yolo26n.onnx frame.jpg --out seen   and draw the boxes
   albireo detect yolo26n.onnx pictures/ --json      one JSON object per picture";
 
 /// Arguments of `albireo detect`.
