@@ -257,9 +257,7 @@ impl Grid {
     fn along(low: f64, high: f64, length: usize, settings: &BoxFlowSettings) -> Option<Self> {
         let low = low.max(0.0);
         let high = high.min(length as f64 - 1.0);
-        // NaN is no order.
-        let is_order = low.partial_cmp(&high) == Some(std::cmp::Ordering::Less);
-        if !is_order || settings.grid == 0 {
+        if low >= high || settings.grid == 0 {
             return None;
         }
         let span = (high - low) as f32 * settings.inner;
