@@ -33,7 +33,7 @@ const COLUMNS: { id: string; head: string; sort?: string; class: string }[] = [
   { id: "why", head: "since, why", sort: "since", class: "c-why" },
   { id: "heard", head: "heard", sort: "heard", class: "c-heard" },
   { id: "knob", head: "threshold", class: "c-knob" },
-  { id: "skip", head: "skipped today", class: "c-skip" },
+  { id: "skip", head: "skipped", class: "c-skip" },
   { id: "recall", head: "recall", class: "c-recall" },
   { id: "provider", head: "runs on", class: "c-provider" },
   { id: "joules", head: "energy today", sort: "joules", class: "c-joules" },
@@ -215,7 +215,7 @@ function Row(props: { index: number; node: NodeView | undefined; picked: boolean
       <span role="cell" class="c-knob" title={held && `now ${value}`}>
         {held ? `hold ${held[0]} = ${small(held[1])}` : value}
       </span>
-      <span role="cell" class="c-skip">
+      <span role="cell" class="c-skip" title="Share of today's frames that skipped the detector">
         {percent(node.today.skip_rate)}
       </span>
       <span role="cell" class="c-recall" title="Share of the detector's boxes on audited skipped frames of today that had been shown">
