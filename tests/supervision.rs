@@ -233,6 +233,22 @@ async fn a_second_signal_ends_a_node_at_once_whatever_hangs() {
     assert!(took < Duration::from_secs(5), "{took:?}");
 }
 
+#[tokio::test]
+#[ignore = "needs ONNX Runtime"]
+async fn two_signals_at_once_are_one_request_and_the_node_stops_in_order() {
+    let settings = format!(
+        "detector.model = \"{}\"\npolicy.name = \"vanilla\"\npower.source = \"none\"\n",
+        model("colours.onnx").display()
+    );
+    let node = Node::start(&settings).await;
+    // As `timeout` does it, its child first, then the whole group; two kinds, since two of one kind may arrive as one.
+    let id = node.id().to_string();
+    let mut kill = std::process::Command::new("kill");
+    assert!(kill.args(["-INT", &id]).status().unwrap().success());
+    let (status, _, log, _) = timeout(LONG, node.stop()).await.unwrap();
+    assert_eq!(status.code(), Some(0), "{log}");
+}
+
 /// A JPEG file of 64x32 pixels of one grey.
 fn solid(value: u8) -> Vec<u8> {
     let mut file = Vec::new();

@@ -2,12 +2,15 @@
 
 use std::io;
 use std::sync::mpsc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::signal::unix::{Signal, SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
 /// What to say when the signals cannot be listened to.
 pub const CONTEXT: &str = "signals cannot be listened to";
+
+/// Signals that come this soon after the first are the same request: `timeout` signals its child, then the whole group.
+const ONE_REQUEST: Duration = Duration::from_secs(1);
 
 /// Exit code after a second signal.
 const TWICE: i32 = 130;
@@ -15,8 +18,8 @@ const TWICE: i32 = 130;
 /// Exit code when stopping took too long.
 const TOO_LONG: i32 = 1;
 
-/// A token that is cancelled by the first Ctrl-C or SIGTERM. A second one ends the program at once, with
-/// exit code 130, for whoever does not want to wait.
+/// A token that is cancelled by the first Ctrl-C or SIGTERM. A second one, a second later or more, ends the program at
+/// once, with exit code 130.
 ///
 /// # Errors
 /// When the signals cannot be listened to.
@@ -84,8 +87,17 @@ async fn hear(
             None => std::future::pending().await,
         }
     };
+    let heard = Instant::now();
+    let again = async {
+        loop {
+            let signal = next(&mut terminate, &mut interrupt).await;
+            if heard.elapsed() >= ONE_REQUEST {
+                return signal;
+            }
+        }
+    };
     tokio::select! {
-        second = next(&mut terminate, &mut interrupt) => {
+        second = again => {
             tracing::warn!("{second} again: ended at once");
             std::process::exit(TWICE);
         }
