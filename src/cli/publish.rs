@@ -26,7 +26,7 @@ Examples:
       credentials from the environment: the quotation marks keep them from the shell
   albireo publish /dev/video0 --rate 10 --camera cabin
       a camera of this machine, at most ten frames a second
-  albireo publish 'v4l2src device=/dev/video0 ! image/jpeg,width=1280 ! jpegparse'
+  albireo publish 'v4l2src device=/dev/video0 ! image/jpeg ! jpegparse'
       a GStreamer pipeline that makes JPEG files
 
 A camera on the node's own machine needs no publisher: [[camera]] source in its configuration.
