@@ -1,9 +1,9 @@
 //! Recall and precision of skipped frames against the detector, estimated from a random sample.
 //!
 //! A share of the frames that were answered **without** the detector is drawn at random ([`AuditDraw`]). The detector runs
-//! on them afterwards, and the boxes that had been shown are compared with what it finds ([`AuditSums::add`]).
+//! on them afterwards, and the boxes that were shown are compared with what it finds ([`AuditSums::add`]).
 //!
-//! - *Recall against the detector*: share of the detector's boxes that had been shown.
+//! - *Recall against the detector*: share of the detector's boxes that were shown.
 //! - *Precision against the detector*: share of the shown boxes that the detector confirms.
 //!
 //! Neither is accuracy against the truth: a detector misses objects and reports some that are not there, and a policy that

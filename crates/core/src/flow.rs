@@ -25,6 +25,4 @@ pub use pyramid::{GreyView, Pyramid};
 pub use tracker::{Tracker, TrackerSettings};
 
 #[cfg(test)]
-mod opencv_tests;
-#[cfg(test)]
 mod tests;

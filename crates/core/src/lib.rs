@@ -2,8 +2,8 @@
 //! detector must run. Numbers in, numbers out: it knows no runtime, clock, file or network, so that another
 //! program can embed it.
 //!
-//! Start with [`policy`]: a [`policy::Policy`] is told that a frame exists, asks for the evidence it needs,
-//! and answers with frame state and boxes.
+//! Start with [`policy`]: a [`policy::Policy`] receives the head of a frame, asks for the evidence it needs,
+//! and returns the frame's state and boxes.
 
 pub mod audit;
 pub mod detection;

@@ -1,7 +1,7 @@
 //! What decides a frame: the trait all policies share, the evidence they ask for, and the frame state.
 //!
-//! A policy asks and is answered. It is told that a frame exists, says what it needs to know next, is
-//! given that, and in the end tells the frame's state and boxes:
+//! A policy asks for evidence step by step. It learns that a frame exists, names the evidence that it needs next,
+//! receives it, and finally returns the frame's state and boxes:
 //!
 //! ```text
 //! begin(frame) ─▶ Nothing ───────────────────────────────▶ finish ─▶ P
@@ -17,8 +17,8 @@
 //! | `fixed-skip[:n]` | on every n-th frame | the last boxes again (profile `paper`) or predicted ones (`reference`) | the paper's baseline |
 //! | `ctd[:threshold]` | when the confidence in a prediction falls below the threshold, without objects, and after 8 frames | predicted boxes | Ding et al. |
 //! | `statues[:component_size]` | when more pixels than this changed in one piece since the last frame | the last boxes again | Kim et al. |
-//! | `adaptive-rate[:drift]` | when objects have moved by so many of their sizes at the speed they had | predicted boxes | after Contoli et al. |
-//! | `frame-drop[:n]` | on every n-th frame, and when something shows up that no object explains | predicted boxes | after Henning et al. |
+//! | `adaptive-rate[:drift]` | when objects should have moved by this multiple of their size at their last speed | predicted boxes | after Contoli et al. |
+//! | `frame-drop[:n]` | on every n-th frame, and when something appears that no object explains | predicted boxes | after Henning et al. |
 //! | `erd-only` | when the screen, asked on every frame, says "not empty" | none | the paper's baseline |
 //! | `kill-only[:u]` | as albireo, but without the screen: always without objects | predicted boxes | ablation: a size without velocity (8 dimensions), no rescue |
 //! | `kill+erd[:u]` | as albireo | as albireo | ablation: a size without velocity (8 dimensions), no rescue |
@@ -27,10 +27,10 @@
 //! | `expected-loss[:lambda]` | when the expected loss of another predicted frame exceeds the price λ of a call | predicted boxes | our own |
 //! | `fixed-skip-in-tracker[:n]` | on every n-th frame | predicted boxes of expected-loss | comparison: the object keeping alone |
 //! | `even-skip-in-tracker[:skip_rate]` | evenly spaced, at any rate | predicted boxes of expected-loss | comparison: the object keeping alone |
-//! | `expected-loss+flow[:lambda]` and the two above with `+flow` | the same | boxes followed by optical flow in a small grey picture where that is worth its price, else predicted | our own |
+//! | `expected-loss+flow[:lambda]` and the two above with `+flow` | the same | boxes followed by optical flow in a small grey picture | our own |
 //!
 //! It knows no clock, no picture format and no network, and a frame that needs nothing costs no decoding. The live
-//! node, the evaluation and the tests all drive it by [`decide`], with evidence of their own.
+//! node, the evaluation and the tests all drive it by [`decide`], with their own evidence.
 
 use crate::detection::{ClassId, Detection, ObjectId};
 use crate::geometry::{BoundingBox, PictureSize};
@@ -47,12 +47,11 @@ mod detector_boxes;
 mod expected_loss;
 mod fixed_skip;
 mod late;
+mod published;
 mod published_threshold;
 mod record;
 mod reporting;
 mod settled;
-#[cfg(test)]
-mod testing;
 #[cfg(test)]
 mod tests;
 mod tracker;
@@ -69,19 +68,18 @@ pub use baselines::{
 pub use cause::CallCause;
 pub use config::{PolicyConfig, PolicyConfigError};
 pub use decide::{EvidenceAtHand, EvidenceSource, FrameEvidence, decide, decide_at_once};
-pub use expected_loss::{Call, Confidence, ExpectedLoss, ExpectedLossSettings, Motion, Trigger};
-pub use expected_loss::{CallRule, ExpectedLossAssociation, InTracker, Life, Surprise};
-pub use expected_loss::{Flow, Pixels};
+pub use expected_loss::{ExpectedLoss, ExpectedLossSettings, InTracker, Pixels, Trigger};
 pub use fixed_skip::FixedSkip;
 pub use fixed_skip::FixedSkipSettings;
 pub use fixed_skip::SkippedBoxes;
 pub use late::{CannotRewind, LatePolicy, NotPending};
+pub use published::MinConfidence;
 pub use published_threshold::published_threshold;
 pub use record::ObjectRecord;
 pub use settled::{SettledFrame, Settler};
 pub use vanilla::Vanilla;
 
-/// What a policy is told about a frame before anything of it is decoded.
+/// What a policy knows about a frame before its picture is decoded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FrameHead {
     /// Index of the frame in its stream, counting lost frames too. The first frame seen has its own
@@ -102,7 +100,7 @@ pub enum Need {
     Screen,
     /// The picture in grey at half its size in each direction.
     GreyPicture,
-    /// The picture in grey at a whole fraction of its size (a half, a quarter, …) that leaves at least so many columns,
+    /// The picture in grey at a whole fraction of its size (a half, a quarter, …) that leaves at least this many columns,
     /// as small as that allows; as it is when it has less than twice as many.
     SmallGreyPicture {
         /// Columns.
@@ -133,10 +131,9 @@ pub enum Evidence<'a> {
     GreyPicture(GreyPicture<'a>),
     /// What the detector found, in the detector's order.
     Detections(&'a [Detection]),
-    /// What was asked for cannot be had for this frame (the session failed or took too long). A policy
-    /// that asked for the screen goes on as if it had said "not empty", one that asked for the grey picture
-    /// as if it had changed or without looking at it; one that asked for detections answers the frame from what it
-    /// remembers and marks the outcome `degraded`.
+    /// The evidence is not available for this frame (the session failed or took too long). A policy that asked for the
+    /// screen continues as after "not empty"; one that asked for the grey picture, as if the picture had changed or
+    /// without it; one that asked for detections answers the frame from its state and marks the outcome `degraded`.
     Unavailable,
 }
 
@@ -396,7 +393,7 @@ pub trait Policy: Send + Sync {
         false
     }
 
-    /// Keeps the state of the frame in hand, in place of what was kept before. Nothing unless the policy
+    /// Keeps the state of the current frame, in place of what was kept before. Nothing unless the policy
     /// [can rewind](Policy::can_rewind).
     fn save(&mut self) {}
 

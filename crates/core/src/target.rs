@@ -1,9 +1,8 @@
-//! A target in the place of a number: a slow controller moves a policy's knob until what is measured is what was asked for.
+//! Targets instead of a fixed threshold: a slow controller moves a policy's knob until the measured value reaches the target.
 //!
-//! [`TargetController::step`] is told once a second what was measured and answers with the knob's value and why it stands
-//! there. It is an integral controller in the logarithm of the knob: what it remembers of the past *is* the knob's value,
-//! which never leaves its range, so that nothing winds up while a target cannot be met and it turns back at once when it
-//! can.
+//! [`TargetController::step`] takes the measurements once per second and returns the knob's value and the reason. It is
+//! an integral controller in the logarithm of the knob. The knob's value *is* the integral and never leaves its range, so
+//! nothing winds up while a target cannot be met, and the controller reacts at once when it can.
 //!
 //! The load targets ([`Target::SkipRate`], [`Target::DetectorMsPerS`], [`Target::Watts`], [`Target::JoulesPerDay`]) settle
 //! within a minute. [`Target::Recall`] goes by the audit ([`crate::audit`]) and moves only when enough boxes have been
@@ -227,7 +226,7 @@ pub struct Measured {
     pub audit: AuditSums,
 }
 
-/// Why the knob stands where it stands.
+/// Why the knob has its value.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -238,11 +237,11 @@ pub enum TargetStatus {
     Moving,
     /// The target is held.
     Held,
-    /// The target is more than kept, and the knob stands at the end of its range.
+    /// The target is exceeded, and the knob is at the end of its range.
     MoreThanKept,
-    /// It cannot be met inside the range: the knob stands at its end.
+    /// It cannot be met inside the range: the knob is at the end.
     CannotBeMet,
-    /// No frames come.
+    /// No frames arrive.
     NoFrames,
     /// There is no figure of power.
     NoPower,
@@ -292,7 +291,7 @@ impl TargetStatus {
     }
 }
 
-/// Where a target stands.
+/// The state of a target.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TargetState {
@@ -301,7 +300,7 @@ pub struct TargetState {
     pub actual: Option<f64>,
     /// The knob's value in force.
     pub knob: f64,
-    /// Why it stands there.
+    /// Why it has that value.
     pub status: TargetStatus,
     /// Seconds in which the target could not be met inside the range.
     pub unmet_s: f64,

@@ -8,7 +8,7 @@ use crate::objects::{ComponentSolver, Edge, is_usable};
 use crate::policy::OutputBox;
 use serde::{Deserialize, Serialize};
 
-/// Sums over the drawn frames. A pooled rate is that of all compared boxes: of two cameras with as many boxes a frame, the
+/// Sums over the drawn frames. A pooled rate is that of all compared boxes: of two cameras with as many boxes per frame, the
 /// one that audits the larger share of its frames weighs more.
 #[cfg_attr(feature = "schema", derive(utoipa::ToSchema))]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -17,7 +17,7 @@ pub struct AuditSums {
     /// Frames that were drawn and that the detector had no time for.
     #[serde(skip_serializing_if = "is_zero")]
     pub missed: u64,
-    /// Boxes that had been shown on those, at least one a frame: what the missed frames weigh in an interval.
+    /// Boxes that were shown on those, at least one per frame: what the missed frames weigh in an interval.
     #[serde(skip_serializing_if = "is_zero")]
     pub missed_boxes: u64,
     /// Frames that were compared.
@@ -26,7 +26,7 @@ pub struct AuditSums {
     /// Boxes that the detector found on them.
     #[serde(skip_serializing_if = "is_zero")]
     pub detected: u64,
-    /// Boxes that had been shown on them.
+    /// Boxes that were shown on them.
     #[serde(skip_serializing_if = "is_zero")]
     pub shown: u64,
     /// Pairs of a detected and a shown box of the same object.
@@ -120,9 +120,9 @@ impl AuditSums {
         add(&mut squares.shown_paired, more.shown_paired);
     }
 
-    /// Whether no frame was drawn.
-    pub const fn is_empty(&self) -> bool {
-        self.drawn() == 0
+    /// Whether nothing was counted.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
     }
 
     /// Frames that were drawn: compared or missed.
@@ -135,7 +135,7 @@ impl AuditSums {
         self.missed as f64 / self.drawn().max(1) as f64
     }
 
-    /// Recall against the detector: share of its boxes that had been shown. The interval includes the missed frames.
+    /// Recall against the detector: share of its boxes that were shown. The interval includes the missed frames.
     /// `None` when the detector found nothing.
     pub fn recall(&self) -> Option<AuditRate> {
         Some(self.compared_recall()?.widened(self.missed_boxes))

@@ -113,7 +113,7 @@ impl Level {
     }
 }
 
-/// The place in a row of `length` that place `at` shows when the row is mirrored at its ends for ever.
+/// The place in a row of `length` that place `at` shows when the row is mirrored at its ends forever.
 fn reflect(at: isize, length: usize) -> usize {
     let last = length as isize - 1;
     if last == 0 {

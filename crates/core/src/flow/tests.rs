@@ -1,5 +1,7 @@
 //! Known warps of a texture that can be computed at any place.
 
+mod opencv;
+
 use super::*;
 use crate::geometry::Corners;
 use proptest::prelude::*;
@@ -145,7 +147,7 @@ fn what_is_hidden_is_not_followed() {
     assert_eq!((seen.points, seen.kept), (36, 36));
     let motion = seen.motion.unwrap();
     assert_eq!((motion.shift, motion.scale), ([0.0; 2], 1.0));
-    // Something else stands in its place.
+    // Something else replaces it.
     let hidden = flow.follow(&pyramid(&before), &pyramid(&other), area, [0.0; 2]);
     assert!(hidden.agreement() < 0.3, "{hidden:?}");
     // Half of it.

@@ -1,4 +1,4 @@
-//! The window around a point: what it looks like, how it changes along both axes, and how well a place in
+//! The window around a point: its pixels, their change along both axes, and how well a place in
 //! another picture agrees.
 //!
 //! Pixels, gradients and their products are whole numbers, a row of the window worked on as sixteen of 16 bits at once;
@@ -18,7 +18,7 @@ const FINENESS: i32 = 8;
 /// Places nearer to a pixel than this are taken to be on it.
 const ON_A_PIXEL: f32 = 1.0 / 1024.0;
 
-/// A row of the window and what stands behind it.
+/// A row of the window and its padding.
 type Row = [i16x8; 2];
 
 /// Whether the point lies in the picture.
@@ -242,7 +242,7 @@ struct Slopes {
 }
 
 impl Slopes {
-    /// Of places that lie so many 2⁻¹⁴ of a pixel to the right of the pixels, if `BETWEEN`.
+    /// For places this many 2⁻¹⁴ of a pixel to the right of the pixels, if `BETWEEN`.
     #[inline(always)]
     fn of<const BETWEEN: bool>(row: &[u8], right: i16) -> Option<Self> {
         let row = row.first_chunk::<19>()?;
@@ -291,7 +291,7 @@ impl Steepness {
         }
     }
 
-    /// Mixed with the row below, of which it takes so many 2⁻¹⁴.
+    /// Mixed with the row below, which has a weight of this many 2⁻¹⁴.
     #[inline(always)]
     fn mixed(&self, below: &Self, share: i16) -> Self {
         let fine = i16x8::splat(share);
@@ -321,7 +321,7 @@ fn eighths(pixels: Row) -> Row {
     [pixels[0] << 3u32, pixels[1] << 3u32]
 }
 
-/// The same for places between these pixels and those to their right, of which they have so many 2⁻¹⁴.
+/// The same for places between these pixels and those to their right, which have a weight of this many 2⁻¹⁴.
 #[inline(always)]
 fn between(left: Row, right: Row, share: i16x8) -> Row {
     let half = |half: usize| {

@@ -1,7 +1,7 @@
 //! The filter that runs: the ten-dimensional filter with its covariance kept as two small blocks.
 //!
 //! The matrices F, Q, H, R and the initial P link no component of one axis to the other axis, nor the
-//! centre to the size. So P stays block diagonal for ever: a 3x3 block (centre, velocity, acceleration)
+//! centre to the size. So P stays block diagonal forever: a 3x3 block (centre, velocity, acceleration)
 //! and a 2x2 block (size, velocity) for each axis. As both axes have the same noise, their blocks are
 //! equal numbers, and one of each is enough: 13 numbers in place of 100, and no matrix inverse, since
 //! each block is measured by one component. Leaving out the zeros changes no sum, and the sums are taken

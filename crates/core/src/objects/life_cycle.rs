@@ -14,7 +14,7 @@ pub struct LifeCycle {
     /// Smallest last confidence of an object that is rescued (paper, c_rescue).
     pub c_rescue: f64,
     /// Rescues in a row after which the next miss removes the object (paper, R_max). Predicted frames
-    /// in between neither count nor start the row anew.
+    /// in between neither count nor interrupt the row.
     pub r_max: u32,
     /// Whether a rescue sets the age that T_max limits back to zero, as a detection does. Published
     /// code: yes; paper: no, ΔT counts from the last real measurement.

@@ -24,7 +24,7 @@ pub enum GateOrder {
 pub struct Association {
     /// Stage 1 accepts intersection over union of this or more. Not in the paper.
     pub iou_gate: f64,
-    /// Stage 1 takes objects updated at most so many frames ago, this one included; older ones have
+    /// Stage 1 takes objects updated at most this many frames ago, this one included; older ones have
     /// stage 2 only. Not in the paper.
     pub iou_frames: u32,
     /// Stage 2 accepts squared Mahalanobis distances below this (the 95 % quantile of χ² with four
@@ -37,7 +37,7 @@ pub struct Association {
     pub same_class_only: bool,
 }
 
-/// What stands in the cost matrix of stage 2 for a pair beyond the gate (published code).
+/// Cost in stage 2 of a pair beyond the gate (published code).
 const BEYOND_GATE: f64 = 1e9;
 
 /// The two-stage matcher with its buffers, which are kept from call to call.

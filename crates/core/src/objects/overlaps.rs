@@ -24,7 +24,7 @@ impl OverlapIndex {
     /// How many rectangles it takes for the index to pay.
     pub(crate) const WORTH_WHILE: usize = 24;
 
-    /// Takes `rectangles` in the place of those before. Their sides are numbers.
+    /// Takes `rectangles` instead of the previous ones. Their sides are numbers.
     pub(crate) fn fill(&mut self, rectangles: impl Iterator<Item = Corners> + Clone) {
         let number = rectangles.clone().count();
         self.words = number.div_ceil(WORD);
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn most_of_a_crowd_is_not_looked_at() {
+    fn most_of_a_crowd_is_not_examined() {
         let crowd = (0..400).map(|number| {
             let (x1, y1) = (f64::from(number % 20) / 20.0, f64::from(number / 20) / 20.0);
             Corners {

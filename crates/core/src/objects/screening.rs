@@ -1,4 +1,4 @@
-//! Which detections are let in. One bad number would stay in a filter for ever.
+//! Which detections are let in. One bad number would stay in a filter forever.
 
 use crate::detection::Detection;
 

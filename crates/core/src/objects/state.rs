@@ -22,7 +22,7 @@ pub struct ObjectState {
     pub hits: u32,
     /// Frames since its last detection.
     pub since_update: u32,
-    /// Frames since the detector last had a say on it: its age under T_max (paper, ΔT).
+    /// Frames since the detector last measured or missed it: its age under T_max (paper, ΔT).
     pub since_infer: u32,
     /// Detector frames in a row that missed it and that it survived: a confirmed object's rescues.
     pub misses: u32,

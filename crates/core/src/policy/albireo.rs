@@ -17,12 +17,12 @@ use crate::geometry::BoundingBox;
 use crate::kalman::Filter;
 use crate::objects::{Missed, ObjectState, ObjectStates};
 
-/// How far the frame in hand has come.
+/// Progress of the current frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum AlbireoPhase {
     /// The screen was asked.
     AwaitsScreen,
-    /// The detector was asked, after the screen said "not empty" or without its verdict.
+    /// Detections were requested, after the screen's "not empty" or without its verdict.
     AwaitsDetections { screened: bool },
     /// Decided.
     Decided(FrameState),
@@ -40,7 +40,7 @@ pub struct Albireo {
     u_in_force: f64,
     frame: Option<FrameHead>,
     progress: AlbireoPhase,
-    /// Why the detector is called for the frame in hand.
+    /// Why the detector is called for the current frame.
     cause: Option<CallCause>,
     tau_max: Option<f64>,
     active: usize,
@@ -202,8 +202,8 @@ impl Albireo {
         need
     }
 
-    /// Takes boxes that were measured on the frame in hand without the detector, each with what its variance is
-    /// multiplied by, and says anew what the frame needs.
+    /// Takes boxes that were measured on the current frame without the detector, each with the factor of its variance,
+    /// and returns what the frame needs now.
     pub(super) fn follow(
         &mut self,
         measured: impl FnMut(&ObjectState) -> Option<(BoundingBox, f64)>,

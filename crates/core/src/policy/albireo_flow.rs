@@ -1,15 +1,16 @@
-//! Albireo that looks, as an ablation: the boxes are followed by optical flow on every frame with objects, and the
-//! filter takes each followed box as a measurement.
+//! Albireo with optical flow, as an ablation: on every frame with objects the boxes are followed by optical flow, and
+//! the filter takes each followed box as a measurement.
 //!
 //! A box that was followed over n frames since the detector measured it carries the error of n + 1 measurements: its
-//! variance is (n + 1)·R. So τ grows from look to look, and the threshold `u` decides how often the detector runs, as
-//! it does without pictures. An object that cannot be followed is predicted, and its τ grows as before.
+//! variance is (n + 1)·R. So τ grows from picture to picture, and the threshold `u` decides how often the detector runs,
+//! as it does without pictures. An object that cannot be followed is predicted, and its τ grows as before.
 
+use super::AlbireoSettings;
+use super::expected_loss::{FLOW_GRID, FLOW_LEVELS, FLOW_WIDTH, LONGEST_GAP, grey_view};
 use super::{
     Albireo, BoxSource, Evidence, FrameHead, GreyPicture, Knob, KnobError, Need, ObjectRecord,
     Outcome, Policy, PolicyConfig, PolicyConfigError,
 };
-use super::{AlbireoSettings, Flow, expected_loss::grey_view};
 use crate::detection::ObjectId;
 use crate::flow::{BoxFlow, BoxFlowSettings, Pyramid};
 use crate::geometry::{BoundingBox, PictureSize};
@@ -28,18 +29,17 @@ struct Seen {
 #[derive(Clone, Debug)]
 pub(crate) struct AlbireoFlow {
     inner: Albireo,
-    settings: Flow,
     flow: BoxFlow,
     before: Pyramid,
     now: Pyramid,
     /// Frames since the picture before.
     age: u32,
     seen: Vec<Seen>,
-    /// The objects followed into the frame in hand.
+    /// The objects followed into the current frame.
     followed: Vec<Seen>,
-    /// What is needed after the picture that was asked for.
+    /// What is needed after the requested picture.
     after_picture: Option<Need>,
-    /// Whether that need stands whatever is followed.
+    /// Whether that need is fixed, whatever the flow finds.
     stands: bool,
     /// The state that [`Policy::rewind`] returns to; a copy of this policy, kept for its buffers.
     saved: Option<Box<Self>>,
@@ -50,12 +50,10 @@ impl AlbireoFlow {
     pub(crate) const NAME: &'static str = "albireo+flow";
 
     pub(super) fn from_config(config: &PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError> {
-        let settings = Flow::default();
         let inner = Albireo::new(AlbireoSettings::of(config.profile), config.u)?;
         Ok(Box::new(Self {
             inner,
-            settings,
-            flow: BoxFlow::new(BoxFlowSettings::of(settings.grid, settings.levels)),
+            flow: BoxFlow::new(BoxFlowSettings::of(FLOW_GRID, FLOW_LEVELS)),
             before: Pyramid::default(),
             now: Pyramid::default(),
             age: 0,
@@ -71,7 +69,6 @@ impl AlbireoFlow {
     fn copy_from(&mut self, other: &Self) {
         let Self {
             inner,
-            settings: _,
             flow: _,
             before,
             now,
@@ -99,9 +96,7 @@ impl AlbireoFlow {
     }
 
     fn picture_need(&self) -> Need {
-        Need::SmallGreyPicture {
-            width: self.settings.width,
-        }
+        Need::SmallGreyPicture { width: FLOW_WIDTH }
     }
 
     /// Follows the objects into the picture; says what is needed then, `after` if nothing could be followed.
@@ -173,7 +168,7 @@ impl Policy for AlbireoFlow {
 
     fn begin(&mut self, frame: FrameHead) -> Need {
         self.age = self.age.saturating_add(frame.step.max(1));
-        if self.age > self.settings.longest_gap {
+        if self.age > LONGEST_GAP {
             self.before.clear();
         }
         self.now.clear();
@@ -278,7 +273,7 @@ impl Policy for AlbireoFlow {
 #[cfg(test)]
 mod tests {
     use crate::policy::BoxSource;
-    use crate::policy::testing::ride;
+    use crate::policy::tests::ride;
 
     #[test]
     fn a_followed_box_is_a_measurement_that_spares_calls() {

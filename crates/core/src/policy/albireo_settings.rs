@@ -25,7 +25,7 @@ pub enum PeriodicCap {
     /// Due when the frame's index in the stream is a multiple of the cap (published code). An index
     /// that was lost makes the next frame due.
     FrameIndex,
-    /// Due when the detector was last called so many frames ago (paper).
+    /// Due when the detector was last called this many frames ago (paper).
     SinceDetector,
 }
 
@@ -60,7 +60,7 @@ pub struct AlbireoSettings {
     pub tentative_counts: bool,
     /// The detector runs when an active object's age reaches this many frames (paper, T_max).
     pub t_max: u32,
-    /// The detector runs after so many frames, as long as objects are active.
+    /// The detector runs after this many frames, as long as objects are active.
     pub periodic_cap: u32,
     /// What `periodic_cap` counts. Published code: the frame index; paper: frames since the last
     /// detector call.

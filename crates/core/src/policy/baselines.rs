@@ -1,4 +1,4 @@
-//! The policies that the paper compares with, its ablations, and two after other papers: nobody needs them on a camera.
+//! Policies for comparison only: the paper's baselines and ablations, and two based on other papers.
 
 mod ablation;
 mod adaptive_rate;

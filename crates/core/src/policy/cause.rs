@@ -18,19 +18,19 @@ pub enum CallCause {
     ObjectCap,
     /// The camera has gone without the detector for as long as it may.
     PeriodicCap,
-    /// The screen said that something is in view.
+    /// The screen found something in view.
     Screen,
-    /// The screen would have said "empty", and the detector checks it by chance.
+    /// The screen would have answered "empty"; the detector checks it at random.
     Audit,
-    /// The screen said "empty" more often in a row than it is believed.
+    /// The screen answered "empty" more often in a row than the limit allows.
     EmptyLimit,
-    /// No object is followed, and no screen has said whether the scene is empty.
+    /// No object is tracked, and no screen decides whether the scene is empty.
     NoObjects,
     /// It is the first frame of the stream.
     Start,
     /// The detector was called for before and has not answered since (`statues`).
     Retry,
-    /// The picture has changed, or nobody can say that it has not (`statues`).
+    /// The picture has changed, or may have changed (`statues`).
     Changed,
     /// A schedule that knows nothing of the scene (`fixed-skip` and its like).
     Schedule,

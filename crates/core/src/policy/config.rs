@@ -8,7 +8,7 @@ use super::{
 };
 use serde::{Deserialize, Serialize};
 
-/// Which policy decides, and its settings. Each camera gets a policy of its own from
+/// Which policy decides, and its settings. Each camera gets its own policy from
 /// [`build`](PolicyConfig::build).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -67,10 +67,7 @@ impl Default for PolicyConfig {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum PolicyConfigError {
     /// No policy has this name.
-    #[error(
-        "policy.name: there is no policy `{name}`; the policies are {}",
-        names()
-    )]
+    #[error("policy.name: there is no policy `{name}`; {}", instead_of(name))]
     UnknownPolicy {
         /// The name found.
         name: String,
@@ -91,7 +88,7 @@ pub enum PolicyConfigError {
     /// A setting that does not exist, or has a value it cannot have.
     #[error("policy.{table}: {reason}")]
     Setting {
-        /// The table it stands in.
+        /// The table that contains it.
         table: &'static str,
         /// What is wrong and what is allowed.
         reason: String,
@@ -102,7 +99,7 @@ pub enum PolicyConfigError {
 struct Entry {
     name: &'static str,
     build: fn(&PolicyConfig) -> Result<Box<dyn Policy>, PolicyConfigError>,
-    /// Where the value of its knob stands; `None` without a knob.
+    /// The field with the value of its knob; `None` without a knob.
     knob_value: Option<fn(&mut PolicyConfig) -> &mut f64>,
 }
 
@@ -153,9 +150,16 @@ pub(crate) fn known_policies() -> impl Iterator<Item = &'static str> {
     POLICIES.iter().map(|entry| entry.name)
 }
 
-fn names() -> String {
-    let quoted: Vec<_> = known_policies().map(|name| format!("`{name}`")).collect();
-    quoted.join(", ")
+/// What to write instead of a name that is not known: the one it is two typing errors away from, else one of all.
+fn instead_of(name: &str) -> String {
+    let distances = known_policies().map(|known| (strsim::osa_distance(name, known), known));
+    match distances.min() {
+        Some((distance, meant)) if distance <= 2 => format!("did you mean `{meant}`?"),
+        _ => {
+            let quoted: Vec<_> = known_policies().map(|name| format!("`{name}`")).collect();
+            format!("the policies are {}", quoted.join(", "))
+        }
+    }
 }
 
 impl PolicyConfig {
@@ -168,8 +172,8 @@ impl PolicyConfig {
     }
 
     /// Takes `NAME[:ARGUMENT]`, as a command line has it: the policy, and the value of its knob. Without
-    /// an argument that value stays what it is; nothing else is touched. Whether the value is in range
-    /// [`build`](Self::build) tells.
+    /// an argument that value stays what it is; nothing else is touched. [`build`](Self::build) checks
+    /// whether the value is in range.
     ///
     /// # Errors
     /// [`PolicyConfigError`] when the name is not known, or the argument is no number or the policy takes

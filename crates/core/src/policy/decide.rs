@@ -1,5 +1,5 @@
-//! The one loop that asks a policy and answers it. Live camera, evaluation, benches and tests differ in where evidence
-//! comes from, and in nothing else.
+//! The loop that drives a policy. Live camera, evaluation, benches and tests differ only in where evidence
+//! comes from.
 
 use super::{Evidence, FrameHead, GreyPicture, Need, Outcome, Policy};
 use crate::detection::Detection;
@@ -10,7 +10,7 @@ use std::task::{Context, Poll, Waker};
 
 /// Where the evidence about one frame comes from, when it may have to be waited for.
 pub trait EvidenceSource {
-    /// Why the frame must be given up: its picture is broken, say. What merely cannot be had is
+    /// Why the frame must be given up, for example a broken picture. Evidence that is merely not available is
     /// [`Evidence::Unavailable`].
     type Error: Send;
 
@@ -101,7 +101,7 @@ impl<S: EvidenceAtHand> EvidenceSource for AtHand<'_, S> {
 pub struct FrameEvidence<'a> {
     /// Whether the empty-scene screen says that nothing is in view.
     pub empty: Option<bool>,
-    /// The picture in grey, of the size that is asked for.
+    /// The grey picture, of the requested size.
     pub grey: Option<GreyPicture<'a>>,
     /// What the detector finds.
     pub detections: Option<&'a [Detection]>,
@@ -145,7 +145,7 @@ impl EvidenceAtHand for FrameEvidence<'_> {
 mod tests {
     use super::*;
     use crate::geometry::PictureSize;
-    use crate::policy::testing::seen;
+    use crate::policy::tests::seen;
     use crate::policy::{Albireo, AlbireoSettings, FrameState};
 
     fn head(index: u64) -> FrameHead {

@@ -28,20 +28,18 @@
 //!
 //! where m is an object's mean score, b the birth rate and N̄ a moving average of the summed confidence
 //! of the reported boxes. The detector runs on the first frame, when g ≥ λ, and when T reaches
-//! `longest_pause`.
+//! [`longest_pause`](ExpectedLossSettings::longest_pause).
 //!
 //! Why M: let a call cost λ·N̄ boxes. A pause of k skipped frames and one call costs
 //! `(L_1 + … + L_k + λN̄) / (k + 1)` per frame. Skipping one frame more lowers this mean exactly if its
 //! loss is below the mean, which is `(k + 1)·L − Σ L_t < λN̄`, that is `M < λN̄`. So λ is the price of a
 //! call, in frames' worth of all the boxes in view; scenes that change fast are called more often, but
-//! not as much more often as a threshold on L would have it. [`CallRule::Frame`] is that threshold.
+//! not as much more often as a threshold on L would have it.
 //!
 //! Lost frames advance everything but the sums: a frame that never came cannot be answered badly.
 //!
-//! Under the names that end with `+flow` there are three choices a frame, under one price: answer blind, look, call. A look at a
-//! grey picture follows the boxes ([`follow`]) and costs `price·λ` where a call costs λ. It is taken when the
-//! boxes that it is expected to save on this frame are worth that, and always before a call, which it may spare;
-//! the frames that were looked at count their looks among their losses.
+//! Under the names that end with `+flow`, each frame with objects is looked at in a small grey picture, where
+//! their boxes are followed ([`follow`]); what that says of them goes into L, and may spare a call.
 
 mod association;
 mod birth;
@@ -62,21 +60,22 @@ use birth::BirthRate;
 use follow::Follower;
 pub(super) use follow::grey_view;
 use objects::Objects;
-pub use settings::{Call, Confidence, ExpectedLossSettings, Flow, Motion, Pixels};
-pub use settings::{CallRule, ExpectedLossAssociation, InTracker, Life, Surprise};
+use settings::{CROWD_MEMORY, CROWD_PRIOR, FLOW_BIRTH_PRIOR, LEAST_CROWD};
+pub use settings::{ExpectedLossSettings, InTracker, Pixels};
+pub(super) use settings::{FLOW_GRID, FLOW_LEVELS, FLOW_WIDTH, LONGEST_GAP};
 use trigger::Pause;
 pub use trigger::Trigger;
 
-/// How far the frame in hand has come.
+/// Progress of the current frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum ExpectedLossPhase {
     /// The screen was asked.
     AwaitsScreen,
     /// A grey picture was asked for. Without it the detector would be called if `due`.
     AwaitsPicture { due: bool, screened: bool },
-    /// The detector was asked, after the screen said "not empty" or without its verdict.
+    /// Detections were requested, after the screen's "not empty" or without its verdict.
     AwaitsDetections { screened: bool },
-    /// The screen said "empty".
+    /// The screen answered "empty".
     Empty,
     /// The detector is not needed.
     Skipped,
@@ -94,16 +93,16 @@ pub struct ExpectedLoss {
     /// N̄, the moving average of the summed confidence of reported boxes.
     crowd: f64,
     pause: Pause,
-    /// What looks at pictures, if anything does.
+    /// The optical flow, for policies with it.
     follower: Option<Box<Follower>>,
     /// Whether the detector has answered since the stream began.
     started: bool,
     progress: ExpectedLossPhase,
-    /// Why the detector is called for the frame in hand.
+    /// Why the detector is called for the current frame.
     cause: Option<CallCause>,
-    /// L of the frame in hand, the price of a look included.
+    /// L of the current frame.
     loss: f64,
-    /// g of the frame in hand.
+    /// g of the current frame.
     weight: f64,
     tau_max: Option<f64>,
     active: usize,
@@ -145,11 +144,10 @@ impl ExpectedLoss {
             settings,
             trigger,
             objects: Objects::new(),
-            births: BirthRate::new(&settings.call),
-            crowd: settings.call.crowd_prior,
+            births: BirthRate::new(),
+            crowd: CROWD_PRIOR,
             pause: Pause::START,
-            follower: (settings.pixels == Pixels::Flow)
-                .then(|| Box::new(Follower::new(&settings.flow))),
+            follower: (settings.pixels == Pixels::Flow).then(|| Box::new(Follower::new())),
             started: false,
             progress: ExpectedLossPhase::Skipped,
             cause: None,
@@ -198,25 +196,23 @@ impl ExpectedLoss {
         &self.settings
     }
 
-    /// g of the frame in hand: what is compared with λ.
+    /// g of the current frame: what is compared with λ.
     pub fn weight(&self) -> f64 {
         self.weight
     }
 
-    /// Sums up what would be lost on this frame without the detector, and adds what it has `cost` already.
-    fn survey(&mut self, cost: f64) {
-        let call = &self.settings.call;
-        self.objects.judge(self.settings.flow.health_weight);
+    /// Sums up what would be lost on this frame without the detector.
+    fn survey(&mut self) {
+        self.objects.judge();
         let aspect = self.objects.aspect();
         let mut tau_max = f64::NEG_INFINITY;
-        let mut loss = cost + self.births.expected_loss(call, self.pause.frames);
+        let mut loss = self.births.expected_loss(self.pause.frames);
         for object in self.objects.iter() {
-            loss += object.expected_loss(call.miss);
+            loss += object.expected_loss();
             tau_max = tau_max.max(object.tau(aspect));
         }
         self.loss = loss;
-        let crowd = self.crowd.max(call.least_crowd);
-        self.weight = self.pause.weigh(call.rule, loss, crowd);
+        self.weight = self.pause.weigh(loss, self.crowd.max(LEAST_CROWD));
         self.active = self.objects.len();
         self.tau_max = (self.active > 0).then_some(tau_max);
     }
@@ -225,34 +221,8 @@ impl ExpectedLoss {
     fn call_at(&self, weight: f64) -> Option<CallCause> {
         match self.started {
             false => Some(CallCause::Start),
-            true => (self.pause).call(&self.trigger, &self.settings.call, weight),
+            true => (self.pause).call(&self.trigger, self.settings.longest_pause, weight),
         }
-    }
-
-    /// What a look costs, in boxes.
-    fn price_of_look(&self) -> f64 {
-        let crowd = self.crowd.max(self.settings.call.least_crowd);
-        match self.trigger {
-            Trigger::ExpectedLoss { lambda } => self.settings.flow.price * lambda * crowd,
-            // A schedule knows no prices.
-            Trigger::FixedSkip { .. } | Trigger::Even { .. } => 0.0,
-        }
-    }
-
-    /// Whether a look is expected to save as much as it costs; or is the last chance to go on following.
-    fn is_worth_a_look(&self, follower: &Follower) -> bool {
-        if !follower.can_follow() || self.active == 0 {
-            return false;
-        }
-        let (flow, miss) = (&self.settings.flow, self.settings.call.miss);
-        if follower.is_last_chance(flow) {
-            return true;
-        }
-        let gain = |object| {
-            let variance = follower.expected_variance(flow, object);
-            object.weight(miss) * object.gain_of_look(&variance, flow.health_weight)
-        };
-        self.objects.iter().map(gain).sum::<f64>() >= self.price_of_look()
     }
 
     /// Asks for the picture, if pictures are looked at, and else for the detector.
@@ -270,23 +240,20 @@ impl ExpectedLoss {
     }
 
     fn picture_need(&self) -> Need {
-        Need::SmallGreyPicture {
-            width: self.settings.flow.width,
-        }
+        Need::SmallGreyPicture { width: FLOW_WIDTH }
     }
 
-    /// Follows the boxes into the picture and decides anew. A call that the screen demands stands.
+    /// Follows the boxes into the picture and decides again. A call that the screen demands is not revoked.
     fn look(&mut self, picture: GreyPicture<'_>, screened: bool) -> Need {
         let aspect = self.objects.aspect();
         if let Some(follower) = &mut self.follower {
             if !follower.has_looked() {
-                let prior = self.settings.flow.birth_prior;
-                self.births.expect(&self.settings.call, prior);
+                self.births.expect(FLOW_BIRTH_PRIOR);
             }
             let objects = self.objects.as_mut_slice();
-            follower.look(&self.settings.flow, objects, aspect, picture);
+            follower.look(objects, aspect, picture);
         }
-        self.survey(self.price_of_look());
+        self.survey();
         if !screened {
             self.cause = self.call_at(self.weight);
         }
@@ -335,7 +302,7 @@ impl ExpectedLoss {
     }
 
     fn take_detections(&mut self, detections: &[Detection]) {
-        let born = self.objects.observe(&self.settings, detections);
+        let born = self.objects.observe(self.settings.pixels, detections);
         self.births.count(born);
         self.pause.end();
         self.started = true;
@@ -370,28 +337,28 @@ impl Policy for ExpectedLoss {
         let step = frame.step.max(1);
         self.objects.set_picture(frame.picture);
         self.pause.advance(&self.trigger, step);
-        self.births.fade(&self.settings.call, step);
-        if self.pause.frames > self.settings.life.longest_blindness {
+        self.births.fade(step);
+        if self.pause.frames > self.settings.longest_blindness {
             self.objects.forget();
         } else {
             for _ in 0..step {
-                self.objects.predict(&self.settings);
+                self.objects.predict();
             }
         }
-        self.survey(0.0);
+        self.survey();
         if let Some(follower) = &mut self.follower {
-            follower.advance(&self.settings.flow, step);
+            follower.advance(step);
         }
         self.cause = self.call_at(self.weight);
         if self.cause.is_some() {
-            if self.active == 0 && self.settings.call.ask_screen_when_empty {
+            if self.active == 0 {
                 self.progress = ExpectedLossPhase::AwaitsScreen;
                 return Need::Screen;
             }
             return self.call(false);
         }
         let follower = self.follower.as_deref();
-        if follower.is_some_and(|follower| self.is_worth_a_look(follower)) {
+        if self.active > 0 && follower.is_some_and(Follower::can_follow) {
             return self.ask_for_picture(false, false);
         }
         self.progress = ExpectedLossPhase::Skipped;
@@ -452,8 +419,8 @@ impl Policy for ExpectedLoss {
     fn finish(&mut self, outcome: &mut Outcome) {
         let detected = matches!(self.progress, ExpectedLossPhase::Detected { .. });
         outcome.boxes.clear();
-        let report = (self.objects).report(&self.settings, detected, &mut outcome.boxes);
-        self.crowd += (report.confidence - self.crowd) / self.settings.call.crowd_memory;
+        let report = (self.objects).report(detected, &mut outcome.boxes);
+        self.crowd += (report.confidence - self.crowd) / CROWD_MEMORY;
         if !detected {
             self.pause.skip(self.loss);
         }
@@ -497,8 +464,8 @@ impl Policy for ExpectedLoss {
 
     fn reset(&mut self) {
         self.objects.clear();
-        self.births = BirthRate::new(&self.settings.call);
-        self.crowd = self.settings.call.crowd_prior;
+        self.births = BirthRate::new();
+        self.crowd = CROWD_PRIOR;
         self.pause = Pause::START;
         if let Some(follower) = &mut self.follower {
             follower.clear();
@@ -513,7 +480,7 @@ impl Policy for ExpectedLoss {
     fn objects(&self, visit: &mut dyn FnMut(&ObjectRecord)) {
         let aspect = self.objects.aspect();
         for object in self.objects.iter() {
-            visit(&object.record(&self.settings, aspect));
+            visit(&object.record(aspect));
         }
     }
 

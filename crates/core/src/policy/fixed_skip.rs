@@ -37,7 +37,7 @@ impl SkippedBoxes {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FixedSkipSettings {
-    /// The detector runs on one frame of so many. Need not be whole.
+    /// The detector runs on one frame in this many. Need not be whole.
     pub n: f64,
     /// What is reported between; without it, what the profile has.
     pub skipped_boxes: Option<SkippedBoxes>,
@@ -58,7 +58,7 @@ enum Memory {
     Objects(Box<Tracker>),
 }
 
-/// How far the frame in hand has come.
+/// Progress of the current frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum FixedSkipPhase {
     AwaitsDetections,
@@ -110,9 +110,8 @@ impl FixedSkip {
         }))
     }
 
-    /// Whether a multiple of N lies between the last frame that the detector answered for and frame
-    /// `index`, which may be one itself. So a due frame that was lost makes the next one due, and so does
-    /// a detector that failed; an index that starts anew is due as well.
+    /// Whether a multiple of N lies between the last frame that the detector answered and frame `index`, inclusive. So
+    /// if a due frame is lost or the detector fails on it, the next frame is due; a restarted index is due as well.
     fn is_due(&self, index: u64) -> bool {
         self.last_answered
             .is_none_or(|last| self.period(last) != self.period(index))

@@ -1,8 +1,8 @@
-//! Answers every frame at once by prediction, and takes what the detector finds when it comes.
+//! Answers every frame at once by prediction, and takes the detections when they arrive.
 //!
 //! ```text
 //! frame k    the policy asks for detections: its state is saved, k is pending ─▶ predicted boxes
-//! frame k+1  nothing is asked for while k is pending                          ─▶ predicted boxes
+//! frame k+1  no evidence is requested while k is pending                      ─▶ predicted boxes
 //! …
 //! frame m                                                                     ─▶ predicted boxes
 //! deliver k  back to the saved state, take the detections ─▶ final state and boxes of k;
@@ -169,7 +169,7 @@ impl LatePolicy {
     }
 }
 
-/// Takes the frame in hand to its end by prediction alone.
+/// Takes the current frame to its end by prediction alone.
 fn predict(policy: &mut dyn Policy, mut need: Need, outcome: &mut Outcome) {
     while need != Need::Nothing {
         need = policy.answer(Evidence::Unavailable);

@@ -24,7 +24,7 @@ pub struct ObjectRecord {
     pub hits: u32,
     /// Frames since its last detection.
     pub since_update: u32,
-    /// Frames since the detector last had a say on it.
+    /// Frames since the detector last measured or missed it.
     pub since_infer: u32,
     /// Detector frames in a row that missed it.
     pub misses: u32,

@@ -1,7 +1,10 @@
 //! What every policy promises, whatever is done to it.
 
+mod camera;
+
+pub(super) use camera::{PICTURE, Run, ride, seen};
+
 use super::config::known_policies;
-use super::testing::PICTURE;
 use super::*;
 use crate::detection::ClassId;
 use proptest::prelude::*;
@@ -10,7 +13,7 @@ use proptest::prelude::*;
 #[derive(Clone, Debug)]
 struct Event {
     step: u32,
-    /// Abandoned after so many answers.
+    /// Abandoned after this many answers.
     given_up: Option<usize>,
     small_picture: bool,
     screen: Option<bool>,

@@ -1,5 +1,5 @@
-//! What the baselines with objects have in common: Albireo's filter, matching and reporting, under a
-//! trigger and rules of removal of their own.
+//! What the baselines with objects share: Albireo's filter, matching and reporting. Each has its own
+//! trigger and rules of removal.
 
 use super::reporting::Reporting;
 use super::{

@@ -10,11 +10,11 @@ use std::collections::VecDeque;
 /// Seconds over which the load is measured for the controller; longer where frames are few.
 const WINDOW_S: f64 = 5.0;
 
-/// Fewest frames of that time: from fewer a share is told by chance.
+/// Fewest frames in that time: with fewer, the share is mostly chance.
 const WINDOW_FRAMES: u64 = 50;
 
-/// Seconds over which it is told, and judged whether it is held: the pauses between calls vary, so that five seconds go to
-/// and fro by some ten per cent by themselves.
+/// Seconds over which the load is reported and compared with the target: the pauses between calls vary, so over five
+/// seconds it fluctuates by about ten per cent by itself.
 const TOLD_S: f64 = 20.0;
 
 /// Fewest frames of that time.
@@ -142,7 +142,7 @@ impl LoadControl {
             Target::DetectorMsPerS(wanted) => (wanted, ratio(load.detector_ms_per_s, wanted)),
             Target::Watts(wanted) => (wanted, by_power(wanted)?),
             Target::JoulesPerDay(wanted) => (wanted, by_power(wanted / DAY_S)?),
-            // Not a load; it has a rule of its own.
+            // Not a load; it has its own rule.
             Target::Recall(_) => return None,
         })
     }
@@ -212,7 +212,7 @@ impl Window {
 }
 
 impl Load {
-    /// What is told of a target.
+    /// The measured value for a target.
     fn of(&self, target: Target) -> Option<f64> {
         match target {
             Target::SkipRate(_) => self.share.map(|share| 1.0 - share),

@@ -12,7 +12,7 @@ use std::collections::VecDeque;
 /// down, and 0.03 over all that is kept.
 const ENOUGH: f64 = 60.0;
 
-/// What was compared at so much another knob (its logarithm) tells nothing of this one.
+/// Comparisons made at a knob this far from the current one (in its logarithm) are not used.
 const NEAR: f64 = 0.4;
 
 /// Largest share of the drawn frames that may be missed. A detector has no time where most happens, so the rest would be

@@ -110,7 +110,7 @@ fn settles(controller: &mut TargetController, plant: &mut Plant, what: &str) {
 }
 
 fn load_targets() -> [Target; 4] {
-    // With 15 frames a second, 40 ms and 13 W at most these can be met in all the scenes below.
+    // With 15 frames per second, 40 ms and 13 W at most these can be met in all the scenes below.
     [
         Target::SkipRate(0.5),
         Target::DetectorMsPerS(280.0),
@@ -273,7 +273,7 @@ fn a_restart_with_the_kept_value_goes_on_where_it_was() {
 }
 
 #[test]
-fn without_frames_or_power_the_knob_rests_and_the_reason_is_said() {
+fn without_frames_or_power_the_knob_rests_and_the_reason_is_reported() {
     let mut controller = TargetController::new(Target::Watts(6.0), RANGE, 0.3).unwrap();
     let mut plant = Plant::new(51);
     for _ in 0..30 {
@@ -377,7 +377,7 @@ fn the_lower_end_of_recall_is_held_as_fast_as_boxes_come_and_an_impossible_one_i
     assert_eq!(last.status, TargetStatus::CannotBeMet, "{last:?}");
     assert!((last.knob - RANGE.least).abs() < 1e-9 && last.unmet_s > 3600.0);
 
-    // Nothing is drawn any more: it is said, and the knob stays.
+    // Nothing is drawn any more: the status reports it, and the knob stays.
     plant.busy = 0.3;
     for _ in 0..700 {
         let measured = plant.second(controller.knob());

@@ -134,7 +134,7 @@ impl OverlapCosts {
 /// `x2 − gate·w` and ends behind `x1 + gate·w`, and likewise along y. Where the gate is above one half, these are the
 /// other way round, and still right.
 fn core_of(object: Corners, gate: f64) -> Corners {
-    // A little less, so that rounding leaves nobody out.
+    // A little less, so that rounding excludes no pair.
     let share = (gate - 1e-6).max(0.0);
     let (x, y) = (
         share * (object.x2 - object.x1),

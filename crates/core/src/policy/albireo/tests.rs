@@ -47,7 +47,7 @@ impl Run {
         head
     }
 
-    /// A whole frame after `step` frames; `None` for a detector that cannot be had.
+    /// A whole frame after `step` frames; `None` for a detector that is not available.
     fn frame(&mut self, step: u32, detections: Option<&[Detection]>) -> FrameState {
         self.index += u64::from(step) - 1;
         let head = self.head(step);
@@ -119,7 +119,7 @@ fn the_references_detector_frames_report_the_filters_boxes_with_decayed_confiden
 }
 
 #[test]
-fn predicted_frames_report_all_active_objects_unless_told_otherwise() {
+fn predicted_frames_report_all_active_objects_by_default() {
     for report_tentative in [true, false] {
         let settings = AlbireoSettings {
             report_tentative,

@@ -54,7 +54,7 @@ mod tests {
     use crate::kalman::{Filter, FilterModel};
     use crate::policy::FrameEvidence;
     use crate::policy::FrameState::{AI, E, EI, I, P};
-    use crate::policy::testing::{Run, seen};
+    use crate::policy::tests::{Run, seen};
     use crate::policy::{Need, Profile};
 
     const ABLATIONS: [Ablation; 3] = [Ablation::KillOnly, Ablation::KillErd, Ablation::KillErd10d];

@@ -49,7 +49,7 @@ impl Default for AdaptiveRateSettings {
     }
 }
 
-/// How far the frame in hand has come.
+/// Progress of the current frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum AdaptiveRatePhase {
     AwaitsDetections,
@@ -71,13 +71,13 @@ pub struct AdaptiveRate {
     settings: AdaptiveRateSettings,
     tracker: Tracker,
     progress: AdaptiveRatePhase,
-    /// Why the detector is called for the frame in hand.
+    /// Why the detector is called for the current frame.
     cause: Option<CallCause>,
-    /// Frames since the detector last answered, the frame in hand included; `None` before its first answer.
+    /// Frames since the detector last answered, the current frame included; `None` before its first answer.
     since_call: Option<u32>,
-    /// v̄; `None` before it can be told, after the second answer.
+    /// v̄; `None` until the second answer.
     speed: Option<f64>,
-    /// The objects before the answer in hand, oldest first. The buffer is kept.
+    /// The objects before the current answer, oldest first. The buffer is kept.
     before: Vec<Last>,
 }
 
@@ -129,7 +129,7 @@ impl AdaptiveRate {
     fn interval(&self) -> f64 {
         let longest = f64::from(self.settings.longest_interval);
         match self.speed {
-            // Nothing is known of the scene's speed before the second answer: the detector looks again at once.
+            // The scene's speed is unknown before the second answer: the detector runs again at once.
             None => 1.0,
             Some(speed) if speed > 0.0 => (self.settings.drift / speed).clamp(1.0, longest),
             Some(_) => longest,
@@ -156,7 +156,7 @@ impl AdaptiveRate {
         self.since_call = Some(0);
     }
 
-    /// v of the answer in hand, `pause` frames after the one before.
+    /// v of the current answer, `pause` frames after the one before.
     fn scene_speed(&self, pause: f64) -> f64 {
         // Objects are kept in order of their numbers, so both lists are walked once.
         let mut before = self.before.iter().peekable();

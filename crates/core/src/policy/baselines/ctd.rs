@@ -41,7 +41,7 @@ impl Default for CtdSettings {
     }
 }
 
-/// How far the frame in hand has come.
+/// Progress of the current frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum CtdPhase {
     AwaitsDetections,
@@ -56,7 +56,7 @@ pub struct Ctd {
     largest_distance: f64,
     tracker: Tracker,
     progress: CtdPhase,
-    /// Why the detector is called for the frame in hand.
+    /// Why the detector is called for the current frame.
     cause: Option<CallCause>,
     /// Frames since the detector last answered.
     since_detector: u32,

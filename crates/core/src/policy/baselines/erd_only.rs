@@ -7,7 +7,7 @@ use crate::policy::{
     PolicyConfig, PolicyConfigError,
 };
 
-/// How far the frame in hand has come.
+/// Progress of the current frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 enum ErdOnlyPhase {
     #[default]
@@ -23,7 +23,7 @@ enum ErdOnlyPhase {
 pub(crate) struct ErdOnly {
     boxes: DetectorBoxes,
     progress: ErdOnlyPhase,
-    /// Why the detector is called for the frame in hand.
+    /// Why the detector is called for the current frame.
     cause: Option<CallCause>,
 }
 
@@ -121,7 +121,7 @@ impl Policy for ErdOnly {
 mod tests {
     use super::*;
     use crate::policy::FrameEvidence;
-    use crate::policy::testing::{Run, seen};
+    use crate::policy::tests::{Run, seen};
     use crate::policy::{BoxSource, Profile};
 
     #[test]

@@ -1,4 +1,4 @@
-//! Frame dropping with an event trigger: the detector on every n-th frame, and whenever something shows up that no
+//! Frame dropping with an event trigger: the detector runs on every n-th frame, and whenever something appears that no
 //! object explains.
 //!
 //! After M. Henning, M. Buchholz and K. Dietmayer, "Advancing Frame-Dropping in Multi-Object Tracking-by-Detection
@@ -6,8 +6,8 @@
 //! it: a tracker is fed with detections of some frames only, and an event, an object that another and cheaper sensor
 //! sees and no track explains, calls the detector out of turn.
 //!
-//! Liberties. Their detector looks at lidar, and the cheaper sensor is the camera with a detector of its own; here there
-//! is one camera and one detector. So an event comes from one of two cues:
+//! Differences: their detector reads lidar, and the cheaper sensor is the camera with its own detector. Here there is
+//! one camera and one detector, so an event comes from one of two cues:
 //!
 //! - **pixels**, which a node has: more than [`FrameDropSettings::component_size`] pixels in one piece of the halved
 //!   grey picture have changed since the frame before, outside of all predicted boxes and a margin around them (the
@@ -44,7 +44,7 @@ const MISSES: u32 = 2;
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct FrameDropSettings {
-    /// The detector runs when its last call was so many frames ago, and at events.
+    /// The detector runs when its last call was this many frames ago, and at events.
     pub n: f64,
     /// A change outside of all predicted boxes is an event when it has more pixels in one piece, counted in the halved
     /// picture.
@@ -63,7 +63,7 @@ impl Default for FrameDropSettings {
     }
 }
 
-/// How far the frame in hand has come.
+/// Progress of the current frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum FrameDropPhase {
     AwaitsPicture,
@@ -77,9 +77,9 @@ pub struct FrameDrop {
     settings: FrameDropSettings,
     tracker: Tracker,
     progress: FrameDropPhase,
-    /// Why the detector is called for the frame in hand.
+    /// Why the detector is called for the current frame.
     cause: Option<CallCause>,
-    /// Frames since the detector last answered, the frame in hand included; `None` before its first answer.
+    /// Frames since the detector last answered, the current frame included; `None` before its first answer.
     since_call: Option<u32>,
     /// The detector was called for and has not answered since.
     owed: bool,
@@ -89,7 +89,7 @@ pub struct FrameDrop {
     /// The last picture there was.
     pixels: Vec<u8>,
     size: Option<PictureSize>,
-    /// The picture in hand, with the last one's pixels inside the predicted boxes.
+    /// The current picture, with the last one's pixels inside the predicted boxes.
     masked: Vec<u8>,
 }
 
@@ -115,7 +115,7 @@ impl FrameDrop {
         Ok(Box::new(Self::new(config, None)?))
     }
 
-    /// The policy with `cue` in the place of pixels: what a second sensor sees, one list a frame, by frame index. Frames
+    /// The policy with `cue` instead of pixels: what a second sensor sees, one list per frame, by frame index. Frames
     /// beyond it have no events.
     ///
     /// # Errors

@@ -7,9 +7,9 @@
 //! 4-connected component of them has more pixels than [`StatuesSettings::component_size`]. Otherwise
 //! the boxes of the last detector frame are reported again.
 //!
-//! The comparison is with the frame before, not with the last frame the detector ran on: so it is in
-//! that code, and what moves slowly enough is therefore never seen to move. Where the frame before was
-//! lost or its picture could not be had, the last picture there was takes its place.
+//! As in that code, the comparison is with the previous frame, not with the last frame the detector ran on, so
+//! objects that move slowly enough go unnoticed. If the previous frame was lost or has no picture, the last
+//! available picture replaces it.
 
 use super::changed_region::ChangedRegion;
 use crate::geometry::PictureSize;
@@ -40,7 +40,7 @@ impl Default for StatuesSettings {
     }
 }
 
-/// How far the frame in hand has come.
+/// Progress of the current frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum StatuesPhase {
     AwaitsPicture,
@@ -58,7 +58,7 @@ pub struct Statues {
     size: Option<PictureSize>,
     boxes: DetectorBoxes,
     progress: StatuesPhase,
-    /// Why the detector is called for the frame in hand.
+    /// Why the detector is called for the current frame.
     cause: Option<CallCause>,
     /// The detector was called for and has not answered since.
     detector_owed: bool,
@@ -160,8 +160,8 @@ impl Policy for Statues {
         Need::GreyPicture
     }
 
-    /// Without the picture nobody knows what has changed, so the detector runs. A detector that was
-    /// called for and failed is called again on the next frame, changed or not.
+    /// Without the picture a change cannot be excluded, so the detector runs. A detector call that
+    /// failed is repeated on the next frame, changed or not.
     fn answer(&mut self, evidence: Evidence<'_>) -> Need {
         match (self.progress, evidence) {
             (StatuesPhase::AwaitsPicture, Evidence::GreyPicture(picture)) => {

@@ -31,9 +31,11 @@ fn every_known_name_builds_a_policy_of_that_name() {
 
 #[test]
 fn an_unknown_policy_is_refused_with_the_names_there_are() {
-    let message = error("name = 'albiro'");
-    assert!(message.contains("albiro"), "{message}");
+    let message = error("name = 'mine'");
+    assert!(message.contains("no policy `mine`"), "{message}");
     assert!(message.contains("`albireo`, `vanilla`"), "{message}");
+    let message = error("name = 'albiro'");
+    assert!(message.contains("did you mean `albireo`?"), "{message}");
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //! plays no part. Both stages make as many pairs within the gate as can be, at the smallest total cost.
 
 use super::object::{Object, measure};
-use super::settings::ExpectedLossSettings;
+use super::settings::{IOU_GATE, MAHALANOBIS_GATE};
 use crate::detection::Detection;
 use crate::geometry::Corners;
 use crate::objects::{ComponentSolver, Edge, OverlapIndex};
@@ -25,7 +25,6 @@ impl Associator {
     /// detection of each object by index.
     pub(crate) fn associate(
         &mut self,
-        settings: &ExpectedLossSettings,
         objects: &[Object],
         detections: &[Detection],
         usable: &[bool],
@@ -42,15 +41,15 @@ impl Associator {
                 .map(|detection| detection.bounding_box.corners()),
         );
 
-        self.pair_by_overlap(settings.association.iou_gate, objects, aspect);
+        self.pair_by_overlap(objects, aspect);
         if self.matched.iter().any(|matched| !matched) {
-            self.pair_by_distance(settings, objects, detections, aspect);
+            self.pair_by_distance(objects, detections, aspect);
         }
         &self.detection_of
     }
 
     /// Stage 1: cost 1 − IoU.
-    fn pair_by_overlap(&mut self, gate: f64, objects: &[Object], aspect: f64) {
+    fn pair_by_overlap(&mut self, objects: &[Object], aspect: f64) {
         let Self {
             corners,
             matched,
@@ -76,7 +75,7 @@ impl Associator {
                     return;
                 }
                 let overlap = own.intersection_over_union(corners);
-                if overlap >= gate && overlap > 0.0 && !matched[column] {
+                if overlap >= IOU_GATE && !matched[column] {
                     edges.push(Edge {
                         row,
                         column: column as u32,
@@ -94,20 +93,14 @@ impl Associator {
     }
 
     /// Stage 2: the cost is the squared distance `Σ y²/S` with `S = max(1, α)·(p00 + R)`.
-    fn pair_by_distance(
-        &mut self,
-        settings: &ExpectedLossSettings,
-        objects: &[Object],
-        detections: &[Detection],
-        aspect: f64,
-    ) {
+    fn pair_by_distance(&mut self, objects: &[Object], detections: &[Detection], aspect: f64) {
         self.edges.clear();
         for (row, object) in (0u32..).zip(objects) {
             if self.detection_of[row as usize].is_some() {
                 continue;
             }
             let scale = object.alpha.max(1.0);
-            let variance = object.filter.innovation_variance(&settings.motion);
+            let variance = object.filter.innovation_variance();
             let position = object.filter.position();
             for (column, detection) in (0u32..).zip(detections) {
                 if self.matched[column as usize] {
@@ -118,7 +111,7 @@ impl Associator {
                     .map(|axis| (measured[axis] - position[axis]).powi(2) / variance[axis])
                     .sum();
                 let cost = cost / scale;
-                if cost < settings.association.mahalanobis_gate {
+                if cost < MAHALANOBIS_GATE {
                     self.edges.push(Edge { row, column, cost });
                 }
             }

@@ -5,8 +5,8 @@
 //!
 //! ```text
 //! x − x_then = dx,  y − y_then = dy,  ln w − ln w_then = ln h − ln h_then = ln s
-//! √R_center = √((center_noise·s)² + (pixel_noise pixels)² + (spread_noise·spread·smaller side)²)
-//! √R_size   = √(size_noise² + (spread_noise·spread)²)
+//! √R_center = √((center_noise·s)² + (pixel_noise pixels)² + (spread·smaller side)²)
+//! √R_size   = √(size_noise² + spread²)
 //! ```
 //!
 //! and so the miss probability grows no faster than the flow is unsure. That knows nothing of what the flow is on:
@@ -18,7 +18,7 @@
 //! h ← h·(1 − doubt·(1 − r)),  and h·lost where flow fails
 //! ```
 //!
-//! and the miss probability `1 − (1 − π)·h^health_weight`.
+//! and the miss probability `1 − (1 − π)·h`.
 //!
 //! A side of the box that lies on the picture's border is where the picture ends and not the object. What comes into
 //! view there as the object moves inwards belongs to it: such a side stays on the border, and by how far it was held
@@ -26,7 +26,10 @@
 
 use super::motion::{LOG_HEIGHT, LOG_WIDTH, Measured, X, Y};
 use super::object::Object;
-use super::settings::Flow;
+use super::settings::{
+    BORDER, CENTER_NOISE, DOUBT, FLOW_GRID, FLOW_LEVELS, LONGEST_GAP, LOST_HEALTH, PIXEL_NOISE,
+    SIZE_NOISE, SPREAD_WEIGHT,
+};
 use crate::flow::{BoxFlow, BoxFlowSettings, BoxMotion, GreyView, Pyramid};
 use crate::geometry::{Corners, PictureSize};
 use crate::policy::GreyPicture;
@@ -39,29 +42,20 @@ pub(super) struct Follower {
     now: Pyramid,
     /// Frames since the picture before.
     age: u32,
-    /// The typical spread of what was followed.
-    spread: f64,
     /// Whether it was given a picture since it began.
     looked: bool,
 }
 
-/// The typical spread before anything was followed.
-const FIRST_SPREAD: f64 = 0.01;
-
 /// No followed box is farther from the filter's, picture heights and natural logarithms.
 const LARGEST_OFFSET: f64 = 1.0;
 
-/// How fast the typical spread follows.
-const SPREAD_RATE: f64 = 0.05;
-
 impl Follower {
-    pub(crate) fn new(settings: &Flow) -> Self {
+    pub(crate) fn new() -> Self {
         Self {
-            flow: BoxFlow::new(BoxFlowSettings::of(settings.grid, settings.levels)),
+            flow: BoxFlow::new(BoxFlowSettings::of(FLOW_GRID, FLOW_LEVELS)),
             before: Pyramid::default(),
             now: Pyramid::default(),
             age: 0,
-            spread: FIRST_SPREAD,
             looked: false,
         }
     }
@@ -73,13 +67,11 @@ impl Follower {
             before,
             now,
             age,
-            spread,
             looked,
         } = other;
         self.before.copy_from(before);
         self.now.copy_from(now);
         self.age = *age;
-        self.spread = *spread;
         self.looked = *looked;
     }
 
@@ -88,7 +80,6 @@ impl Follower {
         self.before.clear();
         self.now.clear();
         self.age = 0;
-        self.spread = FIRST_SPREAD;
         self.looked = false;
     }
 
@@ -98,10 +89,10 @@ impl Follower {
     }
 
     /// Another `step` frames began.
-    pub(crate) fn advance(&mut self, settings: &Flow, step: u32) {
+    pub(crate) fn advance(&mut self, step: u32) {
         self.now.clear();
         self.age = self.age.saturating_add(step);
-        if self.age > settings.longest_gap {
+        if self.age > LONGEST_GAP {
             self.before.clear();
         }
     }
@@ -111,20 +102,9 @@ impl Follower {
         !self.before.is_empty()
     }
 
-    /// Whether the next frame will be too far from that picture.
-    pub(crate) fn is_last_chance(&self, settings: &Flow) -> bool {
-        self.age >= settings.longest_gap
-    }
-
-    /// Takes the picture of the frame in hand and follows the boxes into it. A picture that has not as many pixels as
-    /// its size says is none.
-    pub(crate) fn look(
-        &mut self,
-        settings: &Flow,
-        objects: &mut [Object],
-        aspect: f64,
-        picture: GreyPicture<'_>,
-    ) {
+    /// Takes the picture of the current frame and follows the boxes into it. Ignores a picture whose number of pixels
+    /// does not match its size.
+    pub(crate) fn look(&mut self, objects: &mut [Object], aspect: f64, picture: GreyPicture<'_>) {
         let Some(view) = grey_view(picture) else {
             return;
         };
@@ -138,11 +118,11 @@ impl Follower {
         // Picture heights to pixels.
         let scale = [width as f64 / aspect, height as f64];
         for object in objects {
-            self.follow(settings, object, aspect, scale);
+            self.follow(object, aspect, scale);
         }
     }
 
-    fn follow(&mut self, settings: &Flow, object: &mut Object, aspect: f64, scale: [f64; 2]) {
+    fn follow(&mut self, object: &mut Object, aspect: f64, scale: [f64; 2]) {
         let Some(mut then) = object.filter.remembered() else {
             return;
         };
@@ -165,11 +145,9 @@ impl Follower {
         let followed = self.flow.follow(&self.before, &self.now, area, guess);
         let agreement = followed.agreement();
         let Some(motion) = followed.motion else {
-            object.health *= settings.lost;
-            object.agreement = 0.0;
+            object.health *= LOST_HEALTH;
             return;
         };
-        self.spread += SPREAD_RATE * (motion.spread - self.spread);
         let moved = [
             motion.shift[0] / scale[0],
             motion.shift[1] / scale[1],
@@ -177,11 +155,11 @@ impl Follower {
             motion.scale.ln(),
         ];
         let smaller = sides[0].min(sides[1]) / scale[1];
-        let variance = variance(settings, object, motion.spread, smaller, scale[1]);
+        let variance = variance(object, motion.spread, smaller, scale[1]);
         object.filter.follow(&moved, &variance);
         let filtered = object.filter.position();
         let mut end: Measured = std::array::from_fn(|axis| then[axis] + moved[axis]);
-        let margin = settings.border / scale[1];
+        let margin = BORDER / scale[1];
         for (held, (sides, length)) in [([X, LOG_WIDTH], aspect), ([Y, LOG_HEIGHT], 1.0)]
             .into_iter()
             .enumerate()
@@ -194,18 +172,10 @@ impl Follower {
         }));
         object.followed = true;
         object.trailing = true;
-        object.agreement = agreement;
-        object.health *= 1.0 - settings.doubt * (1.0 - reliability(settings, agreement, &motion));
+        object.health *= 1.0 - DOUBT * (1.0 - reliability(agreement, &motion));
     }
 
-    /// The variances that a look is expected to measure an object's shift and growth with.
-    pub(crate) fn expected_variance(&self, settings: &Flow, object: &Object) -> [f64; 4] {
-        let height = self.before.size().1.max(1) as f64;
-        let [width, tall] = object.filter.sides();
-        variance(settings, object, self.spread, width.min(tall), height)
-    }
-
-    /// The frame in hand is answered: what was seen of it is what the next look begins from.
+    /// The current frame is answered: its picture becomes the start of the next flow.
     pub(crate) fn remember(&mut self, objects: &mut [Object]) {
         if self.now.is_empty() {
             return;
@@ -257,17 +227,17 @@ fn hold(
     longer.max(0.0)
 }
 
-fn reliability(settings: &Flow, agreement: f64, motion: &BoxMotion) -> f64 {
-    agreement * (1.0 - settings.spread_weight * motion.spread).max(0.0)
+fn reliability(agreement: f64, motion: &BoxMotion) -> f64 {
+    agreement * (1.0 - SPREAD_WEIGHT * motion.spread).max(0.0)
 }
 
 /// R of the four axes; `smaller` is the box's smaller side and the picture has `height` rows.
-fn variance(settings: &Flow, object: &Object, spread: f64, smaller: f64, height: f64) -> [f64; 4] {
-    let wide = (settings.spread_noise * spread).powi(2);
-    let center = (settings.center_noise * object.filter.size()).powi(2)
-        + (settings.pixel_noise / height).powi(2)
+fn variance(object: &Object, spread: f64, smaller: f64, height: f64) -> [f64; 4] {
+    let wide = spread.powi(2);
+    let center = (CENTER_NOISE * object.filter.size()).powi(2)
+        + (PIXEL_NOISE / height).powi(2)
         + wide * smaller * smaller;
-    let size = settings.size_noise.powi(2) + wide;
+    let size = SIZE_NOISE.powi(2) + wide;
     [center, center, size, size]
 }
 
@@ -277,8 +247,8 @@ mod tests {
     use crate::detection::{ClassId, Detection};
     use crate::geometry::BoundingBox;
     use crate::policy::expected_loss::object::Object;
-    use crate::policy::expected_loss::settings::{ExpectedLossSettings, Pixels};
-    use crate::policy::testing::ride;
+    use crate::policy::expected_loss::settings::Pixels;
+    use crate::policy::tests::ride;
     use crate::policy::{BoxSource, ObjectId};
 
     #[test]
@@ -289,7 +259,7 @@ mod tests {
             let off = skipped.iter().map(|(_, off)| *off);
             off.fold(0.0, f64::max)
         };
-        // It looks where that is worth its price, and is never as far off as prediction.
+        // It reads every picture, and its error is always smaller than that of prediction.
         let followed = |(source, _): &(BoxSource, f64)| *source == BoxSource::Followed;
         assert!(flow.skipped.iter().any(followed));
         assert!(!blind.skipped.iter().any(followed));
@@ -347,21 +317,17 @@ mod tests {
 
     #[test]
     fn a_followed_box_that_was_right_is_no_surprise() {
-        let settings = ExpectedLossSettings {
-            pixels: Pixels::Flow,
-            ..ExpectedLossSettings::default()
-        };
         let at = |center_x: f64| Detection {
             bounding_box: BoundingBox::new(center_x, 0.5, 0.1, 0.1),
             class: ClassId(0),
             confidence: 0.9,
         };
         let surprise = |trailing: bool| {
-            let mut object = Object::new(&settings, ObjectId(0), &at(0.4), 1.0, &[0.0; 3], 1.0);
-            object.predict(&settings);
+            let mut object = Object::new(ObjectId(0), &at(0.4), 1.0, &[0.0; 3], 1.0, Pixels::Flow);
+            object.predict();
             object.offset = Some([0.1, 0.0, 0.0, 0.0]);
             object.trailing = trailing;
-            object.update(&settings, &at(0.5), 1.0)
+            object.update(&at(0.5), 1.0)
         };
         assert!(surprise(true) < 1e-12);
         assert!(surprise(false) > 0.5);

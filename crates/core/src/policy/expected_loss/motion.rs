@@ -24,7 +24,10 @@
 //! and afterwards both log-sides move at the mean of their velocities: what comes nearer keeps its shape.
 //! Where optical flow follows a box, it measures a difference of two positions: see [`Earlier`].
 
-use super::settings::Motion;
+use super::settings::{
+    CENTER_FADING, CENTER_MEASUREMENT, CENTER_PROCESS, LARGEST_GROWTH, NEWCOMER_CENTER_VELOCITY,
+    NEWCOMER_SIZE_VELOCITY, SIZE_FADING, SIZE_MEASUREMENT, SIZE_PROCESS,
+};
 
 /// Index of the axes in arrays of four.
 pub(super) const X: usize = 0;
@@ -143,17 +146,17 @@ pub(super) struct MotionFilter {
 
 impl MotionFilter {
     /// A new object at `measured`, moving at `velocity` in units of U.
-    pub(crate) fn new(settings: &Motion, measured: &Measured, velocity: &[f64; 3]) -> Self {
+    pub(crate) fn new(measured: &Measured, velocity: &[f64; 3]) -> Self {
         let sides = [LOG_WIDTH, LOG_HEIGHT].map(|axis| measured[axis].exp());
         let s = (sides[0] * sides[1]).sqrt();
-        let r = measurement_variance(settings, s);
+        let r = measurement_variance(s);
         let unit = [s, s, 1.0, 1.0];
         let velocity = [velocity[0], velocity[1], velocity[2], velocity[2]];
         let deviation = [
-            settings.newcomer_center_velocity,
-            settings.newcomer_center_velocity,
-            settings.newcomer_size_velocity,
-            settings.newcomer_size_velocity,
+            NEWCOMER_CENTER_VELOCITY,
+            NEWCOMER_CENTER_VELOCITY,
+            NEWCOMER_SIZE_VELOCITY,
+            NEWCOMER_SIZE_VELOCITY,
         ];
         Self {
             axes: std::array::from_fn(|axis| Axis {
@@ -188,14 +191,19 @@ impl MotionFilter {
     }
 
     /// Advances by one frame.
-    pub(crate) fn predict(&mut self, settings: &Motion) {
+    pub(crate) fn predict(&mut self) {
+        self.predict_growing(LARGEST_GROWTH);
+    }
+
+    /// Advances by one frame; what grows faster than `largest_growth` counts as growing by that.
+    fn predict_growing(&mut self, largest_growth: f64) {
         let s = self.size();
         let growth = (self.axes[LOG_WIDTH].v + self.axes[LOG_HEIGHT].v) / 2.0;
-        let rho = growth.clamp(-settings.largest_growth, settings.largest_growth);
-        let q_center = (settings.center_process * s).powi(2);
-        let q_size = settings.size_process.powi(2);
-        let g_center = settings.center_fading * (1.0 + 2.0 * rho);
-        let g_size = settings.size_fading * (1.0 + rho);
+        let rho = growth.clamp(-largest_growth, largest_growth);
+        let q_center = (CENTER_PROCESS * s).powi(2);
+        let q_size = SIZE_PROCESS.powi(2);
+        let g_center = CENTER_FADING * (1.0 + 2.0 * rho);
+        let g_size = SIZE_FADING * (1.0 + rho);
         for axis in [X, Y] {
             self.axes[axis].predict(1.0 + rho, g_center, q_center);
         }
@@ -222,8 +230,8 @@ impl MotionFilter {
     }
 
     /// Takes a measurement; returns the four squared normalised innovations y²/S.
-    pub(crate) fn update(&mut self, settings: &Motion, measured: &Measured) -> [f64; 4] {
-        let r = measurement_variance(settings, self.size());
+    pub(crate) fn update(&mut self, measured: &Measured) -> [f64; 4] {
+        let r = measurement_variance(self.size());
         if let Some(earlier) = &mut self.earlier {
             for (axis, earlier) in earlier.iter_mut().enumerate() {
                 earlier.update(&self.axes[axis], measured[axis], r[axis]);
@@ -270,23 +278,9 @@ impl MotionFilter {
         self.refresh_sides();
     }
 
-    /// [`relative_variance`](Self::relative_variance) as it would be after [`follow`](Self::follow), whatever is
-    /// measured.
-    pub(crate) fn variance_if_followed(&self, variance: &[f64; 4]) -> f64 {
-        let Some(earlier) = &self.earlier else {
-            return self.relative_variance();
-        };
-        let mut axes = self.axes;
-        for ((axis, earlier), r) in axes.iter_mut().zip(earlier).zip(variance) {
-            let (s, covariance) = earlier.difference(axis, *r);
-            axis.p00 -= covariance * covariance / s;
-        }
-        relative_variance(&axes, self.sides)
-    }
-
     /// The variances S of the innovations to come.
-    pub(crate) fn innovation_variance(&self, settings: &Motion) -> [f64; 4] {
-        let r = measurement_variance(settings, self.size());
+    pub(crate) fn innovation_variance(&self) -> [f64; 4] {
+        let r = measurement_variance(self.size());
         std::array::from_fn(|axis| self.axes[axis].p00 + r[axis])
     }
 
@@ -303,19 +297,19 @@ impl MotionFilter {
     /// The relative variance of the box: `4·p_x/w² + 4·p_y/h² + p_lw + p_lh`. A variance of one half
     /// means an edge that is off by about half a side.
     pub(crate) fn relative_variance(&self) -> f64 {
-        relative_variance(&self.axes, self.sides)
+        let [width, height] = self.sides;
+        let [x, y, log_width, log_height] = &self.axes;
+        4.0 * x.p00 / (width * width)
+            + 4.0 * y.p00 / (height * height)
+            + log_width.p00
+            + log_height.p00
     }
 }
 
-fn relative_variance(axes: &[Axis; 4], [width, height]: [f64; 2]) -> f64 {
-    let [x, y, log_width, log_height] = axes;
-    4.0 * x.p00 / (width * width) + 4.0 * y.p00 / (height * height) + log_width.p00 + log_height.p00
-}
-
 /// R of the four axes for a box of size `s`.
-fn measurement_variance(settings: &Motion, s: f64) -> [f64; 4] {
-    let center = (settings.center_measurement * s).powi(2);
-    let size = settings.size_measurement.powi(2);
+fn measurement_variance(s: f64) -> [f64; 4] {
+    let center = (CENTER_MEASUREMENT * s).powi(2);
+    let size = SIZE_MEASUREMENT.powi(2);
     [center, center, size, size]
 }
 
@@ -443,21 +437,17 @@ mod tests {
     #[test]
     fn what_comes_nearer_at_constant_speed_is_followed_better_with_perspective() {
         let error = |largest_growth: f64| {
-            let settings = Motion {
-                largest_growth,
-                ..Motion::default()
-            };
             let at = |frame: u32| {
                 let s: f64 = 1.0 / (4.0 - 0.1 * f64::from(frame));
                 [s, 0.5 * s, s.ln(), s.ln()]
             };
-            let mut filter = MotionFilter::new(&settings, &at(0), &[0.0; 3]);
+            let mut filter = MotionFilter::new(&at(0), &[0.0; 3]);
             for frame in 1..=20 {
-                filter.predict(&settings);
-                filter.update(&settings, &at(frame));
+                filter.predict_growing(largest_growth);
+                filter.update(&at(frame));
             }
             for _ in 0..8 {
-                filter.predict(&settings);
+                filter.predict_growing(largest_growth);
             }
             (filter.axes[X].x - at(28)[X]).abs()
         };

@@ -1,7 +1,11 @@
 //! What is remembered of one object, its predicted miss probability and its confidence.
 
 use super::motion::{LARGEST_LOG, Measured, MotionFilter, X, Y};
-use super::settings::{Confidence, ExpectedLossSettings, Pixels, Surprise};
+use super::settings::{
+    ALPHA_RATE, DETECTED_SHARE, HITS_TO_CONFIRM, LARGEST_INNOVATION, LAST_SCORE, LEAST_ALPHA,
+    MISS_CONFIDENCE, MISS_WEIGHT, MISSES_TO_REMOVAL, MOST_ALPHA, NEWCOMER, NEWCOMER_FADING,
+    PREDICTION, Pixels, SCORE_RATE,
+};
 use crate::detection::{ClassId, Detection};
 use crate::geometry::BoundingBox;
 use crate::policy::{ObjectId, ObjectRecord};
@@ -48,9 +52,7 @@ pub(super) struct Object {
     pub seen: Option<BoundingBox>,
     /// Whether optical flow followed it into this frame.
     pub followed: bool,
-    /// The share of points that agreed when it was looked at last.
-    pub agreement: f64,
-    /// What the looks since the last detection leave of the belief that it is what is followed, 0 to 1.
+    /// Probability, 0 to 1, that the followed box is still this object, given the flow since the last detection.
     pub health: f64,
     /// Where boxes are followed, how far the box that is followed lies from the filter's: see [`Object::trail`].
     pub offset: Option<Measured>,
@@ -64,18 +66,18 @@ pub(super) struct Object {
 impl Object {
     /// A new object from a detection, with the velocity to expect of it, in units of U.
     pub(crate) fn new(
-        settings: &ExpectedLossSettings,
         id: ObjectId,
         detection: &Detection,
         aspect: f64,
         velocity: &[f64; 3],
         alpha: f64,
+        pixels: Pixels,
     ) -> Self {
         let measured = measure(detection.bounding_box, aspect);
         Self {
             id,
             class: detection.class,
-            filter: MotionFilter::new(&settings.motion, &measured, velocity),
+            filter: MotionFilter::new(&measured, velocity),
             alpha,
             hits: 1,
             misses: 0,
@@ -86,17 +88,16 @@ impl Object {
             miss_probability: 0.0,
             seen: Some(detection.bounding_box),
             followed: false,
-            agreement: 1.0,
             health: 1.0,
             trailing: false,
             held: [0.0; 2],
-            offset: (settings.pixels == Pixels::Flow).then_some([0.0; 4]),
+            offset: (pixels == Pixels::Flow).then_some([0.0; 4]),
         }
     }
 
     /// Advances by one frame.
-    pub(crate) fn predict(&mut self, settings: &ExpectedLossSettings) {
-        self.filter.predict(&settings.motion);
+    pub(crate) fn predict(&mut self) {
+        self.filter.predict();
         self.since_match = self.since_match.saturating_add(1);
         self.since_detector = self.since_detector.saturating_add(1);
         self.seen = None;
@@ -104,28 +105,26 @@ impl Object {
     }
 
     /// Takes its detection; returns the mean squared normalised innovation `n = ¼ Σ min(y²/S, largest)`.
-    pub(crate) fn update(
-        &mut self,
-        settings: &ExpectedLossSettings,
-        detection: &Detection,
-        aspect: f64,
-    ) -> f64 {
+    pub(crate) fn update(&mut self, detection: &Detection, aspect: f64) -> f64 {
         let measured = measure(detection.bounding_box, aspect);
-        let largest = settings.surprise.largest_innovation;
         // What was reported is what the innovation must judge: α is to say how far off that is.
         if let Some(offset) = self.offset.filter(|_| self.trailing) {
             self.filter.shift(&offset);
         }
-        let innovations = self.filter.update(&settings.motion, &measured);
-        let n = innovations.iter().map(|n| n.min(largest)).sum::<f64>() / 4.0;
-        self.alpha = scale(&settings.surprise, self.alpha, n, settings.surprise.rate);
+        let innovations = self.filter.update(&measured);
+        let n = innovations
+            .iter()
+            .map(|n| n.min(LARGEST_INNOVATION))
+            .sum::<f64>()
+            / 4.0;
+        self.alpha = scale(self.alpha, n, ALPHA_RATE);
         self.class = detection.class;
         self.hits = self.hits.saturating_add(1);
         self.misses = 0;
         self.since_match = 0;
         self.since_detector = 0;
         self.last_score = detection.confidence;
-        let rate = settings.confidence.rate.max(1.0 / f64::from(self.hits));
+        let rate = SCORE_RATE.max(1.0 / f64::from(self.hits));
         self.mean_score += rate * (detection.confidence - self.mean_score);
         self.seen = Some(detection.bounding_box);
         self.health = 1.0;
@@ -133,8 +132,7 @@ impl Object {
         self.held = [0.0; 2];
         if let Some(offset) = &mut self.offset {
             let own = self.filter.position();
-            let share = settings.flow.detected;
-            *offset = std::array::from_fn(|axis| share * (measured[axis] - own[axis]));
+            *offset = std::array::from_fn(|axis| DETECTED_SHARE * (measured[axis] - own[axis]));
         }
         n
     }
@@ -151,62 +149,45 @@ impl Object {
     }
 
     /// The detector looked and did not find it. Whether it stays.
-    pub(crate) fn miss(&mut self, misses_to_removal: u32) -> bool {
+    pub(crate) fn miss(&mut self) -> bool {
         self.misses += 1;
         self.since_detector = 0;
-        self.misses < misses_to_removal
+        self.misses < MISSES_TO_REMOVAL
     }
 
     /// Computes the probability π that the predicted box is off by too much, from the variance of its
     /// error relative to its sides, `σ² = α·(4·p_x/w² + 4·p_y/h² + p_lw + p_lh)`:
     /// `π = exp(−0.25 / (2σ²))`, the probability that a Rayleigh variable of that variance exceeds 1/2.
     ///
-    /// What optical flow takes from its health is a probability of its own: `1 − (1 − π)·h^weight`.
+    /// Optical flow's loss of health is an independent probability: `1 − (1 − π)·h`.
     /// A side that is held at the picture's border may be off by as far as it was held:
     /// `σ² += (held_x/w)² + (held_y/h)²`.
-    pub(crate) fn judge(&mut self, health_weight: f64) {
-        self.miss_probability = self.missing(self.filter.relative_variance(), health_weight);
-    }
-
-    /// The miss probability with that relative variance of the box.
-    fn missing(&self, relative_variance: f64, health_weight: f64) -> f64 {
+    pub(crate) fn judge(&mut self) {
         let [width, height] = self.filter.sides();
         let held = (self.held[0] / width).powi(2) + (self.held[1] / height).powi(2);
-        let off = fading(0.125 / (self.alpha * relative_variance + held));
-        if self.health < 1.0 {
-            1.0 - (1.0 - off) * self.health.powf(health_weight)
+        let off = fading(0.125 / (self.alpha * self.filter.relative_variance() + held));
+        self.miss_probability = if self.health < 1.0 {
+            1.0 - (1.0 - off) * self.health
         } else {
             off
-        }
-    }
-
-    /// By how much the miss probability is expected to be less after a look that measures with these variances.
-    pub(crate) fn gain_of_look(&self, variance: &[f64; 4], health_weight: f64) -> f64 {
-        let followed = self.filter.variance_if_followed(variance);
-        let gain = self.miss_probability - self.missing(followed, health_weight);
-        self.agreement * gain
+        };
     }
 
     /// What losing the object would cost now: `m · miss^misses · π`.
-    pub(crate) fn expected_loss(&self, miss: f64) -> f64 {
-        self.weight(miss) * self.miss_probability
+    pub(crate) fn expected_loss(&self) -> f64 {
+        self.mean_score * power(MISS_WEIGHT, self.misses) * self.miss_probability
     }
 
-    /// What the object weighs: `m · miss^misses`.
-    pub(crate) fn weight(&self, miss: f64) -> f64 {
-        self.mean_score * power(miss, self.misses)
-    }
-
-    /// The confidence to report; see [`Confidence`].
-    pub(crate) fn confidence(&self, settings: &Confidence) -> f64 {
-        let blend = settings.last * self.last_score + (1.0 - settings.last) * self.mean_score;
+    /// The confidence to report.
+    pub(crate) fn confidence(&self) -> f64 {
+        let blend = LAST_SCORE * self.last_score + (1.0 - LAST_SCORE) * self.mean_score;
         let age = f64::from(self.hits.saturating_sub(1));
-        let base = blend * (1.0 - settings.newcomer * fading(settings.newcomer_fading * age));
+        let base = blend * (1.0 - NEWCOMER * fading(NEWCOMER_FADING * age));
         if self.seen.is_some() {
             return base;
         }
-        let located = 1.0 - settings.prediction * self.miss_probability;
-        base * power(settings.miss, self.misses) * located
+        let located = 1.0 - PREDICTION * self.miss_probability;
+        base * power(MISS_CONFIDENCE, self.misses) * located
     }
 
     /// The box of the filter.
@@ -266,11 +247,11 @@ impl Object {
     }
 
     /// The record of a trace.
-    pub(crate) fn record(&self, settings: &ExpectedLossSettings, aspect: f64) -> ObjectRecord {
+    pub(crate) fn record(&self, aspect: f64) -> ObjectRecord {
         ObjectRecord {
             id: self.id,
             class: self.class,
-            confirmed: self.hits >= settings.life.hits_to_confirm,
+            confirmed: self.hits >= HITS_TO_CONFIRM,
             confidence: self.last_score,
             bounding_box: self.filter_box(aspect),
             tau: self.tau(aspect),
@@ -288,8 +269,8 @@ fn fading(x: f64) -> f64 {
 }
 
 /// The covariance scale after an innovation: `α ← clamp(α + rate·(n − α))`.
-pub(super) fn scale(settings: &Surprise, alpha: f64, n: f64, rate: f64) -> f64 {
-    (alpha + rate * (n - alpha)).clamp(settings.least, settings.most)
+pub(super) fn scale(alpha: f64, n: f64, rate: f64) -> f64 {
+    (alpha + rate * (n - alpha)).clamp(LEAST_ALPHA, MOST_ALPHA)
 }
 
 /// `base` to the power of a small number of misses.

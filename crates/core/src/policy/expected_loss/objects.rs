@@ -3,7 +3,10 @@
 use super::association::Associator;
 use super::motion::{LOG_HEIGHT, LOG_WIDTH, X, Y};
 use super::object::{Object, scale};
-use super::settings::ExpectedLossSettings;
+use super::settings::{
+    BIRTH_CONFIDENCE, CAMERA_ALPHA_RATE, HITS_TO_CONFIRM, LARGEST_VELOCITY, LEAST_CONFIDENCE,
+    LEAST_SIDE, LEAST_VISIBLE, Pixels, VELOCITY_MEMORY, VELOCITY_RIDGE,
+};
 use super::velocity::{VelocityRegression, features};
 use crate::detection::Detection;
 use crate::geometry::{BoundingBox, PictureSize};
@@ -111,19 +114,19 @@ impl Objects {
     }
 
     /// Advances by one frame; removes the objects that leave the picture.
-    pub(crate) fn predict(&mut self, settings: &ExpectedLossSettings) {
+    pub(crate) fn predict(&mut self) {
         let aspect = self.aspect;
         self.objects.retain_mut(|object| {
-            object.predict(settings);
-            object.visible_share(aspect) >= settings.life.least_visible
+            object.predict();
+            object.visible_share(aspect) >= LEAST_VISIBLE
         });
     }
 
     /// Computes how far each predicted box can be trusted, once a frame after the last
     /// [`predict`](Self::predict).
-    pub(crate) fn judge(&mut self, health_weight: f64) {
+    pub(crate) fn judge(&mut self) {
         for object in &mut self.objects {
-            object.judge(health_weight);
+            object.judge();
         }
     }
 
@@ -134,44 +137,38 @@ impl Objects {
 
     /// Takes what the detector found: matches, updates, removes, creates. Returns the summed scores of
     /// the new objects.
-    pub(crate) fn observe(
-        &mut self,
-        settings: &ExpectedLossSettings,
-        detections: &[Detection],
-    ) -> f64 {
+    pub(crate) fn observe(&mut self, pixels: Pixels, detections: &[Detection]) -> f64 {
         self.usable.clear();
         self.usable.extend(detections.iter().map(is_usable));
         let unusable = self.usable.iter().filter(|usable| !**usable).count();
         self.rejected = self.rejected.saturating_add(unusable as u64);
 
         let aspect = self.aspect;
-        let detection_of =
-            self.matcher
-                .associate(settings, &self.objects, detections, &self.usable, aspect);
-        self.velocity.fade(settings.life.velocity_memory);
+        let detection_of = self
+            .matcher
+            .associate(&self.objects, detections, &self.usable, aspect);
+        self.velocity.fade(VELOCITY_MEMORY);
         let (velocity, camera_alpha) = (&mut self.velocity, &mut self.camera_alpha);
         let mut detection_of = detection_of.iter();
         self.objects.retain_mut(|object| {
             // One entry an object, in the same order.
             let Some(&Some(index)) = detection_of.next() else {
-                return object.miss(settings.life.misses_to_removal);
+                return object.miss();
             };
-            let n = object.update(settings, &detections[index as usize], aspect);
-            let rate = settings.surprise.camera_rate;
-            *camera_alpha = scale(&settings.surprise, *camera_alpha, n, rate);
-            if object.hits >= settings.life.hits_to_confirm {
+            let n = object.update(&detections[index as usize], aspect);
+            *camera_alpha = scale(*camera_alpha, n, CAMERA_ALPHA_RATE);
+            if object.hits >= HITS_TO_CONFIRM {
                 velocity.learn(&object_features(object, aspect), &object.filter.velocity());
             }
             true
         });
-        self.create(settings, detections)
+        self.create(pixels, detections)
     }
 
-    fn create(&mut self, settings: &ExpectedLossSettings, detections: &[Detection]) -> f64 {
-        let life = &settings.life;
+    fn create(&mut self, pixels: Pixels, detections: &[Detection]) -> f64 {
         let mut scores = 0.0;
         for (detection, matched) in detections.iter().zip(self.matcher.matched()) {
-            if *matched || detection.confidence < life.birth_confidence {
+            if *matched || detection.confidence < BIRTH_CONFIDENCE {
                 continue;
             }
             scores += detection.confidence;
@@ -179,33 +176,28 @@ impl Objects {
             let log_size = (b.width * self.aspect * b.height).ln() / 2.0;
             let velocity = self.velocity.expect(
                 &features(b.center_x, b.center_y, log_size),
-                life.velocity_ridge,
-                life.largest_velocity,
+                VELOCITY_RIDGE,
+                LARGEST_VELOCITY,
             );
             let id = ObjectId(self.next_id);
             self.next_id += 1;
             let alpha = self.camera_alpha;
-            let object = Object::new(settings, id, detection, self.aspect, &velocity, alpha);
+            let object = Object::new(id, detection, self.aspect, &velocity, alpha, pixels);
             self.objects.push(object);
         }
         scores
     }
 
     /// Appends the boxes to report. `detected` says that the detector looked at this frame.
-    pub(crate) fn report(
-        &self,
-        settings: &ExpectedLossSettings,
-        detected: bool,
-        boxes: &mut Vec<OutputBox>,
-    ) -> Report {
+    pub(crate) fn report(&self, detected: bool, boxes: &mut Vec<OutputBox>) -> Report {
         let mut report = Report::default();
         let least = [
-            settings.life.least_side / f64::from(self.picture.width.max(1)),
-            settings.life.least_side / f64::from(self.picture.height.max(1)),
+            LEAST_SIDE / f64::from(self.picture.width.max(1)),
+            LEAST_SIDE / f64::from(self.picture.height.max(1)),
         ];
         for object in &self.objects {
-            let confidence = object.confidence(&settings.confidence);
-            if object.misses > 0 && confidence < settings.confidence.least {
+            let confidence = object.confidence();
+            if object.misses > 0 && confidence < LEAST_CONFIDENCE {
                 continue;
             }
             let Some(bounding_box) = clip(object.bounding_box(self.aspect), least) else {
@@ -225,7 +217,7 @@ impl Objects {
                 confidence,
                 source,
                 object: Some(object.id),
-                confirmed: object.hits >= settings.life.hits_to_confirm,
+                confirmed: object.hits >= HITS_TO_CONFIRM,
             });
         }
         report

@@ -155,11 +155,15 @@ fn a_knob_turned_takes_effect_with_the_next_frame_and_a_bad_value_changes_nothin
 fn a_screen_that_never_says_empty_changes_no_decision() {
     let mut with = policy(0.5);
     let mut without = policy(0.5);
-    without.settings.call.ask_screen_when_empty = false;
     let mut screened = 0;
     for index in 0..400 {
         let a = see(&mut with, &film(index));
-        let b = see(&mut without, &film(index));
+        let unscreened = World {
+            step: 1,
+            empty: None,
+            detections: Some(&film(index)),
+        };
+        let b = frame(&mut without, unscreened);
         screened += u32::from(a.state == FrameState::EI);
         assert_eq!(a.state.is_skipped(), b.state.is_skipped(), "frame {index}");
         assert_eq!(a.boxes, b.boxes, "frame {index}");
@@ -207,7 +211,7 @@ fn without_the_detector_boxes_are_predicted_and_no_miss_is_counted() {
     for round in 0..20 {
         let outcome = frame(&mut policy, blind);
         assert_eq!((outcome.state, outcome.degraded), (FrameState::P, true));
-        // Whoever drives out of the picture meanwhile is gone; nobody comes.
+        // Objects that leave the picture meanwhile are dropped; none appears.
         assert!(!outcome.boxes.is_empty(), "round {round}");
         assert!(outcome.boxes.len() <= before.len(), "round {round}");
         assert!(

@@ -1,13 +1,12 @@
-//! What calls the detector: the expected loss, or a schedule that knows nothing of the scene. All share
-//! the same objects, so that what the trigger brings and what the object keeping brings can be told apart.
+//! The triggers of a detector call: the expected loss, or a schedule that ignores the scene. All share the
+//! same objects, so that the gains of trigger and tracking can be measured separately.
 
-use super::settings::{Call, CallRule};
 use crate::policy::{CallCause, Knob};
 
 /// What calls the detector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Trigger {
-    /// The expected loss, weighed as [`CallRule`] says, reaches λ.
+    /// The expected loss, weighed over the pause, reaches λ.
     ExpectedLoss {
         /// The price of a call.
         lambda: f64,
@@ -98,7 +97,7 @@ impl Trigger {
 /// The pause since the last call.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pause {
-    /// Frames since the last call, lost ones and the one in hand included.
+    /// Frames since the last call, lost ones and the current one included.
     pub frames: u32,
     /// Frames answered without the detector since the last call.
     skipped: u32,
@@ -132,26 +131,23 @@ impl Pause {
         }
     }
 
-    /// What is compared with λ on a frame of expected loss `loss`, with `crowd` boxes in view: see
-    /// [`CallRule`].
-    pub(crate) fn weigh(&self, rule: CallRule, loss: f64, crowd: f64) -> f64 {
-        match rule {
-            CallRule::Frame => loss / crowd.sqrt(),
-            CallRule::Pause => (loss + (f64::from(self.skipped) * loss - self.lost)) / crowd,
-        }
+    /// What is compared with λ on a frame of expected loss `loss`, with `crowd` boxes in view: `(L + Σ (L − L_t)) / N̄`
+    /// over the frames t skipped since the last call.
+    pub(crate) fn weigh(&self, loss: f64, crowd: f64) -> f64 {
+        (loss + (f64::from(self.skipped) * loss - self.lost)) / crowd
     }
 
     /// Why the trigger calls the detector, for a loss of that `weight`; `None` when it does not.
     pub(crate) fn call(
         &self,
         trigger: &Trigger,
-        settings: &Call,
+        longest_pause: u32,
         weight: f64,
     ) -> Option<CallCause> {
         match *trigger {
             Trigger::ExpectedLoss { lambda } if weight >= lambda => Some(CallCause::ExpectedLoss),
             Trigger::ExpectedLoss { .. } => {
-                let capped = self.frames >= settings.longest_pause;
+                let capped = self.frames >= longest_pause;
                 capped.then_some(CallCause::PeriodicCap)
             }
             // Sums of a rate such as 0.1 fall short of 1 by rounding.

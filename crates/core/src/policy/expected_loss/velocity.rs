@@ -1,6 +1,6 @@
-//! What velocity a new object should be expected to have, learnt from the objects in view.
+//! The expected velocity of a new object, learnt from the objects in view.
 //!
-//! In the picture of a moving camera, velocity depends on where an object is and how large it looks. A
+//! In the picture of a moving camera, velocity depends on an object's position and apparent size. A
 //! running ridge regression with forgetting learns this from the confirmed objects matched in each
 //! detector frame. With the features
 //!

@@ -4,7 +4,7 @@ use super::*;
 use crate::policy::BoxSource::{Detected, Predicted};
 use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
-use crate::policy::testing::{Run, seen};
+use crate::policy::tests::{Run, seen};
 
 /// Indices of the frames that ask the detector, of `frames` frames.
 fn asked(run: &mut Run, frames: u64) -> Vec<u64> {
@@ -84,7 +84,7 @@ fn a_stream_that_does_not_begin_at_0_begins_with_the_detector() {
     let mut run = Run::new("fixed-skip:5", Profile::Paper);
     run.index = 13;
     assert_eq!(asked(&mut run, 10), [13, 15, 20]);
-    // The camera counts anew.
+    // The camera starts counting again.
     run.index = 1;
     assert_eq!(asked(&mut run, 10), [1, 5, 10]);
 }

@@ -2,7 +2,7 @@ use super::*;
 use crate::detection::{ClassId, Detection};
 use crate::geometry::{BoundingBox, PictureSize};
 use crate::policy::config::known_policies;
-use crate::policy::testing::{PICTURE, seen};
+use crate::policy::tests::{PICTURE, seen};
 use crate::policy::{
     EvidenceAtHand, FrameEvidence, FrameState, GreyPicture, ObjectRecord, PolicyConfig, Profile,
     decide_at_once,
@@ -21,7 +21,7 @@ struct Event {
     detections: Option<Vec<Detection>>,
     /// The threshold is set to this share of its useful range before the frame.
     threshold: Option<f64>,
-    /// What the frame asks for comes after so many further frames.
+    /// What the frame asks for comes after this many further frames.
     delay: usize,
 }
 

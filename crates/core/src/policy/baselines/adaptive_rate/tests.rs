@@ -3,7 +3,7 @@
 use super::*;
 use crate::policy::FrameState::{I, P};
 use crate::policy::Profile;
-use crate::policy::testing::{Run, seen};
+use crate::policy::tests::{Run, seen};
 
 /// Frames with the detector among `frames` frames of one object that moves by `speed` of its width a frame.
 fn calls(run: &mut Run, frames: u32, from: f64, speed: f64) -> usize {

@@ -28,7 +28,7 @@ fn slow(width: usize, before: &[u8], after: &[u8], difference: u8) -> u64 {
     largest
 }
 
-/// Two pictures of the same size whose pixels differ with a probability of their own.
+/// Two pictures of the same size whose pixels differ with a random probability.
 fn pictures() -> impl Strategy<Value = (usize, Vec<u8>, Vec<u8>)> {
     (1..24usize, 0..24usize, 0.0..1.0f64).prop_flat_map(|(width, height, density)| {
         let pixel = (any::<u8>(), prop::bool::weighted(density)).prop_map(|(before, changed)| {

@@ -5,7 +5,7 @@ use crate::policy::BoxSource;
 use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
 use crate::policy::Profile;
-use crate::policy::testing::{Run, seen};
+use crate::policy::tests::{Run, seen};
 use proptest::prelude::*;
 
 /// Frames until the detector runs, which then finds `found`.
@@ -18,7 +18,7 @@ fn frames_until_detector(run: &mut Run, found: f64) -> usize {
     panic!("the detector never ran");
 }
 
-/// A confirmed object that stands still.
+/// A confirmed object that does not move.
 fn standing(threshold: &str, profile: Profile) -> Run {
     let mut run = Run::new(&format!("ctd:{threshold}"), profile);
     for _ in 0..30 {

@@ -4,7 +4,7 @@ use super::*;
 use crate::policy::BoxSource::{Predicted, Rescued};
 use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
-use crate::policy::testing::{Run, seen};
+use crate::policy::tests::{Run, seen};
 
 const SIZE: PictureSize = PictureSize::new(64, 36);
 

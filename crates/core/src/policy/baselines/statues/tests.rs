@@ -6,7 +6,7 @@ use crate::policy::BoxSource::{Detected, Predicted};
 use crate::policy::FrameEvidence;
 use crate::policy::FrameState::{I, P};
 use crate::policy::Profile;
-use crate::policy::testing::{Run, seen};
+use crate::policy::tests::{Run, seen};
 
 const SIZE: PictureSize = PictureSize::new(64, 36);
 

@@ -1,12 +1,12 @@
-//! A camera for the tests of the policies: frames one after the other, and evidence as it is asked for.
+//! A camera for the tests of the policies: frames one after the other, and evidence on request.
 
 use super::*;
 use std::convert::Infallible;
 
-pub(super) const PICTURE: PictureSize = PictureSize::new(1280, 720);
+pub(in crate::policy) const PICTURE: PictureSize = PictureSize::new(1280, 720);
 
 /// A detection at `x`, in the middle of the picture's height.
-pub(super) fn seen(x: f64, confidence: f64) -> Detection {
+pub(in crate::policy) fn seen(x: f64, confidence: f64) -> Detection {
     Detection {
         bounding_box: BoundingBox::new(x, 0.5, 0.1, 0.1),
         class: ClassId(0),
@@ -14,7 +14,7 @@ pub(super) fn seen(x: f64, confidence: f64) -> Detection {
     }
 }
 
-/// Evidence that notes what is asked for.
+/// Evidence that records the requests.
 struct Noted<'a> {
     known: FrameEvidence<'a>,
     needs: &'a mut Vec<Need>,
@@ -31,7 +31,7 @@ impl EvidenceAtHand for Noted<'_> {
 }
 
 /// A policy with a frame counter.
-pub(super) struct Run {
+pub(in crate::policy) struct Run {
     pub policy: Box<dyn Policy>,
     pub outcome: Outcome,
     /// What the last frame asked for.
@@ -41,7 +41,7 @@ pub(super) struct Run {
 
 impl Run {
     /// The policy `asked` for, `NAME[:ARGUMENT]`.
-    pub(crate) fn new(asked: &str, profile: Profile) -> Self {
+    pub(in crate::policy) fn new(asked: &str, profile: Profile) -> Self {
         let mut config = PolicyConfig {
             profile,
             ..PolicyConfig::default()
@@ -50,7 +50,7 @@ impl Run {
         Self::of(&config)
     }
 
-    pub(crate) fn of(config: &PolicyConfig) -> Self {
+    pub(in crate::policy) fn of(config: &PolicyConfig) -> Self {
         Self {
             policy: config.build().unwrap(),
             outcome: Outcome::default(),
@@ -60,7 +60,7 @@ impl Run {
     }
 
     /// Begins a frame, for a test that answers by itself.
-    pub(crate) fn begin(&mut self, step: u32) -> Need {
+    pub(in crate::policy) fn begin(&mut self, step: u32) -> Need {
         let head = self.head(step);
         self.policy.begin(head)
     }
@@ -77,7 +77,7 @@ impl Run {
     }
 
     /// A whole frame, `step` after the one before.
-    pub(crate) fn frame(&mut self, step: u32, known: FrameEvidence<'_>) -> FrameState {
+    pub(in crate::policy) fn frame(&mut self, step: u32, known: FrameEvidence<'_>) -> FrameState {
         self.needs.clear();
         let head = self.head(step);
         let mut noted = Noted {
@@ -89,23 +89,23 @@ impl Run {
     }
 
     /// A frame in which the detector, if asked, finds `found`, and the screen says "not empty".
-    pub(crate) fn see(&mut self, found: &[Detection]) -> FrameState {
+    pub(in crate::policy) fn see(&mut self, found: &[Detection]) -> FrameState {
         self.frame(1, FrameEvidence::in_view(found))
     }
 
-    /// A frame for which nothing can be had.
-    pub(crate) fn blind(&mut self) -> FrameState {
+    /// A frame without any evidence.
+    pub(in crate::policy) fn blind(&mut self) -> FrameState {
         self.frame(1, FrameEvidence::default())
     }
 
-    pub(crate) fn records(&self) -> Vec<ObjectRecord> {
+    pub(in crate::policy) fn records(&self) -> Vec<ObjectRecord> {
         let mut records = Vec::new();
         self.policy.objects(&mut |record| records.push(*record));
         records
     }
 
     /// Source, centre and confidence of each box reported.
-    pub(crate) fn reported(&self) -> Vec<(BoxSource, f64, f64)> {
+    pub(in crate::policy) fn reported(&self) -> Vec<(BoxSource, f64, f64)> {
         let boxes = self.outcome.boxes.iter();
         boxes
             .map(|b| (b.source, b.bounding_box.center_x, b.confidence))
@@ -116,7 +116,7 @@ impl Run {
 /// The size of the pictures of [`ride`].
 const GREY: PictureSize = PictureSize::new(320, 180);
 
-/// A textured world that has moved to the right by so many pixels.
+/// A textured world that has moved to the right by this many pixels.
 fn textured(shift: f64) -> Vec<u8> {
     let value = |index: usize| {
         let (x, y) = ((index % 320) as f64 - shift, (index / 320) as f64);
@@ -128,7 +128,7 @@ fn textured(shift: f64) -> Vec<u8> {
 }
 
 /// What became of a [`ride`].
-pub(super) struct Ride {
+pub(in crate::policy) struct Ride {
     /// Source of each box on frames without the detector, and how far it is off, pixels of the small picture.
     pub skipped: Vec<(BoxSource, f64)>,
     /// Frames with the detector.
@@ -137,7 +137,7 @@ pub(super) struct Ride {
 
 /// The policy `asked` for in a world that moves by 3 pixels a frame and is hidden from frame `hidden` on, for 12
 /// frames; the detector sees a box ride on it all the while.
-pub(super) fn ride(asked: &str, hidden: usize) -> Ride {
+pub(in crate::policy) fn ride(asked: &str, hidden: usize) -> Ride {
     let mut run = Run::new(asked, Profile::Paper);
     let mut ride = Ride {
         skipped: Vec::new(),
