@@ -1,11 +1,11 @@
-//! What the audit of a node has found: sums in a clip's report, rates for people.
+//! The results of a node's audit: sums in a clip report, rates for people.
 
 use albireo_core::audit::{AuditRate, AuditSums};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// The audit's part of a clip report: what became known of skipped frames between the report before and this one. A
-/// frame at the end of a clip may be in the next one's.
+/// The audit's part of a clip report: results for skipped frames since the previous report. A frame at the end of a clip
+/// may be counted in the next report.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct AuditReport {
@@ -24,8 +24,8 @@ pub struct AuditReport {
     pub sums: AuditSums,
 }
 
-/// What an audit has found, with intervals at 95 % that include the missed frames. All is against the detector and not
-/// against the truth: a policy that keeps showing an object which the detector misses loses precision here although it may
+/// The results of an audit, with 95 % intervals that include the missed frames. The reference is the detector, not the
+/// truth: a policy that keeps showing an object which the detector misses loses precision here although it may
 /// be right.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct AuditFigures {
@@ -39,9 +39,9 @@ pub struct AuditFigures {
     pub detector_s: f64,
     /// Boxes that the detector found on the compared frames.
     pub detected: u64,
-    /// Boxes that had been shown on them.
+    /// Boxes that were shown on them.
     pub shown: u64,
-    /// Share of the detector's boxes that had been shown; absent when it found none.
+    /// Share of the detector's boxes that were shown; absent when it found none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub recall: Option<AuditRate>,
     /// Share of the shown boxes that the detector confirms; absent when none was shown.
@@ -65,7 +65,7 @@ impl AuditFigures {
     }
 }
 
-/// To as many digits as anybody reads.
+/// Rounded to the useful digits.
 fn rounded(rate: AuditRate) -> AuditRate {
     let share = |value: f64| (value * 1e4).round() / 1e4;
     AuditRate {

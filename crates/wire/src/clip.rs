@@ -55,9 +55,9 @@ pub struct DomainEnergy {
 
 /// Energy of one clip.
 ///
-/// Joules are those of the time that samples cover, and `coverage` says how much of the clip that is. They are
-/// never stretched to the rest, so with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip
-/// used: such joules must not be compared with others or set against the clip's duration, and `edp` is absent.
+/// Joules count only the time that samples cover; `coverage` is its share of the clip. They are never
+/// extrapolated, so with a coverage below [`FULL_COVERAGE`] (0.999) they are less than the clip used: do not
+/// compare such joules with others or divide them by the clip's duration. `edp` is then absent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ClipEnergy {
     /// Joules of this clip, its share by the time the detector ran for its camera; absent when
@@ -68,9 +68,9 @@ pub struct ClipEnergy {
     /// number when the node has one camera.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub node_joules: Option<f64>,
-    /// Estimate of the joules that this clip's avoided detector calls would have added: the time they would have run, no
-    /// longer than the one detector had nothing to do, times the watts that a running detector adds on this machine.
-    /// Absent while it is not known what it adds.
+    /// Estimate of the joules that this clip's avoided detector calls would have added: the time they would have run, at
+    /// most the detector's idle time, times the watts that a running detector adds on this machine. Absent until these
+    /// watts are known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub saved_joules_estimated: Option<f64>,
     /// Energy-delay product, J·ms/frame: clip energy × clip duration ÷ frames (paper, evaluation). Absent
@@ -81,7 +81,7 @@ pub struct ClipEnergy {
     pub quality: EnergyQuality,
     /// Where it comes from: `rapl`, `estimate`, …
     pub source: String,
-    /// How `joules` of the total domain came about: `input_rail` or `sum_of_rails`, or the estimate's
+    /// How `joules` of the total domain is computed: `input_rail`, `sum_of_rails`, or the estimate's
     /// formula in words.
     pub total_from: String,
     /// Samples inside the clip.
@@ -116,7 +116,7 @@ pub enum ClipEnd {
     Silence,
     /// The node stopped.
     Shutdown,
-    /// It lasted longer than one report tells of (`clip.longest_s`): the next part of it follows.
+    /// It lasted longer than one report covers (`clip.longest_s`): its next part follows.
     Length,
     /// For another reason, which a later version knows.
     #[serde(other)]
@@ -181,10 +181,10 @@ pub struct ClipReport {
     pub detector_used_ms: f64,
     /// Energy.
     pub energy: ClipEnergy,
-    /// The state of the board during the clip; absent where the board tells nothing of it.
+    /// The state of the board during the clip; absent if the board does not report it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub board: Option<BoardState>,
-    /// What the detector, looking afterwards, found on skipped frames; absent without an audit.
+    /// What the audit found on skipped frames; absent without an audit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditReport>,
 }
@@ -195,8 +195,8 @@ const fn is_zero(number: &u32) -> bool {
     *number == 0
 }
 
-/// The state of the board during a clip, as far as the board tells: the same clip costs differently in
-/// each.
+/// The state of the board during a clip, as far as the board reports it: the energy of a clip depends on
+/// it.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(default)]
 pub struct BoardState {
@@ -210,7 +210,7 @@ pub struct BoardState {
     /// The sensor that read it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub hottest_sensor: Option<String>,
-    /// Whether clocks were held back by heat, current or power at any time; absent when nothing tells.
+    /// Whether heat, current or power throttled the clocks at any time; absent if the board does not report it.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub throttled: Option<bool>,
     /// Mean clock of the CPU cores, MHz.
@@ -222,8 +222,8 @@ pub struct BoardState {
 }
 
 impl ClipReport {
-    /// Leaves what the figures mean: six significant digits of energies and times, four of latencies and watts. What
-    /// stands behind is noise that compresses badly.
+    /// Rounds the figures: six significant digits of energies and times, four of latencies and watts. The digits
+    /// beyond are noise that compresses badly.
     pub fn round(&mut self) {
         let energy = &mut self.energy;
         let sums = [
@@ -258,7 +258,7 @@ impl ClipReport {
     }
 }
 
-/// Leaves so many significant digits.
+/// Rounds to this many significant digits.
 fn round_to(value: &mut f64, digits: usize) {
     if let Ok(rounded) = format!("{value:.*e}", digits.saturating_sub(1)).parse::<f64>()
         && rounded.is_finite()

@@ -1,11 +1,11 @@
-//! Where a camera stands, once a second.
+//! The counters of a camera, once per second.
 
 use crate::TargetReport;
 use crate::{AuditFigures, DetectorCalls, DroppedFrames, EnergyQuality, FrameStates, Threshold};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// The counters of a camera, once a second.
+/// The counters of a camera, once per second.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct CountersMessage {
     /// Version.
@@ -35,10 +35,10 @@ pub struct CountersMessage {
     pub watts: Vec<DomainWatts>,
     /// Quality of the watts.
     pub power_quality: EnergyQuality,
-    /// What the node holds instead of a fixed threshold; absent when it holds nothing.
+    /// The target of the node; absent without a target.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<TargetReport>,
-    /// What the audit has found since the node started, without its groups; absent without an audit.
+    /// What the audit has found since the node started; absent without an audit.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditFigures>,
 }

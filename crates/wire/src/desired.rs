@@ -1,12 +1,12 @@
-//! What a hub wants a node to hold. A node asks for it (`{prefix}/@pull/{node}`) when it starts and after a notice
-//! (`{prefix}/@changed/{node}`), and finds it in the answer to every batch of reports: a lost notice costs one period.
+//! The desired setting of a node. A node queries it (`{prefix}/@pull/{node}`) when it starts and after a notice
+//! (`{prefix}/@changed/{node}`), and also gets it in the answer to every batch of reports: a lost notice costs one period.
 
 use crate::version::VERSION;
 use crate::{Target, Threshold};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// What a node can be told to hold. A node has one, so that each kind replaces the other.
+/// The desired setting of a node: a threshold or a target. A node has only one, so each kind replaces the other.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum DesiredSetting {
@@ -33,7 +33,7 @@ impl std::fmt::Display for DesiredSetting {
     }
 }
 
-/// Says that there is something to pull.
+/// Notifies a node that its desired setting has changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct ConfigChanged {
     /// Version.
@@ -42,7 +42,7 @@ pub struct ConfigChanged {
     pub revision: u64,
 }
 
-/// A node asks what is desired.
+/// A node's request for its desired setting.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct PullRequest {
     /// Version.
@@ -51,7 +51,7 @@ pub struct PullRequest {
     pub revision: u64,
 }
 
-/// What is desired of a node.
+/// The answer with a node's desired setting.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Desired {
     /// Version.
@@ -61,8 +61,8 @@ pub struct Desired {
     /// The setting; absent when none is desired.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub setting: Option<DesiredSetting>,
-    /// How much longer somebody watches the node, seconds: until then it sends counters once a second. Absent when nobody
-    /// does.
+    /// How much longer the node is watched, seconds: until then it sends counters once per second. Absent if it is not
+    /// watched.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub watched_for_s: Option<u32>,
     /// The hub missed a status: send the full one.
@@ -71,7 +71,7 @@ pub struct Desired {
 }
 
 impl Desired {
-    /// Nothing is desired.
+    /// No desired setting.
     pub const fn nothing() -> Self {
         Self {
             v: VERSION,

@@ -1,4 +1,4 @@
-//! What goes with a frame: the attachment that comes in, the detections that go out.
+//! The messages of a frame: the attachment in, the detections out.
 
 use crate::Threshold;
 use albireo_core::detection::ObjectId;
@@ -32,8 +32,8 @@ pub struct FrameAttachment {
     pub height: Option<u32>,
 }
 
-/// What a node answers to a frame that came as a query, once the frame's turn has come: the sender of a camera with
-/// `delivery = "every"` sends its next frame then. A query that ends without an answer was not taken.
+/// The node's answer to a frame that arrived as a query, sent when the frame's turn comes: the sender of a camera with
+/// `delivery = "every"` then sends its next frame. If a query ends without an answer, the frame was not accepted.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct FrameAnswer {
     /// Version.
@@ -82,7 +82,7 @@ pub struct Latency {
     pub policy: f64,
 }
 
-/// What was found in one frame.
+/// The state and boxes of one frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct DetectionsMessage {
     /// Version.
@@ -101,7 +101,7 @@ pub struct DetectionsMessage {
     /// The detector was needed but not available; the boxes are predictions.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub degraded: bool,
-    /// Why the detector was called, also where it could not be had; absent on a frame that did without it.
+    /// Why the detector was called, also if it was not available; absent on a frame that did not need it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub cause: Option<CallCause>,
     /// Largest uncertainty τ before the decision; absent without objects.
@@ -120,7 +120,7 @@ pub struct DetectionsMessage {
     pub latency_ms: Latency,
 }
 
-/// The boxes of one frame for whoever keeps them: drawn between two detector calls where the second came in time.
+/// The boxes of one frame for recordings: interpolated between two detector calls if the second came in time.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct SettledMessage {
     /// Version.

@@ -1,6 +1,6 @@
 //! Key expressions: `{prefix}/{node}/{camera}/…`.
 
-/// Why a name cannot stand in a key expression.
+/// Why a name cannot be part of a key expression.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
     "{what} `{name}` cannot be used in a Zenoh key: {reason}; use letters, digits, `-`, `_` and `.`{}",
@@ -89,7 +89,7 @@ impl NodeKeys {
     }
 }
 
-/// Keys between a node and a hub. The kind stands before the node: with the node first, a router would match every
+/// Keys between a node and a hub. The kind comes before the node: with the node first, a router would match every
 /// message against all nodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FleetKeys {
@@ -147,7 +147,7 @@ impl FleetKeys {
         self.key("@alive")
     }
 
-    /// The counters of all cameras of the node, as who watches it subscribes to them.
+    /// The counters of all cameras of the node, for subscribers that watch it.
     pub fn all_counters(&self) -> String {
         format!("{}/{}/*/counters", self.prefix, self.node)
     }
@@ -163,8 +163,8 @@ impl FleetKeys {
         })
     }
 
-    /// The node that a key of this kind belongs to: its last part. None where that is no node's name: who puts to a
-    /// wildcard, or to a key with characters that no name has, is no node.
+    /// The node that a key of this kind belongs to: its last part. `None` if that is not a valid node name, such as a
+    /// wildcard or a part with characters that no name has.
     pub fn node_of(key: &str) -> Option<&str> {
         key.rsplit_once('/')
             .map(|(_, node)| node)
@@ -184,7 +184,7 @@ impl CameraKeys {
         format!("{}/frame", self.root)
     }
 
-    /// [`DetectionsMessage`](super::DetectionsMessage)s out, one a frame.
+    /// [`DetectionsMessage`](super::DetectionsMessage)s out, one per frame.
     pub fn detections(&self) -> String {
         format!("{}/detections", self.root)
     }
@@ -199,12 +199,12 @@ impl CameraKeys {
         format!("{}/settled", self.root)
     }
 
-    /// [`ClipReport`](super::ClipReport)s out, one a clip.
+    /// [`ClipReport`](super::ClipReport)s out, one per clip.
     pub fn clip(&self) -> String {
         format!("{}/clip", self.root)
     }
 
-    /// [`CountersMessage`](super::CountersMessage)s out, one a second.
+    /// [`CountersMessage`](super::CountersMessage)s out, one per second.
     pub fn counters(&self) -> String {
         format!("{}/counters", self.root)
     }

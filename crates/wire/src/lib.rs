@@ -3,7 +3,7 @@
 //!
 //! On the local network: frames in, [`DetectionsMessage`], [`ClipReport`] and [`CountersMessage`] out, the
 //! threshold both ways. Between node and hub: [`ReportBatch`], the only way a report is delivered, [`StatusMessage`],
-//! and what the hub desires, which a node pulls ([`PullRequest`], [`Desired`]).
+//! and the desired settings that a node pulls from the hub ([`PullRequest`], [`Desired`]).
 
 mod audit;
 mod clip;

@@ -1,9 +1,9 @@
 //! The delivery of clip reports, `{prefix}/@report/{node}`.
 //!
-//! A report has an identity from birth ([`ClipReport::id`]). A node keeps each report on its disk before it sends
-//! anything, and sends [`ReportBatch`]es as queries with a payload. A hub stores each identity once and answers with a
-//! [`ReportAnswer`] **after** it has committed. No reply, a [`ReportRefusal`] or a time-out is no acknowledgement: the
-//! reports are sent again after a pause that grows. So a report is delivered at least once, and its identity makes that
+//! A report gets its id ([`ClipReport::id`]) when it is created. A node writes each report to disk before it sends it,
+//! and sends [`ReportBatch`]es as queries with a payload. A hub stores each id once and answers with a
+//! [`ReportAnswer`] **after** the commit. Without a reply, after a [`ReportRefusal`] or after a time-out the node sends
+//! the reports again, with growing pauses. So a report is delivered at least once, and its id makes that
 //! exactly once, whatever disks are copied, restored or lost.
 
 mod compression;
@@ -26,12 +26,12 @@ pub const MOST_REPORTS: usize = 1000;
 /// Most bytes of a report as JSON.
 pub const LARGEST_REPORT_BYTES: usize = 64 << 10;
 
-/// Days for which a hub knows the identities of the reports that it has stored. An older report is refused, for nobody can
-/// tell whether it was stored before.
+/// Days for which a hub knows the ids of the reports that it has stored. It refuses an older report, because it cannot
+/// know whether it was stored before.
 pub const IDENTITY_DAYS: u32 = 30;
 
-/// Reports of one node, the oldest first. On the wire it is JSON compressed with Zstandard against an example batch,
-/// `crates/wire/src/report/dictionary-1.json`, behind a byte with that example's number.
+/// Reports of one node, the oldest first. On the wire: a byte with the dictionary's number, then JSON compressed with
+/// Zstandard and that dictionary (`crates/wire/src/report/dictionary-1.json`).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ReportBatch {
     /// Version.
@@ -54,7 +54,7 @@ pub enum BatchError {
     /// It was compressed against a dictionary that this program does not have.
     #[error("compressed with dictionary {0}; this program has dictionary {REPORT_DICTIONARY}")]
     UnknownDictionary(u8),
-    /// It is larger than anybody may send.
+    /// It is larger than the limit.
     #[error("more than {LARGEST_BATCH_BYTES} bytes when decompressed")]
     TooLarge,
     /// Not the message expected.
@@ -129,9 +129,9 @@ impl ReportAnswer {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RefusalReason {
-    /// The hub has too much to do, or the node has sent more than its share; the same batch is welcome later.
+    /// The hub is overloaded, or the node has exceeded its quota; send the same batch later.
     Busy,
-    /// The database cannot be reached or written; the same batch is welcome later.
+    /// The database cannot be reached or written; send the same batch later.
     Unavailable,
     /// The batch cannot be read; sending it again changes nothing, but it is not acknowledged.
     Unreadable,

@@ -5,7 +5,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
-/// How many frames had each state.
+/// Number of frames in each state.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct FrameStates {
     /// Screen says empty, detector skipped.
@@ -53,8 +53,8 @@ impl FrameStates {
         self.e + self.p + self.ei + self.i + self.ai
     }
 
-    /// Frames that skipped the detector: state E or P, less those of them that were `degraded`, for which the
-    /// detector was needed and could not be had.
+    /// Frames that skipped the detector: state E or P without the `degraded` ones, which needed the detector
+    /// when it was not available.
     pub fn skipped(&self, degraded: u64) -> u64 {
         (self.e + self.p).saturating_sub(degraded)
     }
@@ -148,7 +148,7 @@ pub struct DroppedFrames {
     pub overrun: u64,
     /// Arrived after a later frame (first counted as lost).
     pub late: u64,
-    /// Of another stream than the camera's present one: another publisher, or a number far off.
+    /// From another stream than the camera's current one: another publisher, or a number far off.
     pub stray: u64,
     /// Arrived again with the same sequence number.
     pub duplicate: u64,

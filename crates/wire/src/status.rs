@@ -1,4 +1,4 @@
-//! How a node is, `{prefix}/@status/{node}`: in full when something changed, otherwise a heartbeat every 30 seconds.
+//! The status of a node, `{prefix}/@status/{node}`: in full when something changed, otherwise a heartbeat every 30 seconds.
 
 use crate::version::{MessageError, VERSION};
 use crate::{EnergyQuality, NodeTarget, Threshold};
@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use utoipa::ToSchema;
 
-/// A heartbeat with the full status when it changed or was asked for. Where nothing but the number of waiting reports has
-/// changed, a [`Heartbeat`] goes out instead.
+/// A heartbeat with the full status when it changed or was requested. If only the number of waiting reports has changed,
+/// the node sends a [`Heartbeat`] instead.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct StatusMessage {
     /// Version.
     pub v: u32,
-    /// A random number of this run of the process: tells two runs, and two nodes of one name, from each other.
+    /// A random number of this run of the process: it distinguishes two runs, and two nodes with the same name.
     pub run: u32,
     /// When the process started, nanoseconds since the Unix epoch.
     pub started_ns: u64,
@@ -26,14 +26,13 @@ pub struct StatusMessage {
     pub waiting: u64,
     /// Revision of the desired value that is in force; 0 when none is.
     pub revision: u64,
-    /// All of it, when something in it changed since the last message.
+    /// The full status, if something in it changed since the last message.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub full: Option<Box<NodeStatus>>,
 }
 
-/// The short sign of life of a run in which nothing has changed since its last status but the number of reports that wait:
-/// some twenty bytes, twice a minute for as long as a node lives. On the wire the array `[v, run, seq, waiting]`, on the
-/// key of the status.
+/// A short message, sent twice per minute if only the number of waiting reports has changed since the last status: about
+/// twenty bytes. On the wire it is the array `[v, run, seq, waiting]`, on the key of the status.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Heartbeat {
     /// The run whose last status still holds.
@@ -67,7 +66,7 @@ impl Heartbeat {
 
     /// Whether a payload on the key of the status is one of these and not a [`StatusMessage`].
     pub fn is_one(payload: &[u8]) -> bool {
-        payload.first() == Some(&b'[')
+        payload.trim_ascii_start().first() == Some(&b'[')
     }
 }
 
@@ -120,10 +119,10 @@ pub struct NodeStatus {
     /// The desired value that the node did not take, until it takes a later one; absent when it refused none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub refused: Option<RefusedDesired>,
-    /// What it holds instead of a fixed threshold; absent when it holds nothing.
+    /// Its target; absent without a target.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target: Option<NodeTarget>,
-    /// Why it holds nothing any more, in words, where it did since its start.
+    /// Why it has no target any more, in words, if it had one since its start.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub target_off: Option<String>,
 }
@@ -141,11 +140,11 @@ pub struct RefusedDesired {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CameraState {
-    /// They come.
+    /// Frames arrive.
     Live,
-    /// They came, and come no longer.
+    /// Frames arrived, but no longer do.
     Stale,
-    /// None has come since the start.
+    /// No frame has arrived since the start.
     NeverSeen,
 }
 

@@ -1,4 +1,4 @@
-//! The target of a node: what is to be held in the place of a number, and where that stands.
+//! The target of a node and its state.
 
 use crate::version::current_version;
 use crate::{SettingSource, Threshold};
@@ -14,7 +14,7 @@ pub struct TargetMessage {
     /// Version; may be left out on the way in.
     #[serde(default = "current_version")]
     pub v: u32,
-    /// What is to be held; null for nothing, the threshold then stays where it is.
+    /// The target; null for none: the threshold then stays where it is.
     #[serde(deserialize_with = "required")]
     pub target: Option<Target>,
 }
@@ -24,16 +24,16 @@ fn required<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<
     Option::deserialize(deserializer)
 }
 
-/// Where the target of a node stands.
+/// The target of a node and its state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct TargetReport {
     /// Version.
     pub v: u32,
-    /// What is to be held; null for nothing.
+    /// The target; null for none.
     pub target: Option<Target>,
     /// Who set it, or switched it off.
     pub source: SettingSource,
-    /// Why there is none, in words, where there was one.
+    /// Why there is none any more, in words.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub off: Option<String>,
     /// The values between which the threshold is moved; absent without a target.
@@ -50,17 +50,17 @@ pub struct TargetReport {
     pub why: Option<String>,
 }
 
-/// The target in a node's status: as much of it as does not move by itself.
+/// The target in a node's status, without the figures that change all the time.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NodeTarget {
-    /// What is to be held.
+    /// The target.
     pub target: Target,
     /// Who set it.
     pub source: SettingSource,
     /// Why the threshold has its value; absent before the first second.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub status: Option<TargetStatus>,
-    /// What was measured of it when the status was made.
+    /// The measured value when the status was created.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub actual: Option<f64>,
 }

@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 pub type ThresholdName = ArrayString<24>;
 
 /// The value of a policy's threshold, with the name that the policy gives it: `{"name": "u", "value": 3e-4}`, or `lambda`
-/// under expected-loss. So nobody takes one policy's value for another's.
+/// under expected-loss. So one policy's value cannot be mistaken for another's.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Threshold {
     /// The threshold's name.
@@ -22,7 +22,7 @@ pub struct Threshold {
 }
 
 impl Threshold {
-    /// `value` of `name`, of which no more is kept than fits.
+    /// `value` of `name`; a longer name is cut.
     pub fn new(name: &str, value: f64) -> Self {
         let fits = name.floor_char_boundary(ThresholdName::new_const().capacity());
         Self {
@@ -31,10 +31,10 @@ impl Threshold {
         }
     }
 
-    /// The value, where it is one of `knob`.
+    /// The value, if it belongs to `knob`.
     ///
     /// # Errors
-    /// [`OtherThreshold`] when it goes by another name.
+    /// [`OtherThreshold`] when it has another name.
     pub fn value_of(&self, knob: &Knob) -> Result<f64, OtherThreshold> {
         if self.name.as_str() == knob.name {
             Ok(self.value)
@@ -67,7 +67,7 @@ pub struct OtherThreshold {
 /// A change of the threshold during a clip.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct ThresholdChange {
-    /// First frame it held for.
+    /// First frame that it applies to.
     pub seq: u64,
     /// The new value.
     pub threshold: Threshold,

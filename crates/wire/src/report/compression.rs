@@ -1,5 +1,5 @@
-//! Compresses a batch with Zstandard against an example batch that node and hub both have, so that names and usual words
-//! are not sent at all.
+//! Compresses a batch with Zstandard and a dictionary that node and hub share, so that names and frequent words
+//! are not sent.
 
 use super::{BatchError, LARGEST_BATCH_BYTES};
 use std::io::{Read, Write};
