@@ -1,5 +1,5 @@
 //! One file out of several: a tar archive (POSIX ustar), which every system can open. It is made in memory and holds
-//! what a service tells of itself, a megabyte or two.
+//! the state of a service, a megabyte or two.
 
 const BLOCK: usize = 512;
 

@@ -1,6 +1,25 @@
-//! The wall clock, and times and figures as messages tell them.
+//! The wall clock, and times and figures as messages have them.
 
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+/// The present, by both clocks.
+#[derive(Clone, Copy, Debug)]
+pub struct Now {
+    /// What decides.
+    pub at: Instant,
+    /// The wall clock, milliseconds since the Unix epoch.
+    pub unix_ms: i64,
+}
+
+impl Now {
+    /// The present of this machine.
+    pub fn system() -> Self {
+        Self {
+            at: Instant::now(),
+            unix_ms: unix_milliseconds(),
+        }
+    }
+}
 
 /// Nanoseconds since the Unix epoch; 0 for a clock set before it.
 pub fn unix_nanoseconds() -> u64 {
@@ -42,12 +61,12 @@ pub fn milliseconds(duration: Duration) -> f64 {
     (duration.as_secs_f64() * 1e6).round() / 1e3
 }
 
-/// A length of time in seconds, to the millisecond, as messages tell ages.
+/// A length of time in seconds, to the millisecond, as messages have ages.
 pub fn seconds(duration: Duration) -> f64 {
     (duration.as_secs_f64() * 1e3).round() / 1e3
 }
 
-/// A number with as many significant digits, as messages tell figures that have no more meaning than that.
+/// A number rounded to that many significant digits, for messages.
 pub fn significant(value: f64, digits: usize) -> f64 {
     let rounded = format!("{value:.*e}", digits.saturating_sub(1)).parse();
     rounded.unwrap_or(value)

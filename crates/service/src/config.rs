@@ -14,7 +14,7 @@ mod zenoh;
 pub use error::{ConfigError, Finding};
 pub use findings::{DAY_S, Findings};
 pub use http::{HttpConfig, Token};
-pub use load::{Configuration, examine, load};
+pub use load::{Configuration, examine, examine_text, load};
 pub use log::LogConfig;
 pub use log::LogFormat;
 pub(crate) use log::check_level;

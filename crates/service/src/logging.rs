@@ -6,7 +6,6 @@ pub use tail::{LogLine, conceal, last_lines, lines_after};
 
 use crate::config::{LogConfig, LogFormat, check_level};
 use std::io::IsTerminal;
-use tail::Tail;
 use tracing::Subscriber;
 use tracing_subscriber::filter::{LevelFilter, ParseError};
 use tracing_subscriber::layer::{Identity, SubscriberExt};
@@ -54,7 +53,7 @@ fn nothing() -> impl Layer<Registry> + Send + Sync {
 }
 
 /// As [`start`], with a layer of the service's own that sees what it wants, whatever the level of the log. It has a
-/// filter of its own: without one every line of every library is made ready for it.
+/// filter: without one every line of every library is made ready for it.
 ///
 /// # Errors
 /// As there.
@@ -97,7 +96,7 @@ fn subscriber(
     Ok(tracing_subscriber::registry()
         .with(beside)
         .with(written)
-        .with(Tail.with_filter(filter(tail_level(level))?)))
+        .with(tail::layer().with_filter(filter(tail_level(level))?)))
 }
 
 /// The level of the lines that are kept: what a person who opens the page wants to read is there even where the log is

@@ -2,9 +2,9 @@
 //! well. Without a manager nothing is sent.
 //!
 //! Two rules. A service that waits for others (a router, a database) counts as started after a while: a manager that
-//! killed it would bring nobody closer. And the watchdog is fed by the task that looks at the service's real health, on
+//! killed it would bring nobody closer. And the watchdog is fed by the task that checks the service's real health, on
 //! the runtime everything else runs on: workers that hang, a lock that is never given back, or a part that has been
-//! broken for too long all end the feeding, and the manager starts the service anew.
+//! broken for too long all end the feeding, and the manager restarts the service.
 
 use sd_notify::NotifyState;
 use std::time::Duration;
@@ -25,10 +25,10 @@ pub struct Look {
 /// After this time a service counts as started although it still waits for others.
 const STARTED_AFTER: Duration = Duration::from_secs(30);
 
-/// Time between two looks where the manager has no watchdog.
+/// Interval of the check where the manager has no watchdog.
 const LOOK_EVERY: Duration = Duration::from_secs(5);
 
-/// The longest text that is told.
+/// The longest text that is sent.
 const LONGEST: usize = 400;
 
 /// Where messages go: the manager, or a test.
@@ -44,7 +44,7 @@ impl Manager for Systemd {
     fn tell(&mut self, messages: &[NotifyState<'_>]) {
         let told = sd_notify::notify(messages);
         if let (Err(error), false) = (&told, self.failed) {
-            tracing::warn!(%error, "the service manager cannot be told");
+            tracing::warn!(%error, "the service manager cannot be notified");
         }
         self.failed = told.is_err();
     }

@@ -11,14 +11,14 @@ use std::time::{Duration, Instant};
 /// Time between two log lines of panics at one place.
 const PERIOD: Duration = Duration::from_secs(10);
 
-/// Places that are remembered; panics at any further ones are always told.
+/// Places that are remembered; panics at any further ones are always logged.
 const MOST_PLACES: usize = 256;
 
 thread_local! {
     static CONTAINED: Cell<bool> = const { Cell::new(false) };
 }
 
-/// When panics at a place were told last, and how many since were not.
+/// When a panic at a place was logged last, and how many since were not.
 static TOLD: Mutex<BTreeMap<(String, u32), (Instant, u64)>> = Mutex::new(BTreeMap::new());
 
 /// Has every panic of the process logged by `tracing` from now on. To be called once, when the log is set up.
@@ -26,7 +26,7 @@ pub fn log_panics() {
     std::panic::set_hook(Box::new(log));
 }
 
-/// Runs `work`, and gives what it panicked with instead of letting that go on. Nothing is logged: whoever calls counts
+/// Runs `work`, and gives what it panicked with instead of letting that go on. Nothing is logged: the caller counts
 /// it and says what it was about.
 ///
 /// # Errors
@@ -60,7 +60,7 @@ fn log(panic: &PanicHookInfo<'_>) {
     }
 }
 
-/// Whether a panic at `place` is to be told: then how many there were not told before it.
+/// Whether to log a panic at `place`: then how many before it were not logged.
 fn admit(place: &Location<'_>) -> Option<u64> {
     let now = Instant::now();
     let mut told = TOLD.lock();
@@ -83,7 +83,7 @@ fn admit(place: &Location<'_>) -> Option<u64> {
     }
 }
 
-/// What a panic said.
+/// The message of a panic.
 pub fn message(payload: &(dyn Any + Send)) -> &str {
     (payload.downcast_ref::<&str>().copied())
         .or_else(|| payload.downcast_ref::<String>().map(String::as_str))

@@ -39,7 +39,7 @@ fn read(
     ticks: f64,
     page: f64,
 ) -> Vec<ProcessFigure> {
-    // The program's name stands in brackets and may have blanks: count behind it. The first field is the third of
+    // The program's name is in brackets and may have blanks: count behind it. The first field is the third of
     // proc(5).
     let fields: Vec<&str> = stat
         .rsplit_once(')')

@@ -4,7 +4,7 @@ use parking_lot::Mutex;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Lets one event through a period and tells how many it held back.
+/// Lets one event per period through and counts those it held back.
 #[derive(Debug)]
 pub struct RateLimit {
     period: Duration,
@@ -22,8 +22,8 @@ impl RateLimit {
         }
     }
 
-    /// Whether the event at `now` may be told: then the number of events held back since the last one
-    /// told, else `None`.
+    /// Whether the event at `now` may pass: then the number of events held back since the last one
+    /// that passed, else `None`.
     pub fn admit(&mut self, now: Instant) -> Option<u64> {
         if self.last.is_some_and(|last| now - last < self.period) {
             self.held_back += 1;
@@ -52,7 +52,7 @@ impl SharedLimit {
         )))
     }
 
-    /// Calls `tell` with the number of calls since it was last called, unless that was just now.
+    /// Calls `tell` with the number of calls since its last call, unless that was just now.
     pub fn tell(&self, tell: impl FnOnce(u64)) {
         let admitted = self.0.lock().admit(Instant::now());
         if let Some(held_back) = admitted {

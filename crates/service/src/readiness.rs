@@ -2,7 +2,7 @@
 //!
 //! Two effects, and the rule for choosing: a fault that keeps the service from what it is there for makes it
 //! *not ready* (`/readyz` answers 503); one it works beside makes it *degraded* (`/readyz` answers 200 with the
-//! reasons). A part tells its faults as they come ([`Part`]), or is asked at each look ([`Readiness::probe`]); what
+//! reasons). A part reports its faults as they come ([`Part`]), or is asked each time ([`Readiness::probe`]); what
 //! is still starting holds a [`Latch`].
 
 use albireo_wire::{HealthState, HealthStatus};
@@ -24,7 +24,7 @@ pub enum Effect {
 }
 
 impl Effect {
-    /// The word for it, as it stands in JSON.
+    /// Its word in JSON.
     pub const fn as_str(self) -> &'static str {
         match self {
             Self::Degraded => "degraded",
@@ -136,7 +136,7 @@ struct Inner {
     changes: watch::Sender<HealthStatus>,
 }
 
-/// The state of a service and all its parts. Clones tell of the same service.
+/// The state of a service and all its parts. Clones share it.
 #[derive(Clone)]
 pub struct Readiness(Arc<Inner>);
 
@@ -160,7 +160,7 @@ impl fmt::Debug for Readiness {
 }
 
 impl Readiness {
-    /// The end by which a part tells how it is.
+    /// The handle by which a part reports its state.
     pub fn part(&self, part: impl Into<Cow<'static, str>>) -> Part {
         self.part_of(part, "")
     }
@@ -197,7 +197,7 @@ impl Readiness {
 
     /// What is wrong now.
     pub fn health(&self) -> Health {
-        // The probes are asked without a lock: one may itself tell of a part.
+        // The probes are asked without a lock: one may itself report a part.
         let probes = self.0.probes.lock().clone();
         let seen: Vec<_> = probes
             .into_iter()
@@ -219,7 +219,7 @@ impl Readiness {
                 })
                 .collect(),
         };
-        // Under the lock, so that of two looks at once the later one is told last.
+        // Under the lock, so that of two concurrent reads the later one is sent last.
         let status = health.status();
         self.0.changes.send_if_modified(|told| {
             let changed = *told != status;
@@ -229,7 +229,7 @@ impl Readiness {
         health
     }
 
-    /// What is wrong, to wait for changes. Changes that only a probe sees are told at the next
+    /// What is wrong, to wait for changes. Changes that only a probe sees are reported at the next
     /// [`health`](Self::health): somebody must look from time to time, as [`watch`](Self::watch) does.
     pub fn subscribe(&self) -> watch::Receiver<HealthStatus> {
         self.0.changes.subscribe()
@@ -281,7 +281,7 @@ fn log(status: &HealthStatus) {
     }
 }
 
-/// The end by which one part tells how it is. What was told last holds, also when this is dropped.
+/// The handle by which one part reports its state. The last report holds, also when this is dropped.
 #[derive(Clone, Debug)]
 pub struct Part {
     readiness: Readiness,

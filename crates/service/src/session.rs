@@ -50,7 +50,7 @@ impl SessionError {
 }
 
 /// Opens a session as configured. `max_payload_bytes` bounds what is taken from the network. A client waits for its
-/// router, for ever: drop the future to give up. `waiting` is told why, at each attempt that failed.
+/// router, for ever: drop the future to give up. `waiting` gets the reason of each failed attempt.
 ///
 /// # Errors
 /// When the configuration makes no sense to Zenoh, or an endpoint cannot be listened on.
@@ -88,7 +88,7 @@ pub async fn open(
 /// `("transport/link/tx/lease", "60000")`.
 pub type Settings<'a> = &'a [(&'a str, &'a str)];
 
-/// Opens a session as [`open`] does, with more settings, on a thread of its own (opening may block for seconds), and
+/// Opens a session as [`open`] does, with more settings, on a separate thread (opening may block for seconds), and
 /// tries again until it is open: a router that is not there yet is no reason to end. Each failure is given to
 /// `failed`. `None` when `shutdown` is cancelled first.
 ///

@@ -1,5 +1,4 @@
-//! Watches a service's tasks for as long as it runs: one that dies is counted, logged in its span, named in the
-//! readiness, and started anew after a pause, or ends the service where nothing else is clean.
+//! Watches a service's tasks: one that dies ends the service in order, or, where that is declared, is restarted after a pause.
 
 mod tally;
 #[cfg(test)]
@@ -23,30 +22,14 @@ use tracing::{Instrument, Span};
 /// The part of the readiness under which tasks are named.
 pub const PART: &str = "tasks";
 
-/// How a task that failed is started anew.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Restarts {
-    /// What it means for the service while the task does not run.
-    pub effect: Effect,
-    /// From the first failure to the next start. Doubles with each failure until the task was calm.
-    pub first_pause: Duration,
-    /// The longest of these pauses.
-    pub longest_pause: Duration,
-    /// A task that has run so long since its restart counts as well again.
-    pub calm: Duration,
-}
+/// From the first failure to the next start. Doubles with each failure until the task was calm.
+const FIRST_PAUSE: Duration = Duration::from_millis(100);
 
-impl Restarts {
-    /// Pauses from 0.1 s to 30 s, calm after a minute.
-    pub const fn new(effect: Effect) -> Self {
-        Self {
-            effect,
-            first_pause: Duration::from_millis(100),
-            longest_pause: Duration::from_secs(30),
-            calm: Duration::from_secs(60),
-        }
-    }
-}
+/// The longest of these pauses.
+const LONGEST_PAUSE: Duration = Duration::from_secs(30);
+
+/// A task that has run so long since its restart counts as well again.
+const CALM: Duration = Duration::from_secs(60);
 
 /// How a task ended by itself.
 #[derive(Debug, Default)]
@@ -64,7 +47,7 @@ impl<E: Display> From<Result<(), E>> for TaskEnd {
     }
 }
 
-/// A task the service cannot do without has failed, and cannot be started anew.
+/// A task the service cannot do without has failed, and is not restarted.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the task `{task}` {reason}; the program ends, for a service manager to start it again")]
 pub struct TaskFailed {
@@ -89,10 +72,8 @@ struct Task {
 /// What happens when a task has failed.
 #[derive(Clone)]
 enum After {
-    /// It is started anew.
-    Restart(Arc<Run>, Restarts),
-    /// The service goes on without it.
-    Without(Effect),
+    /// It is restarted; meanwhile the service is not ready, or degraded.
+    Restart(Arc<Run>, Effect),
     /// The service ends.
     End,
 }
@@ -100,7 +81,7 @@ enum After {
 /// How one run of a task ended by itself.
 struct Ended {
     end: TaskEnd,
-    /// It had run so long that what went wrong before is forgotten.
+    /// It ran long enough for earlier failures to be forgotten.
     was_calm: bool,
 }
 
@@ -126,12 +107,13 @@ impl Supervisor {
         }
     }
 
-    /// Runs what `task` makes, in `span`; when that ends before the shutdown, or panics, it is made anew.
+    /// Runs what `task` makes, in `span`; when that ends before the shutdown, or panics, it is made again. Meanwhile the
+    /// readiness has the fault with that effect.
     pub fn restarting<F>(
         &mut self,
         name: impl Into<String>,
         span: Span,
-        restarts: Restarts,
+        effect: Effect,
         task: impl Fn() -> F + Send + Sync + 'static,
     ) where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
@@ -140,7 +122,7 @@ impl Supervisor {
             let task = task();
             Box::pin(async move { task.await.into() })
         });
-        let task = self.task(name.into(), span, After::Restart(run, restarts));
+        let task = self.task(name.into(), span, After::Restart(run, effect));
         self.start(task, Duration::ZERO);
     }
 
@@ -149,23 +131,7 @@ impl Supervisor {
     where
         F: Future<Output: Into<TaskEnd>> + Send + 'static,
     {
-        self.once(name.into(), span, After::End, task);
-    }
-
-    /// Runs `task` in `span`; when that ends before the shutdown, or panics, the service goes on without it, and its
-    /// readiness says so with that effect.
-    pub fn dispensable<F>(&mut self, name: impl Into<String>, span: Span, effect: Effect, task: F)
-    where
-        F: Future<Output: Into<TaskEnd>> + Send + 'static,
-    {
-        self.once(name.into(), span, After::Without(effect), task);
-    }
-
-    fn once<F>(&mut self, name: String, span: Span, after: After, task: F)
-    where
-        F: Future<Output: Into<TaskEnd>> + Send + 'static,
-    {
-        let known = self.task(name, span, after);
+        let known = self.task(name.into(), span, After::End);
         let run = async move {
             Ended {
                 end: task.await.into(),
@@ -176,23 +142,33 @@ impl Supervisor {
         self.tasks.insert(id, known);
     }
 
+    /// As [`essential`](Self::essential), for a part that outlives the other tasks: from the shutdown on, `ended` is not
+    /// waited for.
+    pub fn until_shutdown<F>(&mut self, name: impl Into<String>, span: Span, ended: F)
+    where
+        F: Future<Output: Into<TaskEnd>> + Send + 'static,
+    {
+        let shutdown = self.shutdown.clone();
+        self.essential(name, span, async move {
+            let ended = shutdown.run_until_cancelled(ended).await;
+            ended.map_or_else(TaskEnd::default, Into::into)
+        });
+    }
+
     fn task(&self, name: String, span: Span, after: After) -> Task {
         Task {
             part: self.readiness.part_of(PART, name.clone()),
             count: self.tally.of(&name),
-            pause: match &after {
-                After::Restart(_, restarts) => restarts.first_pause,
-                After::Without(_) | After::End => Duration::ZERO,
-            },
+            pause: FIRST_PAUSE,
             name,
             span,
             after,
         }
     }
 
-    /// Starts a task that can be made anew, after `pause`.
+    /// Starts a task that is restarted, after `pause`.
     fn start(&mut self, task: Task, pause: Duration) {
-        let After::Restart(run, restarts) = task.after.clone() else {
+        let After::Restart(run, _) = task.after.clone() else {
             return;
         };
         let again = pause > Duration::ZERO;
@@ -206,16 +182,14 @@ impl Supervisor {
                 }
                 count.restarted();
                 tracing::info!("the task runs again");
-                part.degraded(
-                    "failed and was started anew; well again when it has run for a while",
-                );
+                part.degraded("failed and was restarted; well again when it has run for a minute");
             }
             // Made here, so that a panic in the making counts as one of the task.
             let task = run();
             tokio::pin!(task);
             let early = tokio::select! {
                 end = &mut task => Some(end),
-                () = sleep(restarts.calm) => None,
+                () = sleep(CALM) => None,
             };
             match early {
                 Some(end) => Ended {
@@ -243,7 +217,7 @@ impl Supervisor {
     /// Watches the tasks until the shutdown.
     ///
     /// # Errors
-    /// [`TaskFailed`] when one fails that cannot be started anew; the others still run.
+    /// [`TaskFailed`] when one fails that is not restarted; the others still run.
     pub async fn watch(&mut self) -> Result<(), TaskFailed> {
         let shutdown = self.shutdown.clone();
         loop {
@@ -275,7 +249,7 @@ impl Supervisor {
             }) if stopping => return Ok(()),
             Ok(Ended { end, was_calm }) => {
                 let reason = end.0.map_or_else(
-                    || "ended, though nobody had told it to".to_owned(),
+                    || "ended before the shutdown".to_owned(),
                     |reason| format!("failed: {reason}"),
                 );
                 (reason, was_calm)
@@ -286,22 +260,15 @@ impl Supervisor {
         tracing::error!(parent: &task.span, task = task.name, "the task {reason}");
         match &task.after {
             _ if stopping => Ok(()),
-            After::Restart(_, restarts) => {
+            After::Restart(_, effect) => {
                 if was_calm {
-                    task.pause = restarts.first_pause;
+                    task.pause = FIRST_PAUSE;
                 }
-                let pause = task.pause;
-                task.pause = (pause * 2).min(restarts.longest_pause);
-                task.part.fault(Fault {
-                    effect: restarts.effect,
-                    reason: format!("{reason}; it is started anew"),
-                });
-                self.start(task, pause);
-                Ok(())
-            }
-            After::Without(effect) => {
-                let effect = *effect;
+                let (pause, effect) = (task.pause, *effect);
+                task.pause = (pause * 2).min(LONGEST_PAUSE);
+                let reason = format!("{reason}; it is restarted");
                 task.part.fault(Fault { effect, reason });
+                self.start(task, pause);
                 Ok(())
             }
             After::End => {
@@ -317,7 +284,7 @@ impl Supervisor {
     /// Waits until every task has ended. To be called after the shutdown.
     pub async fn finish(&mut self) {
         while let Some(ended) = self.running.join_next_with_id().await {
-            // An error is of one that cannot be started anew, and has been logged.
+            // An error is of one that is not restarted, and has been logged.
             let _ = self.ended(ended);
         }
     }

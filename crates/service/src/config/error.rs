@@ -5,7 +5,7 @@ use std::fmt;
 /// One thing that is wrong.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// The key, `http.listen` or `camera[1].name`; empty when it is not about one key.
+    /// The key, `http.listen` or `camera.cabin.source`; empty when it is not about one key.
     pub key: String,
     /// What is wrong and what would do.
     pub reason: String,

@@ -66,7 +66,7 @@ pub struct HttpConfig {
     /// A connection that says nothing, or takes nothing of what is sent to it, for so long is closed. No setting.
     #[serde(skip)]
     pub idle_timeout_ms: u64,
-    /// Connections at a time. When all are taken, the one that was idle longest is closed for a new one. No setting:
+    /// Connections at a time. When all are taken, the oldest is closed for a new one. No setting:
     /// 256 of them take some 10 MB.
     #[serde(skip)]
     pub max_connections: usize,

@@ -1,9 +1,9 @@
 //! Reads a configuration from its file and the environment.
 
 use super::{ConfigError, Finding};
+use figment::Figment;
 use figment::providers::{Env, Format, Serialized, Toml};
 use figment::value::{Dict, Value};
-use figment::{Figment, Source};
 use serde::de::DeserializeOwned;
 use std::path::Path;
 
@@ -44,17 +44,18 @@ pub fn load<C: Configuration>(file: Option<&Path>) -> Result<C, ConfigError> {
     }
 }
 
-/// As [`load`]: what could be read of a configuration, with defaults in the place of what could not, and everything that
-/// is wrong with it.
+/// As [`load`]: what could be read of a configuration, with defaults for what could not, and everything that is wrong
+/// with it.
 pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding>) {
-    let mut figment = Figment::new();
-    if let Some(file) = file {
-        // Figment takes a missing file for an empty one.
-        if let Err(error) = std::fs::metadata(file) {
-            return (None, vec![Finding::new("", error.to_string())]);
-        }
-        figment = figment.merge(Toml::file_exact(file));
+    match file.map(std::fs::read_to_string).transpose() {
+        Ok(text) => examine_text(text.as_deref().unwrap_or_default()),
+        Err(error) => (None, vec![Finding::new("", error.to_string())]),
     }
+}
+
+/// As [`examine`], with the file's text.
+pub fn examine_text<C: Configuration>(text: &str) -> (Option<C>, Vec<Finding>) {
+    let figment = Figment::from(Toml::string(text));
     let variables = std::env::vars_os().filter_map(|(k, _)| k.into_string().ok());
     let mut findings = misspelt_variables(variables, C::SECTIONS);
     let figment = figment.merge(
@@ -79,6 +80,7 @@ pub fn examine<C: Configuration>(file: Option<&Path>) -> (Option<C>, Vec<Finding
         if finding.source.is_none() {
             finding.source = source(&figment, &finding.key);
         }
+        finding.key = by_name(&figment, &finding.key);
     }
     (config, findings)
 }
@@ -189,12 +191,33 @@ fn inside<'a>(values: &'a mut Dict, path: &[String]) -> Option<Inside<'a>> {
     }
 }
 
-/// Where the value of `key` comes from, when it is not the file.
+/// The environment variable that the value of `key` comes from, when it is not the file.
 fn source(figment: &Figment, key: &str) -> Option<String> {
     let path = key.replace('[', ".").replace(']', "");
     let metadata = figment.find_metadata(&path)?;
-    let from_file = matches!(metadata.source, Some(Source::File(_)));
-    (!from_file).then(|| variable(&path))
+    metadata
+        .name
+        .contains("environment")
+        .then(|| variable(&path))
+}
+
+/// `camera[1].rate` as `camera.cabin.rate`, where the second camera is named `cabin`.
+fn by_name(figment: &Figment, key: &str) -> String {
+    let named = || {
+        let (list, rest) = key.split_once('[')?;
+        let (index, rest) = rest.split_once(']')?;
+        let mut values = figment.extract::<Dict>().ok()?;
+        let table = inside(&mut values, &[list.to_owned(), index.to_owned()])?;
+        let Inside::Table(table) = table else {
+            return None;
+        };
+        let name = table
+            .get("name")?
+            .as_str()
+            .filter(|name| !name.is_empty())?;
+        Some(format!("{list}.{name}{rest}"))
+    };
+    named().unwrap_or_else(|| key.to_owned())
 }
 
 /// The environment variable that sets the key at `path`.
@@ -272,12 +295,20 @@ fn in_words(expected: &str) -> &str {
     }
 }
 
+/// The known name that is at most two typing errors away.
+fn closest<'a>(name: &str, known: &[&'a str]) -> Option<&'a str> {
+    let distances = known.iter().map(|&k| (strsim::osa_distance(name, k), k));
+    let (distance, closest) = distances.min()?;
+    (distance <= 2).then_some(closest)
+}
+
 fn reason(kind: &figment::error::Kind) -> String {
     use figment::error::{Kind, OneOf};
     match kind {
-        Kind::UnknownField(name, known) => {
-            format!("unknown key `{name}`; known are {}", OneOf(known))
-        }
+        Kind::UnknownField(name, known) => match closest(name, known) {
+            Some(meant) => format!("unknown key `{name}`; did you mean `{meant}`?"),
+            None => format!("unknown key `{name}`; known are {}", OneOf(known)),
+        },
         Kind::UnknownVariant(value, known) => format!("`{value}` is not {}", OneOf(known)),
         Kind::MissingField(name) => format!("`{name}` is missing"),
         Kind::InvalidType(found, expected) | Kind::InvalidValue(found, expected) => {
@@ -349,7 +380,7 @@ mod tests {
     fn everything_that_is_wrong_is_found_in_one_go_and_in_plain_words() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("small.toml");
-        let text = "[http]\ntimeout = \"long\"\nprot = 8080\n[[camera]]\nring = \"two\"\n\
+        let text = "[http]\ntimeout = \"long\"\nloud = 1\nprot = 8080\n[[camera]]\nring = \"two\"\n\
                     [[camera]]\nname = \"a b\"\nrung = 3\n";
         std::fs::write(&file, text).unwrap();
         let Err(error) = load::<Small>(Some(&file)) else {
@@ -360,12 +391,13 @@ mod tests {
         assert_eq!(
             told,
             [
+                "camera.a b.name: no such name",
+                "camera.a b.rung: unknown key `rung`; did you mean `ring`?",
                 "camera[0].ring: must be a whole number, 0 or more, not string \"two\"",
                 "camera[0]: `name` is missing",
-                "camera[1].name: no such name",
-                "camera[1].rung: unknown key `rung`; known are `name` or `ring`",
+                "http.loud: unknown key `loud`; known are `timeout` or `port`",
                 "http.port: must not be 0",
-                "http.prot: unknown key `prot`; known are `timeout` or `port`",
+                "http.prot: unknown key `prot`; did you mean `port`?",
                 "http.timeout: must be a number, not string \"long\"",
             ]
         );

@@ -3,7 +3,7 @@
 use serde::Serialize;
 use serde_json::Value;
 
-/// What stands in place of a secret.
+/// Shown instead of a secret.
 pub const MASK: &str = "(secret)";
 
 /// The configuration with every secret masked: what a member named `token`, `password` or `secret` holds.

@@ -1,4 +1,4 @@
-//! The `[uplink]` section of the configuration: a session of its own to the hub.
+//! The `[uplink]` section of the configuration: a separate session to the hub.
 
 use super::Findings;
 use super::zenoh::check_endpoints;
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-/// After this long without a message the other side counts as gone. A keep-alive goes every quarter of it, so a metered
+/// After this long without a message the other side counts as lost. A keep-alive goes every quarter of it, so a metered
 /// link carries few of them.
 const LEASE_MS: u64 = 120_000;
 
@@ -28,7 +28,7 @@ pub struct UplinkConfig {
     pub retry_max_ms: u64,
     /// Whether to declare a liveliness token. A help for some thousand nodes, a burden for many more.
     pub liveliness: bool,
-    /// Whether whoever watches the node through the hub may have the newest picture of a camera.
+    /// Whether those who watch the node through the hub may see the newest picture of a camera.
     pub pictures: bool,
 }
 
@@ -58,7 +58,7 @@ impl UplinkConfig {
         .filter_map(|(key, path)| Some((key, path.as_deref()?)))
     }
 
-    /// Whether there is a session of its own.
+    /// Whether there is a separate session.
     pub fn is_set(&self) -> bool {
         !self.connect.is_empty()
     }

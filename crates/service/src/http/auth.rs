@@ -21,7 +21,7 @@ use tokio::net::TcpListener;
 use tokio_util::sync::CancellationToken;
 
 /// Open to all: whether the service lives and works, the page, which asks for the token itself, and the description
-/// of the interface with the page that reads it, which are the same wherever this version runs and tell nothing of this
+/// of the interface with the page that reads it, which are the same wherever this version runs and reveal nothing of this
 /// service.
 const OPEN: [&str; 6] = [
     "/",
@@ -81,7 +81,7 @@ impl Caller {
     pub(super) const ANONYMOUS: &str = "anonymous";
 }
 
-/// Time between two looks at the token files.
+/// Interval at which the token files are read again.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
 /// A token, whose it is, and the file it comes from.
@@ -354,7 +354,7 @@ fn carries(headers: &HeaderMap, token: &Token) -> bool {
     else {
         return false;
     };
-    // In constant time, so that the answer's delay does not tell how many characters were right.
+    // In constant time, so that the answer's delay does not reveal how many characters were right.
     sent.ct_eq(token.secret().as_bytes()).into()
 }
 

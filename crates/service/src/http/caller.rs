@@ -26,7 +26,7 @@ pub struct WhoAsks {
 pub async fn caller(Extension(caller): Extension<Caller>) -> Json<WhoAsks> {
     let tunes = caller.role == Role::Tune;
     Json(WhoAsks {
-        // Where no token is needed, nobody is let in with less than everything.
+        // Where no token is needed, everybody may do everything.
         token_needed: !tunes && &*caller.name == Caller::ANONYMOUS,
         may_tune: tunes,
         name: caller.name.to_string(),

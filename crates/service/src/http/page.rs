@@ -23,7 +23,7 @@ const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; i
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; \
                       require-trusted-types-for 'script'; trusted-types 'none'";
 
-/// What is said in place of a page that was not built.
+/// Shown instead of a page that was not built.
 const MISSING: &str = "<!doctype html>\n<html lang=\"en\">\n<meta charset=\"utf-8\">\n\
     <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>albireo: no page</title>\n\
     <h1>This program was built without its pages</h1>\n\
@@ -85,7 +85,7 @@ impl Page {
     }
 }
 
-/// A part of a page. Its name changes with its contents, so that whoever has it never needs to ask again.
+/// A part of a page. Its name changes with its contents, so that a cached copy never expires.
 async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response, Problem> {
     file(
         &format!("assets/{name}"),
@@ -93,7 +93,7 @@ async fn asset(Path(name): Path<String>, headers: HeaderMap) -> Result<Response,
         "public, max-age=31536000, immutable",
     )
     .ok_or_else(|| {
-        let detail = "this version has no such part of a page; load the page anew";
+        let detail = "this version has no such part of a page; reload the page";
         Problem::new(StatusCode::NOT_FOUND, detail)
     })
 }

@@ -26,7 +26,7 @@ pub struct Problem {
     status: u16,
     /// What was wrong with this request.
     detail: String,
-    /// What is allowed in the place of what was sent: methods, names, media types.
+    /// What is allowed instead of what was sent: methods, names, media types.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     allowed: Vec<String>,
     /// The range of the threshold, where the request was about it.

@@ -21,17 +21,17 @@ use tower_http::trace::TraceLayer;
 /// Largest body of a request, bytes. The largest legitimate one has about thirty.
 pub const BODY_LIMIT: usize = 16 << 10;
 
-/// Time the requests in hand have to end after the shutdown.
+/// Time that requests in progress have to end after the shutdown.
 const GRACE: Duration = Duration::from_secs(1);
 
 /// How long to wait before taking connections again when there are no descriptors for them.
 const NO_DESCRIPTORS: Duration = Duration::from_millis(100);
 
 /// Serves `router` on `listener` with authentication, limits and problem documents until `shutdown`, then lets
-/// requests in hand end (event streams are closed by their router) for at most a second.
+/// requests in progress end (event streams are closed by their router) for at most a second.
 ///
 /// A connection that says nothing, or does not take what is sent to it, for [`HttpConfig::idle_timeout_ms`] is closed. There
-/// are at most [`HttpConfig::max_connections`]; when all are taken the one that was idle longest is closed for a new one.
+/// are at most [`HttpConfig::max_connections`]; when all are taken the oldest is closed for a new one.
 ///
 /// # Errors
 /// [`HttpError`] when the token cannot be read, or the listener can be reached from other machines and
@@ -63,7 +63,7 @@ pub async fn run_with_tokens(
     let following = tokio::spawn(allowed.clone().follow_files(shutdown.clone()));
     let router = layered(config, methods, router, allowed);
     let idle = Duration::from_millis(config.idle_timeout_ms);
-    let connections = Connections::new(Limits {
+    let mut connections = Connections::new(Limits {
         most: config.max_connections,
         head: idle,
         stalled: idle,
@@ -80,12 +80,9 @@ pub async fn run_with_tokens(
             Ok((stream, _)) => {
                 // Events are short and should not wait for company.
                 let _ = stream.set_nodelay(true);
-                let serve = connections
-                    .clone()
-                    .serve(stream, router.clone(), shutdown.clone());
-                serving.spawn(serve);
+                serving.spawn(connections.serve(stream, router.clone(), shutdown.clone()));
             }
-            // The other side was gone before it was accepted, or there are no descriptors left.
+            // The other side closed before it was accepted, or there are no descriptors left.
             Err(error) => {
                 tracing::debug!(%error, "HTTP connection not accepted");
                 tokio::time::sleep(NO_DESCRIPTORS).await;

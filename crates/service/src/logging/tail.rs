@@ -1,22 +1,21 @@
-//! The last lines of the log, in memory: what a service can tell of its past when it is asked. Secrets that were told to
-//! [`conceal`] are never among them.
+//! Keeps the last lines of the log in memory, for the page and for diagnostics, without the secrets given to [`conceal`].
 
 use parking_lot::{Mutex, RwLock};
 use serde::Serialize;
 use std::collections::VecDeque;
-use std::fmt::{self, Write};
-use tracing::field::{Field, Visit};
-use tracing::span::{Attributes, Id, Record};
-use tracing::{Event, Subscriber};
+use std::{fmt, io};
+use tracing::{Level, Metadata, Subscriber};
 use tracing_subscriber::Layer;
-use tracing_subscriber::layer::Context;
+use tracing_subscriber::field::RecordFields;
+use tracing_subscriber::fmt::format::{DefaultFields, Writer};
+use tracing_subscriber::fmt::{FormatFields, MakeWriter};
 use tracing_subscriber::registry::LookupSpan;
 use utoipa::ToSchema;
 
 /// Lines that are kept, and the most bytes of one.
 const KEPT: usize = 1000;
 const LONGEST: usize = 4096;
-/// What stands in place of a secret.
+/// Shown instead of a secret.
 const MASK: &str = "(secret)";
 /// Shorter ones would be found in ordinary words.
 const SHORTEST_SECRET: usize = 4;
@@ -34,9 +33,9 @@ pub struct LogLine {
     /// `ERROR`, `WARN`, `INFO`, `DEBUG` or `TRACE`.
     #[schema(value_type = String)]
     pub level: &'static str,
-    /// Part of the program that says it.
+    /// Part of the program that wrote it.
     pub target: String,
-    /// What it says, with what it says of it and where.
+    /// Spans, message and fields.
     pub text: String,
 }
 
@@ -47,17 +46,17 @@ impl fmt::Display for LogLine {
     }
 }
 
-/// The lines that are kept, the oldest first.
+/// The lines that are kept, oldest first.
 pub fn last_lines() -> Vec<LogLine> {
     lines_after(0, KEPT)
 }
 
-/// The newest lines after that number, at most so many, the oldest first.
+/// At most `most` of the newest lines with a number above `number`, oldest first.
 pub fn lines_after(number: u64, most: usize) -> Vec<LogLine> {
     LAST.lock().after(number, most)
 }
 
-/// From now on `secret` does not stand in a line that is kept; nor in those that are there.
+/// Masks `secret` in all lines, those that are already kept among them.
 pub fn conceal(secret: &str) {
     let secret = secret.trim();
     if secret.len() < SHORTEST_SECRET {
@@ -111,91 +110,70 @@ impl Lines {
     }
 }
 
-/// Keeps each event as a line.
-pub(super) struct Tail;
+/// The layer that keeps each event as a line.
+pub(super) fn layer<S: Subscriber + for<'a> LookupSpan<'a>>() -> impl Layer<S> {
+    tracing_subscriber::fmt::layer()
+        .with_ansi(false)
+        .without_time()
+        .with_level(false)
+        .with_target(false)
+        .fmt_fields(PlainFields)
+        .with_writer(Tail)
+}
 
-/// The fields of a span, in words.
-struct Words(String);
+/// Fields of spans without colours: layers share what formatters of one type have written.
+struct PlainFields;
 
-/// Writes fields as `name=value`, and the message as it is; never more than a line may have.
-struct Writer<'a>(&'a mut String);
+impl<'w> FormatFields<'w> for PlainFields {
+    fn format_fields<R: RecordFields>(&self, writer: Writer<'w>, fields: R) -> fmt::Result {
+        DefaultFields::new().format_fields(writer, fields)
+    }
+}
 
-impl Visit for Writer<'_> {
-    fn record_str(&mut self, field: &Field, value: &str) {
-        match field.name() {
-            "message" => self.record_debug(field, &format_args!("{value}")),
-            _ => self.record_debug(field, &value),
-        }
+/// Makes a line of what is written for an event.
+struct Tail;
+
+/// Level and target of the event that is written.
+struct Line(Level, String);
+
+impl MakeWriter<'_> for Tail {
+    type Writer = Line;
+
+    fn make_writer(&self) -> Line {
+        Line(Level::INFO, String::new())
     }
 
-    fn record_debug(&mut self, field: &Field, value: &dyn fmt::Debug) {
-        let text = &mut *self.0;
-        if text.len() >= LONGEST {
-            return;
-        }
-        let space = if text.is_empty() { "" } else { " " };
-        // A string takes all that is written.
-        let _ = match field.name() {
-            "message" => write!(text, "{space}{value:?}"),
-            name => write!(text, "{space}{name}={value:?}"),
-        };
+    fn make_writer_for(&self, about: &Metadata<'_>) -> Line {
+        Line(*about.level(), about.target().to_owned())
+    }
+}
+
+impl io::Write for Line {
+    /// Takes all of an event, which is written at once.
+    fn write(&mut self, event: &[u8]) -> io::Result<usize> {
+        let mut text = String::from_utf8_lossy(event).trim_end().to_owned();
+        // Before it is cut: a secret's first half is no less a secret.
+        mask(&mut text);
+        cut(&mut text);
+        LAST.lock().keep(LogLine {
+            number: 0,
+            at_ms: crate::clock::unix_milliseconds(),
+            level: self.0.as_str(),
+            target: std::mem::take(&mut self.1),
+            text,
+        });
+        Ok(event.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
     }
 }
 
 fn cut(text: &mut String) {
     if text.len() > LONGEST {
-        let end = (0..=LONGEST).rev().find(|end| text.is_char_boundary(*end));
-        text.truncate(end.unwrap_or_default());
+        text.truncate(text.floor_char_boundary(LONGEST));
         text.push('…');
-    }
-}
-
-impl<S: Subscriber + for<'a> LookupSpan<'a>> Layer<S> for Tail {
-    fn on_new_span(&self, attributes: &Attributes<'_>, id: &Id, context: Context<'_, S>) {
-        if let Some(span) = context.span(id) {
-            let mut words = String::new();
-            attributes.record(&mut Writer(&mut words));
-            span.extensions_mut().insert(Words(words));
-        }
-    }
-
-    fn on_record(&self, id: &Id, values: &Record<'_>, context: Context<'_, S>) {
-        if let Some(span) = context.span(id)
-            && let Some(Words(words)) = span.extensions_mut().get_mut::<Words>()
-        {
-            values.record(&mut Writer(words));
-        }
-    }
-
-    fn on_event(&self, event: &Event<'_>, context: Context<'_, S>) {
-        let mut text = String::new();
-        for span in context
-            .event_scope(event)
-            .into_iter()
-            .flat_map(|s| s.from_root())
-        {
-            text.push_str(span.name());
-            if let Some(Words(words)) = span.extensions().get::<Words>()
-                && !words.is_empty()
-            {
-                let _ = write!(text, "{{{words}}}");
-            }
-            text.push_str(": ");
-        }
-        let mut said = String::new();
-        event.record(&mut Writer(&mut said));
-        text.push_str(&said);
-        // Before it is cut: a secret's first half is no less a secret.
-        mask(&mut text);
-        cut(&mut text);
-        let about = event.metadata();
-        LAST.lock().keep(LogLine {
-            number: 0,
-            at_ms: crate::clock::unix_milliseconds(),
-            level: about.level().as_str(),
-            target: about.target().to_owned(),
-            text,
-        });
     }
 }
 
@@ -239,7 +217,7 @@ mod tests {
     // One test, for the lines and the secrets are those of the process.
     #[test]
     fn a_line_says_where_it_comes_from_and_no_secret_is_in_it() {
-        tracing::subscriber::with_default(tracing_subscriber::registry().with(Tail), || {
+        tracing::subscriber::with_default(tracing_subscriber::registry().with(layer()), || {
             let span = tracing::info_span!("camera", name = "front");
             let _inside = span.enter();
             tracing::warn!(target: "tail_test", password = "hush-hush-7", "asked with hush-hush-7 for {}", 3);

@@ -1,4 +1,4 @@
-//! How often tasks failed and were started anew.
+//! How often tasks failed and were restarted.
 
 use parking_lot::Mutex;
 use std::collections::BTreeMap;
@@ -8,9 +8,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// What is counted of one task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TaskCounts {
-    /// Times it panicked, failed, or ended without being told to.
+    /// Times it panicked, failed, or ended unasked.
     pub failures: u64,
-    /// Times it was started anew.
+    /// Times it was restarted.
     pub restarts: u64,
 }
 

@@ -7,8 +7,6 @@ use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
 use tokio::task::JoinHandle;
 use tokio::time::Instant;
 
-const RESTARTS: Restarts = Restarts::new(Effect::NotReady);
-
 struct Bench {
     readiness: Readiness,
     tally: TaskTally,
@@ -30,7 +28,7 @@ fn bench<F: Future<Output: Into<TaskEnd>> + Send + 'static>(
     let mut supervisor = Supervisor::new(readiness.clone(), tally.clone(), shutdown.clone());
     let (started, starts) = unbounded_channel();
     let (number, stop) = (AtomicU32::new(0), shutdown.clone());
-    supervisor.restarting("camera/front", Span::none(), RESTARTS, move || {
+    supervisor.restarting("camera/front", Span::none(), Effect::NotReady, move || {
         let _ = started.send(Instant::now());
         what(number.fetch_add(1, Ordering::Relaxed), stop.clone())
     });
@@ -54,7 +52,7 @@ fn counts(failures: u64, restarts: u64) -> Vec<(String, TaskCounts)> {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_task_that_panics_is_counted_named_and_started_anew() {
+async fn a_task_that_panics_is_counted_named_and_restarted() {
     let mut bench = bench(|number, stop| async move {
         if number == 0 {
             panic!("index out of bounds");
@@ -74,10 +72,10 @@ async fn a_task_that_panics_is_counted_named_and_started_anew() {
     assert_eq!(bench.tally.counts(), counts(1, 0));
 
     let again = bench.starts.recv().await.unwrap();
-    assert_eq!(again - first, RESTARTS.first_pause);
+    assert_eq!(again - first, FIRST_PAUSE);
     assert_eq!(bench.tally.counts(), counts(1, 1));
     assert_eq!(bench.readiness.health().state(), HealthState::Degraded);
-    tokio::time::sleep(RESTARTS.calm).await;
+    tokio::time::sleep(CALM).await;
     tokio::task::yield_now().await;
     assert_eq!(bench.readiness.health().state(), HealthState::Ready);
     bench.shutdown.cancel();
@@ -89,7 +87,7 @@ async fn a_task_that_panics_is_counted_named_and_started_anew() {
 async fn each_pause_is_twice_the_last_until_the_task_was_calm() {
     let mut bench = bench(|number, _| async move {
         if number == 3 {
-            tokio::time::sleep(2 * RESTARTS.calm).await;
+            tokio::time::sleep(2 * CALM).await;
         }
         Err::<(), _>("no such device")
     });
@@ -103,7 +101,7 @@ async fn each_pause_is_twice_the_last_until_the_task_was_calm() {
         last = bench.starts.recv().await.unwrap();
     }
     let start = bench.starts.recv().await.unwrap();
-    assert_eq!(start - last, RESTARTS.longest_pause);
+    assert_eq!(start - last, LONGEST_PAUSE);
     let told = &bench.readiness.health().status().reasons[PART];
     assert!(told.contains("camera/front: "), "{told}");
     bench.shutdown.cancel();
@@ -111,7 +109,7 @@ async fn each_pause_is_twice_the_last_until_the_task_was_calm() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_task_that_ends_without_being_told_has_failed() {
+async fn a_task_that_ends_before_the_shutdown_has_failed() {
     let mut bench = bench(|_, _| async {});
     for _ in 0..3 {
         bench.starts.recv().await.unwrap();
@@ -143,6 +141,26 @@ async fn an_essential_task_that_fails_ends_the_service() {
     shutdown.cancel();
     supervisor.finish().await;
     assert!(supervisor.still_running().is_empty());
+}
+
+#[tokio::test]
+async fn a_part_that_outlives_the_others_is_watched_until_the_shutdown() {
+    let shutdown = CancellationToken::new();
+    let mut supervisor =
+        Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());
+    supervisor.until_shutdown("uplink", Span::none(), std::future::pending::<()>());
+    shutdown.cancel();
+    assert_eq!(supervisor.watch().await, Ok(()));
+    supervisor.finish().await;
+    let shutdown = CancellationToken::new();
+    let mut supervisor =
+        Supervisor::new(Readiness::default(), TaskTally::default(), shutdown.clone());
+    supervisor.until_shutdown("uplink", Span::none(), async {});
+    let failed = supervisor.watch().await.unwrap_err();
+    assert_eq!(
+        (failed.task.as_str(), failed.reason.as_str()),
+        ("uplink", "ended before the shutdown")
+    );
 }
 
 #[tokio::test]
