@@ -26,7 +26,7 @@ pub enum Stage {
     SmallGrey(u32),
     /// The decoded picture.
     Picture,
-    /// The detector's input, in the place of the decoded picture.
+    /// The detector's input, instead of the decoded picture.
     Prepared,
 }
 
@@ -48,7 +48,7 @@ impl Stage {
     }
 }
 
-/// One picture and how it is to be decoded.
+/// One picture and how to decode it.
 #[derive(Clone)]
 pub struct Source {
     /// The picture as it came.
@@ -167,10 +167,10 @@ struct State {
 }
 
 impl PixelWork {
-    /// For all cameras of one detector that looks at `batch_size` pictures at once, with inputs made by `preparation`.
+    /// For all cameras of one detector that runs on `batch_size` pictures at once, with inputs made by `preparation`.
     ///
-    /// So many pictures have a place as one run looks at, as many again that are ready for the next, and one for each
-    /// two processors, which make them. The others wait encoded.
+    /// At most 2 × `batch_size` + ⌈processors / 2⌉ pictures are decoded at once: those of the present run, of the next,
+    /// and those being prepared. The others wait encoded.
     pub fn new(preparation: Preparation, limits: FrameLimits, batch_size: usize) -> Self {
         let processors = available_parallelism().map_or(1, usize::from);
         let places = (2 * batch_size.max(1)).saturating_add(processors.div_ceil(2));
@@ -187,7 +187,7 @@ impl PixelWork {
         }))
     }
 
-    /// How many pictures' buffers nobody uses.
+    /// Number of idle picture buffers.
     pub fn idle(&self) -> usize {
         self.0.pictures.idle()
     }
@@ -209,7 +209,7 @@ impl PixelWork {
     }
 
     /// The detector's input of a picture, decoded to no fewer pixels than `target`; `None` when it is broken. Takes no
-    /// place: for whoever asks only while nobody waits.
+    /// place: call it only while no frame waits.
     pub async fn prepared(
         &self,
         encoded: EncodedPicture,
@@ -220,7 +220,7 @@ impl PixelWork {
         made.await.ok()?.prepared
     }
 
-    /// Begins with a picture that is needed later, if there is a place that nobody waits for.
+    /// Begins with a picture that is needed later, if a place is free and no frame waits for it.
     pub fn begin(&self, source: Source, stage: Stage) -> Option<Prefetch> {
         let place = if stage.needs_place() {
             let permit = Arc::clone(&self.0.places).try_acquire_owned().ok()?;

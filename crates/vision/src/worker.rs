@@ -1,4 +1,4 @@
-//! One model on a thread of its own, shared by all cameras: a queue, a thread, and a deadline for each run.
+//! One model on its own thread, shared by all cameras: a queue, a thread, and a deadline for each run.
 //!
 //! A task owns everything that changes: it takes requests from a channel, hands the thread one batch at a time, and
 //! waits for what comes back or for the deadline. A run that exceeds its deadline is answered with an error then; until
@@ -247,7 +247,7 @@ impl<I: Send + 'static, T: Send + 'static> Worker<I, T> {
     /// too long. Safe to call more than once.
     pub(crate) async fn stop(&self) {
         self.stop.0.cancel();
-        // That it is stuck is for whoever watches over it.
+        // A stuck thread is handled by the supervisor.
         let _ = self.ended().await;
     }
 
@@ -276,7 +276,7 @@ enum End {
 enum Event<M: Model> {
     /// A request came and was queued or refused.
     Request,
-    /// The thread has done what it was told to.
+    /// The thread has finished its job.
     Outcome(Outcome<M>),
     /// The time has come.
     Time,
@@ -288,7 +288,7 @@ struct Task<M: Model> {
     thread: ModelThread<M>,
     requests: mpsc::UnboundedReceiver<Request<M::Input, M::Output>>,
     queue: Queue<M::Input, M::Output>,
-    /// What whoever asks is answered at once, while no session can take pictures.
+    /// The immediate answer to every request while no session can take pictures.
     refusal: Option<InferenceError>,
     provider: ExecutionProvider,
     status: watch::Sender<DetectorStatus>,
@@ -298,7 +298,7 @@ struct Task<M: Model> {
 }
 
 impl<M: Model> Task<M> {
-    /// Runs what is asked for until the worker is stopped or its thread is stuck.
+    /// Runs requests until the worker is stopped or its thread is stuck.
     async fn serve(&mut self) -> Result<(), End> {
         let mut pause = FIRST_PAUSE;
         loop {
@@ -332,7 +332,7 @@ impl<M: Model> Task<M> {
     /// The next thing that happens, at the latest at `time`.
     ///
     /// # Errors
-    /// When the worker is to stop, which is told once, or its thread is gone.
+    /// When the worker should stop, which is reported once, or its thread has ended.
     async fn event(&mut self, time: Option<Instant>) -> Result<Event<M>, End> {
         let stopping = self.is_stopping();
         tokio::select! {
@@ -450,7 +450,7 @@ impl<M: Model> Task<M> {
         Ok(has_failed)
     }
 
-    /// Counts and tells that a run ended well. Of one that came back too late nobody's pictures count.
+    /// Counts and reports a run that ended well. The pictures of a run that returned too late do not count.
     fn ran_well(&mut self, pictures: u32, is_spare: bool) {
         self.open(DetectorStatus::Ready {
             provider: self.provider,
@@ -482,7 +482,7 @@ impl<M: Model> Task<M> {
         }
     }
 
-    /// Counts and tells that a run failed; says whether the model is gone.
+    /// Counts and reports a run that failed; returns whether the model is lost.
     fn failed(&mut self, error: &InferenceError) -> bool {
         let reason = error.to_string();
         self.meter.update(|counts| match error {
@@ -504,7 +504,7 @@ impl<M: Model> Task<M> {
         true
     }
 
-    /// Builds a new session after `pause`, again and again until one stands.
+    /// Builds a new session after `pause`, and retries until one works.
     async fn rebuild(&mut self, pause: &mut Duration) -> Result<(), End> {
         loop {
             let over = Instant::now() + *pause;
@@ -568,7 +568,7 @@ impl<M: Model> Task<M> {
     }
 
     /// From now on pictures are refused for this reason, unless the worker is stopping. The status says so first, so
-    /// that whoever gets the error finds it there.
+    /// that it is set when a caller gets the error.
     fn degraded(&mut self, reason: String, lost: bool) {
         if self.is_stopping() {
             return;
@@ -581,7 +581,7 @@ impl<M: Model> Task<M> {
         self.close(InferenceError::Unavailable(words));
     }
 
-    /// Refuses with `error` those who wait, and whoever asks from now on.
+    /// Refuses with `error` all waiting requests and all later ones.
     fn close(&mut self, error: InferenceError) {
         let waiting = self.queue.take_all();
         self.refuse(waiting, &error);
@@ -616,5 +616,5 @@ impl<M: Model> Task<M> {
     }
 }
 
-/// Who waits for an answer, and since when.
+/// A request that waits for an answer, and since when.
 type Asker<T> = (oneshot::Sender<Result<Answer<T>, InferenceError>>, Instant);

@@ -38,7 +38,7 @@ pub const LONGEST_TIMEOUT_MS: u64 = 24 * 3600 * 1000;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum ClassNames {
-    /// In a text file, one a line.
+    /// In a text file, one per line.
     File(PathBuf),
     /// Here, in the order of the model's class numbers.
     List(Vec<String>),
@@ -75,7 +75,7 @@ pub struct DetectorConfig {
     pub most_detections: usize,
     /// Execution providers in order of preference. The first that works is used; a list of one has no other.
     pub providers: Vec<ExecutionProvider>,
-    /// What a provider on a GPU is told.
+    /// Settings of a provider on a GPU.
     pub gpu: GpuConfig,
     /// Threads ONNX Runtime uses inside one run; 0 for one less than the machine has cores.
     pub threads: usize,

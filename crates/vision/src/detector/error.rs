@@ -20,7 +20,7 @@ pub enum StartError {
     LibraryUnusable {
         /// The library.
         path: PathBuf,
-        /// What its loader said.
+        /// The message of the loader.
         reason: String,
     },
     /// The ONNX file is missing, damaged or not supported by this ONNX Runtime.
@@ -28,7 +28,7 @@ pub enum StartError {
     ModelUnreadable {
         /// The ONNX file.
         path: PathBuf,
-        /// What ONNX Runtime or the file system said.
+        /// The message of ONNX Runtime or the file system.
         reason: String,
     },
     /// The model is sound and its inputs or outputs are not what the head reads.
@@ -74,7 +74,7 @@ pub enum StartError {
     ProviderUnavailable {
         /// The provider as named in the configuration.
         provider: &'static str,
-        /// What ONNX Runtime said.
+        /// The message of ONNX Runtime.
         reason: String,
     },
     /// The configuration contradicts itself or the model.
@@ -99,7 +99,7 @@ pub enum StartError {
     WarmUp {
         /// The ONNX file.
         path: PathBuf,
-        /// What the run said.
+        /// The error of the run.
         reason: String,
     },
     /// The thread that was to build the session could not be started, or panicked.
@@ -107,7 +107,7 @@ pub enum StartError {
     Thread {
         /// Which task.
         task: &'static str,
-        /// What the system said, or the panic's message.
+        /// The system's error or the panic's message.
         reason: String,
     },
 }

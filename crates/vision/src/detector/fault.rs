@@ -20,11 +20,11 @@ const MEMORY_RAN_OUT: [&str; 8] = [
 /// What the CUDA provider writes before the number of an error.
 const CUDA_FAILURE: &str = "cuda failure ";
 
-/// The errors of CUDA that say that there is no device to be had: busy with somebody else alone, none at all, none of that
+/// CUDA's errors for a device that is not available: used exclusively by another process, none at all, none with that
 /// number, not ready.
 const NO_DEVICE: [u32; 4] = [46, 100, 101, 802];
 
-/// The errors of CUDA after which nothing works any more in this process: as the CUDA Runtime API says of most of them, "the
+/// CUDA's errors after which no call works any more in this process. The CUDA Runtime API says of most of them: "the
 /// process must be terminated and relaunched" to use CUDA again.
 const CONTEXT_IS_LOST: [u32; 13] = [
     214, // memory error that could not be corrected
@@ -42,7 +42,7 @@ const CONTEXT_IS_LOST: [u32; 13] = [
     999, // unknown: what a GPU that fell off its bus ends as
 ];
 
-/// The numbers of the errors of CUDA that `said` tells of.
+/// The numbers of CUDA's errors in the message `said`.
 fn cuda_failures(said: &str) -> Vec<u32> {
     let lower = said.to_lowercase();
     lower
@@ -55,7 +55,7 @@ fn cuda_failures(said: &str) -> Vec<u32> {
         .collect()
 }
 
-/// Whether `said`, of a session that worked before, is of a GPU that this process has lost. Also recognised in the midst of
+/// Whether `said`, a message of a session that worked before, means that this process has lost its GPU. It may be part of
 /// a longer sentence.
 pub(crate) fn device_is_lost(said: &str) -> bool {
     cuda_failures(said)
@@ -63,8 +63,8 @@ pub(crate) fn device_is_lost(said: &str) -> bool {
         .any(|number| NO_DEVICE.contains(number) || CONTEXT_IS_LOST.contains(number))
 }
 
-/// What ONNX Runtime said, with what it means and what to do before it where that is known: its own words are of arenas
-/// and of numbers.
+/// The message of ONNX Runtime, preceded by its meaning and a remedy where these are known: by itself it speaks of arenas
+/// and numbers.
 pub(crate) fn in_words(said: &str) -> String {
     // A sentence of ours goes on after it.
     let said = said.trim_end().trim_end_matches('.');
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_that_ran_out_is_said_in_plain_words_whoever_ran_out_of_it() {
+    fn any_lack_of_memory_is_reported_in_plain_words() {
         for said in [
             "Failed to allocate memory for requested buffer of size 104857600",
             "Available memory of 1048576 is smaller than requested bytes of 26214400",
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_is_gone_or_a_process_that_has_lost_it_is_told_from_other_failures() {
+    fn a_lost_device_is_distinguished_from_other_failures() {
         for (number, text) in [
             (214, "uncorrectable ECC error encountered"),
             (700, "an illegal memory access was encountered"),

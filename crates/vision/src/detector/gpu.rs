@@ -1,4 +1,4 @@
-//! The `[detector.gpu]` section of the configuration: what CUDA and TensorRT are told.
+//! The `[detector.gpu]` section of the configuration: settings of CUDA and TensorRT.
 
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;

@@ -29,7 +29,7 @@ pub struct Detected {
     pub pictures: u32,
 }
 
-/// A detector on a thread of its own: cheap to clone, shared by all cameras, stopped when the last handle is dropped.
+/// A detector on its own thread: cheap to clone, shared by all cameras, stopped when the last handle is dropped.
 #[derive(Clone)]
 pub struct DetectorHandle {
     worker: Worker<PreparedPicture, Found>,
@@ -72,7 +72,7 @@ impl DetectorMeter {
 }
 
 impl DetectorHandle {
-    /// Loads the model on a thread of its own, checks that it fits its head, and warms it up.
+    /// Loads the model on its own thread, checks that it fits its head, and warms it up.
     ///
     /// # Errors
     /// When the library, the model, its head or the execution provider is not as configured.

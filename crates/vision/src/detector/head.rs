@@ -1,4 +1,4 @@
-//! Heads: pure functions from a model's output tensors to candidates, one file a head.
+//! Heads: pure functions from a model's output tensors to candidates, one file per head.
 
 mod detr;
 mod end_to_end;
@@ -55,7 +55,7 @@ pub struct Head {
     pub name: HeadName,
     /// How many classes the outputs' shapes speak of; `None` when they do not tell.
     pub classes: Option<usize>,
-    /// What the model wants to see.
+    /// The input that the model expects.
     pub input_format: InputFormat,
     /// Whether one object may come as several overlapping boxes, which are ours to suppress.
     pub overlaps: bool,
@@ -92,7 +92,7 @@ trait ReadOutputs: std::fmt::Debug {
 /// [`HeadName::Auto`] fits nothing: [`recognise`] finds the name.
 ///
 /// # Errors
-/// When the model is not one that this head reads.
+/// When this head cannot read the model.
 pub fn bind(name: HeadName, signature: &Signature, input: PictureInput) -> Result<Head, Misfit> {
     match name {
         HeadName::Auto => Err(Misfit {

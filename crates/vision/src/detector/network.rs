@@ -92,7 +92,7 @@ impl DetectorNetwork {
     /// Runs the model on a black picture, and on a full batch of them: the slow first runs, in which memory is
     /// laid out and an engine built, are over then.
     fn warm_up(&mut self, batch_size: usize) -> Result<(), String> {
-        // Its buffers are not kept: a batch of them may be large, and whoever prepares the pictures has their own.
+        // Its buffers are not kept: a batch of them may be large, and the preparation has its own.
         let preparation = Preparation::new(self.input_format());
         let black = Picture::black(self.input_format().size);
         let mut pictures = Vec::new();

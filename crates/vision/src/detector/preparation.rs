@@ -72,7 +72,7 @@ pub async fn prepare_off_thread(
 ) -> Result<PreparedPicture, InferenceError> {
     let work = move || {
         let prepared = preparation.prepare(&picture);
-        // Before the answer, so that whoever gets it finds itself the only owner.
+        // Before the answer, so that its receiver is the only owner.
         drop(picture);
         prepared.map_err(|error| InferenceError::BadPicture(error.to_string()))
     };

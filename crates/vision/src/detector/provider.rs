@@ -56,7 +56,7 @@ fn tensorrt(gpu: &GpuConfig) -> TensorRT {
 /// Tries `attempt` with each of `providers` in order and returns the first that works.
 ///
 /// # Errors
-/// What `attempt` said of the last provider tried.
+/// The result of `attempt` for the last provider tried.
 pub(super) fn first_that_works<T>(
     providers: &[ExecutionProvider],
     mut attempt: impl FnMut(ExecutionProvider) -> Result<T, StartError>,

@@ -25,7 +25,7 @@ pub struct SessionSettings {
     pub model: PathBuf,
     /// In order of preference.
     pub providers: Vec<ExecutionProvider>,
-    /// What a provider on a GPU is told.
+    /// Settings of a provider on a GPU.
     pub gpu: GpuConfig,
     /// Threads inside one run; 0 for one less than the machine has cores.
     pub threads: usize,
@@ -178,7 +178,7 @@ impl OnnxSession {
     }
 }
 
-/// What ONNX Runtime said, for people.
+/// The message of ONNX Runtime, for people.
 fn in_words(error: &ort::Error) -> String {
     fault::in_words(error.message())
 }

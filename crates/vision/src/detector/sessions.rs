@@ -1,7 +1,7 @@
-//! The sessions of this process, so that none is at work when the process ends.
+//! The sessions of this process, so that none runs when the process ends.
 //!
-//! ONNX Runtime's library is taken down as the process exits. A thread that still loads or runs a model then finds
-//! the library's own types gone: errors that nobody foresaw in the log, and no promise that it does not crash.
+//! ONNX Runtime's library is destroyed as the process exits. A thread that still loads or runs a model then uses
+//! destroyed objects: it logs strange errors and may crash.
 
 use parking_lot::{Condvar, Mutex};
 use std::collections::BTreeMap;

@@ -64,7 +64,7 @@ pub fn decode(
     }
 }
 
-/// A buffer may be so many times too large and is kept; beyond that its memory is given back.
+/// A buffer is kept if it is at most this many times too large; otherwise its memory is released.
 const KEPT_TIMES: usize = 4;
 
 /// A buffer of this size is kept whatever it is needed for.

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
-/// Why there is no picture to be had from a file or folder.
+/// Why no picture can be read from a file or folder.
 #[derive(Debug, Error)]
 pub enum PictureFileError {
     /// It cannot be read.

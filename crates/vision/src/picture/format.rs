@@ -77,7 +77,7 @@ pub struct EncodedPicture {
     pub format: PictureFormat,
     /// The bytes, shared with the network buffer they arrived in.
     pub bytes: Bytes,
-    /// Columns and rows: from the file's header, or as the camera said for raw pictures.
+    /// Columns and rows: from the file's header, or from the camera for raw pictures.
     pub size: PictureSize,
 }
 

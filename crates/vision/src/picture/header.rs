@@ -90,12 +90,12 @@ pub(super) fn jpeg_size(bytes: &[u8]) -> Result<PictureSize, FrameFault> {
 
 /// Checks that an end-of-image marker follows the pixels. Decoders fill what is missing with grey and
 /// call it a success; a detector would then look at a picture that never was. (Pixels that went missing
-/// before an end-of-image marker cannot be told from pixels that are grey.)
+/// before an end-of-image marker cannot be distinguished from grey pixels.)
 pub(super) fn check_jpeg_is_whole(bytes: &[u8]) -> Result<(), FrameFault> {
     let mut segments = JpegSegments::new(bytes)?;
     while let Some((marker, _)) = segments.next()? {
         if marker == START_OF_SCAN {
-            // An embedded thumbnail has markers of its own, but inside an earlier segment.
+            // An embedded thumbnail has its own markers, but inside an earlier segment.
             let pixels = segments.rest();
             return if pixels
                 .windows(2)
@@ -192,7 +192,7 @@ pub fn picture_of_file(bytes: Bytes, limits: &FrameLimits) -> Result<EncodedPict
     picture_of_kind(format, bytes, limits)
 }
 
-/// As [`picture_of_file`], of a file that is said to be of `format`: JPEG or PNG.
+/// As [`picture_of_file`], for a file declared as `format`: JPEG or PNG.
 ///
 /// # Errors
 /// When it is not, or above a limit.

@@ -93,8 +93,8 @@ impl InputFormat {
         PictureSize::new(placement.width, placement.height)
     }
 
-    /// What a value of each place is multiplied by and then added, in the order of the network's colours, and
-    /// which of red, green and blue stands there.
+    /// For each of the network's colour planes in order: which of red, green and blue it takes, the factor of its
+    /// values, and the offset.
     fn factors(&self) -> [(usize, f32, f32); 3] {
         let factors = self.value_range.factors();
         let order = match self.color_order {
@@ -195,7 +195,7 @@ impl Letterbox {
     /// When the picture is empty or its buffer does not fit its size.
     pub fn fill(&mut self, picture: &Picture) -> Result<InputMapping, LetterboxError> {
         check(picture)?;
-        // By the size it had before a decoder scaled it, so that scaling moves nothing.
+        // By the size before the decoder scaled it, so that scaling moves nothing.
         let (placement, mapping) = place(picture.source_size, self.format);
         if self.filled != Some(placement) {
             self.fill_margin();

@@ -95,7 +95,7 @@ pub fn read_png(stream: &mut impl BufRead, most: u64) -> Result<Option<Vec<u8>>,
 /// The next PPM file of a row of them (`P6`, one byte a colour), as rows of red, green, blue; `None` at the end.
 ///
 /// # Errors
-/// When it is cut short. A picture above `limits` is read past, and told in the inner result.
+/// When it is cut short. A picture above `limits` is skipped and reported in the inner result.
 pub fn read_ppm(
     stream: &mut impl BufRead,
     limits: &FrameLimits,

@@ -27,14 +27,14 @@ struct Buffers {
     oldest: usize,
 }
 
-/// A picture whose buffer goes back where it came from when nobody holds the picture any more.
+/// A picture whose buffer goes back where it came from when the picture is dropped.
 pub struct PooledPicture {
     picture: Arc<Picture>,
     buffers: PictureBuffers,
 }
 
 impl PictureBuffers {
-    /// Keeps at most `most` buffers that nobody uses.
+    /// Keeps at most `most` idle buffers.
     pub(super) fn new(most: usize) -> Self {
         Self(Arc::new(Mutex::new(Buffers {
             idle: Vec::new(),
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_buffer_goes_back_only_when_nobody_holds_its_picture() {
+    fn a_buffer_is_returned_only_when_its_picture_is_dropped() {
         let buffers = PictureBuffers::new(2);
         let pooled = buffers.pooled(picture(100));
         let held = Arc::clone(pooled.shared());

@@ -53,7 +53,7 @@ impl CameraScreen {
         self.run.next_frame();
     }
 
-    /// Whether nothing is in view in `picture`; `None` when it cannot be said.
+    /// Whether nothing is in view in `picture`; `None` if the screen failed.
     pub async fn ask(&mut self, camera: CameraSlot, picture: &Arc<Picture>) -> Option<bool> {
         let model = self.model.as_ref()?;
         // The screen counts and logs its failures itself.
@@ -66,7 +66,7 @@ impl CameraScreen {
         self.run.detector_ran();
     }
 
-    /// Whether the detector is asked about this frame although the screen said "empty", too often in a row.
+    /// Whether the detector runs on this frame because the screen answered "empty" too often in a row.
     pub const fn is_overruled(&self) -> bool {
         self.run.is_overruled()
     }

@@ -20,7 +20,7 @@ pub struct ScreenConfig {
     /// A verdict that takes longer counts as "not empty". No setting of a node.
     #[serde(skip)]
     pub timeout_ms: u64,
-    /// Frames in a row that may be called empty before the detector looks anyway; 0 for any number. No
+    /// Frames in a row that may be called empty before the detector runs anyway; 0 for any number. No
     /// setting of a node.
     #[serde(skip)]
     pub longest_empty_run: u32,

@@ -1,4 +1,4 @@
-//! Limits how long a screen is believed.
+//! Limits the number of empty verdicts in a row.
 
 /// Counts a camera's empty verdicts in a row; the detector runs after the longest such run whatever the screen says. The
 /// paper has no such limit; a screen that is wrong about a scene is wrong about it for as long as the scene lasts.
@@ -38,7 +38,7 @@ impl EmptyRun {
         self.run = 0;
     }
 
-    /// Whether the detector is asked about this frame although the screen said "empty".
+    /// Whether the detector runs on this frame although the screen answered "empty".
     pub const fn is_overruled(&self) -> bool {
         self.is_overruled
     }

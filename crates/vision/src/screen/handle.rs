@@ -1,4 +1,4 @@
-//! What a camera's loop holds of the screen.
+//! The handle through which cameras use the screen.
 
 use super::network::ScreenNetwork;
 use super::{Logits, ScreenConfig};
@@ -31,7 +31,7 @@ pub struct ScreenHandle {
 }
 
 impl ScreenHandle {
-    /// Loads the screen's model on a thread of its own, checks it and warms it up; `None` when the
+    /// Loads the screen's model on its own thread, checks it and warms it up; `None` when the
     /// configuration names no model. `onnxruntime` is the library, if it is named.
     ///
     /// # Errors
@@ -88,7 +88,7 @@ impl ScreenHandle {
         self.worker.status()
     }
 
-    /// Its counters for whoever shows them: does not keep the screen running.
+    /// Its counters for metrics: does not keep the screen running.
     pub fn meter(&self) -> WorkerMeter {
         self.worker.meter()
     }

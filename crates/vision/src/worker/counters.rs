@@ -18,7 +18,7 @@ pub struct WorkerCounts {
     pub panicked: u64,
     /// Pictures turned away because no session could take them.
     pub refused: u64,
-    /// Pictures that nobody waited for any more when their turn came.
+    /// Pictures whose requester gave up before their turn.
     pub cancelled: u64,
     /// Attempts to build a new session after a failure.
     pub rebuilds: u64,

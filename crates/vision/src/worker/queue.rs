@@ -53,7 +53,7 @@ impl<I, T> Queue<I, T> {
         (self.waiting.iter()).filter(|request| request.camera.is_some())
     }
 
-    /// Drops the requests that nobody waits for any more; says how many of them were cameras'.
+    /// Drops the requests whose requester gave up; says how many of them were cameras'.
     pub(super) fn drop_cancelled(&mut self) -> usize {
         let before = self.waiting();
         self.waiting.retain(|request| !request.reply.is_closed());

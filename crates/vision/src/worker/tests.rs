@@ -1,4 +1,4 @@
-//! The worker with models that wait, fail, panic and hang. Time stands still in these tests and is moved by
+//! The worker with models that wait, fail, panic and hang. The tests pause time and advance it by
 //! hand, so none depends on how fast the machine is.
 
 mod building;
@@ -27,7 +27,7 @@ enum Step {
 /// What the scripted model takes for a picture: which camera's, and something that is shared.
 type Scene = (CameraSlot, Arc<()>);
 
-/// A model that tells when a run starts and of which cameras, and then waits to be told how it ends.
+/// A model that reports when a run starts and for which cameras, and then waits for the test to end it.
 struct Scripted {
     started: mpsc::UnboundedSender<Vec<CameraSlot>>,
     steps: Arc<Mutex<blocking::Receiver<Step>>>,
@@ -436,7 +436,7 @@ fn in_threes() -> WorkerSettings {
 #[tokio::test(start_paused = true)]
 async fn pictures_that_wait_share_a_run_and_each_gets_its_own_answer() {
     let mut stage = stage(in_threes()).await;
-    // Nobody else has ever asked, so there is nobody to wait for.
+    // No other camera has ever asked, so there is none to wait for.
     let first = stage.begin(0).await;
     let asked: Vec<_> = (1..5).map(|camera| stage.ask(camera)).collect();
     stage.until_waiting(4).await;

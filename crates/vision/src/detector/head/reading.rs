@@ -56,7 +56,7 @@ pub(super) fn format(
     }
 }
 
-/// The elements of the only output, which must be of that shape; -1 stands for any dimension.
+/// The elements of the only output, which must be of that shape; -1 matches any dimension.
 pub(super) fn only<'a>(outputs: &[TensorView<'a>], expected: &[i64]) -> Result<&'a [f32], String> {
     match outputs {
         [output] => elements(output, expected),
@@ -67,7 +67,7 @@ pub(super) fn only<'a>(outputs: &[TensorView<'a>], expected: &[i64]) -> Result<&
     }
 }
 
-/// The elements of `output`, which must be of that shape; -1 stands for any dimension.
+/// The elements of `output`, which must be of that shape; -1 matches any dimension.
 pub(super) fn elements<'a>(output: &TensorView<'a>, expected: &[i64]) -> Result<&'a [f32], String> {
     let fits = output.shape.len() == expected.len()
         && output

@@ -1,4 +1,4 @@
-//! Which head a model needs: from its metadata when an exporter has said it, else from names and shapes.
+//! Finds the head that a model needs: from the exporter's metadata if present, otherwise from names and shapes.
 
 use super::detr;
 use super::reading::{STRIDES, can_be, cells};
@@ -16,7 +16,7 @@ const MOST_BOXES: i64 = 1000;
 pub struct Unrecognised {
     /// What is the matter, in words.
     pub reason: String,
-    /// Each head that was looked for, what it looks like, and why it is not this.
+    /// Each head that was tried, the outputs it needs, and why the model does not fit.
     pub looked_for: Vec<String>,
 }
 

@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn of_too_many_candidates_the_best_are_looked_at_and_the_rest_counted() {
+    fn of_too_many_candidates_the_best_are_used_and_the_rest_counted() {
         // Apart from each other, so that only the limit drops any; the best come last.
         let mut many: Vec<_> = (0..30_000_u32)
             .map(|index| {
@@ -192,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn classes_suppress_each_other_only_when_told_to() {
+    fn classes_suppress_each_other_only_if_configured() {
         let both = [
             candidate(0.0, 0.0, 9.0, 9.0, 0, 0.5),
             candidate(0.0, 0.0, 9.0, 9.0, 1, 0.9),

@@ -177,7 +177,7 @@ fn the_middle_and_the_stretched_fit_lie_where_they_should() {
 }
 
 #[test]
-fn the_margin_is_filled_anew_when_the_picture_changes_its_shape() {
+fn the_margin_is_refilled_when_the_picture_changes_its_shape() {
     let format = format(32, 32, Fit::TopLeft(114));
     let mut letterbox = Letterbox::new(format);
     letterbox.fill(&picture(64, 32, PixelLayout::Rgb8)).unwrap();

@@ -1,4 +1,4 @@
-//! A model that takes long to build, or for ever.
+//! A model that takes long to build, or forever.
 
 use super::*;
 use std::io;
@@ -28,7 +28,7 @@ impl MakeWriter<'_> for Log {
 }
 
 impl Log {
-    /// The seconds after which it was said that the model is still being built.
+    /// The seconds after which the log said that the model is still being built.
     fn said_after(&self) -> Vec<u64> {
         let log = String::from_utf8(self.0.lock().clone()).unwrap();
         log.lines()

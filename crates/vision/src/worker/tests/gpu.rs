@@ -10,7 +10,7 @@ const LOST: &str = "Status Message: CUDA failure 719: unspecified launch failure
                     expr=cudaStreamSynchronize(stream); ";
 
 impl Stage {
-    /// A run that fails with `reason`: what its asker is told.
+    /// A run that fails with `reason`; returns the error that the caller gets.
     async fn fail_with(&mut self, reason: &'static str) -> String {
         let failing = self.begin(0).await;
         self.end(Step::FailWith(reason));
@@ -102,7 +102,7 @@ async fn another_failure_to_build_is_not_taken_for_a_lost_gpu() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_failure_is_told_once_the_failed_session_has_given_its_memory_back() {
+async fn a_failure_is_reported_after_the_failed_session_has_freed_its_memory() {
     let mut stage = stage(settings()).await;
     let (go_on, until) = blocking::channel();
     *stage.end.lock() = Some(until);

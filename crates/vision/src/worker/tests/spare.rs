@@ -1,4 +1,4 @@
-//! The picture that is looked at when nobody else asks.
+//! The picture that runs when no camera waits.
 
 use super::*;
 
@@ -19,7 +19,7 @@ impl Stage {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_spare_picture_is_looked_at_when_nobody_else_asks_and_counts_apart() {
+async fn a_spare_picture_runs_when_no_camera_waits_and_counts_separately() {
     let mut stage = stage(settings()).await;
     let spare = stage.ask_spare(7, TIMEOUT);
     assert_eq!(stage.next_run().await, [7]);
@@ -39,7 +39,7 @@ async fn frames_go_before_a_spare_picture_and_it_is_given_up_when_they_take_all_
     let mut stage = stage(settings()).await;
     let first = stage.begin(0).await;
     let spare = stage.ask_spare(7, Duration::from_millis(1500));
-    // It waits for the run in hand, and for the frame that comes meanwhile.
+    // It waits for the run in progress, and for the frame that comes meanwhile.
     let second = stage.ask(1);
     stage.until_waiting(1).await;
     stage.end(Step::Answer);

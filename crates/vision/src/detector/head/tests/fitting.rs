@@ -149,7 +149,7 @@ fn models_are_recognised_by_what_their_exporters_write() {
 }
 
 #[test]
-fn an_unknown_or_ambiguous_model_is_refused_with_all_that_was_looked_for() {
+fn an_unknown_or_ambiguous_model_is_refused_with_every_head_that_was_tried() {
     let square = [1, 3, 64, 64];
     let task = |task| {
         with_metadata(
