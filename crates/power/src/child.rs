@@ -1,6 +1,6 @@
 //! A child process that prints lines: started again when it ends or stalls, killed and reaped with its owner.
 //!
-//! The child has a process group of its own, so that Ctrl-C in a terminal does not end it before us. If this process
+//! The child has its own process group, so that Ctrl-C in a terminal does not end it before us. If this process
 //! is killed outright, the child ends at the next line it prints, by the closed pipe.
 
 use std::io::{BufRead, BufReader, Read};
@@ -168,7 +168,7 @@ fn spawn(command: &mut Command) -> std::io::Result<(Child, Receiver<Line>)> {
     Ok((child, lines))
 }
 
-/// Reads until the child closes its output or nobody takes the lines any more.
+/// Reads until the child closes its output or the receiver is dropped.
 fn read(output: ChildStdout, lines: &SyncSender<Line>) {
     let mut output = BufReader::new(output);
     let mut line = Vec::new();

@@ -50,7 +50,7 @@ pub struct PowerConfig {
     pub source: PowerSource,
     /// Milliseconds between samples (paper: 100).
     pub interval_ms: u64,
-    /// Where sysfs is mounted. No setting, as the next ones: tests read a tree of their own.
+    /// Where sysfs is mounted. No setting, as the next ones: tests read another tree.
     #[serde(skip)]
     pub sysfs: PathBuf,
     /// Where procfs is mounted.

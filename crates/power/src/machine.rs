@@ -17,7 +17,7 @@ const MOST_CORES: usize = 16;
 /// Bits of the Raspberry Pi firmware's word that say "now": frequency capped, throttled, soft limit.
 const PI_NOW: u64 = 0b1110;
 
-/// The files that tell the machine's condition.
+/// The files with the machine's condition.
 #[derive(Debug)]
 pub(crate) struct Machine {
     /// Thermal zones: type and temperature file (millidegrees).
@@ -114,7 +114,7 @@ impl Machine {
         }
     }
 
-    /// Whether clocks are held back now, or were since the last read; `None` when nothing tells.
+    /// Whether clocks are held back now, or were since the last read; `None` when nothing reports it.
     fn throttled(&mut self) -> Option<bool> {
         let count = |path: &PathBuf| sysfs::number::<u64>(SOURCE, path).ok();
         let cooling: Vec<u64> = self.cooling.iter().filter_map(count).collect();

@@ -29,7 +29,7 @@ pub trait Meter: Send {
         Condition::default()
     }
 
-    /// CPU time the meter has used outside of [`poll`](Self::poll), in processes of its own.
+    /// CPU time the meter has used outside of [`poll`](Self::poll), in child processes.
     fn other_cpu(&self) -> Duration {
         Duration::ZERO
     }

@@ -24,7 +24,7 @@ const UNIT: f64 = 1e-3;
 /// Why a card does not answer.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum CardError {
-    /// It cannot tell.
+    /// It cannot be read.
     NotSupported,
     /// It could, but does not now.
     Failed(String),
@@ -72,7 +72,7 @@ impl Nvml {
     /// Loads NVML and asks each card once.
     ///
     /// # Errors
-    /// [`MeterError::Missing`] without a driver, without a card, or when no card can tell its power.
+    /// [`MeterError::Missing`] without a driver, without a card, or when no card reports its power.
     pub(crate) fn open(config: &PowerConfig) -> Result<Self, MeterError> {
         config.check()?;
         let driver = driver::Driver::load(&driver::LIBRARIES).map_err(missing)?;
@@ -105,7 +105,7 @@ impl Nvml {
             return Err(missing(if count == 0 {
                 "the driver is there, but no card".to_owned()
             } else {
-                "NVML loads, but no card tells its power (Jetson boards are so: use ina or tegrastats there)"
+                "NVML loads, but no card reports its power (as on Jetson boards: use ina or tegrastats there)"
                     .to_owned()
             }));
         }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// Readings without the input rail after which it is taken for gone, and rails are added up instead.
+/// Readings without the input rail after which it counts as missing, and rails are added up instead.
 const GONE_AFTER: u32 = 20;
 
 /// Which rails of a board count for what.
@@ -50,7 +50,7 @@ impl RailTable {
         found.map(|(domain, _)| domain)
     }
 
-    /// Refuses a table that would count a rail twice or tells no total.
+    /// Refuses a table that would count a rail twice or has no total.
     ///
     /// # Errors
     /// [`MeterError::Configuration`] that names the rail.

@@ -146,7 +146,7 @@ fn read(zones: &mut [Zone], now: Instant) -> Result<(), MeterError> {
 }
 
 /// Whether the platform's counter has counted what the packages and their memory have. On some machines it
-/// has a wrong unit or stands still.
+/// has a wrong unit or does not move.
 fn includes_its_parts(zones: &[Zone]) -> bool {
     let sum = |kinds: &[Kind]| -> f64 {
         let counted = zones.iter().filter(|z| kinds.contains(&z.kind));

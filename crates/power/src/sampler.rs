@@ -53,7 +53,7 @@ pub struct EnergySoFar {
 pub struct MeterCost {
     /// Readings asked for.
     pub polls: u64,
-    /// CPU time of all of them, child processes included where the system tells it.
+    /// CPU time of all of them, child processes included where the system reports it.
     pub cpu: Duration,
     /// Time since sampling began.
     pub elapsed: Duration,

@@ -109,7 +109,7 @@ fn a_driver_that_says_not_supported_to_every_power_call_is_no_meter() {
         .open()
         .unwrap_err()
         .to_string();
-    assert!(text.contains("no card tells its power"), "{text}");
+    assert!(text.contains("no card reports its power"), "{text}");
     assert!(text.contains("ina or tegrastats"), "{text}");
 }
 

@@ -7,7 +7,7 @@ use crate::condition::{Condition, is_a_sensor};
 use crate::rails::RailWatts;
 use std::sync::Arc;
 
-/// What one line tells.
+/// The figures of one line.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TegrastatsLine {
     /// Rails in the order they are printed.
@@ -25,7 +25,7 @@ pub struct TegrastatsLine {
 }
 
 impl TegrastatsLine {
-    /// What it tells of the board besides power.
+    /// The board's condition, besides power.
     pub fn condition(&self) -> Condition {
         let hottest = self
             .temperatures
@@ -41,7 +41,7 @@ impl TegrastatsLine {
         }
     }
 
-    /// Reads a line. None for one that is not of `tegrastats`: it must tell the memory in use.
+    /// Reads a line. None for one that is not of `tegrastats`: it must have the memory in use.
     pub fn parse(line: &str) -> Option<Self> {
         let words: Vec<&str> = line.split_ascii_whitespace().collect();
         if !words.contains(&"RAM") {
