@@ -1,4 +1,4 @@
-//! How a running node is asked and told: HTTP and keys of Zenoh.
+//! The interfaces of a running node: HTTP and Zenoh keys.
 
 pub mod http;
 pub(crate) mod key_service;

@@ -14,7 +14,6 @@ mod settled;
 
 pub(crate) use at_once::AtOnce;
 pub use config::{AnswerTime, SettleConfig};
-pub(crate) use published::MinConfidence;
 pub use published::ReportConfig;
 pub use record::FrameRecord;
 pub(crate) use settled::SettledStream;
@@ -31,7 +30,8 @@ use crate::input::RingReceiver;
 use crate::input::receiver::{DropCounts, DropKind, SequencedFrame};
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{
-    CallCause, Evidence, EvidenceSource, FrameHead, KnobError, Need, Outcome, Policy, decide,
+    CallCause, Evidence, EvidenceSource, FrameHead, KnobError, MinConfidence, Need, Outcome,
+    Policy, decide,
 };
 use albireo_service::clock::milliseconds;
 use albireo_vision::picture::{EncodedPicture, FrameFault};
@@ -162,7 +162,7 @@ enum Answer {
 }
 
 impl Camera {
-    /// Runs until `shutdown` or until the ring closes; finishes the frame in hand or the pending one, and closes the open
+    /// Runs until `shutdown` or until the ring closes; finishes the current or pending frame, and closes the open
     /// clip.
     pub(crate) async fn run(mut self, shutdown: CancellationToken) {
         let mut stream = Stream {
@@ -369,7 +369,7 @@ impl Camera {
         spent: &Spent,
         answer: Answer,
     ) -> Arc<DetectionsMessage> {
-        // The policy is told that the scene is not empty; that the screen was overruled is known here.
+        // The policy sees that the scene is not empty; only this loop knows that the screen was overruled.
         if outcome.cause == Some(CallCause::Screen) && spent.overruled {
             outcome.cause = Some(CallCause::EmptyLimit);
         }
@@ -471,7 +471,7 @@ async fn fetched(decider: &mut Decider) -> Fetched {
     }
 }
 
-/// One frame's evidence, and a look at the next frame.
+/// One frame's evidence, and a preview of the next frame.
 struct FrameSource<'a> {
     evidence: &'a mut LiveEvidence,
     ring: &'a RingReceiver<SequencedFrame>,

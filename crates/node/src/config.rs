@@ -31,7 +31,7 @@ pub struct NodeConfig {
     pub node: NodeSection,
     /// How it reaches Zenoh.
     pub zenoh: ZenohConfig,
-    /// A session of its own to the hub.
+    /// A separate session to the hub.
     pub uplink: UplinkConfig,
     /// What waits for the hub.
     pub outbox: OutboxConfig,
@@ -43,11 +43,11 @@ pub struct NodeConfig {
     pub screen: ScreenConfig,
     /// What decides a frame.
     pub policy: PolicyConfig,
-    /// What is to be held in the place of the knob's number.
+    /// The target that the node holds by moving its threshold.
     pub target: TargetConfig,
     /// Which boxes are published.
     pub report: ReportConfig,
-    /// Whether frames are published once more, for whoever keeps their boxes.
+    /// Whether frames are published once more, for consumers that store boxes.
     pub settle: SettleConfig,
     /// How many skipped frames are looked at afterwards.
     pub audit: AuditConfig,
@@ -185,14 +185,14 @@ pub struct CameraConfig {
     /// How an RTSP source sends its packets.
     #[serde(default)]
     pub rtsp_transport: RtspTransport,
-    /// What decodes the source in the place of the processor: an acceleration or a decoder of ffmpeg.
+    /// What decodes the source instead of the processor: an acceleration or a decoder of ffmpeg.
     #[serde(default)]
     pub hardware: Option<String>,
     /// Options of ffmpeg for the source.
     #[serde(default)]
     pub source_options: SourceOptions,
-    /// A source without a picture for so long is opened anew, seconds. No setting: a camera that records only what moves
-    /// is published by a program of its own.
+    /// A source without a picture for this long is opened again, seconds. No setting: a camera that records only motion
+    /// needs a program that publishes it.
     #[serde(
         skip_serializing,
         skip_deserializing,

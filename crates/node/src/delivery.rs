@@ -2,4 +2,6 @@
 
 pub mod outbox;
 pub(crate) mod report;
+#[cfg(test)]
+mod tests;
 pub(crate) mod uplink;

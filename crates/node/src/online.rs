@@ -31,7 +31,7 @@ pub struct Tried {
     pub outcome: Result<String, String>,
 }
 
-/// Tries everything the configuration names, and tells each as it is known. Nothing is published, and a node that runs
+/// Tries everything the configuration names, and reports each result as it comes. Nothing is published, and a node that runs
 /// beside is not disturbed, but that a camera which serves one client at a time refuses the second.
 pub async fn try_all(config: &NodeConfig, mut tell: impl FnMut(Tried)) {
     let mut told = |key: &str, outcome| {
@@ -195,7 +195,7 @@ async fn told_hub(
     match seen {
         Ok(true) => Ok("the router answers, and a hub takes reports".to_owned()),
         Ok(false) => Err(format!(
-            "the router answers, but nobody takes reports: is the hub running, with hub.prefix as node.prefix, and does \
+            "the router answers, but no hub takes reports: is the hub running, with hub.prefix as node.prefix, and does \
              the router's access control let this node's certificate use `{}`?",
             keys.report()
         )),

@@ -30,7 +30,7 @@ pub async fn run(
     run_prepared(config, prepared, listener, shutdown).await
 }
 
-/// As [`run`], with a node whose board somebody else looks at too.
+/// As [`run`], with a node whose board others read too.
 ///
 /// # Errors
 /// As there.
@@ -50,12 +50,12 @@ pub async fn run_prepared(
         config: Arc::new(without_secrets(config)),
     };
     let view_board = Arc::clone(prepared.board());
-    // HTTP outlives the node, so that a look at the counters is possible until the end.
+    // HTTP outlives the node, so that the counters can be read until the end.
     let serving = CancellationToken::new();
     let router = http::router(view, serving.clone());
     let (http_config, stop) = (config.http.clone(), serving.clone());
     let tokens = config.tokens.clone();
-    // A task of its own: nothing the node waits for may keep a health check waiting.
+    // A separate task: nothing the node waits for may keep a health check waiting.
     let http = tokio::spawn(async move {
         let methods = [Method::GET, Method::PUT];
         albireo_service::http::run_with_tokens(
@@ -106,7 +106,7 @@ pub async fn run_prepared(
         ended
     };
     let (http, node) = tokio::join!(http, node);
-    // It has told that the node stops; after an error nobody did.
+    // It has reported that the node stops; after an error nothing did.
     telling.abort();
     node.and(http)
 }

@@ -7,7 +7,7 @@ use crate::camera::audit::{Auditor, CameraAudit};
 use crate::camera::clip::{ClipConfig, ClipTracker, ClosedClip};
 use crate::camera::evidence::LiveEvidence;
 use crate::camera::publishing::{self, Detections, PublishingThread};
-use crate::camera::{AnswerTime, AtOnce, Camera, Decider, MinConfidence, SettledStream};
+use crate::camera::{AnswerTime, AtOnce, Camera, Decider, SettledStream};
 use crate::config::{CameraConfig, NodeConfig};
 use crate::delivery::report::{ClipAccounts, Reporter};
 use crate::delivery::uplink::{DesiredKeeper, Route, Uplink, UplinkSetup};
@@ -19,11 +19,11 @@ use crate::state::board::{Board, BoardSetup, CameraBoard};
 use crate::state::counters::Counters;
 use crate::state::readiness;
 use crate::state::target::{TargetKey, TargetTask};
-use albireo_core::policy::{Policy, PolicyConfigError};
+use albireo_core::policy::{MinConfidence, Policy, PolicyConfigError};
 use albireo_power::PowerHandle;
 use albireo_service::readiness::{Effect, Fault, Latch};
 use albireo_service::session;
-use albireo_service::supervise::{Restarts, Supervisor};
+use albireo_service::supervise::Supervisor;
 use albireo_vision::detector::{CameraSlot, DetectorHandle, DetectorStatus};
 use albireo_vision::pixel_work::PixelWork;
 use albireo_vision::screen::{CameraScreen, ScreenConfig, ScreenHandle};
@@ -48,10 +48,10 @@ const WAITING_ANSWERS: usize = 8;
 /// Settled frames of a live camera that may wait to be published: those held back go out together.
 const WAITING_SETTLED: usize = 512;
 
-/// Time between two looks at what no part tells by itself.
+/// Interval at which the state of parts that report nothing by themselves is read.
 const LOOK_EVERY: Duration = Duration::from_secs(1);
 
-/// How long the last messages for whoever listens may take.
+/// How long the last messages for subscribers may take.
 const FLUSH_LIMIT: Duration = Duration::from_secs(1);
 
 /// Makes a camera's policy, at its start and whenever its loop has failed: `|camera| policy`.
@@ -114,7 +114,7 @@ impl PreparedNode {
         })
     }
 
-    /// Lets `policies` decide in the place of those the configuration names, for a program that brings its own.
+    /// Lets `policies` decide instead of those the configuration names, for a program that brings its own.
     /// They should have the configured policy's knob.
     #[must_use]
     pub fn with_policies(mut self, policies: PolicyMaker) -> Self {
@@ -200,60 +200,27 @@ impl PreparedNode {
             board.tasks().clone(),
             shutdown.clone(),
         );
-        let (status, to) = (detector.status(), Arc::new(detector_status));
-        let stop = shutdown.clone();
-        tasks.restarting(
+        tasks.until_shutdown(
             "detector status",
             tracing::info_span!("detector_status"),
-            Restarts::new(Effect::Degraded),
-            move || follow(status.clone(), Arc::clone(&to), stop.clone()),
+            follow(detector.status(), detector_status),
         );
-        let (gone, stop) = (detector.clone(), shutdown.clone());
-        tasks.essential("detector", tracing::info_span!("detector"), async move {
-            tokio::select! {
-                ended = gone.ended() => ended,
-                () = stop.cancelled() => Ok(()),
-            }
+        let ended = detector.clone();
+        tasks.until_shutdown("detector", tracing::info_span!("detector"), async move {
+            ended.ended().await
         });
-        if let Some(gone) = screen.clone() {
-            let (span, stop) = (tracing::info_span!("screen"), shutdown.clone());
-            tasks.essential("screen", span, async move {
-                tokio::select! {
-                    ended = gone.ended() => ended,
-                    () = stop.cancelled() => Ok(()),
-                }
+        if let Some(ended) = screen.clone() {
+            tasks.until_shutdown("screen", tracing::info_span!("screen"), async move {
+                ended.ended().await
             });
         }
         readiness::look_at_cameras(&board, readiness::CAMERA_SILENCE);
         readiness::look_at_power(&board, &power);
         let watched = board.readiness().clone();
-        let stop = shutdown.clone();
-        tasks.restarting(
-            "readiness",
-            tracing::info_span!("readiness"),
-            Restarts::new(Effect::Degraded),
-            move || {
-                let (watched, stop) = (watched.clone(), stop.clone());
-                async move {
-                    stop.run_until_cancelled(watched.watch(LOOK_EVERY)).await;
-                }
-            },
-        );
-        tasks.dispensable(
-            "power sampler",
-            tracing::info_span!("power"),
-            Effect::Degraded,
-            // It outlives the other tasks: from the shutdown on it is not watched.
-            {
-                let stop = shutdown.clone();
-                async move {
-                    tokio::select! {
-                        ended = sampler => ended.map_err(|error| error.to_string()),
-                        () = stop.cancelled() => Ok(()),
-                    }
-                }
-            },
-        );
+        tasks.until_shutdown("readiness", tracing::info_span!("readiness"), async move {
+            watched.watch(LOOK_EVERY).await;
+        });
+        tasks.until_shutdown("power sampler", tracing::info_span!("power"), sampler);
         let mut parts = Parts {
             config,
             session: &session,
@@ -291,15 +258,10 @@ impl PreparedNode {
             power.clone(),
         )
         .await?;
-        let (counters, stop) = (Arc::new(counters), shutdown.clone());
-        parts.tasks.restarting(
+        parts.tasks.essential(
             "counters",
             tracing::info_span!("counters"),
-            Restarts::new(Effect::Degraded),
-            move || {
-                let (counters, stop) = (Arc::clone(&counters), stop.clone());
-                async move { counters.run(stop).await }
-            },
+            counters.run(shutdown.clone()),
         );
         parts.add_target(keys.target()).await?;
         let Parts {
@@ -309,21 +271,12 @@ impl PreparedNode {
             ..
         } = parts;
         let alive = NodeName::default();
-        let (name, key, part) = (
-            alive.clone(),
+        let holding = alive.clone().hold(
+            session.clone(),
             keys.fleet().alive(),
             board.readiness().part_of(readiness::ZENOH, "name"),
         );
-        let (held, stop) = (session.clone(), shutdown.clone());
-        tasks.restarting(
-            "name",
-            tracing::info_span!("name"),
-            Restarts::new(Effect::Degraded),
-            move || {
-                let (held, key) = (held.clone(), key.clone());
-                name.clone().hold(held, key, part.clone(), stop.clone())
-            },
-        );
+        tasks.until_shutdown("name", tracing::info_span!("name"), holding);
         let (uplink, ended) = Uplink::start(UplinkSetup {
             board: Arc::clone(&board),
             outbox: board.outbox().clone(),
@@ -339,14 +292,7 @@ impl PreparedNode {
                 Route::Local(session.clone())
             },
         });
-        let stop = shutdown.clone();
-        // It outlives the other tasks: from the shutdown on it is not watched.
-        tasks.essential("uplink", tracing::info_span!("uplink"), async move {
-            tokio::select! {
-                () = ended => Err("it has ended"),
-                () = stop.cancelled() => Ok(()),
-            }
-        });
+        tasks.until_shutdown("uplink", tracing::info_span!("uplink"), ended);
         drop(starting);
         Ok(Node {
             session,
@@ -379,7 +325,7 @@ impl Node {
     }
 
     /// Runs until the shutdown token is cancelled or a task fails that the node cannot do without. Then lets the
-    /// frames in hand and the open clips out, and closes. Takes at most 5 s,
+    /// current frames and open clips out, and closes. Takes at most 5 s,
     /// whatever hangs: after a quarter of it no detector is waited for, and what has not ended in time is named in
     /// the log and given up.
     ///
@@ -402,7 +348,7 @@ impl Node {
             std::future::pending().await
         };
         let subscriptions = std::mem::take(&mut self.subscriptions);
-        // Zenoh's calls may block, so each has a thread of its own.
+        // Zenoh's calls may block, so each gets a thread.
         let undeclared = tokio::task::spawn_blocking(move || {
             subscriptions.undeclare();
         });
@@ -571,7 +517,10 @@ impl Parts<'_> {
             late,
             settled,
             longest_delay: self.config.settle.longest(),
-            min_confidence: MinConfidence::new(self.config.report, self.config.detector.confidence),
+            min_confidence: MinConfidence::new(
+                self.config.report.confidence,
+                self.config.detector.confidence,
+            ),
             closed,
             reset_at_clip: config.reset_at_clip,
             hurry: self.hurry.clone(),
@@ -580,7 +529,7 @@ impl Parts<'_> {
         self.tasks.restarting(
             format!("camera {name}"),
             tracing::info_span!("camera", name),
-            Restarts::new(Effect::NotReady),
+            Effect::NotReady,
             move || {
                 let (maker, stop) = (Arc::clone(&maker), stop.clone());
                 async move {
@@ -599,34 +548,20 @@ impl Parts<'_> {
                 .lane(reports, CACHED_REPORTS, board.unpublished()),
             outbox: self.board.outbox().clone(),
         };
-        let reporter = Arc::new(Mutex::new((reporter, clips)));
-        self.tasks.restarting(
+        self.tasks.essential(
             format!("reporter {name}"),
             tracing::info_span!("reporter", camera = name),
-            Restarts::new(Effect::Degraded),
-            move || {
-                let reporter = Arc::clone(&reporter);
-                async move {
-                    let mut locked = reporter.lock().await;
-                    let (reporter, clips) = &mut *locked;
-                    reporter.run(clips).await
-                }
-            },
+            reporter.run(clips),
         );
 
         let value = Arc::new(ThresholdKey(Arc::clone(board)));
         let threshold = KeyService::declare(self.session, keys.threshold(), value)
             .await
             .map_err(refused("the threshold cannot be served"))?;
-        let (threshold, stop) = (Arc::new(threshold), self.shutdown.clone());
-        self.tasks.restarting(
+        self.tasks.essential(
             format!("threshold {name}"),
             tracing::info_span!("threshold", camera = name),
-            Restarts::new(Effect::Degraded),
-            move || {
-                let (threshold, stop) = (Arc::clone(&threshold), stop.clone());
-                async move { threshold.run(stop).await }
-            },
+            threshold.run(self.shutdown.clone()),
         );
         let receiver = FrameReceiver::new(
             Arc::clone(board),
@@ -639,7 +574,7 @@ impl Parts<'_> {
             return self.add_source(name, receiver, settings).await;
         }
         let key = board.key();
-        let refused = || refused(format!("frames on `{key}` cannot be had"));
+        let refused = || refused(format!("frames on `{key}` cannot be received"));
         let receiver = Arc::new(receiver);
         if config.delivery == Delivery::Every {
             let asked = Arc::clone(&receiver);
@@ -719,26 +654,16 @@ impl Parts<'_> {
         let served = KeyService::declare(self.session, key, value)
             .await
             .map_err(refused("the target cannot be served"))?;
-        let (served, stop) = (Arc::new(served), self.shutdown.clone());
-        self.tasks.restarting(
+        self.tasks.essential(
             "target requests",
             tracing::info_span!("target_requests"),
-            Restarts::new(Effect::Degraded),
-            move || {
-                let (served, stop) = (Arc::clone(&served), stop.clone());
-                async move { served.run(stop).await }
-            },
+            served.run(self.shutdown.clone()),
         );
-        let task = Arc::new(TargetTask::new(Arc::clone(self.board), self.power.clone()));
-        let stop = self.shutdown.clone();
-        self.tasks.restarting(
+        let task = TargetTask::new(Arc::clone(self.board), self.power.clone());
+        self.tasks.essential(
             "target",
             tracing::info_span!("target"),
-            Restarts::new(Effect::Degraded),
-            move || {
-                let (task, stop) = (Arc::clone(&task), stop.clone());
-                async move { task.run(stop).await }
-            },
+            task.run(self.shutdown.clone()),
         );
         Ok(())
     }
@@ -748,22 +673,17 @@ impl Parts<'_> {
         if audit.share().is_none() {
             return;
         }
-        let auditor = Arc::new(Auditor {
+        let auditor = Auditor {
             audit: Arc::clone(audit),
             detector: self.detector.clone(),
             screen: self.screen.map(ScreenHandle::input_format),
             pixels: self.pixels.clone(),
             energy: self.power.camera(name),
-        });
-        let stop = self.shutdown.clone();
-        self.tasks.restarting(
+        };
+        self.tasks.essential(
             format!("audit {name}"),
             tracing::info_span!("audit", camera = name),
-            Restarts::new(Effect::Degraded),
-            move || {
-                let (auditor, stop) = (Arc::clone(&auditor), stop.clone());
-                async move { auditor.run(stop).await }
-            },
+            auditor.run(self.shutdown.clone()),
         );
     }
 
@@ -788,7 +708,7 @@ impl Parts<'_> {
         self.tasks.restarting(
             format!("source {name}"),
             tracing::info_span!("source", camera = name),
-            Restarts::new(Effect::Degraded),
+            Effect::Degraded,
             move || feed.clone().run(stop.clone()),
         );
         Ok(())
@@ -824,7 +744,7 @@ struct CameraMaker {
 }
 
 impl CameraMaker {
-    /// A loop that knows nothing of the frames before; the clip begins anew with it. The loop takes over the
+    /// A loop that knows nothing of the frames before; the clip begins again with it. The loop takes over the
     /// threshold in force with its first frame.
     async fn make(&self) -> Result<Camera, NodeError> {
         let policy = (self.policies)(&self.name)?;
@@ -883,17 +803,11 @@ impl CameraMaker {
 }
 
 /// Copies the detector's status to where the board reads it.
-async fn follow(
-    mut from: watch::Receiver<DetectorStatus>,
-    to: Arc<watch::Sender<DetectorStatus>>,
-    shutdown: CancellationToken,
-) -> Result<(), &'static str> {
+async fn follow(mut from: watch::Receiver<DetectorStatus>, to: watch::Sender<DetectorStatus>) {
     loop {
-        let status = from.borrow_and_update().clone();
-        to.send_replace(status);
-        tokio::select! {
-            () = shutdown.cancelled() => return Ok(()),
-            changed = from.changed() => changed.map_err(|_| "the detector's task is gone")?,
+        to.send_replace(from.borrow_and_update().clone());
+        if from.changed().await.is_err() {
+            return;
         }
     }
 }

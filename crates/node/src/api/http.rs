@@ -166,7 +166,7 @@ pub fn router(view: NodeView, shutdown: CancellationToken) -> Router {
     let metrics = Arc::new(metrics::Metrics::new(Arc::clone(&view.board), &pictures));
     #[cfg(feature = "swagger")]
     let router = router.merge(
-        // The document itself is served below: this only tells the page where it is.
+        // The document itself is served below: this only names its address to the page.
         utoipa_swagger_ui::SwaggerUi::new("/docs")
             .config(utoipa_swagger_ui::Config::new(["/openapi.json"])),
     );

@@ -1,4 +1,4 @@
-//! A value of the node on a Zenoh key of its own: a query tells it, a put or a query with a payload changes it.
+//! A value of the node on a Zenoh key: a query reads it, a put or a query with a payload changes it.
 
 use crate::rate_limit::SharedLimit;
 use std::io::Read;
@@ -23,7 +23,7 @@ enum Request {
     Query(Query),
 }
 
-/// What stands on a key. Changing may write a file: it is called where that may take a moment.
+/// The value of a key. Changing it may write a file, so it is called where blocking is allowed.
 pub(crate) trait KeyValue: Send + Sync + 'static {
     /// What it is, for the log: `threshold`.
     fn what(&self) -> &'static str;
@@ -31,13 +31,13 @@ pub(crate) trait KeyValue: Send + Sync + 'static {
     /// Changes it to what the payload says; the answer, as JSON.
     ///
     /// # Errors
-    /// Why it cannot, in words for whoever asked.
+    /// Why not, as text for the sender.
     fn change(&self, payload: &[u8]) -> Result<Vec<u8>, String>;
 
     /// What is in force, as JSON.
     ///
     /// # Errors
-    /// Why there is nothing, in words for whoever asked.
+    /// Why there is none, as text for the sender.
     fn in_force(&self) -> Result<Vec<u8>, String>;
 }
 
@@ -47,7 +47,7 @@ pub(crate) struct KeyService {
     _subscriber: Subscriber<()>,
     value: Arc<dyn KeyValue>,
     key: String,
-    waiting: tokio::sync::Mutex<mpsc::Receiver<Request>>,
+    waiting: mpsc::Receiver<Request>,
     refused: Arc<SharedLimit>,
 }
 
@@ -83,7 +83,7 @@ impl KeyService {
         let queryable = session
             .declare_queryable(key.clone())
             .callback(move |query| {
-                // One that does not fit goes unanswered, as if nobody were there.
+                // One that does not fit goes unanswered, as if the key were not served.
                 if requests.try_send(Request::Query(query)).is_err() {
                     too_many_queries.tell(|held_back| {
                         tracing::warn!(held_back, "{what} query dropped: too many at once");
@@ -96,18 +96,17 @@ impl KeyService {
             _subscriber: subscriber,
             value,
             key,
-            waiting: tokio::sync::Mutex::new(waiting),
+            waiting,
             refused: Arc::new(SharedLimit::new()),
         })
     }
 
-    /// Answers requests until `shutdown`. Those that came while nobody answered are not lost.
-    pub(crate) async fn run(&self, shutdown: CancellationToken) {
-        let mut waiting = self.waiting.lock().await;
+    /// Answers requests until `shutdown`.
+    pub(crate) async fn run(mut self, shutdown: CancellationToken) {
         loop {
             let request = tokio::select! {
                 () = shutdown.cancelled() => return,
-                request = waiting.recv() => request,
+                request = self.waiting.recv() => request,
             };
             let Some(request) = request else { return };
             let (value, key) = (Arc::clone(&self.value), self.key.clone());

@@ -1,7 +1,7 @@
 //! The node's name on the network: its liveliness token, which says that the node lives, and that its name is taken.
 //!
 //! Who wants the name and hears of no claim to it declares one, a token under the name with its session's id, and asks
-//! again when that has had time to get around: two nodes that start together hear of each other then, and the lower id
+//! again when that has had time to spread: two nodes that start together hear of each other then, and the lower id
 //! has the name. Without that, both would ask, hear nothing, and take it.
 
 use albireo_service::readiness::Part;
@@ -9,7 +9,6 @@ use std::hash::{BuildHasher, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::Mutex;
-use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::liveliness::LivelinessToken;
 
@@ -19,35 +18,26 @@ const GETTING_AROUND: Duration = Duration::from_secs(1);
 /// How long others may take to say that they have the name.
 const ASKING: Duration = Duration::from_secs(2);
 
-/// Time between two looks whether the name is free, between half and one and a half of that.
+/// Interval at which a waiting node checks the name, between half and one and a half of that.
 const LOOK_EVERY: Duration = Duration::from_millis(if cfg!(test) { 200 } else { 5000 });
 
-/// Time between two looks of the one who has it: networks that were apart may come together.
+/// Interval at which the holder checks the name: separate networks may join.
 const LOOK_AGAIN_EVERY: Duration = Duration::from_secs(60);
 
 const TAKEN: &str = "another node of this name is on the network: both answer its frames";
 
-/// The tokens of a name, once it could be had.
+/// The tokens of a name, once it is taken.
 #[derive(Clone, Default)]
 pub(crate) struct NodeName(Arc<Mutex<Vec<LivelinessToken>>>);
 
 impl NodeName {
-    /// Declares the token `key` as soon as no other node holds it, and keeps it until `shutdown`. Until then, and when
-    /// another turns up later, `part` says that two nodes have one name: both answer its frames.
-    ///
-    /// # Errors
-    /// When Zenoh refuses.
-    pub(crate) async fn hold(
-        self,
-        session: Session,
-        key: String,
-        part: Part,
-        shutdown: CancellationToken,
-    ) -> Result<(), String> {
-        let held = self.hold_on(&session, &key, &part);
-        let held = shutdown.run_until_cancelled(held).await;
-        held.unwrap_or(Ok(()))
-            .map_err(|error| format!("the liveliness token cannot be had: {error}"))
+    /// Declares the token `key` as soon as no other node holds it, and keeps it. Until then, and when another turns up
+    /// later, `part` says that two nodes have one name: both answer its frames.
+    pub(crate) async fn hold(self, session: Session, key: String, part: Part) {
+        while let Err(error) = self.hold_on(&session, &key, &part).await {
+            tracing::warn!(%error, key, "the liveliness token cannot be declared now");
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
     }
 
     async fn hold_on(&self, session: &Session, key: &str, part: &Part) -> zenoh::Result<()> {
@@ -75,7 +65,7 @@ impl NodeName {
         }
     }
 
-    /// Takes the name if nobody has it; whether it could be had.
+    /// Takes the name if it is free; whether it was.
     async fn claim(&self, session: &Session, key: &str, own: &str) -> zenoh::Result<bool> {
         if !other_claims(session, key, own).await?.is_empty() {
             return Ok(false);
@@ -165,14 +155,12 @@ mod tests {
         tokio::time::timeout(Duration::from_secs(60), linked)
             .await
             .unwrap();
-        let shutdown = CancellationToken::new();
         let nodes = [one, two].map(|session| {
             let (name, readiness) = (NodeName::default(), Readiness::default());
             let held = name.clone().hold(
                 session,
                 "albireo/@alive/n".to_owned(),
                 readiness.part("name"),
-                shutdown.clone(),
             );
             (name, readiness, tokio::spawn(held))
         });
@@ -193,9 +181,9 @@ mod tests {
         tokio::time::timeout(Duration::from_secs(60), settled)
             .await
             .unwrap();
-        shutdown.cancel();
         for (_, _, holding) in nodes {
-            holding.await.unwrap().unwrap();
+            assert!(!holding.is_finished(), "it is held");
+            holding.abort();
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::api::key_service::KeyValue;
 use crate::state::board::CameraBoard;
-use albireo_wire::{MessageError, ThresholdMessage, VERSION};
+use albireo_wire::{MessageError, SettingSource, ThresholdMessage, VERSION};
 use std::sync::Arc;
 
 /// One camera's threshold.
@@ -25,7 +25,8 @@ impl KeyValue for ThresholdKey {
         if let Some(knob) = board.knob() {
             (message.threshold.value_of(&knob)).map_err(|error| error.to_string())?;
         }
-        (board.set_threshold(message.threshold.value)).map_err(|error| error.to_string())?;
+        (board.set_threshold(message.threshold.value, SettingSource::Local))
+            .map_err(|error| error.to_string())?;
         self.in_force()
     }
 

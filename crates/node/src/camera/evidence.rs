@@ -22,11 +22,11 @@ pub struct Times {
     pub decode: Option<Duration>,
     /// The empty-scene screen.
     pub screen: Option<Duration>,
-    /// Waiting until the picture may be decoded: all cameras share so many places as keep the detector busy.
+    /// Waiting until the picture may be decoded: all cameras share as many places as keep the detector busy.
     pub place: Duration,
     /// Resizing the picture to the detector's input; done ahead like decoding.
     pub letterbox: Option<Duration>,
-    /// When the detector was asked and when it had answered, waiting included.
+    /// When the detector was asked and when it answered, waiting included.
     pub detector_span: Option<(Instant, Instant)>,
     /// The run that answered, and this frame's part in it.
     pub(crate) detector_run: Option<DetectorRun>,
@@ -40,7 +40,7 @@ pub struct Times {
 /// nobody's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct DetectorRun {
-    /// When it had ended.
+    /// When it ended.
     pub end: Instant,
     /// The frame's part of its time: an even part for each of the pictures it looked at.
     pub used: Duration,
@@ -60,17 +60,17 @@ pub struct LiveEvidence {
     screen: CameraScreen,
     slot: CameraSlot,
     pixels: PixelWork,
-    /// What has been made of the picture of the frame in hand.
+    /// What was prepared from the current frame's picture.
     frame: PreparedFrame,
     /// What was begun for that frame before its turn, until it is needed.
     begun: Option<Prefetch>,
     /// What is being made of the next one.
     prefetch: Option<Prefetch>,
-    /// The screen's verdict on the frame in hand.
+    /// The screen's verdict on the current frame.
     empty: Option<bool>,
     /// What the detector found in it.
     detected: Option<Detected>,
-    /// Times of the frame in hand.
+    /// Times of the current frame.
     times: Times,
     /// Once cancelled neither detector nor screen is waited for.
     hurry: CancellationToken,
@@ -116,19 +116,19 @@ impl LiveEvidence {
         self.times = Times::default();
     }
 
-    /// Gives back what was made of the picture of the frame in hand, and what had been made ready for it and was not
+    /// Gives back what was prepared from the current frame's picture, and what was made ready for it and not
     /// needed: others wait for its place.
     pub(crate) fn end_frame(&mut self) {
         self.frame = PreparedFrame::default();
         self.begun = None;
     }
 
-    /// Where the time of the frame in hand went so far.
+    /// Where the time of the current frame went so far.
     pub const fn times(&self) -> Times {
         self.times
     }
 
-    /// What `need` asks for of the frame in hand, whose picture is `encoded`. While the detector looks, `next` is
+    /// What `need` asks for of the current frame, whose picture is `encoded`. While the detector runs, `next` is
     /// waited for: the next frame's picture and what it will need, to be made ready meanwhile.
     ///
     /// # Errors
@@ -174,7 +174,7 @@ impl LiveEvidence {
         Ok(())
     }
 
-    /// What was fetched of the frame in hand for `need`.
+    /// What was fetched from the current frame for `need`.
     pub(crate) fn fetched(&self, need: Need) -> Evidence<'_> {
         let known = match need {
             Need::Nothing => None,
@@ -216,7 +216,7 @@ impl LiveEvidence {
         Ok(empty)
     }
 
-    /// What the detector finds; `None` when it cannot be had for this frame. `next` is the next frame's
+    /// What the detector finds; `None` when it is not available for this frame. `next` is the next frame's
     /// picture and what it will need: when it comes before the detector's answer, it is made ready meanwhile.
     ///
     /// # Errors
@@ -226,7 +226,7 @@ impl LiveEvidence {
         encoded: &EncodedPicture,
         next: impl Future<Output = (EncodedPicture, Need)>,
     ) -> Result<Option<Detected>, FrameFault> {
-        // A picture that nobody will look at is not decoded.
+        // A picture without a use is not decoded.
         if self.detector.accepts().is_err() {
             return Ok(None);
         }

@@ -1,7 +1,7 @@
-//! Puts messages on Zenoh from a thread of its own, because a put may wait for room and a camera must not.
+//! Puts messages on Zenoh from a separate thread, because a put may wait for room and a camera must not.
 //!
-//! Kinds have priorities of their own, as each priority has a queue and a lock in Zenoh: a report that waits for
-//! a slow subscriber never stands before a detection.
+//! Each kind has its priority, as each priority has a queue and a lock in Zenoh: a report that waits for
+//! a slow subscriber never delays a detection.
 
 use crate::rate_limit::SharedLimit;
 use albireo_service::panics::{contain, message};
@@ -21,7 +21,7 @@ use zenoh_ext::AdvancedPublisher;
 pub(crate) const LIVE: Priority = Priority::InteractiveHigh;
 /// Priority of the detections of a camera that loses none: such a put may wait for its subscriber.
 pub(crate) const EVERY: Priority = Priority::InteractiveLow;
-/// Priority of clip reports for whoever listens.
+/// Priority of clip reports for subscribers.
 pub(crate) const CLIPS: Priority = Priority::DataLow;
 /// Priority of counters and status.
 pub(crate) const COUNTERS: Priority = Priority::Background;
@@ -275,7 +275,7 @@ impl Shared {
 pub(crate) enum Detections {
     /// Newest win.
     Live(PublishLane),
-    /// None is lost: a thread of its own puts them, and whoever brings one waits for room.
+    /// None is lost: a separate thread puts them, and the camera waits for room.
     Every(mpsc::Sender<Vec<u8>>),
 }
 
@@ -351,7 +351,7 @@ mod tests {
         assert_eq!(unpublished.get(), 1);
     }
 
-    /// A lane that tells what it published; what is `slow` waits to be let go.
+    /// A lane that reports what it published; `slow` messages wait until they are let go.
     struct Told {
         _thread: PublishingThread,
         lane: PublishLane,

@@ -1,10 +1,9 @@
 //! Publishes each frame once more, in order, with its boxes drawn between two detector calls.
 
-use super::MinConfidence;
 use super::answer::box_messages;
 use super::publishing::Detections;
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::{Outcome, OutputBox, SettledFrame, Settler};
+use albireo_core::policy::{MinConfidence, Outcome, OutputBox, SettledFrame, Settler};
 use albireo_wire::{SettledMessage, VERSION};
 use std::collections::VecDeque;
 use std::sync::Arc;

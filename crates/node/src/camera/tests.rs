@@ -7,7 +7,7 @@ use crate::config::{CameraConfig, NodeConfig};
 use crate::input::{Delivery, Frame, FrameNumber, Pushed, RingLimits, RingSender, frame_ring};
 use crate::state::board::{Board, BoardSetup, Event};
 use albireo_core::geometry::PictureSize;
-use albireo_core::policy::PolicyConfig;
+use albireo_core::policy::{MinConfidence, PolicyConfig};
 use albireo_power::PowerHandle;
 use albireo_scene::BoxScene;
 use albireo_vision::detector::{CameraSlot, DetectorConfig, DetectorHandle, DetectorStatus};
@@ -97,7 +97,7 @@ impl Bench {
             detections: Arc::new(Detections::every(silent_publisher().await, Counter::default()).0),
             late: None,
             settled: None,
-            min_confidence: MinConfidence::new(ReportConfig::default(), 0.5),
+            min_confidence: MinConfidence::new(None, 0.5),
             class_names: detector.class_names().into(),
             accounts,
             audit,

@@ -2,6 +2,7 @@
 //! `albireo check` only; a node finds out when it opens them.
 
 use super::NodeConfig;
+use crate::input::source::LiveSource;
 use albireo_service::config::{Finding, Findings};
 use albireo_service::http::token_file_fault;
 use albireo_vision::detector::{ClassNames, ExecutionProvider, find_library};
@@ -30,17 +31,23 @@ impl NodeConfig {
         if let Some(folder) = &self.node.state_dir {
             state_dir(folder, &mut findings);
         }
+        for camera in &self.cameras {
+            let settings = camera.source_settings(self.frame);
+            if let Some(Err(error)) = settings.map(LiveSource::find) {
+                findings.add(format!("camera.{}.source", camera.name), error.to_string());
+            }
+        }
         findings.into_vec()
     }
 
-    /// What stands in the way now and may not later: ports that are taken, perhaps by this very node.
+    /// What is in the way now and may not be later: ports in use, perhaps by this very node.
     pub fn in_the_way(&self) -> Vec<Finding> {
         let mut findings = Findings::default();
         let port = self.http.listen;
         if port.port() != 0
             && let Err(error) = TcpListener::bind(port)
         {
-            findings.add("http.listen", format!("{port} cannot be had now: {error}"));
+            findings.add("http.listen", format!("{port} cannot be used now: {error}"));
         }
         if self.zenoh.config_file.is_none() {
             for endpoint in &self.zenoh.listen {
@@ -51,7 +58,7 @@ impl NodeConfig {
                 if let Err(error) = TcpListener::bind(address) {
                     findings.add(
                         "zenoh.listen",
-                        format!("{endpoint} cannot be had now: {error}"),
+                        format!("{endpoint} cannot be used now: {error}"),
                     );
                 }
             }

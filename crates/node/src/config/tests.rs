@@ -172,7 +172,7 @@ fn an_unknown_key_is_named_with_the_known_ones() {
     for (text, key) in [
         ("[http]\nlisten_on = 1", "http.listen_on"),
         ("[detector]\nconfidense = 0.5", "detector.confidense"),
-        ("[[camera]]\nname = \"a\"\nformt = \"x\"", "camera[0].formt"),
+        ("[[camera]]\nname = \"a\"\nformt = \"x\"", "camera.a.formt"),
         ("[nod]\nname = \"a\"", "nod"),
         ("colour = 1", "colour"),
     ] {
@@ -274,62 +274,59 @@ fn an_impossible_value_is_refused_with_its_key() {
         ("[log]\nformat = \"xml\"", "log.format"),
         ("camera = []", "camera"),
         ("[[camera]]\nkey = \"a\"", "camera[0]"),
-        ("[[camera]]\nname = \"a b\"", "camera[0].name"),
-        ("[[camera]]\nname = \"..\"", "camera[0].name"),
+        ("[[camera]]\nname = \"a b\"", "camera.a b.name"),
+        ("[[camera]]\nname = \"..\"", "camera....name"),
         (
             "[[camera]]\nname = \"a\"\n[[camera]]\nname = \"a\"",
-            "camera[1].name",
+            "camera.a.name",
         ),
-        ("[[camera]]\nname = \"a\"\nkey = \"x/**\"", "camera[0].key"),
-        ("[[camera]]\nname = \"a\"\nkey = \"/x\"", "camera[0].key"),
+        ("[[camera]]\nname = \"a\"\nkey = \"x/**\"", "camera.a.key"),
+        ("[[camera]]\nname = \"a\"\nkey = \"/x\"", "camera.a.key"),
         ("[outbox]\ngather_s = 86401", "outbox.gather_s"),
-        (
-            "[[camera]]\nname = \"a\"\nsource = \"\"",
-            "camera[0].source",
-        ),
+        ("[[camera]]\nname = \"a\"\nsource = \"\"", "camera.a.source"),
         (
             "[[camera]]\nname = \"a\"\nsource = \"rtsp://${NOBODY_SETS_THIS}@b\"",
-            "camera[0].source",
+            "camera.a.source",
         ),
         (
             "[[camera]]\nname = \"a\"\nsource = \"b.mp4\"\nkey = \"c\"",
-            "camera[0].key",
+            "camera.a.key",
         ),
         (
             "[[camera]]\nname = \"a\"\nsource = \"b.mp4\"\ndelivery = \"every\"",
-            "camera[0].delivery",
+            "camera.a.delivery",
         ),
         (
             "[[camera]]\nname = \"a\"\nsource = \"b ! jpegenc\"\nhardware = \"cuda\"",
-            "camera[0].hardware",
+            "camera.a.hardware",
         ),
         (
             "[[camera]]\nname = \"a\"\nmax_rate = 5",
-            "camera[0].max_rate",
+            "camera.a.max_rate",
         ),
         (
             "[[camera]]\nname = \"a\"\nsource = \"b.mp4\"\nmax_rate = 0",
-            "camera[0].max_rate",
+            "camera.a.max_rate",
         ),
         (
             "[[camera]]\nname = \"a\"\nsource = \"b.mp4\"\nrtsp_transport = \"sctp\"",
-            "camera[0].rtsp_transport",
+            "camera.a.rtsp_transport",
         ),
         (
             "[[camera]]\nname = \"a\"\nthreshold = 0",
-            "camera[0].threshold",
+            "camera.a.threshold",
         ),
         (
             "[[camera]]\nname = \"a\"\nthreshold = nan",
-            "camera[0].threshold",
+            "camera.a.threshold",
         ),
         (
             "[[camera]]\nname = \"a\"\nthreshold = 2.0",
-            "camera[0].threshold",
+            "camera.a.threshold",
         ),
         (
             "[policy]\nname = \"vanilla\"\n[[camera]]\nname = \"a\"\nthreshold = 3e-4",
-            "camera[0].threshold",
+            "camera.a.threshold",
         ),
     ] {
         let found = problems(text);
@@ -339,6 +336,19 @@ fn an_impossible_value_is_refused_with_its_key() {
             "{text}: {found:?}"
         );
     }
+}
+
+#[test]
+fn a_wrong_policy_hides_no_wrong_number_and_the_likely_name_is_offered() {
+    let mut found = problems("[policy]\nname = \"expectedloss\"\nu = 5\nlambda = -1");
+    found.sort();
+    assert_eq!(found.len(), 3, "{found:?}");
+    assert!(found[0].starts_with("policy.lambda: "), "{found:?}");
+    assert!(
+        found[1].contains("did you mean `expected-loss`?"),
+        "{found:?}"
+    );
+    assert!(found[2].starts_with("policy.u: "), "{found:?}");
 }
 
 #[test]

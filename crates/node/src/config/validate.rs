@@ -4,7 +4,7 @@ use super::{CameraConfig, NodeConfig};
 use crate::camera::AnswerTime;
 use crate::input::Delivery;
 use crate::input::source::SourceKind;
-use albireo_core::policy::{Knob, LatePolicy, Policy};
+use albireo_core::policy::{Albireo, ExpectedLoss, Knob, LatePolicy, Policy};
 use albireo_core::target::{KnobRange, Target};
 use albireo_service::config::{Configuration, DAY_S, Finding, Findings, NamedToken};
 use albireo_vision::detector::ClassNames;
@@ -90,7 +90,7 @@ impl Configuration for NodeConfig {
         ),
         (
             "detector.may_fall_back",
-            "each provider in detector.providers stands in for those before it: list one alone to have no other",
+            "each provider in detector.providers replaces those before it if they fail: list a single one to allow no other",
         ),
         (
             "detector.gpu.device",
@@ -110,7 +110,7 @@ impl Configuration for NodeConfig {
         ),
         (
             "screen.longest_empty_run",
-            "the detector looks after 100 empty frames in a row",
+            "the detector runs after 100 empty frames in a row",
         ),
         ("power.sysfs", "sysfs is read at /sys"),
         ("power.procfs", "procfs is read at /proc"),
@@ -131,7 +131,7 @@ impl Configuration for NodeConfig {
         ("uplink.lease_ms", "the lease of the uplink is 120 s"),
         (
             "uplink.reopen_s",
-            "after 300 s without an answer the uplink is opened anew",
+            "after 300 s without an answer the uplink is opened again",
         ),
         ("frame.max_width", PICTURE),
         ("frame.max_height", PICTURE),
@@ -228,6 +228,17 @@ impl NodeConfig {
                 let message = error.to_string();
                 let (key, reason) = message.split_once(": ").unwrap_or(("policy", &message));
                 findings.add(key, reason);
+                // A wrong name must not hide a wrong number.
+                for (name, knob, value) in [
+                    ("policy.u", Albireo::KNOB, self.policy.u),
+                    ("policy.lambda", ExpectedLoss::KNOB, self.policy.lambda),
+                ] {
+                    if key == "policy.name"
+                        && let Err(error) = knob.check(value)
+                    {
+                        findings.add(name, error.to_string());
+                    }
+                }
                 None
             }
         }
@@ -328,7 +339,7 @@ impl NodeConfig {
                     );
                 }
             }
-            // Cameras of one name are told already.
+            // Cameras with the same name are already reported.
             if let Some(other) = seen.insert(key.clone(), &camera.name)
                 && other != camera.name
             {

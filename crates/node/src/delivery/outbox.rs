@@ -2,27 +2,28 @@
 //!
 //! A report is written and synced once, before anything is sent, and goes on being kept for some days after a hub has
 //! acknowledged it, for a hub that loses it. While the disk fails, reports wait in memory, as many as are allowed, and
-//! are written when it returns; without a state directory memory is all there is, and that is said.
+//! are written when it returns; without a state directory they stay in memory, and the log says so.
 
 mod config;
 mod disk;
 mod table;
 #[cfg(test)]
-mod tests;
+pub(super) mod tests;
 mod waiting;
 
 pub use config::OutboxConfig;
 
 use crate::state::settings::Settings;
+use albireo_service::clock::Now;
 use albireo_wire::{ClipReport, OutboxStatus, ReportAnswer, ReportBatch};
-use disk::{Disk, StateFile};
+pub(super) use disk::{Disk, StateFile};
 use parking_lot::Mutex;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Instant;
-use table::TableError;
+pub(super) use table::TableError;
 use tokio::sync::Notify;
-use waiting::{Now, Waiting};
+use waiting::Waiting;
 
 /// Why the state directory cannot be used. Only what waiting does not mend: a disk that fails is no reason
 /// not to start.
@@ -48,7 +49,7 @@ pub struct OutboxCounts {
     pub waiting: u64,
     /// Of these, reports that are in memory only.
     pub in_memory: u64,
-    /// Reports that a hub had and has lost, to be sent again.
+    /// Reports that a hub lost, to be sent again.
     pub again: u64,
     /// Reports lost: there was no room for them.
     pub lost: u64,
@@ -114,9 +115,19 @@ impl Outbox {
         if directory.is_file() {
             return Err(OutboxError::NotAFolder(directory.to_owned()));
         }
-        let disk: Box<dyn Disk> = Box::new(StateFile::new(directory));
+        let file = Box::new(StateFile::new(directory));
+        Self::open_on(file, config, directory, Now::system())
+    }
+
+    /// Opens the outbox on a disk.
+    pub(super) fn open_on(
+        disk: Box<dyn Disk>,
+        config: &OutboxConfig,
+        directory: &Path,
+        now: Now,
+    ) -> Result<Self, OutboxError> {
         let mut waiting = Waiting::new(Some(disk), config.max_bytes);
-        match waiting.open(Now::system()) {
+        match waiting.open(now) {
             Err(TableError::Locked) => return Err(OutboxError::Locked(directory.to_owned())),
             Err(TableError::Foreign(reason)) => {
                 return Err(OutboxError::Foreign(directory.to_owned(), reason));
@@ -156,25 +167,25 @@ impl Outbox {
     }
 
     /// Keeps reports, in order, and gives them their running counts. Writes a file.
-    pub(crate) fn insert(&self, reports: &mut [ClipReport]) {
-        self.with(|waiting| waiting.insert(reports, Now::system()));
+    pub(crate) fn insert(&self, reports: &mut [ClipReport], now: Now) {
+        self.with(|waiting| waiting.insert(reports, now));
         self.shared.changed.notify_one();
     }
 
     /// The oldest reports to be sent, as reports of `node`; with those that a hub has lost if they go `again` now. Reads,
     /// and may write, a file.
-    pub(crate) fn batch(&self, node: &str, again: bool) -> Option<ReportBatch> {
-        self.with(|waiting| waiting.batch(node, again, Now::system()))
+    pub(crate) fn batch(&self, node: &str, again: bool, now: Now) -> Option<ReportBatch> {
+        self.with(|waiting| waiting.batch(node, again, now))
     }
 
     /// Takes a hub's answer to `batch`; how many reports it has stored. Writes a file.
-    pub(crate) fn answered(&self, batch: &ReportBatch, answer: &ReportAnswer) -> u64 {
-        self.with(|waiting| waiting.answered(batch, answer, Now::system()))
+    pub(crate) fn answered(&self, batch: &ReportBatch, answer: &ReportAnswer, now: Now) -> u64 {
+        self.with(|waiting| waiting.answered(batch, answer, now))
     }
 
     /// Tries a disk that failed again, when it is time. May write a file.
-    pub(crate) fn retry_disk(&self) {
-        self.with(|waiting| waiting.retry_disk(Now::system()));
+    pub(crate) fn retry_disk(&self, now: Now) {
+        self.with(|waiting| waiting.retry_disk(now));
         self.settings.retry();
     }
 
@@ -194,12 +205,6 @@ impl Outbox {
     /// Keeps a setting; whether it survives a restart. Writes a file.
     pub(crate) fn set<T: serde::Serialize>(&self, name: &str, setting: &T) -> bool {
         self.settings.set(name, setting)
-    }
-
-    /// Whether the settings that an earlier run kept can be read since the last call, and could not when they were
-    /// asked for.
-    pub(crate) fn settings_returned(&self) -> bool {
-        self.settings.came_late()
     }
 
     /// Whether there is a directory to keep things in.

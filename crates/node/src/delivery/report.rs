@@ -1,5 +1,5 @@
 //! Makes reports of closed clips: each camera's loop counts its open clip, and a task behind it waits for the energy, keeps
-//! the report in the outbox and publishes it for whoever listens.
+//! the report in the outbox and publishes it for subscribers.
 
 use crate::camera::FrameRecord;
 use crate::camera::audit::CameraAudit;
@@ -8,6 +8,7 @@ use crate::camera::publishing::PublishLane;
 use crate::delivery::outbox::Outbox;
 use crate::input::receiver::DropCounts;
 use crate::state::board::Board;
+use albireo_service::clock::Now;
 use albireo_vision::detector::DetectorHandle;
 use albireo_wire::Threshold;
 use std::sync::Arc;
@@ -106,7 +107,7 @@ impl ClipAccounts {
         if let Some(closed) = closed
             && self.closed.send(closed).is_err()
         {
-            tracing::error!("a clip ended and nobody reports it");
+            tracing::error!("a clip ended and its reporter has stopped");
         }
     }
 }
@@ -119,7 +120,7 @@ pub(crate) struct Reporter {
     pub camera: String,
     /// What ran the detector.
     pub detector: DetectorHandle,
-    /// For whoever listens; the hub's way is the outbox.
+    /// For subscribers; the hub gets it from the outbox.
     pub listeners: PublishLane,
     /// Where reports are kept until a hub has them.
     pub outbox: Outbox,
@@ -129,8 +130,8 @@ pub(crate) struct Reporter {
 const MAX_BATCH: usize = 256;
 
 impl Reporter {
-    /// Reports until the accounts are gone and the last clip is kept.
-    pub(crate) async fn run(&self, clips: &mut mpsc::UnboundedReceiver<ClosedClip>) {
+    /// Reports until the accounts are dropped and the last clip is kept.
+    pub(crate) async fn run(self, mut clips: mpsc::UnboundedReceiver<ClosedClip>) {
         let mut closed = Vec::new();
         while clips.recv_many(&mut closed, MAX_BATCH).await > 0 {
             self.report(std::mem::take(&mut closed)).await;
@@ -157,7 +158,7 @@ impl Reporter {
         }
         let outbox = self.outbox.clone();
         let kept = tokio::task::spawn_blocking(move || {
-            outbox.insert(&mut reports);
+            outbox.insert(&mut reports, Now::system());
             reports
         });
         let kept = kept.await.unwrap_or_else(|error| {

@@ -15,13 +15,19 @@ pub(crate) use desired::DesiredKeeper;
 use crate::delivery::outbox::{Outbox, OutboxConfig};
 use crate::state::board::Board;
 use crate::state::readiness;
+use albireo_service::clock::Now;
 use albireo_service::config::UplinkConfig;
 use albireo_service::session;
 use albireo_vision::picture::FrameLimits;
-use albireo_wire::{BatchCompression, Desired, FleetKeys, PullRequest, ReportAnswer, VERSION};
+use albireo_wire::{
+    BatchCompression, Desired, FleetKeys, PullRequest, ReportAnswer, ReportBatch, VERSION,
+};
 use backoff::Backoff;
-use query::{Asked, ask};
-use schedule::{Outcome, Schedule};
+pub(super) use query::Asked;
+use query::ask;
+#[cfg(test)]
+pub(super) use query::read_reply;
+pub(super) use schedule::{Outcome, Schedule};
 use status::StatusTeller;
 use std::collections::BTreeMap;
 use std::future::Future;
@@ -42,7 +48,7 @@ use zenoh::query::Querier;
 /// How often the status is compared with the one sent last.
 const POLL_EVERY: Duration = Duration::from_secs(1);
 
-/// Reports that wait so long without any answer make the node open its uplink anew.
+/// Reports that wait this long without any answer make the node open its uplink again.
 const STALE: Duration = Duration::from_secs(300);
 
 /// How long the last reports may take to reach a hub when the node stops: what is not there then is kept.
@@ -53,7 +59,7 @@ const MIN_UPTIME: Duration = Duration::from_secs(10);
 
 /// What the uplink works with.
 pub(crate) struct UplinkSetup {
-    /// What is told.
+    /// The state to report.
     pub board: Arc<Board>,
     /// What is delivered.
     pub outbox: Outbox,
@@ -65,7 +71,7 @@ pub(crate) struct UplinkSetup {
     pub labels: BTreeMap<String, String>,
     /// What the hub desires, and what is in force.
     pub desired: DesiredKeeper,
-    /// Whether pictures are sent to whoever asks.
+    /// Whether pictures are sent on request.
     pub pictures: bool,
     /// Limits for decoding pictures that are asked for.
     pub limits: FrameLimits,
@@ -77,7 +83,7 @@ pub(crate) struct UplinkSetup {
 pub(crate) enum Route {
     /// The local session serves both.
     Local(Session),
-    /// A session of its own, opened anew when it has gone stale.
+    /// A separate session, opened again when it is stale.
     Own(UplinkConfig),
 }
 
@@ -145,8 +151,8 @@ impl Worker {
         Self {
             teller: StatusTeller::new(setup.labels.clone(), run),
             watched: Watched::new(),
-            schedule: Schedule::new(config, Instant::now()),
-            reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms),
+            schedule: Schedule::new(config, random, Instant::now()),
+            reconnect: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
             retry_disk_at: Instant::now(),
             setup: Arc::new(setup),
             stop,
@@ -183,7 +189,7 @@ impl Worker {
                     match served {
                         Ok(Served::Stopped) => return,
                         Ok(Served::Stale) => {
-                            tracing::warn!("the uplink brought no answer for long: opened anew");
+                            tracing::warn!("the uplink has had no answer for long: opened again");
                             false
                         }
                         Err(error) => {
@@ -206,7 +212,7 @@ impl Worker {
         }
     }
 
-    /// Waits for `work`, and looks after the disk meanwhile; `None` when the node stops before.
+    /// Waits for `work`, and retries the disk meanwhile; `None` when the node stops before.
     async fn unless_stopped<T>(&mut self, work: impl Future<Output = T>) -> Option<T> {
         let mut work = std::pin::pin!(work);
         loop {
@@ -219,19 +225,14 @@ impl Worker {
         }
     }
 
-    /// Tries a disk that failed again, and compares settings that can be read only now.
+    /// Tries a disk that failed again.
     async fn retry_disk(&mut self) {
         let setup = Arc::clone(&self.setup);
         if setup.outbox.counts().failing.is_none() || Instant::now() < self.retry_disk_at {
             return;
         }
         self.retry_disk_at = Instant::now() + POLL_EVERY;
-        let tried = spawn_blocking(move || {
-            setup.outbox.retry_disk();
-            if setup.outbox.settings_returned() {
-                setup.desired.read_again(&setup.board, &setup.outbox);
-            }
-        });
+        let tried = spawn_blocking(move || setup.outbox.retry_disk(Now::system()));
         let _ = tried.await;
     }
 
@@ -386,7 +387,7 @@ impl Worker {
 async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool) -> Ended {
     let prepare = Arc::clone(setup);
     let prepared = spawn_blocking(move || {
-        let batch = prepare.outbox.batch(prepare.board.node(), again)?;
+        let batch = (prepare.outbox).batch(prepare.board.node(), again, Now::system())?;
         match batch.to_payload(BatchCompression::Best) {
             Ok(payload) => Some((batch, payload)),
             Err(error) => {
@@ -398,24 +399,34 @@ async fn send_batch(setup: &Arc<UplinkSetup>, reports: &Querier<'_>, again: bool
     let Ok(Some((batch, payload))) = prepared.await else {
         return Ended::Batch(Outcome::Nothing, None);
     };
-    match ask::<ReportAnswer>(reports, payload).await {
+    let asked = ask::<ReportAnswer>(reports, payload).await;
+    let outbox = setup.outbox.clone();
+    let taken = spawn_blocking(move || conclude(&outbox, &batch, asked, Now::system()));
+    let (outcome, desired) = taken.await.unwrap_or((Outcome::Unanswered, None));
+    Ended::Batch(outcome, desired)
+}
+
+/// Takes to the outbox what came of `batch`. Writes a file.
+pub(crate) fn conclude(
+    outbox: &Outbox,
+    batch: &ReportBatch,
+    asked: Asked<ReportAnswer>,
+    now: Now,
+) -> (Outcome, Option<Desired>) {
+    match asked {
         Asked::Answered(answer) => {
-            let outbox = setup.outbox.clone();
-            let taken = spawn_blocking(move || {
-                let stored = outbox.answered(&batch, &answer);
-                tracing::debug!(stored, "clip reports acknowledged");
-                answer.desired
-            });
-            Ended::Batch(Outcome::Done, taken.await.ok().flatten())
+            let stored = outbox.answered(batch, &answer, now);
+            tracing::debug!(stored, "clip reports acknowledged");
+            (Outcome::Done, answer.desired)
         }
         Asked::Refused(refusal) => {
             tracing::warn!(reason = ?refusal.reason, refusal.detail, "the hub did not take clip reports");
             let at_least = refusal.retry_after_ms.map(Duration::from_millis);
-            Ended::Batch(Outcome::Refused(at_least), None)
+            (Outcome::Refused(at_least), None)
         }
         Asked::Nobody(reason) => {
             tracing::debug!(reason, "clip reports not acknowledged");
-            Ended::Batch(Outcome::Unanswered, None)
+            (Outcome::Unanswered, None)
         }
     }
 }

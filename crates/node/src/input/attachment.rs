@@ -89,7 +89,7 @@ fn read_rmw_zenoh(bytes: &[u8]) -> Option<Attachment> {
     if !matches!(sender.len(), 16 | 17) {
         return None;
     }
-    // A publisher that starts anew has another id, and numbers from the start.
+    // A publisher that starts again has another id, and numbers from the start.
     let stream = sender.last_chunk::<16>().map(|id| {
         let id = u128::from_le_bytes(*id);
         (id >> 64) as u64 ^ id as u64

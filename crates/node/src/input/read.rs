@@ -187,7 +187,7 @@ fn read_checked(
     })
 }
 
-/// The picture, and the capture time where the payload itself tells it.
+/// The picture, and the capture time where the payload has it.
 fn read_picture(
     raw: &RawSample<'_>,
     attachment: &Attachment,

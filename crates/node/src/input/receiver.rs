@@ -314,7 +314,7 @@ impl FrameReceiver {
         });
     }
 
-    /// The publisher of a stream is there, or gone.
+    /// The publisher of a stream came or left.
     pub(crate) fn publisher_changed(&self, stream: u64, gone: bool) {
         self.stream.lock().tracker.publisher_changed(stream, gone);
     }

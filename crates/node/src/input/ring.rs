@@ -55,11 +55,11 @@ impl RingLimits {
 pub(crate) enum Pushed<T> {
     /// It waits for its turn.
     Queued,
-    /// It waits for its turn; this, the oldest item, had to go: an overrun.
+    /// It waits for its turn; this, the oldest item, was dropped: an overrun.
     Replaced(T),
     /// There is no room; the item comes back.
     Full(T),
-    /// The receiver is gone or the ring is closed; the item comes back.
+    /// The receiver was dropped or the ring is closed; the item comes back.
     Closed(T),
 }
 
@@ -177,7 +177,7 @@ impl<T> RingSender<T> {
         self.0.state.lock().items.len()
     }
 
-    /// Opens the ring again, empty, for the receiver that follows one that is gone.
+    /// Opens the ring again, empty, for a new receiver.
     pub(crate) fn reopen(&self) -> RingReceiver<T> {
         *self.0.state.lock() = State::empty();
         RingReceiver(Arc::clone(&self.0))

@@ -1,5 +1,5 @@
 //! ROS 2 `sensor_msgs/msg/CompressedImage` and `Image` in CDR (OMG CDR, plain encoding of XTypes
-//! version 1), both byte orders. Nothing is copied: what is found is told as ranges of the payload.
+//! version 1), both byte orders. Nothing is copied: results are ranges of the payload.
 
 use albireo_core::geometry::PictureSize;
 use albireo_vision::picture::{FrameFault, PictureFormat};

@@ -15,7 +15,7 @@ use tokio::time::Instant;
 const WINDOW: u64 = 64;
 /// The most numbers ahead that are believed at once.
 const NEAR: u64 = 8;
-/// The most numbers that are believed to be lost: an hour at 30 frames a second.
+/// The most numbers that are believed to be lost: an hour at 30 frames per second.
 const MAX_GAP: u64 = 108_000;
 /// A stream that brings nothing new for this long, and for five of its periods, may be replaced by another.
 const SILENCE: Duration = Duration::from_secs(1);
@@ -67,12 +67,12 @@ struct Stream {
     came: u64,
     /// How far ahead of the highest the last number was that was too far.
     ahead: Option<u64>,
-    /// Samples since the highest number that came and could not be used: so many of the missing numbers are not lost.
+    /// Samples since the highest number that came and could not be used: as many of the missing numbers are not lost.
     unusable: u64,
     newest: Instant,
     /// Mean time between its frames, once there are two.
     period: Option<Duration>,
-    /// Its publisher is gone.
+    /// Its publisher has left.
     ended: bool,
 }
 
@@ -163,7 +163,7 @@ impl SequenceTracker {
         }
     }
 
-    /// The publisher of a stream is there, or gone.
+    /// The publisher of a stream came or left.
     pub(crate) fn publisher_changed(&mut self, stream: u64, gone: bool) {
         if let Some(present) = (self.present.as_mut()).filter(|present| present.id == Some(stream))
         {
@@ -205,7 +205,7 @@ mod tests {
 
     const PERIOD: Duration = Duration::from_millis(100);
 
-    /// A tracker with a clock of its own.
+    /// A tracker with its own clock.
     struct Camera {
         tracker: SequenceTracker,
         now: Instant,

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 /// Frames after which a policy that has skipped none is spoken of.
 const FRAMES: u64 = 300;
 
-/// Frames with objects among them that it takes: without objects nothing can be said of the threshold.
+/// Frames with objects among them that it takes: frames without objects say nothing about the threshold.
 const FOLLOWED: u64 = 100;
 
 /// Uncertainties that are kept for the suggestion.
@@ -57,7 +57,7 @@ pub struct SkipWatch {
 
 impl SkipWatch {
     /// Counts an answered frame; true when exactly now it has become clear that nothing is skipped. A knob that was
-    /// turned begins anew. Degraded frames say nothing.
+    /// turned begins again. Degraded frames do not count.
     pub fn count(&mut self, message: &DetectionsMessage) -> bool {
         if message.threshold != self.threshold {
             *self = Self {

@@ -43,7 +43,7 @@ use uuid::Uuid;
 /// Clip reports kept for readers; older ones are forgotten.
 pub(crate) const RECENT_CLIPS: usize = 256;
 
-/// Events a slow reader may be behind before it loses some (and is told how many).
+/// Events a slow reader may be behind before it loses some (and learns how many).
 const EVENT_BACKLOG: usize = 1024;
 
 /// Power now, and energy since the node started.
@@ -261,7 +261,7 @@ impl Board {
         self.events.subscribe()
     }
 
-    /// Keeps a clip's report, counts it for its camera and tells it to subscribers.
+    /// Keeps a clip's report, counts it for its camera and sends it to subscribers.
     pub fn record_clip(&self, report: ClipReport) {
         if let Some(camera) = self.camera(&report.camera) {
             let audit_joules = report.audit.as_ref().and_then(|audit| audit.joules);
@@ -274,7 +274,7 @@ impl Board {
         }
         clips.push_back(Arc::clone(&report));
         drop(clips);
-        // An error only says that nobody listens.
+        // An error only means that there are no subscribers.
         let _ = self.events.send(Event::Clip(report).into());
     }
 
@@ -305,7 +305,7 @@ impl Board {
             .collect()
     }
 
-    /// The counter messages of all cameras as they stand now, told to subscribers too. To be called
+    /// The present counter messages of all cameras, sent to subscribers too. To be called
     /// once a second; `t_ns` is the wall clock, nanoseconds since the Unix epoch.
     pub fn publish_counters(&self, t_ns: u64) -> Vec<Arc<CountersMessage>> {
         self.turn_day();
@@ -319,7 +319,7 @@ impl Board {
             .collect()
     }
 
-    /// How things stand, as the events that would tell it: thresholds and counters of every camera.
+    /// The present state as events: thresholds and counters of every camera.
     pub fn current(&self, t_ns: u64) -> Vec<Event> {
         let told = |camera: &Arc<CameraBoard>| {
             let counters = Event::Counters(Arc::new(self.counters(camera, t_ns)));
@@ -328,7 +328,7 @@ impl Board {
         self.cameras.iter().flat_map(told).collect()
     }
 
-    /// The counter message of one camera as it stands now.
+    /// The present counter message of one camera.
     pub fn counters(&self, camera: &CameraBoard, t_ns: u64) -> CountersMessage {
         let snapshot = camera.snapshot();
         let power = self.power();
@@ -350,18 +350,22 @@ impl Board {
         }
     }
 
-    /// Turns the knob of every camera, or of none: all values are checked before the first is changed.
+    /// Sets the threshold of every camera, or of none: the value is checked for all before the first is changed.
     ///
     /// # Errors
     /// [`KnobError`] of the first camera that cannot take `value`.
-    pub(crate) fn set_all_thresholds(&self, value: f64) -> Result<f64, KnobError> {
+    pub(crate) fn set_thresholds(
+        &self,
+        value: f64,
+        source: SettingSource,
+    ) -> Result<(), KnobError> {
         for camera in &self.cameras {
             camera.check_threshold(value)?;
         }
         for camera in &self.cameras {
-            camera.set_threshold(value)?;
+            camera.set_threshold(value, source)?;
         }
-        Ok(value)
+        Ok(())
     }
 
     /// Holds `target` from now on, or nothing: the knob then stays where it is, and is kept there. Writes small files.
@@ -379,7 +383,7 @@ impl Board {
         if held && target.is_none() {
             for camera in &self.cameras {
                 if let Some(value) = camera.threshold()
-                    && let Err(error) = camera.set_threshold_by(value, source)
+                    && let Err(error) = camera.set_threshold(value, source)
                 {
                     tracing::error!(camera = camera.name(), %error, "threshold not kept");
                 }
@@ -388,14 +392,7 @@ impl Board {
         Ok(())
     }
 
-    /// Reads the kept target where that could not be done before; as
-    /// [`read_kept_threshold`](CameraBoard::read_kept_threshold), and after it.
-    pub(crate) fn read_kept_target(&self, hub_was_known: bool) {
-        let knob = self.cameras.first().and_then(|camera| camera.threshold());
-        self.target.read_again(hub_was_known, knob);
-    }
-
-    /// What is held in the place of the knob's number.
+    /// The target, which moves the thresholds while one is set.
     pub(crate) fn target(&self) -> &NodeTarget {
         &self.target
     }
@@ -432,7 +429,7 @@ impl Board {
         *self.power.lock() = power;
     }
 
-    /// Power over the last hour, oldest first, and the node's age to tell times by.
+    /// Power over the last hour, oldest first, and the node's age, from which times are counted.
     pub(crate) fn power_past(&self) -> (Vec<PowerSlot>, Duration) {
         let now = self.uptime();
         (self.power_past.lock().slots(now), now)

@@ -60,7 +60,7 @@ impl Counters {
     }
 
     /// Publishes until `shutdown`.
-    pub(crate) async fn run(&self, shutdown: CancellationToken) {
+    pub(crate) async fn run(self, shutdown: CancellationToken) {
         let mut ticks = tokio::time::interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         loop {

@@ -46,7 +46,7 @@ pub const TASKS: &str = albireo_service::supervise::PART;
 /// A meter may take so long for its first sample.
 const FIRST_SAMPLE: Duration = Duration::from_secs(15);
 
-/// How long lost clip reports are told.
+/// How long lost clip reports are reported.
 const LOSS_IS_TOLD: Duration = Duration::from_secs(600);
 
 /// All parts, as metrics list them.
@@ -121,7 +121,7 @@ pub(crate) fn of_outbox(counts: &OutboxCounts, has_directory: bool) -> Option<Fa
     }
 }
 
-/// A camera without a frame for so long makes the node degraded.
+/// A camera without a frame for this long makes the node degraded.
 pub(crate) const CAMERA_SILENCE: Duration = Duration::from_secs(30);
 
 /// Looks from now on whether frames come from every camera that has no source: a source says itself why none come.

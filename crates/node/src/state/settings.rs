@@ -31,8 +31,6 @@ struct State {
     read: bool,
     /// Something is not in the file yet.
     unwritten: bool,
-    /// The file could be read only after the settings had been asked for.
-    came_late: bool,
 }
 
 impl Settings {
@@ -64,30 +62,31 @@ impl Settings {
     }
 
     /// Keeps a setting, and syncs the file; whether it survives a restart. One that cannot be written now is written when
-    /// the disk returns, unless the file could not be read yet: then whoever set it is asked by
-    /// [`came_late`](Self::came_late) to compare first.
+    /// the disk returns.
     pub(crate) fn set<T: Serialize>(&self, name: &str, setting: &T) -> bool {
         let Ok(value) = serde_json::to_value(setting) else {
             return false;
         };
         let mut state = self.0.state.lock();
-        if state.came_late {
-            return false;
-        }
         state.values.insert(name.to_owned(), value);
         state.unwritten = true;
         self.0.write(&mut state)
     }
 
-    /// Tries again what could not be read or written.
+    /// Tries again what could not be read or written. Settings that can be read only now are in force from the next start
+    /// on, except those that were set meanwhile.
     pub(crate) fn retry(&self) {
         let (mut state, directory) = (self.0.state.lock(), &self.0.directory);
         if !state.read
             && let Some(directory) = directory
-            && state.read(directory).is_ok()
         {
-            state.came_late = true;
-            state.unwritten = false;
+            let set_since = std::mem::take(&mut state.values);
+            if state.read(directory).is_ok() {
+                tracing::warn!(
+                    "kept settings can be read only now: they are in force from the next start on"
+                );
+            }
+            state.values.extend(set_since);
         }
         if state.unwritten {
             self.0.write(&mut state);
@@ -98,12 +97,6 @@ impl Settings {
     #[cfg(test)]
     pub(crate) fn stall(&self) -> impl Sized {
         self.0.state.lock()
-    }
-
-    /// Whether the settings that an earlier run kept can be read since the last call, and could not when they were asked
-    /// for.
-    pub(crate) fn came_late(&self) -> bool {
-        std::mem::take(&mut self.0.state.lock().came_late)
     }
 }
 
@@ -178,19 +171,22 @@ mod tests {
     fn what_is_set_before_the_disk_comes_does_not_overwrite_what_is_on_it() {
         let folder = tempfile::tempdir().unwrap();
         let state = folder.path().join("disk/state");
-        Settings::open(Some(&state)).set("target", &1);
+        let first = Settings::open(Some(&state));
+        assert!(first.set("target", &1) && first.set("threshold/front", &5));
         std::fs::rename(folder.path().join("disk"), folder.path().join("away")).unwrap();
         std::fs::write(folder.path().join("disk"), b"").unwrap();
         let settings = Settings::open(Some(&state));
         assert!(!settings.set("target", &2));
         settings.retry();
-        assert!(!settings.came_late());
         std::fs::remove_file(folder.path().join("disk")).unwrap();
         std::fs::rename(folder.path().join("away"), folder.path().join("disk")).unwrap();
         settings.retry();
-        assert!(!settings.set("target", &3), "who set it compares first");
-        assert!(settings.came_late() && !settings.came_late());
-        assert_eq!(settings.get("target"), Some(1));
-        assert!(settings.set("target", &4));
+        let again = Settings::open(Some(&state));
+        assert_eq!(again.get("target"), Some(2), "the newer value");
+        assert_eq!(
+            again.get("threshold/front"),
+            Some(5),
+            "was not set meanwhile"
+        );
     }
 }

@@ -1,4 +1,4 @@
-//! Which cameras there are, and where one stands.
+//! The cameras and their states.
 
 use super::RouteState;
 use crate::state::advice::Advice;
@@ -26,7 +26,7 @@ pub(super) struct CameraEntry {
     /// Address of the source that the node opens for it, without credentials.
     #[serde(skip_serializing_if = "Option::is_none")]
     source: Option<String>,
-    /// Why no frames come, where that is so.
+    /// Why no frames arrive, if none do.
     #[serde(skip_serializing_if = "Option::is_none")]
     fault: Option<String>,
     /// Frames processed since the node started.
@@ -42,11 +42,11 @@ pub(super) struct CameraEntry {
     /// Rows of its newest frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     height: Option<u32>,
-    /// What the published code would want in the place of `u` in pictures of this size; absent where that is the same
+    /// The equivalent of `u` in the published code, in pictures of this size; absent where that is the same
     /// number, before the first frame, and under other policies.
     #[serde(skip_serializing_if = "Option::is_none")]
     u_as_published: Option<f64>,
-    /// What to try, when nothing is skipped although objects are followed.
+    /// Suggested value if nothing is skipped although objects are tracked.
     #[serde(skip_serializing_if = "Option::is_none")]
     advice: Option<Advice>,
 }
@@ -58,7 +58,7 @@ pub(super) struct Cameras {
     cameras: Vec<CameraEntry>,
 }
 
-/// Where one camera stands.
+/// State of one camera.
 #[derive(Serialize, ToSchema)]
 pub(super) struct CameraDetail {
     #[serde(flatten)]
@@ -76,11 +76,11 @@ pub(super) struct CameraDetail {
     /// What the policy calls its threshold, its range and its default; absent when the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     knob: Option<Knob>,
-    /// How many frames had each state; they add up to `frames`.
+    /// Number of frames in each state; they add up to `frames`.
     states: FrameStates,
     /// Share of frames that skipped the detector: state E or P and not degraded.
     skip_rate: f64,
-    /// Frames answered from prediction because the detector could not be had.
+    /// Frames answered from prediction because the detector was not available.
     degraded_frames: u64,
     /// Frames not processed, by kind.
     dropped: DroppedFrames,
@@ -123,7 +123,7 @@ pub(super) async fn list(State(shared): State<RouteState>) -> Json<Cameras> {
     })
 }
 
-/// Where a camera stands: policy, threshold, frame states, what to try
+/// State of a camera: policy, threshold, frame states, suggestions
 ///
 /// `curl http://127.0.0.1:8080/api/v1/cameras/front`
 #[utoipa::path(
@@ -165,7 +165,7 @@ pub(super) async fn one(
     responses(
         (status = 200, body = DetectionsMessage),
         (status = 404, body = Problem, content_type = "application/problem+json",
-         description = "There is no such camera, or it has had no frame yet."),
+         description = "There is no such camera, or no frame has come from it yet."),
     )
 )]
 pub(super) async fn detections(
@@ -176,9 +176,9 @@ pub(super) async fn detections(
     let latest = camera.snapshot().latest.ok_or_else(|| {
         let name = camera.name();
         let detail = match camera.source() {
-            Some(source) => format!("camera `{name}` has had no frame yet from {source}"),
+            Some(source) => format!("camera `{name}` has received no frame yet from {source}"),
             None => format!(
-                "camera `{name}` has had no frame yet; it listens on the Zenoh key {}",
+                "camera `{name}` has received no frame yet; it listens on the Zenoh key {}",
                 camera.key()
             ),
         };

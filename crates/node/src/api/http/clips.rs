@@ -80,7 +80,7 @@ pub(super) async fn list(
         shared.camera(camera)?;
     }
     let Selection { before, after, .. } = selection;
-    // One more than asked for tells whether there are more.
+    // One more than requested shows whether there are more.
     let board = shared.board();
     let mut clips = board.clips_between(selection.camera.as_deref(), before, after, limit + 1);
     let more = clips.len() > limit;

@@ -1,4 +1,4 @@
-//! What a node tells of itself in one archive, for whoever looks for a fault from afar.
+//! Diagnostics of a node in one archive, for finding a fault from afar.
 
 use super::{RouteState, cameras, metrics, node, states};
 use albireo_service::clock::unix_milliseconds;
@@ -18,7 +18,7 @@ fn text(value: &impl Serialize) -> Vec<u8> {
     serde_json::to_vec_pretty(value).unwrap_or_default()
 }
 
-/// One archive (tar) of what helps to find a fault
+/// Diagnostics as one tar archive
 ///
 /// Versions, the configuration with its secrets masked, readiness with reasons, cameras, frame-state counters, metrics, the
 /// last clips, and the last lines of the log. `curl -O -J http://127.0.0.1:8080/api/v1/diag`

@@ -73,7 +73,7 @@ impl DetectorEvent {
 struct Reader {
     camera: Option<String>,
     types: Vec<String>,
-    /// What is to be told before anything new: how things stand.
+    /// The present state, sent before new events.
     first: VecDeque<sse::Event>,
     events: broadcast::Receiver<SharedEvent>,
     detector: Option<watch::Receiver<DetectorStatus>>,
@@ -129,7 +129,7 @@ impl Reader {
                 () = self.shutdown.cancelled() => return None,
                 status = changed(&mut self.detector) => match status {
                     Some(status) => event(DETECTOR, &DetectorEvent::new(&status)),
-                    // The detector is gone for good: its last status stands.
+                    // The detector does not return: its last status remains.
                     None => { self.detector = None; None }
                 },
                 received = self.events.recv() => match received {
@@ -145,7 +145,7 @@ impl Reader {
     }
 }
 
-/// The next status; pending for ever without a receiver, `None` once nobody writes it any more.
+/// The next status; pending for ever without a receiver, `None` once the sender is dropped.
 async fn changed(detector: &mut Option<watch::Receiver<DetectorStatus>>) -> Option<DetectorStatus> {
     match detector {
         None => std::future::pending().await,
@@ -183,7 +183,7 @@ fn wanted(
 /// What happens on the node, as server-sent events
 ///
 /// First how things stand (counters, thresholds, detector), then each change. A reader that is too slow
-/// loses events and is told how many by the event `lagged`.
+/// loses events; the event `lagged` has their number.
 /// `curl -N 'http://127.0.0.1:8080/api/v1/events?types=counters,clip'`
 #[utoipa::path(
     get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),

@@ -20,7 +20,7 @@ use utoipa::{IntoParams, ToSchema};
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub(super) struct Selection {
-    /// At most so many of the last frames, 0 to 8192; 3000 by default.
+    /// Maximum number of frames, 0 to 8192; 3000 by default.
     frames: Option<usize>,
 }
 
@@ -35,7 +35,7 @@ pub(super) struct PastFrames {
     state: Vec<FrameState>,
     /// Why the detector was called; null where it was not.
     cause: Vec<Option<CallCause>>,
-    /// Whether the detector was needed and could not be had.
+    /// Whether the detector was needed but not available.
     degraded: Vec<bool>,
     /// Boxes reported.
     boxes: Vec<u16>,
@@ -58,7 +58,7 @@ pub(super) struct CameraSlot {
     frames: u32,
     /// Of these, without the detector: state E or P and not degraded.
     skipped: u32,
-    /// Of these, answered from prediction because the detector could not be had.
+    /// Of these, answered from prediction because the detector was not available.
     degraded: u32,
     /// Frames that the detector was called for.
     calls: u32,
@@ -70,7 +70,7 @@ pub(super) struct CameraSlot {
     detector_p99_ms: Option<f32>,
 }
 
-/// What became of a camera's frames lately.
+/// Recent frames of a camera.
 #[derive(Serialize, ToSchema)]
 pub(super) struct CameraHistory {
     /// Camera.
@@ -143,7 +143,7 @@ fn piece(slot: &PastSlot, clock: &Clock) -> CameraSlot {
 
 /// A camera's last minutes frame by frame, and its last hour in pieces
 ///
-/// The node keeps the newest 8192 frames and 360 pieces of ten seconds in memory, whoever looks.
+/// The node always keeps the newest 8192 frames and 360 pieces of ten seconds in memory.
 /// `curl 'http://127.0.0.1:8080/api/v1/cameras/front/history?frames=100'`
 #[utoipa::path(
     get, operation_id = "camera_history", path = "/api/v1/cameras/{camera}/history", tag = "frames",

@@ -1,4 +1,4 @@
-//! The interface in one answer, for whoever finds it without a manual.
+//! The list of routes, for those who have no manual at hand.
 
 use super::RouteState;
 use albireo_service::http::Route;
@@ -7,7 +7,7 @@ use axum::extract::State;
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// Who answers here, and what can be asked.
+/// Service, version and list of routes.
 #[derive(Serialize, ToSchema)]
 pub(super) struct Index {
     /// The node's name.
@@ -24,7 +24,7 @@ pub(super) struct Index {
     routes: Vec<Route>,
 }
 
-/// Who answers here, and what can be asked
+/// Service, version and list of routes
 ///
 /// `curl http://127.0.0.1:8080/api/v1`
 #[utoipa::path(get, path = "/api/v1", tag = "health", responses((status = 200, body = Index)))]

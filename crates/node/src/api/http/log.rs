@@ -20,7 +20,7 @@ pub(super) struct Selection {
     /// Only lines after that number.
     #[serde(default)]
     after: u64,
-    /// At most so many, the newest, 1 to 1000; 200 by default.
+    /// Maximum number of lines, the newest ones, 1 to 1000; 200 by default.
     limit: Option<usize>,
 }
 

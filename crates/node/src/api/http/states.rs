@@ -11,18 +11,18 @@ use axum::extract::{Path, State};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-/// What became of a camera's frames since the node started. The five states add up to `frames`.
+/// Frames of a camera since the node started. The five states add up to `frames`.
 #[derive(Serialize, ToSchema)]
 pub(super) struct CameraStates {
     /// Camera.
     camera: String,
     /// Frames processed.
     frames: u64,
-    /// How many had each state.
+    /// Number of frames in each state.
     states: FrameStates,
     /// Share of frames that skipped the detector: state E or P and not degraded.
     skip_rate: f64,
-    /// Frames answered from prediction because the detector could not be had.
+    /// Frames answered from prediction because the detector was not available.
     degraded_frames: u64,
     /// Frames that the detector was called for, by cause; degraded ones are among them.
     #[schema(value_type = std::collections::BTreeMap<String, u64>)]
@@ -35,7 +35,7 @@ pub(super) struct CameraStates {
     /// Threshold in force; absent when the policy has none.
     #[serde(skip_serializing_if = "Option::is_none")]
     threshold: Option<Threshold>,
-    /// What the detector, looking afterwards, found on skipped frames; absent without an audit.
+    /// Audit results of skipped frames; absent without an audit.
     #[serde(skip_serializing_if = "Option::is_none")]
     audit: Option<AuditFigures>,
     /// Seconds since the newest frame; absent before the first.
@@ -52,16 +52,16 @@ pub(super) struct NodeStates {
     uptime_s: f64,
     /// Frames processed, all cameras together.
     frames: u64,
-    /// How many had each state, all cameras together.
+    /// Number of frames in each state, all cameras together.
     states: FrameStates,
     /// Share of frames that skipped the detector, all cameras together: state E or P and not degraded.
     skip_rate: f64,
-    /// Frames answered from prediction because the detector could not be had, all cameras together.
+    /// Frames answered from prediction because the detector was not available, all cameras together.
     degraded_frames: u64,
     /// Frames that the detector was called for, by cause, all cameras together.
     #[schema(value_type = std::collections::BTreeMap<String, u64>)]
     calls: DetectorCalls,
-    /// What the detector, looking afterwards, found on skipped frames, all cameras together; absent without an audit.
+    /// Audit results of skipped frames, all cameras together; absent without an audit.
     #[serde(skip_serializing_if = "Option::is_none")]
     audit: Option<AuditFigures>,
     /// Each camera's.

@@ -1,4 +1,4 @@
-//! Reading and setting what is held in the place of the knob's number.
+//! Reading and setting the target.
 
 use super::RouteState;
 use super::change::{message, off_the_runtime};
@@ -13,7 +13,7 @@ use axum::http::{HeaderMap, StatusCode};
 const EXPECTED: &str =
     "a JSON object such as {\"target\": {\"skip_rate\": 0.5}}, or {\"target\": null} for none";
 
-/// The target and where it stands
+/// The target and its state
 ///
 /// `curl http://127.0.0.1:8080/api/v1/target`
 #[utoipa::path(get, operation_id = "target", path = "/api/v1/target", tag = "threshold", responses((status = 200, body = TargetReport)))]
@@ -21,7 +21,7 @@ pub(super) async fn get(State(shared): State<RouteState>) -> Json<TargetReport> 
     Json(shared.board().target().report())
 }
 
-/// Sets a target in the place of a threshold
+/// Sets a target instead of a threshold
 ///
 /// One of `recall` (against the detector, the lower end of its interval), `skip_rate`, `detector_ms_per_s`, `watts`,
 /// `joules_per_day`, or null for none. A controller then moves the knob of all cameras together, inside its range; setting

@@ -5,7 +5,7 @@ use super::change::{message, off_the_runtime};
 use crate::state::board::CameraBoard;
 use albireo_core::policy::{Knob, short};
 use albireo_service::http::Problem;
-use albireo_wire::{Threshold, VERSION};
+use albireo_wire::{SettingSource, Threshold, VERSION};
 use axum::Json;
 use axum::body::Bytes;
 use axum::extract::rejection::BytesRejection;
@@ -107,7 +107,7 @@ fn one_threshold(shared: &RouteState, camera: &CameraBoard) -> OneThreshold {
     }
 }
 
-/// Reads the value out of a request. `knob` is for telling what is allowed.
+/// Reads the value out of a request. `knob` is for the error's text.
 fn value(
     headers: &HeaderMap,
     body: Result<Bytes, BytesRejection>,
@@ -133,7 +133,7 @@ fn value(
         return Err(fault("it must have exactly one value"));
     };
     let Some(knob) = knob else {
-        // Changing it will tell that there is nothing to change.
+        // Setting it fails: there is no threshold.
         return Ok(value);
     };
     (Threshold::new(&name, value).value_of(&knob)).map_err(|error| fault(&error.to_string()))
@@ -161,7 +161,7 @@ pub(super) async fn get_all(State(shared): State<RouteState>) -> Json<Thresholds
 
 /// Changes the threshold of all cameras, or of none
 ///
-/// It holds from each camera's next frame. A policy's knob goes by its own name: `u`, or `lambda` under
+/// Applies from each camera's next frame. The threshold has the policy's name for it: `u`, or `lambda` under
 /// expected-loss.
 /// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/threshold`
 #[utoipa::path(
@@ -183,7 +183,7 @@ pub(super) async fn put_all(
         .and_then(|camera| camera.knob());
     let value = value(&headers, body, knob)?;
     let board = shared.board().clone();
-    off_the_runtime(move || board.set_all_thresholds(value))
+    off_the_runtime(move || board.set_thresholds(value, SettingSource::Local))
         .await?
         .map_err(|error| Problem::from_knob_error(&error, knob))?;
     Ok(Json(thresholds(&shared)))
@@ -210,7 +210,7 @@ pub(super) async fn get_one(
 
 /// Changes a camera's threshold
 ///
-/// It holds from the camera's next frame.
+/// Applies from the camera's next frame.
 /// `curl -X PUT -d '{"u": 5e-4}' http://127.0.0.1:8080/api/v1/cameras/front/threshold`
 #[utoipa::path(
     put, operation_id = "set_camera_threshold", path = "/api/v1/cameras/{camera}/threshold", tag = "threshold", request_body = NewThreshold,
@@ -229,7 +229,7 @@ pub(super) async fn put_one(
     let camera = shared.camera(&camera)?.clone();
     let value = value(&headers, body, camera.knob())?;
     let changed = camera.clone();
-    off_the_runtime(move || changed.set_threshold(value))
+    off_the_runtime(move || changed.set_threshold(value, SettingSource::Local))
         .await?
         .map_err(|error| Problem::from_knob_error(&error, camera.knob()))?;
     Ok(Json(one_threshold(&shared, &camera)))

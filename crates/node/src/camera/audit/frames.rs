@@ -54,7 +54,7 @@ pub(crate) struct DrawnFrame {
     pub shown: Vec<OutputBox>,
 }
 
-/// One camera's audit, shared between its loop and the task that looks. The loop only leaves frames here.
+/// One camera's audit, shared between its loop and the task that runs the detector. The loop only leaves frames here.
 #[derive(Debug)]
 pub(crate) struct CameraAudit {
     draw: AuditDraw,
@@ -125,7 +125,7 @@ impl CameraAudit {
         Some((state.taken, frame))
     }
 
-    /// Counts what came of the frame in hand; `None` when it could not be looked at in time. A frame that was given up
+    /// Counts the result of the current frame; `None` when the detector did not run on it in time. A frame that was given up
     /// meanwhile is counted already.
     pub(crate) fn done(&self, frame: u64, found: Option<AuditCount>) {
         let mut state = self.state.lock();
@@ -137,7 +137,7 @@ impl CameraAudit {
         }
     }
 
-    /// Gives up what waits and what is in hand: the camera's last clip ends, and all that was drawn must be in it.
+    /// Gives up the current frame and those that wait: the camera's last clip ends, and all that was drawn must be in it.
     pub(crate) fn give_up(&self) {
         let mut state = self.state.lock();
         let in_hand = state.in_hand.take().map(|(_, shown)| shown);

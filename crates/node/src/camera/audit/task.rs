@@ -1,4 +1,4 @@
-//! The task that looks at drawn frames, one a camera.
+//! Runs the detector on drawn frames, one task per camera.
 
 use super::config::LONGEST_WAIT;
 use super::frames::{AuditCount, CameraAudit, DrawnFrame};
@@ -16,7 +16,7 @@ use tokio_util::sync::CancellationToken;
 pub(crate) struct Auditor {
     /// Where they wait.
     pub audit: Arc<CameraAudit>,
-    /// What looks.
+    /// What runs on them.
     pub detector: DetectorHandle,
     /// The input of the screen that the camera's frames are decoded for too, where that is a model.
     pub screen: Option<InputFormat>,
@@ -28,7 +28,7 @@ pub(crate) struct Auditor {
 
 impl Auditor {
     /// Looks at frames until `shutdown`.
-    pub(crate) async fn run(&self, shutdown: CancellationToken) {
+    pub(crate) async fn run(self, shutdown: CancellationToken) {
         loop {
             let (number, frame) = tokio::select! {
                 biased;
@@ -37,7 +37,7 @@ impl Auditor {
             };
             let found = tokio::select! {
                 biased;
-                // What is in hand is counted as missed where the last clip ends.
+                // The current frame is counted as missed where the last clip ends.
                 () = shutdown.cancelled() => return,
                 found = self.look(&frame) => found,
             };

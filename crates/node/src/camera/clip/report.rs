@@ -54,7 +54,7 @@ pub(crate) struct ClosedClip {
     pub end: Instant,
     /// Frame states; they add up to the frames.
     pub states: FrameStates,
-    /// Frames answered from prediction because the detector could not be had.
+    /// Frames answered from prediction because the detector was not available.
     pub degraded: u64,
     /// Frames not processed, by kind.
     pub dropped: DroppedFrames,

@@ -18,7 +18,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Most threshold values one report tells; after that only the newest is kept up to date.
+/// Most threshold values in one report; after that only the newest is kept up to date.
 const MOST_CHANGES: usize = 256;
 
 /// A frame that is about to be processed.
@@ -39,7 +39,7 @@ pub(crate) struct FrameResult {
     pub seq: u64,
     /// Frame state.
     pub state: FrameState,
-    /// The detector was needed but could not be had.
+    /// The detector was needed but not available.
     pub degraded: bool,
     /// From reception to the first answer.
     pub total: Duration,
@@ -92,7 +92,7 @@ struct OpenClip {
     pending: bool,
 }
 
-/// The audit that a camera's clips tell of.
+/// The audit that a camera's clips report.
 #[derive(Debug)]
 struct Audited {
     share: f64,
@@ -146,7 +146,7 @@ impl ClipTracker {
         }
     }
 
-    /// Clips tell of an audit too, that draws `share`.
+    /// Clips also report an audit that draws `share`.
     #[must_use]
     pub(crate) fn audited_with(mut self, share: f64) -> Self {
         self.audit = Some(Audited {

@@ -12,7 +12,7 @@ use std::time::Duration;
 pub(super) const FILE: &str = "node.db";
 
 /// Where the table of reports is kept.
-pub(super) trait Disk: Debug + Send {
+pub(crate) trait Disk: Debug + Send {
     /// Opens the file, or makes it.
     fn open(&mut self) -> Result<Connection, TableError>;
 
@@ -25,7 +25,7 @@ pub(super) trait Disk: Debug + Send {
 
 /// A file that this node alone has.
 #[derive(Debug)]
-pub(super) struct StateFile {
+pub(crate) struct StateFile {
     directory: PathBuf,
     file: PathBuf,
     lock: Option<File>,
@@ -34,7 +34,7 @@ pub(super) struct StateFile {
 }
 
 impl StateFile {
-    pub(super) fn new(directory: &Path) -> Self {
+    pub(crate) fn new(directory: &Path) -> Self {
         Self {
             directory: directory.to_owned(),
             file: directory.join(FILE),

@@ -23,7 +23,7 @@ CREATE TABLE hub_database (id BLOB PRIMARY KEY NOT NULL) STRICT;
 
 /// No hub has it.
 const WAITING: i64 = 0;
-/// A hub had it and has lost it.
+/// A hub lost it.
 const AGAIN: i64 = 1;
 /// A hub has it.
 const ACKNOWLEDGED: i64 = 2;
@@ -50,7 +50,7 @@ pub(crate) enum TableError {
     #[error("in use by another node")]
     Locked,
     /// The file is no longer where it was.
-    #[error("the file is no longer there: the disk is gone, or somebody removed it")]
+    #[error("the file is no longer there: the disk was removed, or somebody deleted it")]
     Gone,
 }
 
@@ -109,7 +109,7 @@ pub(super) struct Answered {
     pub(super) acknowledged: Vec<Uuid>,
     /// Never to be sent again.
     pub(super) removed: Vec<Uuid>,
-    /// The hub's database, if it said so.
+    /// The hub's database, if the answer named it.
     pub(super) database: Option<Uuid>,
     /// Counts of which the hub misses the reports.
     pub(super) missing: Vec<(u64, u64)>,

@@ -1,5 +1,5 @@
 use super::disk::FILE;
-use super::waiting::{BATCH_BYTES, MOST_IN_MEMORY, Now, Waiting};
+use super::waiting::{BATCH_BYTES, MOST_IN_MEMORY, Waiting};
 use super::*;
 use albireo_wire::{
     ClipEnd, ClipEnergy, EnergyQuality, LARGEST_REPORT_BYTES, RefusedReport, VERSION,
@@ -11,7 +11,7 @@ use uuid::Uuid;
 /// The database of the hub that answers.
 const HUB: Uuid = Uuid::from_u128(1);
 
-fn report(clip: u64) -> ClipReport {
+pub(in crate::delivery) fn report(clip: u64) -> ClipReport {
     ClipReport {
         v: VERSION,
         id: Uuid::from_u128(u128::from(clip) + 100),
@@ -88,18 +88,18 @@ impl Bench {
         std::fs::remove_file(self.state()).unwrap();
         std::fs::rename(self.folder.path().join("away"), self.state()).unwrap();
         outbox.disk_is_due();
-        outbox.retry_disk();
+        outbox.retry_disk(Now::system());
     }
 }
 
 fn keep(outbox: &Outbox, clips: std::ops::Range<u64>) {
     for clip in clips {
-        outbox.insert(&mut [report(clip)]);
+        outbox.insert(&mut [report(clip)], Now::system());
     }
 }
 
 fn batch(outbox: &Outbox) -> Option<ReportBatch> {
-    outbox.batch("n", true)
+    outbox.batch("n", true, Now::system())
 }
 
 fn clips(batch: &ReportBatch) -> Vec<&str> {
@@ -111,7 +111,7 @@ fn counts(batch: &ReportBatch) -> Vec<Option<u64>> {
 }
 
 fn acknowledge(outbox: &Outbox, batch: &ReportBatch) -> u64 {
-    outbox.answered(batch, &ReportAnswer::new(HUB))
+    outbox.answered(batch, &ReportAnswer::new(HUB), Now::system())
 }
 
 /// The clips that go out when a hub takes everything.
@@ -153,7 +153,7 @@ fn a_report_is_sent_until_it_is_acknowledged_and_one_that_is_refused_never_again
         }],
         ..ReportAnswer::new(HUB)
     };
-    assert_eq!(outbox.answered(&sent, &answer), 1);
+    assert_eq!(outbox.answered(&sent, &answer, Now::system()), 1);
     drop(outbox);
     let outbox = bench.open();
     let counts = outbox.counts();
@@ -167,7 +167,7 @@ fn a_state_directory_that_had_another_name_delivers_under_the_present_one() {
     let outbox = bench.open();
     keep(&outbox, 0..1);
     let before = batch(&outbox).unwrap();
-    let now = outbox.batch("renamed", false).unwrap();
+    let now = outbox.batch("renamed", false, Now::system()).unwrap();
     assert_eq!(
         (now.node.as_str(), now.reports[0].node.as_str()),
         ("renamed", "renamed")
@@ -187,10 +187,13 @@ fn what_a_hub_has_lost_is_sent_again_once_and_after_what_none_had() {
         missing: vec![(2, 3), (5, 5), (90, 99)],
         ..ReportAnswer::new(HUB)
     };
-    outbox.answered(&sent, &answer);
+    outbox.answered(&sent, &answer, Now::system());
     assert_eq!((outbox.counts().waiting, outbox.counts().again), (0, 3));
     keep(&outbox, 7..8);
-    assert_eq!(clips(&outbox.batch("n", false).unwrap()), ["window-7"]);
+    assert_eq!(
+        clips(&outbox.batch("n", false, Now::system()).unwrap()),
+        ["window-7"]
+    );
     let sent = batch(&outbox).unwrap();
     assert_eq!(
         clips(&sent),
@@ -209,16 +212,16 @@ fn a_hub_with_another_database_is_sent_once_what_is_still_here() {
     keep(&outbox, 4..5);
     let other = ReportAnswer::new(Uuid::from_u128(2));
     let sent = batch(&outbox).unwrap();
-    outbox.answered(&sent, &other);
+    outbox.answered(&sent, &other, Now::system());
     assert_eq!((outbox.counts().waiting, outbox.counts().again), (0, 4));
     let sent = batch(&outbox).unwrap();
     assert_eq!(sent.reports.len(), 4);
-    outbox.answered(&sent, &other);
+    outbox.answered(&sent, &other, Now::system());
     // Both are known now, whoever answers.
     for answer in [ReportAnswer::new(HUB), other] {
         keep(&outbox, 5..6);
         if let Some(sent) = batch(&outbox) {
-            outbox.answered(&sent, &answer);
+            outbox.answered(&sent, &answer, Now::system());
         }
         assert_eq!(outbox.counts().again, 0);
     }
@@ -371,7 +374,7 @@ fn reports_made_before_the_disk_came_have_no_count_and_are_delivered() {
     std::fs::create_dir(bench.state()).unwrap();
     std::fs::rename(bench.folder.path().join("away"), &state).unwrap();
     outbox.disk_is_due();
-    outbox.retry_disk();
+    outbox.retry_disk(Now::system());
     keep(&outbox, 4..5);
     let sent = batch(&outbox).unwrap();
     assert_eq!(sent.reports.len(), 5);
@@ -401,7 +404,7 @@ fn what_was_acknowledged_while_the_disk_was_away_is_not_sent_from_it_again() {
     std::fs::remove_dir_all(bench.state()).ok();
     std::fs::rename(other.state(), bench.state()).unwrap();
     outbox.disk_is_due();
-    outbox.retry_disk();
+    outbox.retry_disk(Now::system());
     let mut sent = drain(&outbox);
     sent.sort();
     assert_eq!(sent, ["window-10", "window-11", "window-3"]);
@@ -468,12 +471,12 @@ fn a_full_disk_keeps_reports_in_memory_until_there_is_room() {
     for _ in 0..2 {
         assert_eq!(batch(&outbox).unwrap().reports.len(), 60);
         outbox.disk_is_due();
-        outbox.retry_disk();
+        outbox.retry_disk(Now::system());
     }
     assert!(!outbox.counts().durable);
     limit_pages(&outbox, 1000);
     outbox.disk_is_due();
-    outbox.retry_disk();
+    outbox.retry_disk(Now::system());
     let counts = outbox.counts();
     assert!(counts.durable && counts.in_memory == 0);
     assert_eq!(drain(&outbox).len(), 60);
@@ -524,7 +527,7 @@ fn a_disk_that_cannot_be_written_delivers_what_is_on_it_and_what_is_in_memory() 
     assert_eq!(clips(&batch(&outbox).unwrap()), ["window-4"]);
     other.execute_batch("ROLLBACK").unwrap();
     outbox.disk_is_due();
-    outbox.retry_disk();
+    outbox.retry_disk(Now::system());
     let counts = outbox.counts();
     assert!(counts.durable && counts.waiting == 1 && counts.in_memory == 0);
     drop(outbox);
@@ -545,7 +548,7 @@ fn a_file_that_has_become_read_only_is_read_and_opened_anew() {
     assert!(outbox.counts().failing.unwrap().contains("readonly"));
     assert_eq!(batch(&outbox).unwrap().reports.len(), 3);
     outbox.disk_is_due();
-    outbox.retry_disk();
+    outbox.retry_disk(Now::system());
     let counts = outbox.counts();
     assert!(counts.durable && counts.in_memory == 0, "{counts:?}");
 }
@@ -557,7 +560,7 @@ fn a_batch_from_memory_is_bounded_as_one_from_the_disk() {
         for clip in 0..60 {
             let mut one = report(clip);
             one.policy = "x".repeat(50 << 10);
-            outbox.insert(&mut [one]);
+            outbox.insert(&mut [one], Now::system());
         }
         let mut sent = Vec::new();
         while let Some(batch) = batch(&outbox) {
@@ -578,7 +581,7 @@ fn a_report_that_no_hub_would_take_is_counted_and_the_rest_goes() {
             if clip == 1 {
                 one.policy = "x".repeat(LARGEST_REPORT_BYTES);
             }
-            outbox.insert(&mut [one]);
+            outbox.insert(&mut [one], Now::system());
         }
         assert_eq!(drain(&outbox), ["window-0", "window-2"]);
         let counts = outbox.counts();
@@ -607,7 +610,7 @@ fn a_copy_of_the_state_delivers_the_same_identities() {
     std::fs::create_dir(copy.state()).unwrap();
     std::fs::copy(bench.file(), copy.file()).unwrap();
     let ids = |outbox: &Outbox| -> Vec<Uuid> {
-        let batch = outbox.batch("n", true).unwrap();
+        let batch = outbox.batch("n", true, Now::system()).unwrap();
         batch.reports.iter().map(|report| report.id).collect()
     };
     assert_eq!(ids(&bench.open()), ids(&copy.open()));

@@ -3,7 +3,7 @@
 use super::OutboxCounts;
 use super::disk::Disk;
 use super::table::{Answered, Counters, StoredReport, Table, TableError};
-use albireo_service::clock::unix_milliseconds;
+use albireo_service::clock::Now;
 use albireo_wire::{
     ClipReport, LARGEST_REPORT_BYTES, MOST_REPORTS, ReportAnswer, ReportBatch, VERSION,
 };
@@ -24,24 +24,6 @@ pub(super) const BATCH_BYTES: usize = 1 << 20;
 const BATCH_REPORTS: usize = 400;
 const _: () = assert!(BATCH_REPORTS <= MOST_REPORTS);
 
-/// The present, by both clocks.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Now {
-    /// What decides.
-    pub(super) at: Instant,
-    /// The wall clock, milliseconds since the Unix epoch.
-    pub(super) unix_ms: i64,
-}
-
-impl Now {
-    pub(super) fn system() -> Self {
-        Self {
-            at: Instant::now(),
-            unix_ms: unix_milliseconds(),
-        }
-    }
-}
-
 /// Reports that no hub has, and those that one may lose again.
 #[derive(Debug)]
 pub(super) struct Waiting {
@@ -49,7 +31,7 @@ pub(super) struct Waiting {
     most_bytes: u64,
     /// The open file; kept while it can be read, also when it cannot be written.
     table: Option<Table>,
-    /// The file is to be set aside before it is opened anew.
+    /// The file is set aside before it is opened again.
     damaged: bool,
     /// Reports that are not on disk.
     memory: VecDeque<StoredReport>,

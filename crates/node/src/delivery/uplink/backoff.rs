@@ -1,6 +1,5 @@
 //! Pauses between attempts that failed.
 
-use std::hash::{BuildHasher, RandomState};
 use std::time::Duration;
 
 /// Doubles the pause at each failure, between half and one and a half of that, so that nodes spread out.
@@ -9,14 +8,17 @@ pub(super) struct Backoff {
     first_ms: u64,
     longest_ms: u64,
     failures: u32,
+    random: u64,
 }
 
 impl Backoff {
-    pub(super) fn new(first_ms: u64, longest_ms: u64) -> Self {
+    /// `random` differs from node to node.
+    pub(super) fn new(first_ms: u64, longest_ms: u64, random: u64) -> Self {
         Self {
             first_ms: first_ms.max(1),
             longest_ms: longest_ms.max(1),
             failures: 0,
+            random,
         }
     }
 
@@ -27,8 +29,11 @@ impl Backoff {
             .saturating_mul(1 << self.failures.min(20))
             .min(self.longest_ms);
         self.failures = self.failures.saturating_add(1);
-        let random = RandomState::new().hash_one(self.failures) % 1000;
-        let jittered = doubled.saturating_mul(500 + random) / 1000;
+        // Knuth's linear congruential generator, of which the high bits are good.
+        self.random = (self.random)
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
+        let jittered = doubled.saturating_mul(500 + (self.random >> 32) % 1000) / 1000;
         Duration::from_millis(jittered.max(1)).max(at_least.unwrap_or_default())
     }
 
@@ -44,7 +49,7 @@ mod tests {
 
     #[test]
     fn pauses_grow_are_spread_and_begin_anew() {
-        let mut backoff = Backoff::new(100, 1000);
+        let mut backoff = Backoff::new(100, 1000, 7);
         let within = |pause: Duration, from, to| {
             let ms = pause.as_millis();
             assert!((from..=to).contains(&ms), "{ms} ms");

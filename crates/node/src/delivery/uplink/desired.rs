@@ -50,23 +50,6 @@ impl DesiredKeeper {
         }
     }
 
-    /// Compares with what was kept, where that could not be read before: of two revisions the higher one stands, and
-    /// of one revision what was kept, for it knows what was changed at the node since.
-    pub(super) fn read_again(&self, board: &Board, outbox: &Outbox) {
-        let mut kept = self.kept.lock();
-        let before: Kept = outbox.setting(SETTING).unwrap_or_default();
-        let seen_before = before.revision >= kept.revision;
-        if seen_before {
-            *kept = before;
-        } else {
-            outbox.set(SETTING, &*kept);
-        }
-        for camera in board.cameras() {
-            camera.read_kept_threshold(seen_before);
-        }
-        board.read_kept_target(seen_before);
-    }
-
     /// The highest revision seen.
     pub(super) fn revision(&self) -> u64 {
         self.kept.lock().revision
@@ -118,21 +101,12 @@ impl DesiredKeeper {
     }
 }
 
-/// Sets a threshold for all cameras, or for none.
 fn apply_threshold(threshold: Threshold, board: &Board) -> Result<(), String> {
-    for camera in board.cameras() {
-        if let Some(knob) = camera.knob() {
-            threshold
-                .value_of(&knob)
-                .map_err(|error| error.to_string())?;
-        }
-        (camera.check_threshold(threshold.value)).map_err(|error| error.to_string())?;
+    let knobs = board.cameras().iter().filter_map(|camera| camera.knob());
+    for knob in knobs {
+        (threshold.value_of(&knob)).map_err(|error| error.to_string())?;
     }
-    for camera in board.cameras() {
-        (camera.set_threshold_by(threshold.value, SettingSource::Hub))
-            .map_err(|error| error.to_string())?;
-    }
-    Ok(())
+    (board.set_thresholds(threshold.value, SettingSource::Hub)).map_err(|error| error.to_string())
 }
 
 #[cfg(test)]
@@ -262,7 +236,9 @@ mod tests {
         let keeper = DesiredKeeper::open(outbox);
         let half = Some(Target::SkipRate(0.5));
         assert!(keeper.take(&held(3, half), &board, outbox));
-        board.cameras()[1].set_threshold(0.01).unwrap();
+        board.cameras()[1]
+            .set_threshold(0.01, SettingSource::Local)
+            .unwrap();
         assert_eq!(target(&board), None);
         assert!(!keeper.take(&held(3, half), &board, outbox));
         assert_eq!(target(&board), None);
@@ -271,120 +247,21 @@ mod tests {
     }
 
     #[test]
-    fn a_target_of_the_hub_is_there_after_a_restart_and_when_the_disk_comes_late() {
+    fn a_target_of_the_hub_is_there_after_a_restart() {
         let folder = tempfile::tempdir().unwrap();
-        let disk = folder.path().join("disk");
         let half = Some(Target::SkipRate(0.5));
-        let before = board(&disk.join("state"));
+        let before = board(folder.path());
         let keeper = DesiredKeeper::open(before.outbox());
         assert!(keeper.take(&held(7, half), &before, before.outbox()));
         drop((before, keeper));
-        let restarted = board(&disk.join("state"));
-        assert_eq!(target(&restarted), half);
-        drop(restarted);
-
-        std::fs::rename(&disk, folder.path().join("away")).unwrap();
-        std::fs::write(&disk, b"").unwrap();
-        let late = board(&disk.join("state"));
-        let keeper = DesiredKeeper::open(late.outbox());
-        assert_eq!((target(&late), keeper.revision()), (None, 0));
-        std::fs::remove_file(&disk).unwrap();
-        std::fs::rename(folder.path().join("away"), &disk).unwrap();
-        late.outbox().disk_is_due();
-        late.outbox().retry_disk();
-        keeper.read_again(&late, late.outbox());
-        assert_eq!((target(&late), keeper.revision()), (half, 7));
+        let restarted = board(folder.path());
+        let keeper = DesiredKeeper::open(restarted.outbox());
+        assert_eq!((target(&restarted), keeper.revision()), (half, 7));
     }
 
     fn thresholds(board: &Board) -> Vec<f64> {
         (board.cameras().iter())
             .filter_map(|camera| camera.threshold())
             .collect()
-    }
-
-    /// A node of revision 7 whose camera `front` was turned by hand afterwards, and which starts again before its
-    /// disk is there.
-    struct Restarted {
-        folder: tempfile::TempDir,
-        board: Arc<Board>,
-        keeper: DesiredKeeper,
-    }
-
-    impl Restarted {
-        fn new() -> Self {
-            let folder = tempfile::tempdir().unwrap();
-            let disk = folder.path().join("disk");
-            let before = board(&disk.join("state"));
-            let keeper = DesiredKeeper::open(before.outbox());
-            assert!(keeper.take(&desired(7, 0.07), &before, before.outbox()));
-            before.cameras()[0].set_threshold(0.5).unwrap();
-            drop((before, keeper));
-            std::fs::rename(&disk, folder.path().join("away")).unwrap();
-            std::fs::write(&disk, b"").unwrap();
-            let board = board(&disk.join("state"));
-            assert_eq!(thresholds(&board), [3e-4, 3e-4]);
-            let keeper = DesiredKeeper::open(board.outbox());
-            assert_eq!(keeper.revision(), 0);
-            Self {
-                folder,
-                board,
-                keeper,
-            }
-        }
-
-        fn the_disk_returns(&self) {
-            let disk = self.folder.path().join("disk");
-            std::fs::remove_file(&disk).unwrap();
-            std::fs::rename(self.folder.path().join("away"), &disk).unwrap();
-            let outbox = self.board.outbox();
-            outbox.disk_is_due();
-            outbox.retry_disk();
-            assert!(outbox.settings_returned());
-            self.keeper.read_again(&self.board, outbox);
-            assert!(!outbox.settings_returned());
-        }
-
-        fn take(&self, desired: &Desired) {
-            self.keeper.take(desired, &self.board, self.board.outbox());
-        }
-
-        /// What a start after this one finds.
-        fn then(self) -> (u64, Vec<f64>) {
-            let state = self.folder.path().join("disk/state");
-            drop((self.board, self.keeper));
-            let board = board(&state);
-            let keeper = DesiredKeeper::open(board.outbox());
-            (keeper.revision(), thresholds(&board))
-        }
-    }
-
-    #[test]
-    fn a_disk_that_comes_after_the_start_brings_its_thresholds_into_force() {
-        let node = Restarted::new();
-        node.the_disk_returns();
-        assert_eq!(node.keeper.revision(), 7);
-        assert_eq!(thresholds(&node.board), [0.5, 0.07]);
-        assert_eq!(node.then(), (7, vec![0.5, 0.07]));
-    }
-
-    #[test]
-    fn an_order_seen_before_the_disk_came_does_not_undo_what_was_turned_by_hand_since() {
-        let node = Restarted::new();
-        node.take(&desired(7, 0.07));
-        assert_eq!(thresholds(&node.board), [0.07, 0.07]);
-        node.the_disk_returns();
-        assert_eq!(thresholds(&node.board), [0.5, 0.07]);
-        assert_eq!(node.then(), (7, vec![0.5, 0.07]));
-    }
-
-    #[test]
-    fn a_newer_order_and_a_newer_turn_by_hand_stand_when_the_disk_comes() {
-        let node = Restarted::new();
-        node.take(&desired(8, 0.08));
-        node.board.cameras()[1].set_threshold(0.9).unwrap();
-        node.the_disk_returns();
-        assert_eq!(node.keeper.revision(), 8);
-        assert_eq!(thresholds(&node.board), [0.08, 0.9]);
-        assert_eq!(node.then(), (8, vec![0.08, 0.9]));
     }
 }

@@ -5,10 +5,10 @@ use serde::de::DeserializeOwned;
 use zenoh::query::Querier;
 
 /// What came of a question.
-pub(super) enum Asked<T> {
+pub(crate) enum Asked<T> {
     /// The hub's answer.
     Answered(T),
-    /// The hub said no, in words.
+    /// The hub refused, with its reason.
     Refused(ReportRefusal),
     /// Nobody answered, or nothing that can be read.
     Nobody(String),
@@ -22,18 +22,28 @@ pub(super) async fn ask<T: DeserializeOwned>(querier: &Querier<'_>, payload: Vec
     };
     let mut reason = "no reply".to_owned();
     while let Ok(reply) = replies.recv_async().await {
-        match reply.result() {
-            Ok(sample) => match read::<T>(&sample.payload().to_bytes()) {
-                Ok(answer) => return Asked::Answered(answer),
-                Err(error) => reason = format!("an answer that cannot be read: {error}"),
-            },
-            Err(error) => match read::<ReportRefusal>(&error.payload().to_bytes()) {
-                Ok(refusal) => return Asked::Refused(refusal),
-                Err(_) => {
-                    reason = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
-                }
-            },
+        let asked = match reply.result() {
+            Ok(sample) => read_reply(Ok(&sample.payload().to_bytes())),
+            Err(error) => read_reply(Err(&error.payload().to_bytes())),
+        };
+        match asked {
+            Asked::Nobody(unread) => reason = unread,
+            asked => return asked,
         }
     }
     Asked::Nobody(reason)
+}
+
+/// Reads a reply: an answer, or an error.
+pub(crate) fn read_reply<T: DeserializeOwned>(reply: Result<&[u8], &[u8]>) -> Asked<T> {
+    match reply {
+        Ok(answer) => read::<T>(answer).map_or_else(
+            |error| Asked::Nobody(format!("an answer that cannot be read: {error}")),
+            Asked::Answered,
+        ),
+        Err(refusal) => read::<ReportRefusal>(refusal).map_or_else(
+            |_| Asked::Nobody(String::from_utf8_lossy(refusal).into_owned()),
+            Asked::Refused,
+        ),
+    }
 }

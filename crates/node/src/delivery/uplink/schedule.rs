@@ -1,4 +1,4 @@
-//! Decides when the uplink sends what. No clock and no network: times are given, and what came of it is told.
+//! Decides when the uplink sends what. No clock and no network: times and results are given.
 
 use super::backoff::Backoff;
 use crate::delivery::outbox::{OutboxConfig, OutboxCounts};
@@ -9,12 +9,12 @@ const AGAIN_EVERY: Duration = Duration::from_secs(10);
 
 /// What came of a query.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Outcome {
+pub(crate) enum Outcome {
     /// The hub did what was asked.
     Done,
     /// There was nothing to send.
     Nothing,
-    /// The hub said no, and perhaps when to come again.
+    /// The hub refused, perhaps with a time to come again.
     Refused(Option<Duration>),
     /// Nobody answered.
     Unanswered,
@@ -29,11 +29,11 @@ struct Attempts {
 }
 
 impl Attempts {
-    fn new(config: &OutboxConfig) -> Self {
+    fn new(config: &OutboxConfig, random: u64) -> Self {
         Self {
             under_way: false,
             not_before: None,
-            backoff: Backoff::new(config.retry_min_ms, config.retry_max_ms),
+            backoff: Backoff::new(config.retry_min_ms, config.retry_max_ms, random),
         }
     }
 
@@ -57,9 +57,9 @@ impl Attempts {
 }
 
 /// Reports are gathered until there are some, or the first has waited for long: each batch costs a query, an answer and
-/// what compression learns anew. What waits when a session begins goes at once: nobody knows how long it has waited.
+/// what compression learns again. What waits when a session begins goes at once: its waiting time is unknown.
 #[derive(Debug)]
-pub(super) struct Schedule {
+pub(crate) struct Schedule {
     gather_reports: u64,
     gather: Duration,
     /// Since when a report waits.
@@ -76,14 +76,15 @@ pub(super) struct Schedule {
 }
 
 impl Schedule {
-    pub(super) fn new(config: &OutboxConfig, now: Instant) -> Self {
+    /// `random` spreads the pauses of nodes.
+    pub(crate) fn new(config: &OutboxConfig, random: u64, now: Instant) -> Self {
         Self {
             gather_reports: config.gather_reports as u64,
             gather: Duration::from_secs(config.gather_s),
             waits_since: None,
             eager: true,
-            reports: Attempts::new(config),
-            pulls: Attempts::new(config),
+            reports: Attempts::new(config, random),
+            pulls: Attempts::new(config, random.rotate_left(32)),
             pull_wanted: true,
             again_at: None,
             answered_at: now,
@@ -91,7 +92,7 @@ impl Schedule {
     }
 
     /// A session begins: whatever was under way is not answered any more.
-    pub(super) fn begin(&mut self, now: Instant) {
+    pub(crate) fn begin(&mut self, now: Instant) {
         self.reports.under_way = false;
         self.pulls.under_way = false;
         self.eager = true;
@@ -100,18 +101,18 @@ impl Schedule {
     }
 
     /// The node stops: a pause is over, for there is no later.
-    pub(super) fn hurry(&mut self) {
+    pub(crate) fn hurry(&mut self) {
         self.eager = true;
         self.reports.not_before = None;
     }
 
     /// What is desired is to be asked for.
-    pub(super) fn want_pull(&mut self) {
+    pub(crate) fn want_pull(&mut self) {
         self.pull_wanted = true;
     }
 
-    /// Whether reports wait that are worth a batch. `watched`: somebody looks at the node.
-    pub(super) fn is_worth_it(
+    /// Whether reports wait that are worth a batch. `watched`: somebody watches the node.
+    pub(crate) fn is_worth_it(
         &mut self,
         counts: &OutboxCounts,
         watched: bool,
@@ -133,7 +134,7 @@ impl Schedule {
     }
 
     /// Whether a batch is to be sent now, and if, whether with reports that a hub has lost. It is then under way.
-    pub(super) fn next_batch(
+    pub(crate) fn next_batch(
         &mut self,
         counts: &OutboxCounts,
         watched: bool,
@@ -155,7 +156,7 @@ impl Schedule {
     }
 
     /// A batch was answered, or not.
-    pub(super) fn batch_ended(&mut self, outcome: Outcome, now: Instant) {
+    pub(crate) fn batch_ended(&mut self, outcome: Outcome, now: Instant) {
         self.reports.ended(outcome, now);
         if outcome != Outcome::Unanswered {
             self.answered_at = now;
@@ -167,12 +168,12 @@ impl Schedule {
     }
 
     /// Whether a batch is under way.
-    pub(super) const fn sends(&self) -> bool {
+    pub(crate) const fn sends(&self) -> bool {
         self.reports.under_way
     }
 
     /// Whether to ask now what is desired. The question is then under way.
-    pub(super) fn next_pull(&mut self, now: Instant) -> bool {
+    pub(crate) fn next_pull(&mut self, now: Instant) -> bool {
         let pull = self.pull_wanted && self.pulls.may_begin(now);
         if pull {
             self.pulls.under_way = true;
@@ -182,7 +183,7 @@ impl Schedule {
     }
 
     /// A question was answered, or not.
-    pub(super) fn pull_ended(&mut self, outcome: Outcome, now: Instant) {
+    pub(crate) fn pull_ended(&mut self, outcome: Outcome, now: Instant) {
         self.pulls.ended(outcome, now);
         match outcome {
             Outcome::Done => self.answered_at = now,
@@ -190,13 +191,13 @@ impl Schedule {
         }
     }
 
-    /// Whether batches have been sent for so long and nobody answers.
-    pub(super) fn is_stale(&self, after: Duration, now: Instant) -> bool {
+    /// Whether batches have been sent for too long without an answer.
+    pub(crate) fn is_stale(&self, after: Duration, now: Instant) -> bool {
         now.saturating_duration_since(self.answered_at) > after
     }
 
     /// When to look next, by `latest`: a pause that ends before is a reason to look then.
-    pub(super) fn next_look(&self, latest: Instant, now: Instant) -> Instant {
+    pub(crate) fn next_look(&self, latest: Instant, now: Instant) -> Instant {
         let times = [
             self.reports.not_before,
             self.pulls.not_before.filter(|_| self.pull_wanted),
@@ -228,7 +229,7 @@ mod tests {
                 ..OutboxConfig::default()
             };
             Self {
-                schedule: Schedule::new(&config, start),
+                schedule: Schedule::new(&config, 7, start),
                 start,
             }
         }
@@ -325,7 +326,7 @@ mod tests {
         let pauses: Vec<_> = asked.windows(2).map(|two| two[1] - two[0]).collect();
         assert!(asked.len() < 20, "{pauses:?}");
         assert!(pauses.last() > Some(&25_000), "{pauses:?}");
-        // An answer ends it, and a poke begins it anew.
+        // An answer ends it, and a notice begins it again.
         let later = bench.at(400_000);
         assert!(bench.schedule.next_pull(later));
         bench.schedule.pull_ended(Outcome::Done, later);

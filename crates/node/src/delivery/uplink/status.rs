@@ -16,14 +16,14 @@ const STALE: Duration = Duration::from_secs(10);
 /// Full statuses are not sent faster than this, whatever changes.
 const LEAST_PAUSE: Duration = Duration::from_secs(1);
 
-/// Decides when to tell what.
+/// Decides when to report what.
 pub(super) struct StatusTeller {
     labels: BTreeMap<String, String>,
     run: u32,
     started_ns: u64,
     seq: u64,
     told: Option<NodeStatus>,
-    /// The revision that was told last: a heartbeat says that it holds.
+    /// The revision that was reported last: a heartbeat says that it is in force.
     told_revision: Option<u64>,
     told_at: Option<Instant>,
     full_due: bool,

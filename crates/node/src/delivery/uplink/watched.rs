@@ -18,10 +18,10 @@ use zenoh::{Session, Wait};
 const LONGEST: u32 = 3600;
 /// Questions for pictures that may wait; one more is not answered.
 const WAITING: usize = 4;
-/// Time between two counters of a camera, with room for a look that comes a little early.
+/// Time between two counters of a camera, with room for one that comes a little early.
 const PERIOD: Duration = Duration::from_millis(950);
 
-/// What is said where pictures are not sent.
+/// The answer where pictures are not sent.
 const REFUSED: &str = "the node sends no pictures: its configuration has uplink.pictures = false";
 
 /// A question for the picture of a camera.
@@ -65,7 +65,7 @@ impl Watched {
         self.until.is_some_and(|until| now < until)
     }
 
-    /// Sends what is due, with what is declared for it in `shown`: nothing is while nobody watches.
+    /// Sends what is due, with what is declared for it in `shown`: nothing is declared without a watcher.
     ///
     /// # Errors
     /// When Zenoh refuses something.

@@ -4,6 +4,7 @@
 use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
 use serde::{Deserialize, Serialize, Serializer};
 use std::fmt;
+use strsim::osa_distance;
 
 /// What is encoded between `://` and `@`: all but the unreserved characters of RFC 3986, section 2.3.
 const LOGIN: &AsciiSet = &NON_ALPHANUMERIC
@@ -11,6 +12,11 @@ const LOGIN: &AsciiSet = &NON_ALPHANUMERIC
     .remove(b'.')
     .remove(b'_')
     .remove(b'~');
+
+/// Schemes of addresses that are often used. Others are for the program that opens the source to judge.
+const SCHEMES: [&str; 12] = [
+    "rtsp", "rtsps", "http", "https", "rtmp", "rtmps", "rtp", "srt", "udp", "tcp", "tls", "ftp",
+];
 
 /// What is shown in place of a secret.
 const MASK: &str = "***";
@@ -33,7 +39,7 @@ pub enum SourceKind {
     File,
 }
 
-/// Why an address cannot be used. Never tells the address itself.
+/// Why an address cannot be used. Never contains the address itself.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum AddressError {
     /// There is nothing in it.
@@ -42,6 +48,9 @@ pub enum AddressError {
     /// It has a line break or the like.
     #[error("has a control character in it")]
     Control,
+    /// Its scheme is misspelt.
+    #[error("begins with `{0}://`; did you mean `{1}://`?")]
+    Scheme(String, &'static str),
     /// A variable is begun and not ended.
     #[error("has `${{` without `}}` behind the variable's name")]
     Open,
@@ -69,7 +78,7 @@ impl Resolved {
     }
 }
 
-/// What must not be told, longest first.
+/// Secrets, longest first.
 #[derive(Clone, Default)]
 pub(super) struct Secrets(Vec<String>);
 
@@ -167,6 +176,14 @@ impl SourceAddress {
             return Err(AddressError::Control);
         }
         let kind = self.kind();
+        if let SourceKind::Network(scheme) = &kind
+            && !SCHEMES.contains(&scheme.as_str())
+            && let Some(meant) = SCHEMES
+                .iter()
+                .find(|&known| osa_distance(known, scheme) == 1)
+        {
+            return Err(AddressError::Scheme(scheme.clone(), meant));
+        }
         let mut secrets = Secrets::default();
         let mut unset = Vec::new();
         let mut fill = |text: &str, encode: bool| {
@@ -350,7 +367,7 @@ impl SourceOptions {
         pairs
     }
 
-    /// The values that nobody may see.
+    /// The secret values.
     pub(super) fn secrets(&self) -> impl Iterator<Item = &str> {
         (self.pairs().into_iter()).filter_map(|(name, value)| value.filter(|_| is_secret(name)))
     }
@@ -466,6 +483,10 @@ mod tests {
             ),
             ("rtsp://cam/${LINES}", AddressError::Control),
             ("a caps=\"b ! c", AddressError::Quote),
+            (
+                "rtps://cam/s",
+                AddressError::Scheme("rtps".to_owned(), "rtsp"),
+            ),
         ] {
             assert_eq!(resolve(text).err(), Some(error), "{text}");
         }

@@ -1,4 +1,4 @@
-//! A source that is opened again whenever it ends, fails or falls silent, with growing pauses, until it is told to stop.
+//! A source that is opened again whenever it ends, fails or falls silent, with growing pauses, until it is stopped.
 
 use super::address::{SourceAddress, SourceKind};
 use super::program::{PictureProgram, RunningProgram, SourceError, output_of};
@@ -61,7 +61,7 @@ pub struct LiveSource {
     settings: SourceSettings,
     /// The ffmpeg that opens it; GStreamer does without one.
     ffmpeg: Option<Version>,
-    /// Whether it is believed to send motion JPEG, which need not be decoded: ffmpeg must be told before it sees.
+    /// Whether it is believed to send motion JPEG, which need not be decoded: ffmpeg must be set so before it opens the source.
     motion_jpeg: AtomicBool,
     /// Whether what ffmpeg took for motion JPEG was something else.
     not_jpeg: AtomicBool,

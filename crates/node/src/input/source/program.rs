@@ -13,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 /// What a pipe is to hold: a picture has several times as much.
 const PIPE_BYTES: usize = 1 << 20;
-/// How often a reader that waits looks whether it is to stop.
+/// How often a waiting reader checks whether it must stop.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// How long a program may take to end by itself once its output has ended, and again after it was killed.
 const END_LIMIT: Duration = Duration::from_secs(2);
@@ -39,7 +39,7 @@ const PROXIES: [&str; 5] = [
     "no_proxy",
 ];
 
-/// Why a source cannot be opened. Never tells credentials.
+/// Why a source cannot be opened. Never contains credentials.
 #[derive(Debug, thiserror::Error)]
 pub enum SourceError {
     /// The program that opens it is not installed.
@@ -188,7 +188,7 @@ impl RunningProgram {
         self.deadline = Instant::now() + self.silence;
     }
 
-    /// Codec of its input, once it has said it.
+    /// Codec of its input, once it has named it.
     pub(super) fn codec(&self) -> Option<&str> {
         self.said.codec.as_deref()
     }
@@ -240,7 +240,7 @@ impl RunningProgram {
         if self.status.is_some() && self.errors.is_none() {
             return;
         }
-        // It fails when nobody is left.
+        // It fails when no process is left.
         let _ = kill_process_group(Pid::from_child(&self.child), Signal::KILL);
         self.wait(END_LIMIT);
         if self.status.is_none() {
@@ -251,7 +251,7 @@ impl RunningProgram {
         }
     }
 
-    /// Reads what it says within `limit`; sleeps where there is nothing more to be said.
+    /// Reads what it says within `limit`; sleeps once its error output has ended.
     fn listen(&mut self, limit: Duration) {
         let Some(errors) = &mut self.errors else {
             return std::thread::sleep(limit);
@@ -285,7 +285,7 @@ impl Read for RunningProgram {
                 let reason = format!("no picture for more than {seconds} s");
                 return Err(io::Error::new(ErrorKind::TimedOut, reason));
             }
-            // What it says comes first: it tells the codec before the first picture, and waits for a reader.
+            // Its error output comes first: it names the codec before the first picture, and blocks without a reader.
             while self
                 .errors
                 .as_ref()

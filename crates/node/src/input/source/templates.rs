@@ -166,11 +166,11 @@ pub(super) fn ffmpeg(
     // What the camera is opened with.
     let mut camera = Vec::new();
     if live {
-        // Decoding by several threads, each with a frame of its own, holds frames back.
+        // Decoding by several threads, each with its own frame, holds frames back.
         arguments.add(&["-flags", "low_delay"]);
         camera.push(("analyzeduration", "2000000".to_owned()));
     }
-    // In case nobody is left to kill it.
+    // In case this process is killed and cannot end it.
     let silence = (2 * settings.silence).as_micros().to_string();
     let mut address = resolved.text().to_owned();
     match &resolved.kind {

@@ -70,7 +70,7 @@ pub struct LatestFrame {
 pub struct CameraSnapshot {
     /// Frame states since the node started.
     pub states: FrameStates,
-    /// Frames answered from prediction because the detector could not be had.
+    /// Frames answered from prediction because the detector was not available.
     pub degraded_frames: u64,
     /// Frames that the detector was called for, by cause.
     pub calls: DetectorCalls,
@@ -96,7 +96,7 @@ pub struct CameraSnapshot {
     pub shared_frames: u64,
     /// Messages about it that did not go out.
     pub unpublished: u64,
-    /// What to try, when nothing is skipped although objects are followed.
+    /// Suggested value if nothing is skipped although objects are tracked.
     pub advice: Option<Advice>,
 }
 
@@ -107,14 +107,14 @@ impl CameraSnapshot {
     }
 }
 
-/// What a camera did, as far as the target goes by it.
+/// A camera's work, as the target needs it.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct CameraWork {
     /// Frames since the start.
     pub frames: u64,
     /// Those of them that skipped the detector.
     pub skipped: u64,
-    /// Those that the detector could not be had for.
+    /// Those for which the detector was not available.
     pub degraded: u64,
     /// Time the detector worked for them, microseconds.
     pub detector_us: u64,
@@ -297,7 +297,7 @@ impl CameraBoard {
         counts.untold_audit.merge(&more.sums);
     }
 
-    /// What the target goes by: sums since the start, and of the audit what it has not been told.
+    /// What the target needs: sums since the start, and of the audit what was not taken before.
     pub(crate) fn take_work(&self) -> CameraWork {
         let mut counts = self.counts.lock();
         CameraWork {
@@ -342,7 +342,7 @@ impl CameraBoard {
         }
     }
 
-    /// Shows the answer of a frame, which may be pending, to whoever watches.
+    /// Sends the answer of a frame, which may be pending, to subscribers.
     pub fn show(&self, detections: Arc<DetectionsMessage>) {
         let mut counts = self.counts.lock();
         counts.last_frame = Some(Instant::now());
@@ -354,7 +354,7 @@ impl CameraBoard {
         self.tell(Event::Frame, detections);
     }
 
-    /// Shows the final answer of a frame that was pending.
+    /// Sends the final answer of a frame that was pending.
     pub fn show_late(&self, detections: Arc<DetectionsMessage>) {
         self.tell(Event::Late, detections);
     }
@@ -386,7 +386,7 @@ impl CameraBoard {
         );
     }
 
-    /// What the published code would want in the place of `u`, in pictures of this size, where that is another
+    /// The equivalent of `u` in the published code, in pictures of this size, where that is another
     /// number, to three digits.
     pub(crate) fn published_threshold(&self, picture: PictureSize) -> Option<f64> {
         let knob = self.knob.filter(|knob| self.sizeless && knob.name == "u")?;
@@ -423,7 +423,7 @@ impl CameraBoard {
         counts.clip_joules += joules.filter(|joules| *joules > 0.0).unwrap_or_default();
     }
 
-    /// Where the camera stands.
+    /// The camera's state.
     pub fn snapshot(&self) -> CameraSnapshot {
         let counts = self.counts.lock();
         CameraSnapshot {
@@ -445,7 +445,7 @@ impl CameraBoard {
         }
     }
 
-    /// The last frames, oldest first, at most so many; and the pieces of the last hour. Times are counted from the
+    /// The last `frames` frames, oldest first, and the pieces of the last hour. Times are counted from the
     /// node's start, whose age is given with them.
     pub(crate) fn past(&self, frames: usize) -> (Vec<PastFrame>, Vec<PastSlot>, Duration) {
         let history = self.history.lock();
@@ -535,25 +535,13 @@ impl CameraBoard {
         Ok(knob)
     }
 
-    /// Changes the threshold from the next frame on, keeps it in the state directory and tells
-    /// subscribers. When it cannot be kept the change still holds, and the log and
-    /// [`Board::thresholds_are_kept`](super::Board::thresholds_are_kept) say so. Writes a small file.
+    /// Changes the threshold from the next frame on, keeps it in the state directory and announces it. When it cannot be
+    /// kept the change still holds, and the log and [`Board::thresholds_are_kept`](super::Board::thresholds_are_kept) say
+    /// so. Writes a small file.
     ///
     /// # Errors
-    /// [`KnobError`] when the policy has no knob or the value is outside its range; nothing changes then.
-    pub(crate) fn set_threshold(&self, value: f64) -> Result<f64, KnobError> {
-        self.set_threshold_by(value, SettingSource::Local)
-    }
-
-    /// As [`set_threshold`](Self::set_threshold), saying who changes it.
-    ///
-    /// # Errors
-    /// As there.
-    pub(crate) fn set_threshold_by(
-        &self,
-        value: f64,
-        source: SettingSource,
-    ) -> Result<f64, KnobError> {
+    /// [`KnobError`] when the policy has no threshold or the value is outside its range; nothing changes then.
+    pub(crate) fn set_threshold(&self, value: f64, source: SettingSource) -> Result<(), KnobError> {
         let knob = self.check_threshold(value)?;
         // First, so that the controller moves nothing any more.
         self.target.turned_by_hand(source);
@@ -566,7 +554,7 @@ impl CameraBoard {
         self.announce_threshold();
         drop(changing);
         tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold changed");
-        Ok(value)
+        Ok(())
     }
 
     /// Moves the threshold on behalf of the node's target: it holds from the next frame on, and nothing is kept. A value
@@ -578,41 +566,5 @@ impl CameraBoard {
         let before = self.threshold.send_replace(Some(value));
         self.announce_threshold();
         tracing::debug!(camera = %self.name, knob = knob.name, ?before, now = value, "threshold moved");
-    }
-
-    /// Reads the kept threshold where that could not be done before, and keeps what was set meanwhile: a value set at
-    /// the node stands, and the hub's unless what was kept knew it (`hub_was_known`); the configuration's does not.
-    pub(crate) fn read_kept_threshold(&self, hub_was_known: bool) {
-        let (Some(knob), Some(configured)) = (self.knob, self.configured) else {
-            return;
-        };
-        let changing = self.changing.lock();
-        let source = *self.source.lock();
-        let stands = match source {
-            SettingSource::Local => true,
-            SettingSource::Hub => !hub_was_known,
-            SettingSource::Configuration => false,
-        };
-        let kept = if stands {
-            None
-        } else {
-            thresholds::kept(&self.outbox, &self.name, &knob, configured)
-        };
-        match kept {
-            Some((value, source)) => {
-                let before = self.threshold.send_replace(Some(value));
-                *self.source.lock() = source;
-                self.announce_threshold();
-                tracing::info!(camera = %self.name, knob = knob.name, ?before, now = value, "kept threshold read");
-            }
-            None => {
-                if source != SettingSource::Configuration
-                    && let Some(value) = self.threshold()
-                {
-                    thresholds::keep(&self.outbox, &self.name, &knob, configured, value, source);
-                }
-            }
-        }
-        drop(changing);
     }
 }

@@ -1,11 +1,11 @@
-//! What happens on a node, told as it happens.
+//! Events of a node, as they happen.
 
 use albireo_wire::{ClipReport, CountersMessage, DetectionsMessage, Threshold};
 use serde::Serialize;
 use std::ops::Deref;
 use std::sync::{Arc, OnceLock};
 
-/// One thing that happened. As JSON, the contents of the variant; the variant's name is told apart, by
+/// One thing that happened. As JSON, the contents of the variant; the variant's name comes separately, by
 /// [`Event::name`].
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(untagged)]

@@ -1,5 +1,5 @@
 //! What is shown of the past: the last frames one by one, and the last hour in pieces. Rings whose memory is taken at the
-//! start and never grows: a page that is opened now shows what happened before, and costs a node that nobody looks at
+//! start and never grows: a page that is opened now shows what happened before, and costs a node without viewers
 //! nothing more.
 
 mod growth;
@@ -12,7 +12,7 @@ use albireo_wire::DetectionsMessage;
 use std::collections::VecDeque;
 use std::time::Duration;
 
-/// Frames that are remembered one by one: four and a half minutes at 30 frames a second.
+/// Frames that are remembered one by one: four and a half minutes at 30 frames per second.
 pub(crate) const FRAMES: usize = 8192;
 /// Length of a piece of the hour, seconds.
 pub(crate) const SLOT_S: u64 = 10;
@@ -21,7 +21,7 @@ pub(crate) const SLOTS: usize = 361;
 /// Detector times of a piece that its percentiles are made of; beyond them the oldest give way.
 const TIMES: usize = 1024;
 
-/// A frame as it is remembered. What is absent is NaN: half a megabyte a camera would be twice as much otherwise.
+/// A frame as it is remembered. What is absent is NaN: half a megabyte per camera would be twice as much otherwise.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct PastFrame {
     /// Sequence number.
@@ -32,7 +32,7 @@ pub(crate) struct PastFrame {
     pub state: FrameState,
     /// Why the detector was called.
     pub cause: Option<CallCause>,
-    /// Whether the detector was needed and could not be had.
+    /// Whether the detector was needed but not available.
     pub degraded: bool,
     /// Boxes reported.
     pub boxes: u16,
@@ -188,7 +188,7 @@ impl History {
         }
     }
 
-    /// The last frames, oldest first, at most so many.
+    /// The last frames, oldest first, up to that many.
     pub(crate) fn frames(&self, most: usize) -> Vec<PastFrame> {
         let first = self.frames.len().saturating_sub(most);
         self.frames.iter().skip(first).copied().collect()

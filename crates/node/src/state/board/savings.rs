@@ -38,7 +38,7 @@ pub(crate) struct Savings {
     pub frames: u64,
     /// Detector calls avoided: frames answered without it, degraded ones not among them.
     pub avoided_calls: u64,
-    /// Frames answered from prediction because the detector could not be had.
+    /// Frames answered from prediction because the detector was not available.
     pub degraded_frames: u64,
     /// Energy of the node; null without a figure.
     pub energy: Option<EnergyUsed>,

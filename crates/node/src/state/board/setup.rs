@@ -20,7 +20,7 @@ pub struct BoardSetup {
     pub outbox: Outbox,
     /// Name of the policy.
     pub policy: &'static str,
-    /// What is to be held in the place of the knob's number.
+    /// The target that the node holds by moving its threshold.
     pub target: TargetSetup,
     /// What is known about the detector before it starts.
     pub detector: DetectorFacts,

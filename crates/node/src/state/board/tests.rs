@@ -105,11 +105,17 @@ fn a_threshold_outside_the_knob_changes_nothing() {
     let camera = board.camera("front").unwrap();
     let seen = camera.watch_threshold();
     for bad in [0.0, -1.0, f64::NAN, f64::INFINITY, 2.0] {
-        assert!(camera.set_threshold(bad).is_err(), "{bad}");
-        assert!(board.set_all_thresholds(bad).is_err(), "{bad}");
+        assert!(
+            camera.set_threshold(bad, SettingSource::Local).is_err(),
+            "{bad}"
+        );
+        assert!(
+            board.set_thresholds(bad, SettingSource::Local).is_err(),
+            "{bad}"
+        );
     }
     assert_eq!(*seen.borrow(), Some(1e-3));
-    camera.set_threshold(5e-4).unwrap();
+    camera.set_threshold(5e-4, SettingSource::Local).unwrap();
     assert_eq!(*seen.borrow(), Some(5e-4));
     assert!(!board.thresholds_are_kept());
 }
@@ -119,7 +125,11 @@ fn a_changed_threshold_survives_a_restart() {
     let directory = tempfile::tempdir().unwrap();
     let state = Some(directory.path().join("state"));
     let first = board(state.clone(), KNOB, None);
-    first.camera("front").unwrap().set_threshold(5e-4).unwrap();
+    first
+        .camera("front")
+        .unwrap()
+        .set_threshold(5e-4, SettingSource::Local)
+        .unwrap();
     assert!(first.thresholds_are_kept());
     drop(first);
     let second = board(state.clone(), KNOB, None);
@@ -145,7 +155,7 @@ fn a_threshold_that_cannot_be_kept_still_holds_and_is_said_so() {
     let blocked = directory.path().join("a-file");
     std::fs::write(&blocked, "").unwrap();
     let board = board(Some(blocked.join("state")), KNOB, None);
-    board.set_all_thresholds(1e-3).unwrap();
+    board.set_thresholds(1e-3, SettingSource::Local).unwrap();
     assert_eq!(board.camera("front").unwrap().threshold(), Some(1e-3));
     assert!(!board.thresholds_are_kept());
 }

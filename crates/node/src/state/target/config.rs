@@ -3,7 +3,7 @@
 use albireo_core::target::Target;
 use serde::{Deserialize, Serialize};
 
-/// What is to be held in the place of the knob's number.
+/// The target that the node holds by moving its threshold.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct TargetConfig {

@@ -1,4 +1,4 @@
-//! What is held now, who said so, and what of it survives a restart.
+//! The node's target: who set it, and what survives a restart.
 
 use crate::delivery::outbox::Outbox;
 use albireo_core::policy::Knob;
@@ -72,28 +72,26 @@ impl NodeTarget {
             }),
         };
         let mut state = opened.state.lock();
-        match opened.kept() {
-            Some(kept) => opened.go_on(&mut state, kept, knob),
+        // Once the configuration is edited it is the newer word, except against the hub's.
+        let kept: Option<Kept> = opened.outbox.setting(SETTING);
+        let kept = kept.filter(|kept| {
+            kept.configured == opened.setup.configured || kept.source == SettingSource::Hub
+        });
+        match kept {
+            Some(kept) => {
+                let own = opened.setup.knob.map(|knob| knob.name);
+                let value = kept.knob.filter(|(name, _)| Some(name.as_str()) == own);
+                state.source = kept.source;
+                opened.begin(
+                    &mut state,
+                    kept.target,
+                    value.map(|(_, value)| value).or(knob),
+                );
+            }
             None => opened.begin(&mut state, opened.setup.configured, knob),
         }
         drop(state);
         opened
-    }
-
-    /// What was kept, unless the configuration was edited since: that is then the newer word, except than the hub's.
-    fn kept(&self) -> Option<Kept> {
-        let kept: Option<Kept> = self.outbox.setting(SETTING);
-        kept.filter(|kept| {
-            kept.configured == self.setup.configured || kept.source == SettingSource::Hub
-        })
-    }
-
-    /// Goes on from what was kept.
-    fn go_on(&self, state: &mut State, kept: Kept, knob: Option<f64>) {
-        let own = self.setup.knob.map(|knob| knob.name);
-        let value = kept.knob.filter(|(name, _)| Some(name.as_str()) == own);
-        state.source = kept.source;
-        self.begin(state, kept.target, value.map(|(_, value)| value).or(knob));
     }
 
     fn begin(&self, state: &mut State, target: Option<Target>, knob: Option<f64>) {
@@ -108,24 +106,6 @@ impl NodeTarget {
                 tracing::error!(%target, %error, "the target is not held");
                 state.off = Some(error.to_string());
             }
-        }
-    }
-
-    /// Reads the kept target where that could not be done before, and keeps what was set meanwhile: what was set at the
-    /// node stands, and the hub's word unless what was kept knew it (`hub_was_known`); the configuration's does not.
-    pub(crate) fn read_again(&self, hub_was_known: bool, knob: Option<f64>) {
-        let _changing = self.changing.lock();
-        let kept = self.kept();
-        let mut state = self.state.lock();
-        let stands = match state.source {
-            SettingSource::Local => true,
-            SettingSource::Hub => !hub_was_known,
-            SettingSource::Configuration => false,
-        };
-        if stands {
-            self.keep(state);
-        } else if let Some(kept) = kept {
-            self.go_on(&mut state, kept, knob);
         }
     }
 
@@ -218,7 +198,7 @@ impl NodeTarget {
         self.state.lock().controller.is_some()
     }
 
-    /// Where it stands.
+    /// Its state.
     pub fn report(&self) -> TargetReport {
         let state = self.state.lock();
         let controller = state.controller.as_ref();

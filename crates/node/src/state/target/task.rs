@@ -15,7 +15,7 @@ const PERIOD: Duration = Duration::from_secs(1);
 /// Time after which the knob's value is kept for a restart.
 const KEEP_EVERY: u32 = 60;
 
-/// A knob that is off by less than this share stays: every change is told and noted in the clip's report.
+/// A knob that is off by less than this share stays: every change is announced and noted in the clip's report.
 const LEAST_CHANGE: f64 = 0.02;
 
 /// Holds the target of a node.
@@ -42,7 +42,7 @@ impl TargetTask {
     }
 
     /// Steps until `shutdown`.
-    pub(crate) async fn run(&self, shutdown: CancellationToken) {
+    pub(crate) async fn run(self, shutdown: CancellationToken) {
         let mut ticks = tokio::time::interval(PERIOD);
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
         let (mut before, _) = self.so_far();

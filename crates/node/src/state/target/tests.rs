@@ -77,7 +77,9 @@ fn the_knob_set_by_hand_switches_the_target_off_and_says_so() {
         .set_target(Some(Target::SkipRate(0.5)), SettingSource::Local)
         .unwrap();
     pass(&board, 10);
-    board.cameras()[1].set_threshold(7e-4).unwrap();
+    board.cameras()[1]
+        .set_threshold(7e-4, SettingSource::Local)
+        .unwrap();
     let report = board.target().report();
     assert_eq!((report.target, report.state), (None, None));
     assert_eq!(report.off.as_deref(), Some("the threshold was set by hand"));
@@ -120,7 +122,9 @@ fn a_target_survives_a_restart_with_its_place_until_the_configuration_is_edited(
     let next = pass(&again, 1);
     assert!((next / there - 1.0).abs() < 0.1, "{next} {there}");
     // Off by hand stays off.
-    again.cameras()[0].set_threshold(0.25).unwrap();
+    again.cameras()[0]
+        .set_threshold(0.25, SettingSource::Local)
+        .unwrap();
     drop(again);
     let off = board(Some(&state), "expected-loss:0.3", configured(Some(0.4)));
     assert_eq!(off.target().report().target, None);
@@ -200,7 +204,12 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
     // The target is switched off first, which is kept too.
     goes_on_while_the_disk_stalls(
         &second,
-        |board| assert_eq!(board.cameras()[0].set_threshold(0.25), Ok(0.25)),
+        |board| {
+            assert_eq!(
+                board.cameras()[0].set_threshold(0.25, SettingSource::Local),
+                Ok(())
+            )
+        },
         |board| {
             while board.target().is_on() {
                 thread::yield_now();
@@ -210,7 +219,12 @@ fn no_worker_waits_for_a_disk_that_stalls_and_nothing_is_acknowledged_before_it_
     );
     goes_on_while_the_disk_stalls(
         &second,
-        |board| assert_eq!(board.cameras()[0].set_threshold(0.26), Ok(0.26)),
+        |board| {
+            assert_eq!(
+                board.cameras()[0].set_threshold(0.26, SettingSource::Local),
+                Ok(())
+            )
+        },
         |board| {
             while board.cameras()[0].threshold() != Some(0.26) {
                 thread::yield_now();

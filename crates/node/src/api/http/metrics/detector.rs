@@ -1,82 +1,66 @@
-//! The detector's counters as metrics.
+//! What the detector and the empty-scene screen have counted, as metrics.
 
-use super::family::family;
-use albireo_vision::detector::DetectorCounts;
-use prometheus_client::encoding::DescriptorEncoder;
-use prometheus_client::metrics::MetricType;
+use super::family::Page;
+use crate::state::board::Board;
 use std::fmt;
 
-/// Writes what the detector has counted.
-pub(super) fn detector(
-    encoder: &mut DescriptorEncoder<'_>,
-    counters: &DetectorCounts,
-) -> fmt::Result {
-    let worker = &counters.worker;
-    let head = &counters.head;
-    family(
-        encoder,
+/// Writes the counters of both.
+pub(super) fn detector(page: &mut Page<'_>, board: &Board) -> fmt::Result {
+    let counts = board.detector_counters();
+    let (worker, head) = (&counts.worker, &counts.head);
+    page.counter(
         "detector_batches",
         "Runs of the model that ended well: fewer than completed pictures where cameras share a run",
-        MetricType::Counter,
-        |family| family.counter(Vec::new(), worker.batches as f64),
+        worker.batches as f64,
     )?;
-    family(
-        encoder,
+    page.gauge(
         "detector_queue",
         "Pictures that wait for the detector",
-        MetricType::Gauge,
-        |family| {
-            let waiting = i64::try_from(worker.waiting).unwrap_or(i64::MAX);
-            family.gauge(Vec::new(), waiting)
-        },
+        worker.waiting as f64,
     )?;
-    family(
-        encoder,
+    page.counter(
         "detector_audit_runs",
-        "Pictures that the detector looked at for the audit, after their frames were answered; not among detector_runs",
-        MetricType::Counter,
-        |family| family.counter(Vec::new(), worker.spare as f64),
+        "Pictures that the detector ran on for the audit, after their frames were answered; not among detector_runs",
+        worker.spare as f64,
     )?;
-    for (name, help, label, counts) in [
-        (
-            "detector_runs",
-            "Pictures given to the detector, by what became of them",
-            "outcome",
-            &[
-                ("completed", worker.completed),
-                ("timed_out", worker.timed_out),
-                ("failed", worker.failed),
-                ("panicked", worker.panicked),
-                ("refused", worker.refused),
-                ("cancelled", worker.cancelled),
-            ][..],
-        ),
-        (
-            "detector_rebuilds",
-            "Sessions built again after a failure, by outcome",
-            "outcome",
-            &[
-                ("completed", worker.rebuilds),
-                ("failed", worker.rebuilds_failed),
-            ],
-        ),
-        (
-            "detector_boxes_dropped",
-            "Boxes in the model's output that were not reported, by reason",
-            "reason",
-            &[
-                ("impossible", head.rejected),
-                ("outside", head.outside),
-                ("unknown_class", head.unknown_class),
-                ("over_limit", head.over_limit),
-            ],
-        ),
+    let dropped = [
+        ("impossible", head.rejected),
+        ("outside", head.outside),
+        ("unknown_class", head.unknown_class),
+        ("over_limit", head.over_limit),
+    ];
+    page.counters(
+        "detector_boxes_dropped",
+        "Boxes in the model's output that were not reported, by reason",
+        dropped.map(|(reason, count)| (vec![("reason", reason)], count as f64)),
+    )?;
+    let screen = board.screen_counters();
+    for (prefix, what, counts) in [
+        ("detector", "detector", &counts.worker),
+        ("screen", "empty-scene screen", &screen),
     ] {
-        family(encoder, name, help, MetricType::Counter, |family| {
-            counts
-                .iter()
-                .try_for_each(|&(value, count)| family.counter(vec![(label, value)], count as f64))
-        })?;
+        let runs = [
+            ("completed", counts.completed),
+            ("timed_out", counts.timed_out),
+            ("failed", counts.failed),
+            ("panicked", counts.panicked),
+            ("refused", counts.refused),
+            ("cancelled", counts.cancelled),
+        ];
+        page.counters(
+            &format!("{prefix}_runs"),
+            &format!("Pictures given to the {what}, by what became of them"),
+            runs.map(|(outcome, count)| (vec![("outcome", outcome)], count as f64)),
+        )?;
+        let rebuilds = [
+            ("completed", counts.rebuilds),
+            ("failed", counts.rebuilds_failed),
+        ];
+        page.counters(
+            &format!("{prefix}_rebuilds"),
+            &format!("Sessions of the {what} built again after a failure, by outcome"),
+            rebuilds.map(|(outcome, count)| (vec![("outcome", outcome)], count as f64)),
+        )?;
     }
     Ok(())
 }

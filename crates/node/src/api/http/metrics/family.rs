@@ -1,59 +1,97 @@
-//! One family of metrics: how it is described, and how its samples are written.
+//! Writes families of metrics: a description, then a sample for each set of labels.
 
-use prometheus_client::encoding::{
-    DescriptorEncoder, EncodeGaugeValue, EncodeMetric, MetricEncoder, NoLabelSet,
-};
+use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric, MetricEncoder, NoLabelSet};
 use prometheus_client::metrics::MetricType;
+use prometheus_client::metrics::histogram::Histogram;
 use std::fmt;
 
-/// Names and values of one sample's labels.
-pub(super) type Labels<'a> = Vec<(&'static str, &'a str)>;
+/// Names and values of a sample's labels, and its value.
+pub(super) type Sample<'a, T = f64> = (Vec<(&'static str, &'a str)>, T);
 
-/// Writes one family of metrics: its description, then a sample for each set of labels.
-pub(super) struct Family<'a>(MetricEncoder<'a>);
+/// What families are written to.
+pub(super) struct Page<'a>(pub DescriptorEncoder<'a>);
 
-impl Family<'_> {
-    pub(super) fn counter(&mut self, labels: Labels<'_>, value: f64) -> fmt::Result {
-        // A family of an empty set of labels would print empty braces.
-        if labels.is_empty() {
-            self.0.encode_counter::<NoLabelSet, _, u64>(&value, None)
-        } else {
-            self.0
-                .encode_family(&labels)?
-                .encode_counter::<NoLabelSet, _, u64>(&value, None)
-        }
+impl Page<'_> {
+    /// One gauge without labels.
+    pub(super) fn gauge(&mut self, name: &str, help: &str, value: f64) -> fmt::Result {
+        self.gauges(name, help, [(Vec::new(), value)])
     }
 
-    pub(super) fn gauge(
+    /// One counter without labels.
+    pub(super) fn counter(&mut self, name: &str, help: &str, value: f64) -> fmt::Result {
+        self.counters(name, help, [(Vec::new(), value)])
+    }
+
+    /// A family of gauges.
+    pub(super) fn gauges<'s>(
         &mut self,
-        labels: Labels<'_>,
-        value: impl EncodeGaugeValue,
+        name: &str,
+        help: &str,
+        samples: impl IntoIterator<Item = Sample<'s>>,
     ) -> fmt::Result {
-        if labels.is_empty() {
-            self.0.encode_gauge(&value)
-        } else {
-            self.0.encode_family(&labels)?.encode_gauge(&value)
-        }
+        self.family(
+            name,
+            help,
+            MetricType::Gauge,
+            samples,
+            |mut sample, value| {
+                // A whole number is written as one.
+                match value as i64 as f64 == value {
+                    true => sample.encode_gauge(&(value as i64)),
+                    false => sample.encode_gauge(&value),
+                }
+            },
+        )
     }
 
-    pub(super) fn histogram(
+    /// A family of counters.
+    pub(super) fn counters<'s>(
         &mut self,
-        labels: Labels<'_>,
-        value: &impl EncodeMetric,
+        name: &str,
+        help: &str,
+        samples: impl IntoIterator<Item = Sample<'s>>,
     ) -> fmt::Result {
-        value.encode(self.0.encode_family(&labels)?)
+        self.family(
+            name,
+            help,
+            MetricType::Counter,
+            samples,
+            |mut sample, value| sample.encode_counter::<NoLabelSet, _, u64>(&value, None),
+        )
     }
-}
 
-/// Begins the family `albireo_{name}` and lets `write` add its samples.
-pub(super) fn family(
-    encoder: &mut DescriptorEncoder<'_>,
-    name: &str,
-    help: &str,
-    kind: MetricType,
-    write: impl FnOnce(&mut Family<'_>) -> fmt::Result,
-) -> fmt::Result {
-    write(&mut Family(
-        encoder.encode_descriptor(name, help, None, kind)?,
-    ))
+    /// A family of histograms.
+    pub(super) fn histograms<'s>(
+        &mut self,
+        name: &str,
+        help: &str,
+        samples: impl IntoIterator<Item = Sample<'s, &'s Histogram>>,
+    ) -> fmt::Result {
+        self.family(
+            name,
+            help,
+            MetricType::Histogram,
+            samples,
+            |sample, value| value.encode(sample),
+        )
+    }
+
+    fn family<'s, T>(
+        &mut self,
+        name: &str,
+        help: &str,
+        kind: MetricType,
+        samples: impl IntoIterator<Item = Sample<'s, T>>,
+        write: impl Fn(MetricEncoder<'_>, T) -> fmt::Result,
+    ) -> fmt::Result {
+        let mut family = self.0.encode_descriptor(name, help, None, kind)?;
+        for (labels, value) in samples {
+            // A family of an empty set of labels would print empty braces.
+            match labels.is_empty() {
+                true => return write(family, value),
+                false => write(family.encode_family(&labels)?, value)?,
+            }
+        }
+        Ok(())
+    }
 }

@@ -1,8 +1,8 @@
-//! How uncertainty grows while the detector rests, as the recorded frames tell.
+//! How uncertainty grows while the detector rests, from recorded frames.
 
 use super::PastFrame;
 
-/// Ages that are told apart; beyond them the growth is that of the fit.
+/// Ages that are kept apart; beyond them the growth is that of the fit.
 const AGES: usize = 64;
 /// How uncertainty grows with time where nothing is recorded of it: in proportion.
 const USUAL_POWER: f64 = 1.0;

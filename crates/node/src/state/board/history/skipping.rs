@@ -38,7 +38,7 @@ impl Estimate {
 }
 
 impl SkipEstimate {
-    /// From recorded frames, oldest first, of a policy that rests for at most so many frames.
+    /// From recorded frames, oldest first, of a policy with this longest skip run.
     pub(crate) fn new(frames: &[PastFrame], longest_pause: Option<u32>) -> Self {
         let frames = aged(frames);
         Self {

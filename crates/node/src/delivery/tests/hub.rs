@@ -1,0 +1,235 @@
+//! A simulated hub: the real decoder and the real writer, over one database that two hubs may share.
+
+use super::node::{frames, image, put};
+use albireo_hub::config::{DatabaseConfig, HistoryConfig};
+use albireo_hub::ingest::{Batch, Recorder, decode};
+use albireo_hub::presence::News;
+use albireo_hub::store::Store;
+use albireo_service::clock::Now;
+use albireo_wire::{RefusalReason, ReportRefusal, VERSION};
+use rusqlite::Connection;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
+use uuid::Uuid;
+
+/// Who asked what: the place of the node, and the number of its question.
+pub(super) type Asker = (usize, u64);
+
+/// An answer, or a refusal.
+pub(super) type Reply = Result<Vec<u8>, Vec<u8>>;
+
+/// One process.
+#[derive(Default)]
+pub(super) struct Process {
+    recorder: Option<Recorder>,
+    /// How far its wall clock is ahead.
+    pub(super) clock_ms: i64,
+    waiting: Vec<(Asker, Batch)>,
+}
+
+pub(super) struct Hub {
+    file: PathBuf,
+    store: Store,
+    /// Another program on the same file; while the disk is full it keeps everybody out.
+    other: Connection,
+    is_full: bool,
+    history: HistoryConfig,
+    pub(super) processes: [Process; 2],
+}
+
+fn open(file: &Path) -> Store {
+    let config = DatabaseConfig {
+        url: format!("sqlite:{}", file.display()),
+        timeout_ms: 1,
+        ..DatabaseConfig::default()
+    };
+    let runtime = tokio::runtime::Builder::new_current_thread().build();
+    runtime.unwrap().block_on(Store::open(&config)).unwrap()
+}
+
+/// An empty database.
+fn empty(folder: &Path) -> Vec<u8> {
+    static EMPTY: OnceLock<Vec<u8>> = OnceLock::new();
+    EMPTY
+        .get_or_init(|| {
+            let file = folder.join("empty.db");
+            drop(open(&file));
+            image(&file)
+        })
+        .clone()
+}
+
+impl Hub {
+    pub(super) fn new(folder: &Path, identity: u64) -> Self {
+        let file = folder.join("hub.db");
+        put(&file, &empty(folder));
+        let other = Connection::open(&file).unwrap();
+        let identity = Uuid::from_u64_pair(identity, identity).to_string();
+        let named = "UPDATE hub_meta SET value = ? WHERE key = 'identity'";
+        other.execute(named, [identity]).unwrap();
+        let years = 36_500;
+        Self {
+            store: open(&file),
+            file,
+            other,
+            is_full: false,
+            // Clips stay, to be counted in the end; of ids only those that are too old go.
+            history: HistoryConfig {
+                clips_days: years,
+                five_minutes_days: years,
+                events_days: years,
+                set_aside_days: years,
+            },
+            processes: Default::default(),
+        }
+    }
+
+    pub(super) fn switch_on(&mut self, process: usize, now: Now) {
+        let recorder = Recorder::new(&self.store, &self.history, now);
+        self.processes[process].recorder = Some(recorder);
+    }
+
+    pub(super) fn is_on(&self, process: usize) -> bool {
+        self.processes[process].recorder.is_some()
+    }
+
+    /// The process ends: what it was asked is not answered.
+    pub(super) fn crash(&mut self, process: usize) {
+        self.processes[process].recorder = None;
+        self.processes[process].waiting.clear();
+    }
+
+    /// From now on nothing can be written, or again.
+    pub(super) fn fill(&mut self, is_full: bool) {
+        if self.is_full != is_full {
+            let text = if is_full {
+                "BEGIN IMMEDIATE"
+            } else {
+                "ROLLBACK"
+            };
+            self.other.execute_batch(text).unwrap();
+            self.is_full = is_full;
+        }
+    }
+
+    /// Takes a batch over, to be committed; `false` when nothing runs.
+    pub(super) fn take(
+        &mut self,
+        process: usize,
+        node: &str,
+        from: Asker,
+        payload: &[u8],
+        now: Now,
+    ) -> bool {
+        let process = &mut self.processes[process];
+        if process.recorder.is_some() {
+            let batch = decode(node, payload, now.unix_ms).unwrap();
+            process.waiting.push((from, batch));
+        }
+        process.recorder.is_some()
+    }
+
+    /// Commits what waits; the replies.
+    pub(super) fn commit(&mut self, process: usize, now: Now) -> Vec<(Asker, Reply)> {
+        let process = &mut self.processes[process];
+        let Some(recorder) = &mut process.recorder else {
+            return Vec::new();
+        };
+        let (from, batches): (Vec<_>, Vec<_>) =
+            std::mem::take(&mut process.waiting).into_iter().unzip();
+        let retention = recorder.retention_is_due(now.at);
+        match recorder.record(&batches, &News::default(), retention, now) {
+            Ok(recorded) => {
+                let answers = recorded
+                    .answers
+                    .iter()
+                    .map(|answer| Ok(serde_json::to_vec(answer).unwrap()));
+                from.into_iter().zip(answers).collect()
+            }
+            Err(error) => {
+                let refusal = ReportRefusal {
+                    v: VERSION,
+                    reason: RefusalReason::Unavailable,
+                    detail: error.to_string(),
+                    retry_after_ms: Some(5000),
+                };
+                let refusal = serde_json::to_vec(&refusal).unwrap();
+                from.into_iter()
+                    .map(|from| (from, Err(refusal.clone())))
+                    .collect()
+            }
+        }
+    }
+
+    /// A backup; none can be made while the disk is full.
+    pub(super) fn backup(&self) -> Option<Vec<u8>> {
+        (!self.is_full).then(|| image(&self.file))
+    }
+
+    /// Puts a backup in its place; all processes are off.
+    pub(super) fn restore(&mut self, backup: &[u8]) {
+        self.fill(false);
+        self.other = Connection::open_in_memory().unwrap();
+        put(&self.file, backup);
+        self.other = Connection::open(&self.file).unwrap();
+    }
+
+    /// How often each report is stored.
+    pub(super) fn stored(&self) -> BTreeMap<usize, u32> {
+        let mut stored = BTreeMap::new();
+        let mut select = self
+            .other
+            .prepare("SELECT clip, frames FROM clips")
+            .unwrap();
+        let mut rows = select.query([]).unwrap();
+        while let Some(row) = rows.next().unwrap() {
+            let number: usize = row.get::<_, String>(0).unwrap().parse().unwrap();
+            assert_eq!(row.get::<_, i64>(1).unwrap().unsigned_abs(), frames(number));
+            *stored.entry(number).or_default() += 1;
+        }
+        stored
+    }
+
+    /// What does not agree in the database.
+    pub(super) fn check(&self) -> Result<(), String> {
+        let sums = |what: &str, table: &str| -> (i64, i64, i64) {
+            let text = format!(
+                "SELECT COALESCE(sum({what}), 0), COALESCE(sum(frames), 0), COALESCE(sum(duration_us), 0) FROM {table}"
+            );
+            let read = |row: &rusqlite::Row<'_>| Ok((row.get(0)?, row.get(1)?, row.get(2)?));
+            self.other.query_row(&text, [], read).unwrap()
+        };
+        let clips = sums("part = 0", "clips");
+        for table in ["sums_5m", "sums_day"] {
+            let summed = sums("clips", table);
+            if summed != clips {
+                return Err(format!(
+                    "{table} has {summed:?}, the clips add up to {clips:?}"
+                ));
+            }
+        }
+        let number = |text: &str| {
+            self.other
+                .query_row(text, [], |row| row.get::<_, i64>(0))
+                .unwrap()
+        };
+        let (counted, stored) = (
+            number("SELECT COALESCE(sum(stored), 0) FROM report_counts"),
+            number("SELECT count(*) FROM clips"),
+        );
+        if counted != stored {
+            return Err(format!(
+                "{counted} reports are counted as stored, {stored} are"
+            ));
+        }
+        let longest = number("SELECT COALESCE(max(length(missing)), 0) FROM report_counts");
+        let senseless = number("SELECT count(*) FROM set_aside");
+        if longest > 1000 || senseless > 0 {
+            return Err(format!(
+                "ranges of {longest} bytes, {senseless} reports set aside"
+            ));
+        }
+        Ok(())
+    }
+}

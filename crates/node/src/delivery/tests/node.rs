@@ -1,0 +1,286 @@
+//! A simulated node: the real outbox on its real file, and the schedule of the uplink.
+
+use crate::delivery::outbox::tests::report;
+use crate::delivery::outbox::{
+    Disk, Outbox, OutboxConfig, OutboxCounts, OutboxError, StateFile, TableError,
+};
+use crate::delivery::uplink::{Asked, Outcome, Schedule, conclude, read_reply};
+use albireo_service::clock::Now;
+use albireo_wire::{BatchCompression, ClipReport, FrameStates, ReportAnswer, ReportBatch};
+use rusqlite::Connection;
+use std::collections::BTreeSet;
+use std::io::{Error, ErrorKind};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+use uuid::{Builder, Uuid};
+
+/// The longest that a node waits before it looks again.
+const LONGEST_PAUSE: Duration = Duration::from_secs(900);
+
+/// The longest that a lock of this process is held by a program that another test starts.
+const LOCK_LIMIT: Duration = Duration::from_secs(20);
+
+/// The file of a state directory on a disk that may be full.
+#[derive(Debug)]
+struct FaultyDisk {
+    file: StateFile,
+    faults: Arc<Faults>,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Faults {
+    /// The disk takes nothing.
+    pub(super) is_full: AtomicBool,
+    /// A commit is on the disk when it returns.
+    syncs: AtomicBool,
+}
+
+impl Disk for FaultyDisk {
+    fn open(&mut self) -> Result<Connection, TableError> {
+        if self.faults.is_full.load(Ordering::Relaxed) {
+            return Err(Error::from(ErrorKind::StorageFull).into());
+        }
+        let db = self.file.open()?;
+        db.busy_timeout(Duration::ZERO)?;
+        // FULL, or more.
+        let level: i64 = db.pragma_query_value(None, "synchronous", |row| row.get(0))?;
+        self.faults.syncs.store(level >= 2, Ordering::Relaxed);
+        let faults = Arc::clone(&self.faults);
+        // A commit that is refused is rolled back.
+        db.commit_hook(Some(move || faults.is_full.load(Ordering::Relaxed)))?;
+        Ok(db)
+    }
+
+    fn check(&self) -> Result<(), TableError> {
+        self.file.check()
+    }
+
+    fn set_aside(&mut self) -> std::io::Result<PathBuf> {
+        self.file.set_aside()
+    }
+}
+
+pub(super) struct Node {
+    pub(super) name: String,
+    folder: PathBuf,
+    pub(super) faults: Arc<Faults>,
+    outbox: Option<Outbox>,
+    schedule: Schedule,
+    /// How far its wall clock is ahead.
+    pub(super) clock_ms: i64,
+    /// The question under way.
+    asked: Option<(u64, ReportBatch)>,
+    /// Reports that it said are in memory only.
+    pub(super) in_memory: Vec<usize>,
+    /// What a power cut leaves where commits are not synced.
+    unsynced: Option<Vec<u8>>,
+    pub(super) looks_at_ms: i64,
+}
+
+/// The serial number in the id that [`Node::make`] gives.
+pub(super) fn serial(id: Uuid) -> usize {
+    (id.as_u128() & 0xffff_ffff) as usize
+}
+
+/// The content of a database file, as one file.
+pub(super) fn image(file: &Path) -> Vec<u8> {
+    let copy = file.with_extension("image");
+    let db = Connection::open(file).unwrap();
+    db.execute("VACUUM INTO ?", [copy.to_str()]).unwrap();
+    let bytes = std::fs::read(&copy).unwrap();
+    std::fs::remove_file(copy).unwrap();
+    bytes
+}
+
+/// Puts a database file in the place of another.
+pub(super) fn put(file: &Path, image: &[u8]) {
+    for ending in ["-wal", "-shm"] {
+        let mut beside = file.as_os_str().to_owned();
+        beside.push(ending);
+        let _ = std::fs::remove_file(beside);
+    }
+    std::fs::write(file, image).unwrap();
+}
+
+impl Node {
+    /// One whose state directory holds `state`, switched off.
+    pub(super) fn new(name: String, folder: PathBuf, state: Option<&[u8]>) -> Self {
+        std::fs::create_dir(&folder).unwrap();
+        let node = Self {
+            name,
+            folder,
+            faults: Arc::default(),
+            outbox: None,
+            schedule: Schedule::new(&OutboxConfig::default(), 0, Instant::now()),
+            clock_ms: 0,
+            asked: None,
+            in_memory: Vec::new(),
+            unsynced: None,
+            looks_at_ms: i64::MAX,
+        };
+        if let Some(state) = state {
+            put(&node.file(), state);
+        }
+        node
+    }
+
+    pub(super) fn file(&self) -> PathBuf {
+        self.folder.join("node.db")
+    }
+
+    pub(super) fn is_on(&self) -> bool {
+        self.outbox.is_some()
+    }
+
+    pub(super) fn switch_on(&mut self, now: Now, random: u64) {
+        let config = OutboxConfig::default();
+        let began = Instant::now();
+        let opened = loop {
+            let disk = FaultyDisk {
+                file: StateFile::new(&self.folder),
+                faults: Arc::clone(&self.faults),
+            };
+            match Outbox::open_on(Box::new(disk), &config, &self.folder, now) {
+                // Between fork and exec, a program that another test starts shares the lock.
+                Err(OutboxError::Locked(_)) if began.elapsed() < LOCK_LIMIT => thread::yield_now(),
+                opened => break opened.unwrap(),
+            }
+        };
+        self.outbox = Some(opened);
+        self.schedule = Schedule::new(&config, random, now.at);
+        self.schedule.begin(now.at);
+        let unsynced = self.file().exists() && !self.faults.syncs.load(Ordering::Relaxed);
+        self.unsynced = unsynced.then(|| image(&self.file()));
+    }
+
+    /// The power goes; what was in memory only is lost, and returned.
+    pub(super) fn crash(&mut self) -> Vec<usize> {
+        (self.outbox, self.asked) = (None, None);
+        if let Some(unsynced) = self.unsynced.take() {
+            put(&self.file(), &unsynced);
+        }
+        std::mem::take(&mut self.in_memory)
+    }
+
+    /// A copy of the state as it is on the disk.
+    pub(super) fn state(&self) -> Option<Vec<u8>> {
+        self.file().exists().then(|| image(&self.file()))
+    }
+
+    /// The reports on its disk.
+    pub(super) fn kept(&self) -> BTreeSet<usize> {
+        if !self.file().exists() {
+            return BTreeSet::new();
+        }
+        let db = Connection::open(self.file()).unwrap();
+        let mut select = db.prepare("SELECT id FROM report").unwrap();
+        let ids = select.query_map([], |row| Ok(Uuid::from_bytes(row.get(0)?)));
+        ids.unwrap().map(|id| serial(id.unwrap())).collect()
+    }
+
+    /// Makes a report, and keeps it.
+    pub(super) fn make(&mut self, number: usize, random: u16, now: Now) {
+        let Some(outbox) = &self.outbox else { return };
+        let mut bytes = [0; 10];
+        bytes[..2].copy_from_slice(&random.to_be_bytes());
+        bytes[6..].copy_from_slice(&(number as u32).to_be_bytes());
+        let frames = frames(number);
+        let made = ClipReport {
+            id: Builder::from_unix_timestamp_millis(now.unix_ms.unsigned_abs(), &bytes).into_uuid(),
+            node: self.name.clone(),
+            clip: number.to_string(),
+            part: (number % 3) as u32,
+            started_ns: now.unix_ms.unsigned_abs() * 1_000_000,
+            frames,
+            states: FrameStates {
+                i: frames,
+                ..FrameStates::default()
+            },
+            ..report(0)
+        };
+        outbox.insert(&mut [made], now);
+        self.in_memory.push(number);
+        self.note_durable();
+    }
+
+    /// What the outbox says is on its disk is no longer in memory only.
+    fn note_durable(&mut self) {
+        if (self.counts()).is_some_and(|counts| counts.durable && counts.in_memory == 0) {
+            self.in_memory.clear();
+        }
+    }
+
+    /// Looks what is to be sent: the payload, as the question of that number; and when to look again.
+    pub(super) fn look(&mut self, question: u64, now: Now) -> (Option<Vec<u8>>, Duration) {
+        let Some(outbox) = &self.outbox else {
+            return (None, LONGEST_PAUSE);
+        };
+        outbox.retry_disk(now);
+        let mut payload = None;
+        if let Some(again) = (self.schedule).next_batch(&outbox.counts(), false, now.at) {
+            match outbox.batch(&self.name, again, now) {
+                Some(batch) => {
+                    payload = Some(batch.to_payload(BatchCompression::Quick).unwrap());
+                    self.asked = Some((question, batch));
+                }
+                None => self.schedule.batch_ended(Outcome::Nothing, now.at),
+            }
+        }
+        let latest = now.at + LONGEST_PAUSE;
+        let next = self.schedule.next_look(latest, now.at) - now.at;
+        let next = if outbox.counts().failing.is_some() {
+            next.min(Duration::from_secs(20))
+        } else {
+            next
+        };
+        self.note_durable();
+        (payload, next)
+    }
+
+    /// Whether a reply to that question is waited for.
+    pub(super) fn awaits(&self, question: u64) -> bool {
+        self.asked
+            .as_ref()
+            .is_some_and(|(asked, _)| *asked == question)
+    }
+
+    /// Takes a reply, or that none came in time; the reports that the hub refuses for good.
+    pub(super) fn take(&mut self, reply: Option<Result<&[u8], &[u8]>>, now: Now) -> Vec<usize> {
+        let (Some(outbox), Some((_, batch))) = (&self.outbox, self.asked.take()) else {
+            return Vec::new();
+        };
+        let asked: Asked<ReportAnswer> = read_reply(reply.unwrap_or(Err(b"no reply")));
+        let refused = match &asked {
+            Asked::Answered(answer) => answer.refused.clone(),
+            _ => Vec::new(),
+        };
+        let (outcome, _) = conclude(outbox, &batch, asked, now);
+        if outcome == Outcome::Done {
+            // What is acknowledged does not wait in memory any more.
+            let sent: BTreeSet<usize> = batch.reports.iter().map(|one| serial(one.id)).collect();
+            self.in_memory.retain(|number| !sent.contains(number));
+        }
+        self.schedule.batch_ended(outcome, now.at);
+        self.note_durable();
+        refused.iter().map(|refused| serial(refused.id)).collect()
+    }
+
+    /// How it is; nothing while it is off.
+    pub(super) fn counts(&self) -> Option<OutboxCounts> {
+        self.outbox.as_ref().map(Outbox::counts)
+    }
+
+    /// Whether everything was delivered.
+    pub(super) fn is_settled(&self) -> bool {
+        let is_empty = |counts: OutboxCounts| counts.waiting + counts.again == 0 && counts.durable;
+        self.asked.is_none() && self.counts().is_some_and(is_empty)
+    }
+}
+
+/// The frames of a report.
+pub(super) fn frames(number: usize) -> u64 {
+    1 + (number % 97) as u64
+}
