@@ -1,4 +1,4 @@
-//! Why a hub cannot start, or had to end: which part, and what to do.
+//! Why a hub cannot start, or ended: which part, and what to do.
 
 use crate::store::StoreError;
 use albireo_service::http::HttpError;
@@ -6,7 +6,7 @@ use albireo_service::session::SessionError;
 use albireo_service::supervise::TaskFailed;
 use albireo_wire::KeyError;
 
-/// Why a hub cannot start, or had to end.
+/// Why a hub cannot start, or ended.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum HubError {

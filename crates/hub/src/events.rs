@@ -1,5 +1,5 @@
-//! Events, from the database to whoever listens: each has a number that grows, so that a reader who comes back says
-//! which he had last.
+//! Events, from the database to their readers: each has a number that grows, so that a reader who comes back says
+//! which came last.
 
 use crate::store::{Store, StoredEvent};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use tokio_util::sync::CancellationToken;
 const LAG: usize = 4096;
 /// Most events of one look.
 const STEP: i64 = 1000;
-/// Time between two looks without a word: other hubs write to the same database.
+/// Interval of reading without a notice: other hubs write to the same database.
 const LOOK: Duration = Duration::from_secs(2);
 
 /// Says that there are new events in the database.
@@ -25,7 +25,7 @@ impl EventsChanged {
     }
 }
 
-/// Where events are had from as they happen.
+/// Hands out events as they happen.
 #[derive(Clone, Debug)]
 pub struct Events(broadcast::Sender<Arc<StoredEvent>>);
 

@@ -1,7 +1,6 @@
 //! The routes of a hub.
 
 mod body;
-mod campaigns;
 mod changes;
 mod clips;
 mod diag;
@@ -14,6 +13,7 @@ mod metrics;
 mod node_list;
 mod nodes;
 mod order;
+mod runs;
 mod target;
 mod threshold;
 
@@ -168,14 +168,15 @@ fn query<T>(parameters: Result<Query<T>, QueryRejection>) -> Result<T, Problem> 
     }
 }
 
-/// A database that does not answer, as a problem document.
-fn unavailable(error: &StoreError) -> Problem {
-    let status = if error.passes() {
-        StatusCode::SERVICE_UNAVAILABLE
-    } else {
-        StatusCode::INTERNAL_SERVER_ERROR
-    };
-    Problem::new(status, error.to_string())
+impl From<StoreError> for Problem {
+    fn from(error: StoreError) -> Self {
+        let status = if error.passes() {
+            StatusCode::SERVICE_UNAVAILABLE
+        } else {
+            StatusCode::INTERNAL_SERVER_ERROR
+        };
+        Self::new(status, error.to_string())
+    }
 }
 
 #[derive(utoipa::OpenApi)]
@@ -236,12 +237,12 @@ fn described() -> OpenApiRouter<HubView> {
         .routes(routes!(changes::changes))
         .routes(routes!(changes::change))
         .routes(routes!(changes::drift))
-        .routes(routes!(campaigns::rollouts, campaigns::begin_rollout))
-        .routes(routes!(campaigns::one_rollout))
-        .routes(routes!(campaigns::command_rollout))
-        .routes(routes!(campaigns::trials, campaigns::begin_trial))
-        .routes(routes!(campaigns::one_trial))
-        .routes(routes!(campaigns::end_trial))
+        .routes(routes!(runs::rollouts, runs::begin_rollout))
+        .routes(routes!(runs::one_rollout))
+        .routes(routes!(runs::command_rollout))
+        .routes(routes!(runs::trials, runs::begin_trial))
+        .routes(routes!(runs::one_trial))
+        .routes(routes!(runs::end_trial))
 }
 
 /// The OpenAPI document of a hub, as `/openapi.json` gives it.

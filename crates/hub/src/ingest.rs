@@ -8,18 +8,18 @@ mod clip;
 mod commit;
 mod counters;
 mod decode;
-#[cfg(test)]
-mod fuzz;
 mod limits;
 mod plan;
+mod recorder;
 mod replies;
 #[cfg(test)]
 mod tests;
 mod writer;
 
-pub(crate) use commit::Numbers;
 pub(crate) use counters::Queued;
 pub use counters::{IngestCounters, IngestSnapshot};
+pub use decode::{Batch, DecodeError, decode};
+pub use recorder::{Recorded, Recorder};
 pub(crate) use replies::{Replies, refusal};
 pub(crate) use writer::{WriterSetup, start};
 
@@ -34,6 +34,10 @@ use zenoh::query::Query;
 
 /// Largest batch as it is sent, bytes: one that a node makes is a tenth of that.
 const LARGEST_PAYLOAD: usize = 1 << 20;
+
+/// Batches that may wait, and their compressed bytes; one more is answered "busy" at once.
+const MOST_BATCHES: usize = 4096;
+const MOST_BYTES: u64 = 32 << 20;
 
 /// A batch that waits.
 #[derive(Debug)]
@@ -55,7 +59,6 @@ pub(crate) struct Waiting {
 pub(crate) struct ReportQueue {
     queue: SyncSender<Waiting>,
     limits: Arc<NodeLimits>,
-    most_bytes: u64,
     replies: Replies,
     busy_after: Duration,
     busy_retry: Duration,
@@ -70,11 +73,10 @@ impl ReportQueue {
         replies: Replies,
         counters: Arc<IngestCounters>,
     ) -> (Self, Receiver<Waiting>) {
-        let (queue, waiting) = sync_channel(config.queue);
+        let (queue, waiting) = sync_channel(MOST_BATCHES);
         let queue = Self {
             queue,
             limits,
-            most_bytes: config.queue_bytes as u64,
             replies,
             busy_after: Duration::from_millis(config.busy_after_ms),
             busy_retry: Duration::from_millis(config.busy_retry_ms),
@@ -89,7 +91,7 @@ impl ReportQueue {
         let node = FleetKeys::node_of(query.key_expr().as_str()).map(str::to_owned);
         let payload = query.payload_mut().map(std::mem::take);
         let (Some(node), Some(payload)) = (node, payload) else {
-            // Whoever it is, it is no node, and not answered.
+            // It is no node, and is not answered.
             return self.counters.refuse(RefusalReason::Unreadable);
         };
         if payload.len() > LARGEST_PAYLOAD {
@@ -112,7 +114,7 @@ impl ReportQueue {
             }
         };
         // Written in time or not at all: what a node has given up waiting for it sends again.
-        let full = self.counters.queued_bytes() + payload.len() as u64 > self.most_bytes;
+        let full = self.counters.queued_bytes() + payload.len() as u64 > MOST_BYTES;
         if full || self.counters.waited() > self.busy_after {
             self.counters.refuse(RefusalReason::Busy);
             return self.busy(

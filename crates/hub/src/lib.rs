@@ -7,6 +7,7 @@ mod error;
 pub mod events;
 pub mod http;
 pub mod ingest;
+mod named;
 mod per_node;
 pub mod presence;
 pub mod readiness;

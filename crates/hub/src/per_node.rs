@@ -19,7 +19,7 @@ pub(crate) struct Place {
 }
 
 impl PerNode {
-    /// At most so many of a node may wait.
+    /// At most this many of a node may wait.
     pub(crate) fn new(most: u32) -> Arc<Self> {
         Arc::new(Self {
             most,

@@ -5,11 +5,13 @@ use crate::error::HubError;
 use crate::events::EventsChanged;
 use crate::http::{self, HubView};
 use crate::ingest::{self, Replies, WriterSetup};
-use crate::presence::{ListenSetup, Remembered, Used, day_of, listen};
+use crate::presence::{ListenSetup, Used, day_of, listen};
 use crate::readiness::Readiness;
+use crate::store::tables::NodeRow;
 use crate::store::{EnergyBy, EnergyQuery, Resolution, Store, StoreError};
 use crate::tuning::{self, Tuner};
 use albireo_service::clock::unix_milliseconds;
+use albireo_service::config::ZenohMode;
 use albireo_service::notify::{self, Look};
 use albireo_service::supervise::{Supervisor, TaskTally};
 use albireo_service::{logging, session};
@@ -23,7 +25,7 @@ use tracing::Span;
 use zenoh::Session;
 
 /// What a hub's session needs beyond what is configured. A long lease, because a storm of joining nodes can keep a
-/// router busy for half a minute, and a session that is lost then declares everything anew and makes it longer. Room
+/// router busy for half a minute, and a session that is lost then declares everything again and makes it longer. Room
 /// for nodes that connect to the hub itself: the default refuses the thousand-and-first without a word.
 const SESSION: session::Settings<'static> = &[
     ("transport/link/tx/lease", "60000"),
@@ -66,7 +68,7 @@ pub async fn run(
     readiness.hold("zenoh", "the session is not open yet");
     readiness.hold("database", "it is not open yet");
     let view = HubView::new(config, Arc::clone(&readiness), shutdown.clone());
-    // HTTP outlives the rest, so that a look is possible until the end.
+    // HTTP outlives the rest, so that it can be read until the end.
     let serving = CancellationToken::new();
     let http = albireo_service::http::run_with_tokens(
         &config.http,
@@ -96,7 +98,7 @@ pub async fn run(
         },
         hub
     );
-    // It has told that the hub stops; after an error nobody did.
+    // It has reported that the hub stops; after an error nothing did.
     telling.abort();
     hub.and(http)
 }
@@ -110,7 +112,8 @@ fn looks(view: HubView) -> impl Fn() -> Look {
             .map(|(part, reason)| format!("{part}: {reason}"))
             .collect();
         let seen = view.ingest.snapshot();
-        let tried = seen.commits + seen.database_errors + seen.refused_unavailable + seen.batches;
+        let all = seen.counts;
+        let tried = all.commits + all.database_errors + all.refused_unavailable + all.batches;
         let mut moved = moved.lock();
         if seen.queued == 0 || tried != moved.0 {
             *moved = (tried, Instant::now());
@@ -173,7 +176,7 @@ async fn parts(
         events: changed.clone(),
     })
     .map_err(HubError::system("the threads of ingest cannot be started"))?;
-    // A hub that has lost a task would look well and do half of its work: it ends, and is started anew.
+    // A hub that has lost a task would look well and do half of its work: it ends, and is started again.
     // Their end ends the hub, so that no readiness has to name them.
     let mut tasks = Supervisor::new(
         albireo_service::readiness::Readiness::default(),
@@ -196,6 +199,8 @@ async fn parts(
         desires: Arc::clone(&view.desires),
         replies,
         counters: Arc::clone(&view.listen),
+        readiness: Arc::clone(readiness),
+        is_client: config.zenoh.mode == ZenohMode::Client,
         shutdown: shutdown.clone(),
     })
     .await?;
@@ -235,7 +240,7 @@ async fn parts(
             tuning::follow(tuner, shutdown.clone()),
         );
     }
-    // Who was known tells where it stands now, and not at its next period.
+    // Known nodes report their state now, and not at their next period.
     for node in view.fleet.names() {
         listening
             .notifier
@@ -252,7 +257,7 @@ async fn parts(
     tracing::info!(?zenoh, "ready");
 
     let watched = tasks.watch().await;
-    // After a failure what still runs has to be told.
+    // After a failure the tasks that still run have to stop.
     shutdown.cancel();
     readiness.hold("zenoh", "the hub stops");
     // With the queryable the queue's only sender goes: the writer commits what waits, and ends.
@@ -277,9 +282,9 @@ async fn parts(
 type UsedToday = Vec<(String, i64, Used)>;
 
 /// The database and what it knows of the nodes.
-async fn remembered(config: &HubConfig) -> Result<(Store, Vec<Remembered>, UsedToday), StoreError> {
+async fn remembered(config: &HubConfig) -> Result<(Store, Vec<NodeRow>, UsedToday), StoreError> {
     let store = Store::open(&config.database).await?;
-    let nodes = store.remembered().await?;
+    let nodes = store.nodes().await?;
     let since_s = day_of(unix_milliseconds()) * 86_400;
     let today = EnergyQuery {
         by: EnergyBy::Node,

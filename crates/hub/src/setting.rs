@@ -1,4 +1,4 @@
-//! Compares desired settings with what nodes have, and writes targets as texts for the database.
+//! Compares desired settings with what nodes have.
 
 use albireo_wire::{DesiredSetting, Target, Threshold};
 
@@ -12,40 +12,5 @@ pub(crate) fn is_applied(
     match setting {
         DesiredSetting::Threshold(wanted) => threshold == Some(wanted) && target.is_none(),
         DesiredSetting::Target(wanted) => target == wanted,
-    }
-}
-
-/// What stands in the column `target` where a target is switched off.
-pub(crate) const OFF: &str = "off";
-
-/// A target as it is kept: `skip_rate=0.5`, the number in the shortest text that reads back as the same.
-pub(crate) fn target_text(target: Target) -> String {
-    format!("{}={}", target.name(), target.value())
-}
-
-/// Reads what [`target_text`] wrote.
-pub(crate) fn target_of(text: &str) -> Option<Target> {
-    let (name, value) = text.split_once('=')?;
-    Target::named(name, value.parse().ok()?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    proptest! {
-        #[test]
-        fn a_kept_target_reads_back_as_the_same(value in prop::num::f64::NORMAL, which in 0..Target::NAMES.len()) {
-            let target = Target::named(Target::NAMES[which], value).unwrap();
-            prop_assert_eq!(target_of(&target_text(target)), Some(target));
-        }
-    }
-
-    #[test]
-    fn what_is_no_target_is_not_read_as_one() {
-        for text in ["", OFF, "skip_rate", "skip_rate=", "speed=1"] {
-            assert_eq!(target_of(text), None, "{text}");
-        }
     }
 }

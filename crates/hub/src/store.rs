@@ -1,197 +1,230 @@
-//! The database: SQLite in one file, or PostgreSQL, with the same tables and the same statements.
+//! The database: SQLite in one file, or PostgreSQL, behind one synchronous trait.
 //!
-//! One connection writes, so that a commit holds whatever came in the meantime; others read. What was committed
-//! survives a power loss: `synchronous=FULL` in write-ahead mode, `synchronous_commit=on`.
+//! What is committed survives a power loss: `synchronous=FULL` in write-ahead mode, `synchronous_commit=on`. Readers have
+//! their own connections and never wait for the writer.
 
 mod database;
-mod dialect;
 mod error;
 mod migrate;
 mod postgres;
 mod read;
-mod record;
+pub(crate) mod record;
 pub(crate) mod retention;
-pub(crate) mod rows;
 mod sqlite;
 pub(crate) mod tables;
-#[cfg(test)]
-pub(crate) mod testing;
 pub mod transfer;
-mod write;
+mod tuning;
 
 pub(crate) use database::{Database, ReportKey, Transaction};
-pub(crate) use dialect::Dialect;
 pub use error::StoreError;
 pub use read::{
     AuditCounts, ClipQuery, EnergyBy, EnergyGroup, EnergyQuery, ReportCounts, Resolution,
     StoredClip, StoredEvent, StoredSetAside,
 };
-pub(crate) use rows::Key;
-pub(crate) use write::{CampaignRow, ClipSums, ClipWindow, OrderNodeRow, OrderRow, columns};
-pub(crate) use write::{Writer, Writing};
+pub(crate) use tuning::{ClipSums, ClipWindow, OrderNodeRow, OrderRow, RunRow};
 
 use crate::config::DatabaseConfig;
-use sqlx::any::AnyPoolOptions;
-use sqlx::{AnyConnection, AnyPool, AssertSqlSafe, Connection as _, Executor as _};
+use parking_lot::Mutex;
+use record::{Cell, Row};
+use sqlite::Access;
 use std::path::Path;
-use std::sync::{Arc, Once};
+use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::Semaphore;
 use uuid::Uuid;
 
-/// The database, opened.
-#[derive(Clone, Debug)]
-pub struct Store {
-    dialect: Dialect,
-    url: Arc<str>,
-    timeout_ms: u64,
-    readers: AnyPool,
+/// Which database it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    /// One file.
+    Sqlite,
+    /// A server, which several hubs may share.
+    Postgres,
 }
 
-/// What a connection is told first: what is committed is on the disk, and a lock is waited for.
-fn greeting(dialect: Dialect, timeout_ms: u64, reads: bool) -> Vec<String> {
-    match dialect {
-        Dialect::Sqlite => {
-            let mut pragmas = vec![
-                format!("PRAGMA busy_timeout={timeout_ms}"),
-                "PRAGMA synchronous=FULL".to_owned(),
-                "PRAGMA foreign_keys=ON".to_owned(),
-                "PRAGMA temp_store=MEMORY".to_owned(),
-            ];
-            if reads {
-                pragmas.push("PRAGMA cache_size=-4096".to_owned());
-                pragmas.push("PRAGMA query_only=ON".to_owned());
-            } else {
-                pragmas.push("PRAGMA journal_mode=WAL".to_owned());
-                pragmas.push("PRAGMA cache_size=-32768".to_owned());
-                pragmas.push("PRAGMA wal_autocheckpoint=4000".to_owned());
-            }
-            pragmas
+impl Kind {
+    /// The database of that URL.
+    fn of(url: &str) -> Self {
+        if url.starts_with("sqlite:") {
+            Self::Sqlite
+        } else {
+            Self::Postgres
         }
-        Dialect::Postgres => vec![
-            "SET synchronous_commit TO on".to_owned(),
-            format!("SET statement_timeout TO {}", timeout_ms.saturating_mul(4)),
-            format!("SET lock_timeout TO {timeout_ms}"),
-            "SET client_min_messages TO warning".to_owned(),
-        ],
+    }
+}
+
+/// The database, opened.
+#[derive(Clone)]
+pub struct Store(Arc<Shared>);
+
+struct Shared {
+    kind: Kind,
+    url: String,
+    timeout_ms: u64,
+    /// One permit for each connection that reads.
+    readers: Arc<Semaphore>,
+    most_readers: u32,
+    idle: Mutex<Vec<Box<dyn Database>>>,
+    /// The connection that changes the settings of nodes.
+    writer: Arc<tokio::sync::Mutex<Option<Box<dyn Database>>>>,
+}
+
+impl std::fmt::Debug for Store {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Store")
+            .field("kind", &self.0.kind)
+            .finish_non_exhaustive()
     }
 }
 
 impl Store {
-    /// Connects, and brings the tables to this program's version.
+    /// Connects, and creates the tables where there are none.
     ///
     /// # Errors
-    /// [`StoreError::Refused`] when the database holds something else, or was written by a newer program: that does
-    /// not pass by itself. [`StoreError::Unavailable`] when it cannot be reached now.
+    /// [`StoreError::Refused`] when the database holds something else, or was written by another version of the program:
+    /// waiting does not help. [`StoreError::Unavailable`] when it cannot be reached now.
     pub async fn open(config: &DatabaseConfig) -> Result<Self, StoreError> {
-        static DRIVERS: Once = Once::new();
-        DRIVERS.call_once(sqlx::any::install_default_drivers);
-        let dialect = Dialect::of(&config.url);
-        if dialect == Dialect::Sqlite {
+        let kind = Kind::of(&config.url);
+        if kind == Kind::Sqlite {
             check_file(&config.url)?;
         }
-        let timeout_ms = config.timeout_ms;
-        let readers = AnyPoolOptions::new()
-            .max_connections(config.readers)
-            .acquire_timeout(Duration::from_millis(timeout_ms))
-            .max_lifetime(None)
-            .idle_timeout(None)
-            .after_connect(move |connection: &mut AnyConnection, _| {
-                Box::pin(greet(connection, dialect, timeout_ms, true))
-            })
-            .connect_lazy(&url(config, dialect, "rw"))?;
-        let store = Self {
-            dialect,
-            url: url(config, dialect, "rwc").into(),
-            timeout_ms,
-            readers,
-        };
-        let mut connection = store.connect().await?;
-        migrate::migrate(dialect, &mut connection).await?;
-        connection.close().await?;
+        let store = Self(Arc::new(Shared {
+            kind,
+            url: config.url.clone(),
+            timeout_ms: config.timeout_ms,
+            readers: Arc::new(Semaphore::new(config.readers as usize)),
+            most_readers: config.readers,
+            idle: Mutex::default(),
+            writer: Arc::default(),
+        }));
+        let mut database = store.connection(Access::Create);
+        blocking(move || migrate::migrate(kind, &mut *database)).await?;
         Ok(store)
     }
 
-    /// A connection that writes.
-    async fn connect(&self) -> Result<AnyConnection, StoreError> {
-        let connecting = async {
-            let mut connection = AnyConnection::connect(&self.url).await?;
-            greet(&mut connection, self.dialect, self.timeout_ms, false).await?;
-            Ok(connection)
-        };
-        match tokio::time::timeout(Duration::from_millis(self.timeout_ms), connecting).await {
-            Ok(connected) => connected.map_err(|error| migrate::foreign(self.dialect, error)),
-            Err(_) => Err(StoreError::Unavailable(format!(
-                "the database did not answer within {} ms",
-                self.timeout_ms
-            ))),
+    fn connection(&self, access: Access) -> Box<dyn Database> {
+        let Shared {
+            kind,
+            url,
+            timeout_ms,
+            ..
+        } = &*self.0;
+        match kind {
+            Kind::Sqlite => Box::new(sqlite::Sqlite::new(url, *timeout_ms, access)),
+            Kind::Postgres => Box::new(postgres::PostgresServer::new(url, *timeout_ms)),
         }
     }
 
     /// The database for the thread that writes what nodes report. To be called on a thread of the runtime, and used on one
     /// that is not.
     pub(crate) fn database(&self) -> Box<dyn Database> {
-        match self.dialect {
-            Dialect::Sqlite => Box::new(sqlite::Sqlite::new(&self.url, self.timeout_ms)),
-            Dialect::Postgres => {
-                Box::new(postgres::PostgresServer::new(&self.url, self.timeout_ms))
-            }
+        self.connection(Access::Write)
+    }
+
+    /// Runs `work` in a transaction on a thread that may block, and commits it.
+    pub(crate) async fn write<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&mut dyn Transaction) -> Result<T, StoreError> + Send + 'static,
+    ) -> Result<T, StoreError> {
+        let mut writer = Arc::clone(&self.0.writer).lock_owned().await;
+        let database = writer.take().unwrap_or_else(|| self.database());
+        blocking(move || {
+            let mut database = database;
+            let done = transact(&mut *database, work)?;
+            *writer = Some(database);
+            Ok(done)
+        })
+        .await
+    }
+
+    /// The rows of a query. At most `database.readers` queries run at once, the others wait.
+    async fn query(
+        &self,
+        text: impl Into<String>,
+        values: Vec<Cell>,
+    ) -> Result<Vec<Row>, StoreError> {
+        let limit = Duration::from_millis(self.0.timeout_ms);
+        let waited = tokio::time::timeout(limit, Arc::clone(&self.0.readers).acquire_owned());
+        let Ok(Ok(permit)) = waited.await else {
+            return Err(StoreError::Unavailable(format!(
+                "no connection to the database was free within {} ms",
+                self.0.timeout_ms
+            )));
+        };
+        let idle = self.0.idle.lock().pop();
+        let mut database = idle.unwrap_or_else(|| self.connection(Access::Read));
+        let (text, shared) = (text.into(), Arc::clone(&self.0));
+        blocking(move || {
+            let rows = database.query(&text, &values)?;
+            shared.idle.lock().push(database);
+            drop(permit);
+            Ok(rows)
+        })
+        .await
+    }
+
+    /// `sqlite` or `postgres`.
+    pub fn kind(&self) -> &'static str {
+        match self.0.kind {
+            Kind::Sqlite => "sqlite",
+            Kind::Postgres => "postgres",
         }
     }
 
-    /// Which database it is.
-    pub fn kind(&self) -> &'static str {
-        self.dialect.as_str()
-    }
-
-    /// Closes the connections that read.
+    /// Closes the connections, when nothing uses them any more.
     pub async fn close(&self) {
-        self.readers.close().await;
+        let _all = self.0.readers.acquire_many(self.0.most_readers).await;
+        let idle = std::mem::take(&mut *self.0.idle.lock());
+        let writer = self.0.writer.lock().await.take();
+        let closed = blocking(move || {
+            drop((idle, writer));
+            Ok(())
+        });
+        let _ = closed.await;
     }
 }
 
-/// The identity of a database as it is kept.
-fn identity_of(text: &str) -> Result<Uuid, StoreError> {
+fn transact<T>(
+    database: &mut dyn Database,
+    work: impl FnOnce(&mut dyn Transaction) -> Result<T, StoreError>,
+) -> Result<T, StoreError> {
+    let mut transaction = database.begin()?;
+    let done = work(&mut *transaction)?;
+    transaction.commit()?;
+    Ok(done)
+}
+
+async fn blocking<T: Send + 'static>(
+    work: impl FnOnce() -> Result<T, StoreError> + Send + 'static,
+) -> Result<T, StoreError> {
+    match tokio::task::spawn_blocking(work).await {
+        Ok(done) => done,
+        Err(error) => Err(StoreError::Unavailable(format!(
+            "the database was not used: {error}"
+        ))),
+    }
+}
+
+/// The id of a database as it is stored.
+fn identity_of(rows: &[Row]) -> Result<Uuid, StoreError> {
+    let text: String = match rows.first() {
+        Some(row) => row.get("value")?,
+        None => String::new(),
+    };
     text.parse().map_err(|error| {
-        StoreError::Statement(format!("`{text}` is kept as its identity: {error}"))
+        StoreError::Statement(format!("the database has the id `{text}`: {error}"))
     })
 }
 
-async fn greet(
-    connection: &mut AnyConnection,
-    dialect: Dialect,
-    timeout_ms: u64,
-    reads: bool,
-) -> sqlx::Result<()> {
-    for statement in greeting(dialect, timeout_ms, reads) {
-        connection.execute(AssertSqlSafe(statement)).await?;
-    }
-    Ok(())
-}
-
-fn url(config: &DatabaseConfig, dialect: Dialect, mode: &str) -> String {
-    if dialect == Dialect::Sqlite && !config.url.contains('?') {
-        format!("{}?mode={mode}", config.url)
-    } else {
-        config.url.clone()
-    }
-}
-
-/// Says what is wrong with the place of the file in words that help more than those of SQLite.
+/// Checks the folder of the file: SQLite's own error does not name it.
 fn check_file(url: &str) -> Result<(), StoreError> {
-    let file = url.strip_prefix("sqlite:").unwrap_or(url);
-    let file = Path::new(
-        file.split('?')
-            .next()
-            .unwrap_or(file)
-            .trim_start_matches("//"),
-    );
-    let folder = match file.parent() {
+    let folder = match Path::new(sqlite::file(url)).parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder,
         _ => Path::new("."),
     };
     if !folder.is_dir() {
         return Err(StoreError::Unavailable(format!(
-            "the folder {} of the database is not there; make it, or change database.url",
+            "the folder {} of the database is missing; create it, or change database.url",
             folder.display()
         )));
     }

@@ -220,7 +220,6 @@ async fn read_events(hub: &Hub, last: &str, wanted: &str) -> String {
 async fn tables_of_a_newer_program_or_of_another_one_are_refused() {
     use albireo_hub::config::DatabaseConfig;
     use albireo_hub::store::{Store, StoreError};
-    use sqlx::Connection as _;
     for (statements, wanted) in [
         (
             "UPDATE hub_meta SET value = '999' WHERE key = 'version'",
@@ -234,9 +233,9 @@ async fn tables_of_a_newer_program_or_of_another_one_are_refused() {
             ..DatabaseConfig::default()
         };
         Store::open(&config).await.unwrap().close().await;
-        let mut raw = sqlx::AnyConnection::connect(&config.url).await.unwrap();
-        sqlx::query(statements).execute(&mut raw).await.unwrap();
-        raw.close().await.unwrap();
+        let raw = rusqlite::Connection::open(folder.path().join("hub.db")).unwrap();
+        raw.execute_batch(statements).unwrap();
+        drop(raw);
         let error = Store::open(&config).await.unwrap_err();
         assert!(matches!(error, StoreError::Refused(_)), "{error:?}");
         assert!(error.to_string().contains(wanted), "{error}");

@@ -176,7 +176,6 @@ async fn state_that_goes_back_or_is_copied_loses_and_doubles_nothing() {
 /// A hub whose database is replaced by the copy that `copy` makes over a connection to `from`.
 async fn restored_from_a_backup(database: &str, (from, copy): (&str, &str), backup: &str) {
     use sqlx::Connection as _;
-    sqlx::any::install_default_drivers();
     let hub = Hub::start(config(database)).await;
     let session = uplink(&hub.zenoh).await;
     let start = now_ns() - 3_600_000_000_000;
@@ -184,12 +183,17 @@ async fn restored_from_a_backup(database: &str, (from, copy): (&str, &str), back
     let identity = deliver(&session, &first).await.answer().database;
     session.close().await.unwrap();
     hub.stop().await;
-    let mut connection = sqlx::AnyConnection::connect(from).await.unwrap();
-    sqlx::query(sqlx::AssertSqlSafe(copy.to_owned()))
-        .execute(&mut connection)
-        .await
-        .unwrap();
-    connection.close().await.unwrap();
+    if let Some(file) = from.strip_prefix("sqlite:") {
+        let connection = rusqlite::Connection::open(file).unwrap();
+        connection.execute_batch(copy).unwrap();
+    } else {
+        let mut connection = sqlx::PgConnection::connect(from).await.unwrap();
+        sqlx::query(sqlx::AssertSqlSafe(copy.to_owned()))
+            .execute(&mut connection)
+            .await
+            .unwrap();
+        connection.close().await.unwrap();
+    }
 
     // What is stored after the copy was made is gone with it, all of car-2 too.
     let hub = Hub::start(config(database)).await;
@@ -406,6 +410,8 @@ async fn postgres_a_database_that_is_gone_holds_acknowledgements_back_and_loses_
     deliver(&session, &batch("car-7", 2, 1..=2, start))
         .await
         .assert_stored();
+    let clips = || hub.get("/api/v1/clips?node=car-7");
+    tokio::join!(clips(), clips(), clips(), clips());
     server.kill();
     match deliver(&session, &batch("car-7", 2, 3..=4, start)).await {
         Said::Refused(refusal) => {
@@ -425,8 +431,11 @@ async fn postgres_a_database_that_is_gone_holds_acknowledgements_back_and_loses_
         }
     }
     hub.until("/readyz", |answer| answer["ready"] == true).await;
-    let clips = hub.get("/api/v1/clips?node=car-7").await;
-    assert_eq!(clips["clips"].as_array().unwrap().len(), 4);
+    // The connections that were open before it went, too.
+    let read = tokio::join!(clips(), clips(), clips(), clips());
+    for clips in [read.0, read.1, read.2, read.3] {
+        assert_eq!(clips["clips"].as_array().unwrap().len(), 4);
+    }
     session.close().await.unwrap();
     hub.stop().await;
 }
@@ -463,8 +472,6 @@ async fn postgres_two_hubs_on_one_database_store_a_report_once() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_are_stored() {
-    use sqlx::Connection as _;
-    sqlx::any::install_default_drivers();
     let folder = tempfile::tempdir().unwrap();
     let mut config = config(&sqlite(folder.path()));
     config.database.timeout_ms = 600_000;
@@ -473,13 +480,8 @@ async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_
     let session = uplink(&hub.zenoh).await;
     let start = now_ns() - 3_600_000_000_000;
     // Somebody else writes, and the hub's commit waits.
-    let mut other = sqlx::AnyConnection::connect(&config.database.url)
-        .await
-        .unwrap();
-    sqlx::query("BEGIN IMMEDIATE")
-        .execute(&mut other)
-        .await
-        .unwrap();
+    let other = rusqlite::Connection::open(folder.path().join("hub.db")).unwrap();
+    other.execute_batch("BEGIN IMMEDIATE").unwrap();
     let mut under_way = tokio::task::JoinSet::new();
     let busy = 'told: {
         for number in 0..1000 {
@@ -498,7 +500,7 @@ async fn a_batch_that_would_be_written_too_late_is_answered_busy_and_the_others_
     };
     assert_eq!(refusal.reason, RefusalReason::Busy);
     assert_eq!(refusal.retry_after_ms, Some(config.ingest.busy_retry_ms));
-    sqlx::query("ROLLBACK").execute(&mut other).await.unwrap();
+    other.execute_batch("ROLLBACK").unwrap();
     // What was taken is written; and then batches are taken again.
     while let Some(said) = under_way.join_next().await {
         let said = said.unwrap();

@@ -1,6 +1,7 @@
 //! Which nodes are there and how they are.
 
 use crate::support::{Hub, config, full_status, pull, say, sqlite, status, uplink};
+use albireo_service::config::ZenohMode;
 use albireo_wire::ConfigChanged;
 use serde_json::json;
 use std::time::Duration;
@@ -184,5 +185,55 @@ async fn nodes_in_any_order_come_each_once_page_by_page() {
         "{wrong}"
     );
     session.close().await.unwrap();
+    hub.stop().await;
+}
+
+/// A router of a fleet.
+async fn router(endpoint: &str) -> zenoh::Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", "\"router\"".to_owned()),
+        ("listen/endpoints", format!("[\"{endpoint}\"]")),
+        ("scouting/multicast/enabled", "false".to_owned()),
+    ] {
+        config.insert_json5(key, &value).unwrap();
+    }
+    zenoh::open(config).await.unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hub_without_its_router_is_not_ready_and_declares_nobody_silent() {
+    let folder = tempfile::tempdir().unwrap();
+    let mut config = config(&sqlite(folder.path()));
+    let endpoint = std::mem::take(&mut config.zenoh.listen).remove(0);
+    config.zenoh.mode = ZenohMode::Client;
+    config.zenoh.connect = vec![endpoint.clone()];
+    config.presence.silent_after_s = 2.0;
+    config.presence.offline_after_s = 4.0;
+    let first = router(&endpoint).await;
+    let hub = Hub::start(config).await;
+    let session = uplink(&endpoint).await;
+    let token = session.liveliness().declare_token("albireo/@alive/car-9");
+    let token = token.await.unwrap();
+    say(&session, "car-9", &full_status(10, 0, &[])).await;
+    let path = "/api/v1/nodes/car-9";
+    hub.until(path, |node| node["state"] == "online").await;
+
+    first.close().await.unwrap();
+    let held = hub
+        .until("/readyz", |answer| answer["ready"] == false)
+        .await;
+    assert!(held["reasons"]["zenoh"].is_string(), "{held}");
+    // Longer than after what time a node is offline.
+    tokio::time::sleep(Duration::from_secs(5)).await;
+    assert_eq!(hub.get(path).await["state"], "online");
+
+    drop(token);
+    session.close().await.unwrap();
+    let second = router(&endpoint).await;
+    hub.until("/readyz", |answer| answer["ready"] == true).await;
+    // Now the hub can hear it, and does not.
+    hub.until(path, |node| node["state"] == "offline").await;
+    second.close().await.unwrap();
     hub.stop().await;
 }

@@ -533,6 +533,87 @@ async fn a_rollout_that_is_stopped_has_ended_and_its_old_values_can_still_be_had
     hub.stop().await;
 }
 
+/// The commands that the docs print name rollout 1 and trial 1 of a new hub.
+async fn each_counts_from_one(database: &str) {
+    let hub = Hub::start(config(database)).await;
+    let played = Played::begin(&hub, fleet(16)).await;
+    let plan = json!({"values": [{"u": 1e-5}, {"u": 1e-2}], "select": ["all"], "duration_s": 600});
+    let (_, trial) = post(&hub, "/api/v1/trials", plan).await;
+    assert_eq!(trial["id"], 1, "{trial}");
+    let (status, answer) = post(&hub, "/api/v1/trials/1/end", json!({})).await;
+    assert_eq!(status, StatusCode::OK, "{answer}");
+    hub.until("/api/v1/trials/1", |trial| trial["phase"] == "done")
+        .await;
+    for id in 1..=2 {
+        let (_, begun) = post(&hub, "/api/v1/rollouts", rollout(5e-4)).await;
+        assert_eq!(begun["id"], id, "{begun}");
+        let (status, _) = post(&hub, &format!("/api/v1/rollouts/{id}/stop"), json!({})).await;
+        assert_eq!(status, StatusCode::OK);
+    }
+    let list = hub.get("/api/v1/rollouts").await;
+    assert_eq!(
+        (&list["rollouts"][0]["id"], &list["rollouts"][1]["id"]),
+        (&json!(2), &json!(1))
+    );
+    assert_eq!(hub.get("/api/v1/trials/1").await["phase"], "done");
+    played.end().await;
+    hub.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn rollouts_and_trials_are_each_counted_from_one() {
+    let folder = tempfile::tempdir().unwrap();
+    each_counts_from_one(&sqlite(folder.path())).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_rollouts_and_trials_are_each_counted_from_one() {
+    let server = Postgres::start();
+    each_counts_from_one(&server.url()).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs PostgreSQL"]
+async fn postgres_a_node_in_a_rollout_of_one_hub_is_changed_by_no_other_hub() {
+    let server = Postgres::start();
+    let one = Hub::start(config(&server.url())).await;
+    let mut beside = config(&server.url());
+    beside.zenoh.connect = vec![one.zenoh.clone()];
+    let two = Hub::start(beside).await;
+    let played = Played::begin(&one, fleet(4)).await;
+    two.until("/api/v1/nodes", |nodes| {
+        let nodes = nodes["nodes"].as_array().into_iter().flatten();
+        let online = nodes.filter(|node| node["state"] == "online");
+        online.count() == 4
+    })
+    .await;
+    let plan = json!({"u": 5e-4, "select": ["all"], "stages": ["1", "100%"], "soak_s": 600});
+    let (status, begun) = post(&one, "/api/v1/rollouts", plan.clone()).await;
+    assert_eq!(status, StatusCode::CREATED, "{begun}");
+    let path = format!("/api/v1/rollouts/{}", begun["id"]);
+
+    let by_hand = json!({"u": 1e-4, "select": ["all"], "wait_s": 8});
+    let (_, answer) = put(&two, by_hand.clone()).await;
+    assert_eq!(answer["counts"], json!({"refused": 4}), "{answer}");
+    let (status, _) = post(&two, "/api/v1/rollouts", plan).await;
+    assert_eq!(status, StatusCode::UNPROCESSABLE_ENTITY);
+    let (status, answer) = post(&two, &format!("{path}/pause"), json!({})).await;
+    assert_eq!(status, StatusCode::CONFLICT, "{answer}");
+
+    let (status, _) = post(&one, &format!("{path}/stop"), json!({})).await;
+    assert_eq!(status, StatusCode::OK);
+    let (_, answer) = put(&two, by_hand).await;
+    assert_eq!(answer["counts"], json!({"applied": 4}), "{answer}");
+    played.end().await;
+    for hub in [one, two] {
+        let metrics = reqwest::get(format!("{}/metrics", hub.http)).await.unwrap();
+        let metrics = metrics.text().await.unwrap();
+        assert!(metrics.contains("albireo_hub_database_errors_total 0"));
+        hub.stop().await;
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_trial_measures_each_value_on_its_group_and_gives_the_old_value_back() {
     let folder = tempfile::tempdir().unwrap();

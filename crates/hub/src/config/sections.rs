@@ -111,56 +111,31 @@ impl DatabaseConfig {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct IngestConfig {
-    /// Batches of reports that may wait; one more is answered "busy" at once.
-    pub queue: usize,
-    /// Bytes of batches that may wait.
-    pub queue_bytes: usize,
     /// Shortest time between two commits, milliseconds: what comes in between is committed together.
     pub commit_ms: u64,
-    /// Most reports of one commit.
-    pub commit_reports: usize,
     /// A batch that comes while those before it wait longer than this is answered "busy" at once, milliseconds. To be
     /// well below the time nodes wait for an answer: what is written after that is sent once more for nothing.
     pub busy_after_ms: u64,
-    /// Bytes of reports that a node may send a day for each of its cameras; above it is told when to come again.
+    /// Bytes of reports that a node may send a day for each of its cameras; above it the hub answers when to come again.
     pub camera_bytes_per_day: u64,
-    /// What a node is told to wait when it is answered "busy", milliseconds.
+    /// How long a node that is answered "busy" has to wait, milliseconds.
     pub busy_retry_ms: u64,
-    /// What a node is told to wait when the database cannot be written, milliseconds.
-    pub unavailable_retry_ms: u64,
 }
 
 impl Default for IngestConfig {
     fn default() -> Self {
         Self {
-            queue: 4096,
-            queue_bytes: 32 << 20,
             commit_ms: 100,
-            commit_reports: 4000,
             busy_after_ms: 3_000,
             camera_bytes_per_day: 10_000_000,
             busy_retry_ms: 2_000,
-            unavailable_retry_ms: 5_000,
         }
     }
 }
 
 impl IngestConfig {
     pub(super) fn check(&self, findings: &mut Findings) {
-        findings.count("ingest.queue", self.queue as u64, 1, 1 << 20);
-        findings.count(
-            "ingest.queue_bytes",
-            self.queue_bytes as u64,
-            super::MAX_PAYLOAD_BYTES as u64,
-            4 << 30,
-        );
         findings.count("ingest.commit_ms", self.commit_ms, 0, 10_000);
-        findings.count(
-            "ingest.commit_reports",
-            self.commit_reports as u64,
-            1,
-            100_000,
-        );
         findings.count("ingest.busy_after_ms", self.busy_after_ms, 1, 3_600_000);
         findings.count(
             "ingest.camera_bytes_per_day",
@@ -169,12 +144,6 @@ impl IngestConfig {
             1 << 40,
         );
         findings.count("ingest.busy_retry_ms", self.busy_retry_ms, 1, 3_600_000);
-        findings.count(
-            "ingest.unavailable_retry_ms",
-            self.unavailable_retry_ms,
-            1,
-            3_600_000,
-        );
     }
 }
 
@@ -186,7 +155,7 @@ pub struct PresenceConfig {
     pub silent_after_s: f64,
     /// A node is offline when it was not heard for so long, seconds.
     pub offline_after_s: f64,
-    /// Whether liveliness tokens are watched too: a node whose token is gone is offline at once.
+    /// Whether liveliness tokens are watched too: a node that loses its token is offline at once.
     pub tokens: bool,
 }
 

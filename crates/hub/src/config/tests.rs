@@ -87,8 +87,7 @@ fn an_impossible_value_is_refused_with_its_key() {
         ("[database]\nurl = \"mysql://x\"", "database.url"),
         ("[database]\nurl = \"sqlite::memory:\"", "database.url"),
         ("[database]\nreaders = 0", "database.readers"),
-        ("[ingest]\nqueue = 0", "ingest.queue"),
-        ("[ingest]\nqueue_bytes = 1", "ingest.queue_bytes"),
+        ("[ingest]\nbusy_after_ms = 0", "ingest.busy_after_ms"),
         (
             "[presence]\nsilent_after_s = nan",
             "presence.silent_after_s",
@@ -98,14 +97,14 @@ fn an_impossible_value_is_refused_with_its_key() {
             "presence.offline_after_s",
         ),
         ("[history]\nclips_days = 0", "history.clips_days"),
-        ("[[token]]\nname = \"a\"", "token[0].token"),
+        ("[[token]]\nname = \"a\"", "token.a.token"),
         (
             "[[token]]\nname = \"\"\ntoken = \"0123456789abcdef\"",
             "token[0].name",
         ),
         (
             "[[token]]\nname = \"a\"\ntoken = \"0123456789abcdef\"\nrole = \"all\"",
-            "token[0].role",
+            "token.a.role",
         ),
         ("[hubb]\nprefix = \"a\"", "hubb"),
     ] {

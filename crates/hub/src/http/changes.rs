@@ -1,8 +1,7 @@
 //! The history of what was ordered, and who has something else.
 
 use super::HubView;
-use super::order::of_store;
-use crate::store::{OrderNodeRow, OrderRow, StoreError};
+use crate::store::{OrderNodeRow, OrderRow};
 use crate::tuning::tuner::Drift;
 use albireo_service::http::Problem;
 use albireo_wire::DesiredSetting;
@@ -19,7 +18,7 @@ const MOST_ORDERS: i64 = 500;
 /// One order of the history.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct ChangeView {
-    /// Its number, which nodes tell as the revision of what they have.
+    /// Its number, which nodes report as the revision of their setting.
     revision: i64,
     /// When, milliseconds since the Unix epoch.
     at_ms: i64,
@@ -44,7 +43,7 @@ pub(super) struct ChangeNode {
     outcome: String,
     /// When that was known, milliseconds since the Unix epoch.
     at_ms: i64,
-    /// What it had before: a threshold or a target.
+    /// Its setting before: a threshold or a target.
     from: Option<DesiredSetting>,
     #[serde(skip_serializing_if = "String::is_empty")]
     detail: String,
@@ -81,7 +80,7 @@ pub(super) struct WhichChanges {
 
 /// The history of changes
 ///
-/// Who ordered which value or target for whom, why, and what became of it.
+/// A change: author, nodes, setting, reason and outcome.
 #[utoipa::path(
     get, operation_id = "list_changes", path = "/api/v1/changes", tag = "tuning", params(WhichChanges),
     responses(
@@ -95,14 +94,8 @@ pub(super) async fn changes(
 ) -> Result<Json<Changes>, Problem> {
     let store = view.tuner()?.store();
     let limit = which.limit.unwrap_or(50).clamp(1, MOST_ORDERS);
-    let orders = store
-        .orders(
-            which.before.unwrap_or(i64::MAX),
-            which.node.as_deref(),
-            limit,
-        )
-        .await;
-    let orders = orders.map_err(|error| of_store(&error))?;
+    let before = which.before.unwrap_or(i64::MAX);
+    let orders = store.orders(before, which.node.as_deref(), limit).await?;
     let next = orders
         .last()
         .filter(|_| orders.len() as i64 == limit)
@@ -112,30 +105,24 @@ pub(super) async fn changes(
         .zip(orders.first())
         .map(|(last, first)| (last.revision, first.revision));
     let counted = match span {
-        Some((from, to)) => store
-            .outcome_counts(from, to)
-            .await
-            .map_err(|error| of_store(&error))?,
+        Some((from, to)) => store.outcome_counts(from, to).await?,
         None => Vec::new(),
     };
-    let changes: Result<Vec<_>, _> = orders
-        .into_iter()
-        .map(|order| change_view(order, &counted))
-        .collect();
+    let changes = orders.into_iter().map(|order| change_view(order, &counted));
     Ok(Json(Changes {
-        changes: changes.map_err(|error| of_store(&error))?,
+        changes: changes.collect(),
         next,
     }))
 }
 
-fn change_view(order: OrderRow, counted: &[(i64, String, i64)]) -> Result<ChangeView, StoreError> {
+fn change_view(order: OrderRow, counted: &[(i64, String, i64)]) -> ChangeView {
     let counts = counted
         .iter()
         .filter(|(revision, ..)| *revision == order.revision);
-    Ok(ChangeView {
+    ChangeView {
         revision: order.revision,
         at_ms: order.at_ms,
-        to: order.setting()?,
+        to: order.setting,
         who: order.who,
         why: order.why,
         origin: order.origin,
@@ -143,7 +130,7 @@ fn change_view(order: OrderRow, counted: &[(i64, String, i64)]) -> Result<Change
         counts: counts
             .map(|(_, outcome, nodes)| (outcome.clone(), *nodes))
             .collect(),
-    })
+    }
 }
 
 /// One change with every node
@@ -160,11 +147,7 @@ pub(super) async fn change(
     Path(number): Path<i64>,
 ) -> Result<Json<ChangeDetail>, Problem> {
     let store = view.tuner()?.store();
-    let failed = |error: StoreError| of_store(&error);
-    let orders = store
-        .orders(number.saturating_add(1), None, 1)
-        .await
-        .map_err(failed)?;
+    let orders = store.orders(number.saturating_add(1), None, 1).await?;
     let order = orders.into_iter().find(|order| order.revision == number);
     let order = order.ok_or_else(|| {
         Problem::new(
@@ -172,31 +155,24 @@ pub(super) async fn change(
             format!("there is no change {number}"),
         )
     })?;
-    let counted = store.outcome_counts(number, number).await.map_err(failed)?;
-    let nodes = store
-        .order_nodes(number, number, None)
-        .await
-        .map_err(failed)?;
-    let ordered = order.setting().map_err(failed)?;
-    let node = |row: OrderNodeRow| -> Result<ChangeNode, StoreError> {
-        Ok(ChangeNode {
-            from: row.before(ordered)?,
-            node: row.node,
-            outcome: row.outcome,
-            at_ms: row.at_ms,
-            detail: row.detail,
-        })
+    let counted = store.outcome_counts(number, number).await?;
+    let nodes = store.order_nodes(number, number, None).await?;
+    let node = |row: OrderNodeRow| ChangeNode {
+        from: row.setting_before,
+        node: row.node,
+        outcome: row.outcome,
+        at_ms: row.at_ms,
+        detail: row.detail,
     };
-    let nodes: Result<Vec<_>, _> = nodes.into_iter().map(node).collect();
     Ok(Json(ChangeDetail {
-        change: change_view(order, &counted).map_err(failed)?,
-        nodes: nodes.map_err(failed)?,
+        change: change_view(order, &counted),
+        nodes: nodes.into_iter().map(node).collect(),
     }))
 }
 
-/// Nodes that have something else than what is desired
+/// Nodes whose setting differs from the desired one
 ///
-/// They had taken it, and it was changed at the node since: another value, another target, or none any more.
+/// They took it, and it was changed at the node since: another value, another target, or none any more.
 #[utoipa::path(get, operation_id = "list_drift", path = "/api/v1/drift", tag = "tuning", responses((status = 200, body = Vec<Drift>)))]
 pub(super) async fn drift(State(view): State<HubView>) -> Result<Json<Vec<Drift>>, Problem> {
     Ok(Json(view.tuner()?.drift()))

@@ -1,6 +1,6 @@
 //! Clips, as pages of JSON and as CSV, and what was set aside.
 
-use super::{HubView, query, unavailable};
+use super::{HubView, query};
 use crate::store::{ClipQuery, StoredClip, StoredSetAside};
 use albireo_service::http::Problem;
 use axum::Json;
@@ -33,7 +33,7 @@ pub(super) struct Selection {
     until_ms: Option<i64>,
     /// `next` of the page before.
     cursor: Option<i64>,
-    /// At most so many, 100 by default, 1000 at most.
+    /// Maximum number, up to 1000; 100 by default.
     limit: Option<i64>,
 }
 
@@ -81,11 +81,7 @@ pub(super) async fn list(
     let selection = query(selection)?;
     let limit = selection.limit.unwrap_or(100).clamp(1, MOST);
     let wanted = selection.query(limit + 1)?;
-    let mut clips = view
-        .store()?
-        .clips(&wanted)
-        .await
-        .map_err(|error| unavailable(&error))?;
+    let mut clips = view.store()?.clips(&wanted).await?;
     let more = clips.len() as i64 > limit;
     clips.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
     let next = more.then(|| clips.last().map(|clip| clip.id)).flatten();
@@ -112,11 +108,8 @@ pub(super) async fn csv(
     let store = view.store()?.clone();
     let left = selection.limit.unwrap_or(i64::MAX).max(1);
     let first = selection.query(left.min(MOST))?;
-    // The first page is read before anything is answered: an error is then an answer of its own.
-    let page = store
-        .clips(&first)
-        .await
-        .map_err(|error| unavailable(&error))?;
+    // The first page is read before anything is answered: an error can then still be answered.
+    let page = store.clips(&first).await?;
     let state = (store, first, Some(page), left, true);
     let pages = stream::unfold(state, |(store, mut wanted, page, left, head)| async move {
         let mut clips = page?;
@@ -171,7 +164,7 @@ pub(super) struct AsideSelection {
     node: Option<String>,
     /// `next` of the page before.
     cursor: Option<i64>,
-    /// At most so many, 20 by default, 100 at most.
+    /// Maximum number, up to 100; 20 by default.
     limit: Option<i64>,
 }
 
@@ -205,8 +198,7 @@ pub(super) async fn set_aside(
     let mut reports = view
         .store()?
         .set_aside(selection.node.as_deref(), selection.cursor, limit + 1)
-        .await
-        .map_err(|error| unavailable(&error))?;
+        .await?;
     let more = reports.len() as i64 > limit;
     reports.truncate(usize::try_from(limit).unwrap_or(usize::MAX));
     let next = more.then(|| reports.last().map(|one| one.id)).flatten();

@@ -1,4 +1,4 @@
-//! What a hub tells of itself in one archive, for whoever looks for a fault from afar.
+//! The hub's diagnostics as one archive.
 
 use super::HubView;
 use crate::config::HubConfig;
@@ -26,10 +26,10 @@ pub(super) fn without_secrets(config: &HubConfig) -> Value {
     shown
 }
 
-/// One archive (tar) of what helps to find a fault
+/// Diagnostics as one tar archive
 ///
 /// Versions, the configuration with its secrets masked, readiness, nodes that are not well, metrics, the last events and
-/// changes, the last lines of the log. What cannot be had (a database that is away) is named in its place.
+/// changes, the last lines of the log. What is missing (a database that is away) is named instead.
 /// `curl -O -J http://127.0.0.1:8090/api/v1/diag`
 #[utoipa::path(
     get, operation_id = "download_diagnosis", path = "/api/v1/diag", tag = "diagnosis",
@@ -42,9 +42,9 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         Err(_) => (away(), away()),
     };
     let mut unwell = Vec::new();
-    view.fleet.glance(|node| {
+    view.fleet.each(|name, node| {
         if node.state != PresenceState::Online {
-            unwell.push((node.state, Arc::clone(node.name)));
+            unwell.push((node.state, Arc::clone(name)));
         }
     });
     // The worst first.
@@ -53,7 +53,7 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
     let unwell: Vec<_> = (unwell.iter().take(MOST_NODES))
         .filter_map(|(_, name)| view.fleet.view(name))
         .collect();
-    let states = PresenceState::ALL.map(PresenceState::as_str);
+    let states = PresenceState::ALL.map(PresenceState::name);
     let states: serde_json::Map<String, Value> = states
         .into_iter()
         .zip(view.fleet.by_state())
@@ -69,7 +69,7 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         "not_working": view.readiness.reasons(),
         "nodes": states,
     });
-    let metrics = super::metrics::written(&view, view.sessions().await);
+    let metrics = super::metrics::page(&view, view.sessions().await);
     let log: String = (logging::last_lines().iter())
         .map(|line| format!("{line}\n"))
         .collect();
@@ -79,7 +79,7 @@ pub(super) async fn archive(State(view): State<HubView>) -> Response {
         ("nodes-not-online.json", text(&json!(unwell))),
         ("events.json", text(&events)),
         ("changes.json", text(&changes)),
-        ("metrics.txt", metrics.into_bytes()),
+        ("metrics.txt", metrics.into_text().into_bytes()),
         ("log.txt", log.into_bytes()),
     ];
     let headers = [
@@ -115,7 +115,7 @@ async fn changes(store: &Store) -> Result<Value, StoreError> {
     let orders = orders.into_iter().map(|order| {
         json!({
             "revision": order.revision, "at_ms": order.at_ms, "who": order.who, "why": order.why,
-            "by": order.origin, "select": order.selector, "to": order.setting().ok(),
+            "by": order.origin, "select": order.selector, "to": order.setting,
         })
     });
     Ok(orders.collect())

@@ -1,6 +1,6 @@
 //! What the fleet's clips cost.
 
-use super::{HubView, query, unavailable};
+use super::{HubView, query};
 use crate::store::{AuditCounts, EnergyBy, EnergyGroup, EnergyQuery, Resolution};
 use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
@@ -31,7 +31,7 @@ pub(super) struct Selection {
     /// `group`, or `joules`: the groups with the most energy first. A group has a line for each quality.
     #[serde(default)]
     sort: Sort,
-    /// At most so many groups, 1000 by default, 10000 at most.
+    /// Maximum number of groups, up to 10000; 1000 by default.
     limit: Option<i64>,
 }
 
@@ -106,11 +106,7 @@ pub(super) async fn sums(
         largest_first: selection.sort == Sort::Joules,
         limit: selection.limit.unwrap_or(1000).clamp(1, 10_000),
     };
-    let groups = view
-        .store()?
-        .energy(&wanted)
-        .await
-        .map_err(|error| unavailable(&error))?;
+    let groups = view.store()?.energy(&wanted).await?;
     let mut audit = AuditCounts::default();
     for group in &groups {
         audit.merge(&group.audit_counts);

@@ -1,6 +1,6 @@
 //! What happens in the fleet, as server-sent events with numbers: a reader that comes back gets what it missed.
 
-use super::{HubView, query, unavailable};
+use super::{HubView, query};
 use crate::store::{Store, StoredEvent};
 use albireo_service::http::Problem;
 use axum::extract::rejection::QueryRejection;
@@ -18,7 +18,7 @@ use tokio::sync::broadcast::{self, error::RecvError};
 use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
-/// Most events that are told again: who missed more looks at how things stand instead.
+/// Most events that are sent again: a reader that missed more reads the present state instead.
 const MOST_REPLAYED: i64 = 5000;
 /// Of these, read at a time.
 const STEP: i64 = 500;
@@ -37,7 +37,7 @@ pub(super) struct Selection {
 struct Reader {
     types: Vec<String>,
     waiting: VecDeque<Arc<StoredEvent>>,
-    /// What is told before anything else.
+    /// What is sent before anything else.
     resync: Option<String>,
     last: Option<i64>,
     /// Up to this number events come from the database.
@@ -99,7 +99,7 @@ impl Reader {
 /// What happens in the fleet, as server-sent events
 ///
 /// Kinds: `node` (its state changed), `gap`, `reset`, `set_aside`, `clock_off`, `refused`, `drift` (a value was changed at the node), and `resync`: more was
-/// missed than is told again, so look anew at how things stand.
+/// missed, so read the present state again.
 /// `curl -N http://127.0.0.1:8090/api/v1/events`
 #[utoipa::path(
     get, operation_id = "stream_events", path = "/api/v1/events", tag = "events", params(Selection),
@@ -126,12 +126,9 @@ pub(super) async fn stream(
         }
     };
     let store = view.store()?.clone();
-    // Before the look at where the database stands, so that no event falls between the two.
+    // Before the database is read, so that no event falls between the two.
     let events = view.events.listen();
-    let newest = store
-        .last_event()
-        .await
-        .map_err(|error| unavailable(&error))?;
+    let newest = store.last_event().await?;
     let (last, resync) = match asked {
         None => (newest, None),
         Some(asked) if asked > newest => {

@@ -6,7 +6,7 @@ use serde::Serialize;
 use std::sync::Arc;
 use utoipa::ToSchema;
 
-/// Who answers here, and what can be asked.
+/// Service, version and list of routes.
 #[derive(Serialize, ToSchema)]
 pub(super) struct Index {
     /// Always `hub`.
@@ -19,7 +19,7 @@ pub(super) struct Index {
     routes: Vec<Route>,
 }
 
-/// Who answers here, and what can be asked
+/// Service, version and list of routes
 ///
 /// `curl http://127.0.0.1:8090/api/v1`
 #[utoipa::path(get, path = "/api/v1", tag = "health", responses((status = 200, body = Index)))]

@@ -1,7 +1,8 @@
-//! One node while somebody watches it. A node sends counters and pictures only then: whoever looks holds a lease that ends
+//! One node while somebody watches it. A node sends counters and pictures only then: the watcher holds a lease that ends
 //! by itself, so that a page that was closed, a browser that died and a hub that stopped cost no node anything for long.
 
 use super::HubView;
+use super::nodes::unknown;
 use crate::presence::Notifier;
 use albireo_service::http::Problem;
 use albireo_wire::{CountersMessage, FleetKeys, check_segment};
@@ -41,7 +42,7 @@ pub(crate) struct Reach {
 }
 
 impl HubView {
-    /// Lets the node send for a while, and tells it.
+    /// Lets the node send for a while, and notifies it.
     fn watch(&self, reach: &Reach, node: &str) {
         self.desires.watch(node, LEASE);
         reach.notifier.notify(node, self.desires.of(node).revision);
@@ -75,14 +76,9 @@ impl Watching {
     }
 }
 
-fn unknown(node: &str) -> Problem {
-    let detail = format!("no node `{node}` was ever heard; /api/v1/nodes lists those that were");
-    Problem::new(StatusCode::NOT_FOUND, detail)
-}
-
 /// The counters of one node's cameras, once a second, as server-sent events
 ///
-/// The node sends them only while this is read, and for half a minute after. Event `counters`, one a camera and second.
+/// The node sends them only while this is read, and for half a minute after. Event `counters`, one per camera and second.
 /// `curl -N http://127.0.0.1:8090/api/v1/nodes/car-7/live`
 #[utoipa::path(
     get, operation_id = "watch_node", path = "/api/v1/nodes/{node}/live", tag = "nodes", params(("node" = String, Path, description = "Its name")),
@@ -176,8 +172,9 @@ pub(super) async fn picture(
             let replies = reach
                 .session
                 .get(&key)
-                .timeout(PICTURE_WITHIN)
-                // The reply has the same: a picture must not stand in the way of reports.
+                // Under congestion the query or its reply may be dropped, so that a second attempt must have time. Reports
+                // go first.
+                .timeout(PICTURE_WITHIN / 2)
                 .priority(Priority::DataLow)
                 .congestion_control(CongestionControl::Drop)
                 .await

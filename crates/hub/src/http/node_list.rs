@@ -2,15 +2,15 @@
 
 use super::body::unusable;
 use super::{HubView, query};
-use crate::presence::{NodeView, PresenceState};
+use crate::presence::{NodeView, PresenceState, day_of};
 use crate::tuning::selector::Selector;
+use albireo_service::clock::unix_milliseconds;
 use albireo_service::http::Problem;
 use axum::Json;
 use axum::extract::rejection::QueryRejection;
 use axum::extract::{Query, State};
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use utoipa::{IntoParams, ToSchema};
 
@@ -88,19 +88,10 @@ pub(super) struct NodeList {
     nodes: Vec<NodeView>,
 }
 
-/// A part of a status: reading the rest would cost more than all else here.
-#[derive(Deserialize)]
-struct Labels {
-    #[serde(default)]
-    labels: BTreeMap<String, String>,
-}
-
 struct Row {
     name: Arc<str>,
     /// What it is sorted by.
     key: i64,
-    /// The status, where labels are asked for.
-    status: Option<Arc<str>>,
 }
 
 fn states(text: Option<&str>) -> Result<Vec<PresenceState>, Problem> {
@@ -109,7 +100,7 @@ fn states(text: Option<&str>) -> Result<Vec<PresenceState>, Problem> {
         .filter(|name| !name.is_empty())
         .map(|name| {
             PresenceState::named(name).ok_or_else(|| {
-                let known = PresenceState::ALL.map(PresenceState::as_str);
+                let known = PresenceState::ALL.map(PresenceState::name);
                 let detail = format!(
                     "there is no state `{name}`; there are: {}",
                     known.join(", ")
@@ -151,38 +142,30 @@ pub(super) async fn list(
 
     let mut waiting = 0;
     let mut found = Vec::new();
-    view.fleet.glance(|node| {
+    let day = day_of(unix_milliseconds());
+    view.fleet.each(|name, node| {
         waiting += node.waiting;
-        let state_fits = wanted.is_empty() || wanted.contains(&node.state);
-        if !state_fits || !node.name.contains(&search) {
+        let is_wanted = (wanted.is_empty() || wanted.contains(&node.state))
+            && name.contains(&search)
+            && (selector.as_ref()).is_none_or(|it| it.selects(name, node.labels()));
+        if !is_wanted {
             return;
         }
         let place = PresenceState::ALL
             .iter()
             .position(|state| *state == node.state);
         found.push(Row {
-            name: Arc::clone(node.name),
+            name: Arc::clone(name),
             key: match order {
                 Order::Name => 0,
                 Order::State => place.map_or(i64::MAX, |place| place as i64),
                 Order::Since => node.since_ms,
                 Order::Heard => node.heard_ms.unwrap_or(i64::MIN),
-                Order::Joules => node.used_uj,
+                Order::Joules => node.used_uj(day),
                 Order::Waiting => i64::try_from(node.waiting).unwrap_or(i64::MAX),
             },
-            status: selector.as_ref().and(node.status).cloned(),
         });
     });
-    // After the fleet is let go: labels are read from text.
-    if let Some(selector) = selector {
-        found.retain(|row| {
-            let labels = row
-                .status
-                .as_deref()
-                .and_then(|text| serde_json::from_str::<Labels>(text).ok());
-            selector.selects(&row.name, &labels.map(|it| it.labels).unwrap_or_default())
-        });
-    }
     // They come by name, and the sort keeps that among equals.
     match (order, selection.down) {
         (Order::Name, true) => found.reverse(),

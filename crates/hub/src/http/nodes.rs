@@ -1,7 +1,7 @@
 //! One node: what is known of it, and forgetting it.
 
-use super::{HubView, unavailable};
-use crate::presence::{NodeView, PresenceState};
+use super::HubView;
+use crate::presence::NodeView;
 use crate::store::ReportCounts;
 use albireo_service::http::{Caller, Problem};
 use axum::Json;
@@ -35,11 +35,7 @@ pub(super) async fn one(
     State(view): State<HubView>,
     Path(node): Path<String>,
 ) -> Result<Json<NodeDetail>, Problem> {
-    let reports = view
-        .store()?
-        .report_counts(&node)
-        .await
-        .map_err(|error| unavailable(&error))?;
+    let reports = view.store()?.report_counts(&node).await?;
     let known = view.fleet.view(&node).ok_or_else(|| unknown(&node))?;
     Ok(Json(NodeDetail {
         node: known,
@@ -47,12 +43,12 @@ pub(super) async fn one(
     }))
 }
 
-fn unknown(node: &str) -> Problem {
+pub(super) fn unknown(node: &str) -> Problem {
     let detail = format!("no node `{node}` was ever heard; /api/v1/nodes lists those that were");
     Problem::new(StatusCode::NOT_FOUND, detail)
 }
 
-/// Forget a node that is gone
+/// Forget a node
 ///
 /// It leaves the lists, and what is desired of it is dropped; its clips, sums and history stay. A node that is online or degraded, or takes
 /// part in a rollout or trial, is not forgotten. One that comes back is a new node.
@@ -76,7 +72,7 @@ pub(super) async fn forget(
         let detail = format!("`{node}` is heard and would be back at once: stop it first");
         Problem::new(StatusCode::CONFLICT, detail)
     };
-    if matches!(known.state, PresenceState::Online | PresenceState::Degraded) {
+    if known.state.is_heard() {
         return Err(heard());
     }
     view.tuner()?.forget(&node, &caller.name).await?;

@@ -1,7 +1,6 @@
 //! Carrying out an order for selected nodes, whatever it orders, with the outcome at each as it comes.
 
 use super::{HubView, body};
-use crate::store::StoreError;
 use crate::tuning::change::{Change, ChangeRequest};
 use crate::tuning::tuner::OutcomeLine;
 use albireo_service::http::{Caller, Problem};
@@ -28,7 +27,7 @@ const LONGEST_STREAM_S: f64 = 3_600.0;
 /// What an order came to.
 #[derive(Debug, Serialize, ToSchema)]
 pub(super) struct OrderAnswer {
-    /// Revision of the order: `/api/v1/changes/{revision}` tells how it went on. Absent in a dry run, and when nobody was to change.
+    /// Revision of the order: `/api/v1/changes/{revision}` shows its progress. Absent in a dry run, and if no node would change.
     #[serde(skip_serializing_if = "Option::is_none")]
     revision: Option<u64>,
     /// Whether nothing was done.
@@ -44,10 +43,6 @@ pub(super) struct OrderAnswer {
 struct LastLine {
     revision: Option<u64>,
     counts: BTreeMap<String, usize>,
-}
-
-pub(super) fn of_store(error: &StoreError) -> Problem {
-    Problem::new(StatusCode::SERVICE_UNAVAILABLE, error.to_string())
 }
 
 /// Orders it, and answers with what became of it: as lines where the caller takes those, else at the end of the wait,
@@ -78,11 +73,7 @@ pub(super) async fn carry_out(
         )));
     }
     let dry_run = request.dry_run;
-    let change = view
-        .tuner()?
-        .change(request, &caller.name)
-        .await
-        .map_err(|error| of_store(&error))?;
+    let change = view.tuner()?.change(request, &caller.name).await?;
     if change.lines.is_empty() && change.awaited.is_empty() {
         return Err(Problem::new(
             StatusCode::NOT_FOUND,
@@ -147,7 +138,7 @@ impl Following {
         Some(line)
     }
 
-    /// The time is over: what is still awaited is said to be so, unless that was said before.
+    /// The time is over: answers that are still missing are reported, once.
     fn not_answered(&mut self) -> Option<OutcomeLine> {
         while let Some(node) = self.change.awaited.iter().next().cloned() {
             self.change.awaited.remove(&node);

@@ -16,7 +16,7 @@ use axum::response::Response;
 use serde::Deserialize;
 use utoipa::ToSchema;
 
-/// What selected nodes are to hold in the place of their knobs' numbers.
+/// The target that selected nodes are to hold.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 pub(super) struct TargetRequest {
@@ -31,7 +31,7 @@ pub(super) struct TargetRequest {
     /// Only say who would change.
     #[serde(default)]
     dry_run: bool,
-    /// Why; stands in the history.
+    /// Why; kept in the history.
     #[serde(default)]
     why: String,
     /// How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.
@@ -44,9 +44,9 @@ fn required<'de, D: serde::Deserializer<'de>>(deserializer: D) -> Result<Option<
     Option::deserialize(deserializer)
 }
 
-/// Sets a target on selected nodes, in the place of a threshold
+/// Sets a target on selected nodes instead of a threshold
 ///
-/// It holds at a node when the node **reports** it; where it stands is in the node's status. A threshold that is ordered
+/// It holds at a node when the node **reports** it; how far it is met is in the node's status. A threshold that is ordered
 /// or set at the node later switches it off. Otherwise as `/api/v1/threshold`.
 /// `curl -X PUT -d '{"target": {"skip_rate": 0.5}, "select": ["cam-*"]}' http://127.0.0.1:8090/api/v1/target`
 #[utoipa::path(

@@ -15,7 +15,7 @@ use axum::response::Response;
 use serde::Deserialize;
 use utoipa::ToSchema;
 
-/// A value for selected nodes. The value stands beside these fields under the policy's name for it: `"u": 5e-4`.
+/// A value for selected nodes. The value is beside these fields under the policy's name for it: `"u": 5e-4`.
 #[derive(Debug, Deserialize, ToSchema)]
 pub(super) struct ThresholdRequest {
     /// Which nodes: names, globs, labels, `all`.
@@ -24,7 +24,7 @@ pub(super) struct ThresholdRequest {
     /// Only say who would change.
     #[serde(default)]
     dry_run: bool,
-    /// Why; stands in the history.
+    /// Why; kept in the history.
     #[serde(default)]
     why: String,
     /// How long to wait for the nodes, seconds: 5 by default, at most 8 for a plain answer.

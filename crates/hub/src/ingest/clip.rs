@@ -1,7 +1,7 @@
 //! A report as the row of a clip: figures in whole microjoules, microseconds and parts per million, each checked.
 
 use super::plan::Present;
-use crate::store::rows::text;
+use crate::store::record::text;
 use crate::store::tables::{ClipRow, SetupKey};
 use albireo_wire::{AuditReport, ClipEnd, ClipReport, EnergyQuality};
 
@@ -51,7 +51,7 @@ pub(crate) const fn quality_code(quality: EnergyQuality) -> i64 {
 pub(crate) struct ClipRecord {
     pub(crate) camera: String,
     pub(crate) setup: SetupKey,
-    /// With 0 in the place of day, camera and setup.
+    /// Its day, camera and setup are 0.
     pub(crate) row: ClipRow,
     /// Whether the node's clock is believed.
     pub(crate) clock: bool,

@@ -1,10 +1,11 @@
 //! Writes a group of batches into one transaction: identities, clips, sums, counts, what was set aside, events.
 
+use super::counters::IngestCounts;
 use super::decode::{Batch, NotTaken, Taken};
 use super::limits::EventLimits;
 use super::plan::{Counts, Seen};
 use crate::presence::Used;
-use crate::store::rows::text;
+use crate::store::record::text;
 use crate::store::tables::{ClipRow, EventRow, ReportCountsRow, SetAsideRow, SetupKey, SumRow};
 use crate::store::{StoreError, Transaction};
 use albireo_wire::{EnergyQuality, RefusedReport};
@@ -19,7 +20,7 @@ const DAY: i64 = 86_400;
 /// Most cameras of a node.
 pub(crate) const MOST_CAMERAS: usize = 64;
 
-/// Most setups remembered: whoever turns a knob all day must not fill the memory.
+/// Most setups remembered: a threshold that changes all day must not fill the memory.
 const MOST_SETUPS: usize = 10_000;
 
 /// Names whose numbers are known. Forgotten after a failure: a number that was rolled back means nothing.
@@ -48,9 +49,7 @@ impl Numbers {
             .collect();
         let new: Vec<&str> = new.into_iter().collect();
         if !new.is_empty() {
-            let ids = writing.nodes(&new, now_ms)?;
-            let named = new.iter().map(|name| (*name).to_owned()).zip(ids);
-            self.nodes.extend(named);
+            self.nodes.extend(writing.nodes(&new, now_ms)?);
         }
         let found = names.iter().map(|name| self.nodes.get(*name).copied());
         found.collect::<Option<_>>().ok_or_else(|| lost("a node"))
@@ -84,11 +83,8 @@ impl Numbers {
             }
         }
         if !new.is_empty() {
-            for ((node, name), id) in new.iter().zip(writing.add_cameras(&new)?) {
-                self.cameras
-                    .entry(*node)
-                    .or_default()
-                    .insert((*name).to_owned(), id);
+            for (node, name, id) in writing.add_cameras(&new)? {
+                self.cameras.entry(node).or_default().insert(name, id);
             }
         }
         Ok(())
@@ -107,8 +103,7 @@ impl Numbers {
             .filter(|setup| !self.setups.contains_key(*setup))
             .collect();
         if !new.is_empty() {
-            let ids = writing.setups(&new)?;
-            self.setups.extend(new.into_iter().cloned().zip(ids));
+            self.setups.extend(writing.setups(&new)?);
         }
         Ok(())
     }
@@ -136,61 +131,35 @@ pub(crate) struct Committed {
     pub(crate) outcomes: Vec<Outcome>,
     /// Events to be written.
     pub(crate) events: Vec<EventRow>,
-    /// Clips written.
-    pub(crate) clips: u64,
-    /// Reports that were there already.
-    pub(crate) again: u64,
-    /// Reports that make no sense.
-    pub(crate) set_aside: u64,
-    /// Reports refused because they are too old.
-    pub(crate) too_old: u64,
-    /// Counts found missing.
-    pub(crate) missing: u64,
-    /// Counts that began anew.
-    pub(crate) resets: u64,
-    /// Clips of a node whose clock is off.
-    pub(crate) clock_off: u64,
-    /// Frames of the clips written.
-    pub(crate) frames: u64,
-    /// Those of them that skipped the detector.
-    pub(crate) skipped: u64,
-    /// What the audits of the clips written have found.
-    pub(crate) audit: Audited,
-    /// Energy of the clips written that have a figure, microjoules.
-    pub(crate) energy_uj: u64,
+    /// What is counted of it.
+    pub(crate) counts: IngestCounts,
     /// What the clips written used and saved, each with its node's place among the batches and the time it is filed under.
     pub(crate) used: Vec<(usize, i64, Used)>,
-}
-
-/// Sums of the audits of clips.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct Audited {
-    pub(crate) frames: u64,
-    pub(crate) missed: u64,
-    pub(crate) detected: u64,
-    pub(crate) shown: u64,
-    pub(crate) paired: u64,
 }
 
 impl Committed {
     fn count(&mut self, place: usize, taken: &Taken, clip: &ClipRow) {
         let number = |column: i64| u64::try_from(column).unwrap_or(0);
         let of = |column: Option<i64>| column.map_or(0, number);
-        self.clips += 1;
-        self.clock_off += u64::from(!taken.record.clock);
-        self.frames += number(clip.frames);
-        self.skipped += number(clip.frames_e + clip.frames_p - clip.degraded);
-        self.audit.frames += of(clip.audit_frames);
-        self.audit.missed += of(clip.audit_missed);
-        self.audit.detected += of(clip.audit_detected);
-        self.audit.shown += of(clip.audit_shown);
-        self.audit.paired += of(clip.audit_paired);
-        self.energy_uj += of(clip.energy_uj);
+        let skipped = number(clip.frames_e + clip.frames_p - clip.degraded);
+        self.counts += IngestCounts {
+            clips: 1,
+            clock_off: u64::from(!taken.record.clock),
+            frames: number(clip.frames),
+            frames_skipped: skipped,
+            audit_frames: of(clip.audit_frames),
+            audit_missed: of(clip.audit_missed),
+            audit_detected: of(clip.audit_detected),
+            audit_shown: of(clip.audit_shown),
+            audit_paired: of(clip.audit_paired),
+            energy_uj: of(clip.energy_uj),
+            ..IngestCounts::default()
+        };
         let used = Used {
             uj: clip.energy_uj.unwrap_or(0),
             estimated: clip.quality == super::clip::quality_code(EnergyQuality::Estimated),
             frames: number(clip.frames),
-            skipped: number(clip.frames_e + clip.frames_p - clip.degraded),
+            skipped,
             detected: of(clip.audit_detected),
             paired: of(clip.audit_paired),
         };
@@ -198,7 +167,7 @@ impl Committed {
     }
 }
 
-/// Writes `batches` into the transaction. What is to be told of them is returned, to be written and answered by the caller.
+/// Writes `batches` into the transaction. Returns what the caller has to write and to answer.
 pub(crate) fn write(
     writing: &mut dyn Transaction,
     numbers: &mut Numbers,
@@ -214,7 +183,7 @@ pub(crate) fn write(
     let nodes = numbers.nodes(writing, &names, now_ms)?;
     let distinct: BTreeSet<i64> = nodes.iter().copied().collect();
     let distinct: Vec<i64> = distinct.into_iter().collect();
-    let mut known = writing.report_counts(&distinct)?;
+    let mut known = writing.report_counts(&distinct, now_ms)?;
     let mut taken: Vec<(i64, &Taken)> = Vec::new();
     for (batch, node) in batches.iter().zip(&nodes) {
         let content = batch.reports.iter().map(|report| report.content.as_ref());
@@ -232,11 +201,9 @@ pub(crate) fn write(
 
     let (mut clips, mut aside) = (Vec::new(), Vec::new());
     for (place, (batch, node)) in batches.iter().zip(&nodes).enumerate() {
-        let row = known
-            .entry(*node)
-            .or_insert_with(|| new_counts(*node, now_ms));
+        let row = (known.get_mut(node)).ok_or_else(|| lost("a node"))?;
         let (mut counts, mut outcome) = (Counts::of(row), Outcome::default());
-        let (mut senseless, before) = (0, committed.clock_off);
+        let (mut senseless, before) = (0, committed.counts.clock_off);
         let node_cameras = numbers.cameras.get(node);
         for report in &batch.reports {
             let mut is_new = false;
@@ -247,7 +214,7 @@ pub(crate) fn write(
                     let camera = node_cameras.and_then(|all| all.get(&taken.record.camera));
                     match (is_new, camera) {
                         (false, _) => {
-                            committed.again += 1;
+                            committed.counts.again += 1;
                             None
                         }
                         (true, None) => {
@@ -268,7 +235,7 @@ pub(crate) fn write(
                     }
                 }
                 Err(NotTaken::TooOld(reason)) => {
-                    committed.too_old += 1;
+                    committed.counts.too_old += 1;
                     row.refused += 1;
                     Some((reason.clone(), None))
                 }
@@ -298,11 +265,11 @@ pub(crate) fn write(
             }
             let event = match report.count.map(|count| counts.see(count, is_new)) {
                 Some(Seen::Gap(first, last)) => {
-                    committed.missing += last - first + 1;
+                    committed.counts.missing += last - first + 1;
                     Some(("gap", json!({ "first": first, "last": last })))
                 }
                 Some(Seen::Reset) => {
-                    committed.resets += 1;
+                    committed.counts.resets += 1;
                     row.resets += 1;
                     Some(("reset", json!({ "count": report.count })))
                 }
@@ -312,8 +279,8 @@ pub(crate) fn write(
                 limits.event(&mut committed.events, now_ms, kind, &batch.node, detail);
             }
         }
-        committed.set_aside += senseless;
-        let off = committed.clock_off - before;
+        committed.counts.set_aside += senseless;
+        let off = committed.counts.clock_off - before;
         for (kind, detail) in [
             ("set_aside", json!({ "reports": senseless })),
             ("clock_off", json!({ "clips": off })),
@@ -341,22 +308,7 @@ pub(crate) fn write(
     Ok(committed)
 }
 
-fn new_counts(node_id: i64, now_ms: i64) -> ReportCountsRow {
-    ReportCountsRow {
-        node_id,
-        first_ms: now_ms,
-        last_ms: now_ms,
-        stored: 0,
-        set_aside: 0,
-        refused: 0,
-        resets: 0,
-        base: 0,
-        highest: 0,
-        missing: "[]".to_owned(),
-    }
-}
-
-/// The sums of these clips over spans of so many seconds, in the order of their keys.
+/// The sums of these clips over spans of that many seconds, in the order of their keys.
 pub(crate) fn sums(clips: &[ClipRow], seconds: i64) -> Vec<SumRow> {
     let mut sums: BTreeMap<_, SumRow> = BTreeMap::new();
     for clip in clips {

@@ -3,6 +3,7 @@
 use albireo_wire::RefusalReason;
 use parking_lot::Mutex;
 use std::collections::VecDeque;
+use std::ops::AddAssign;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -10,107 +11,118 @@ use std::time::{Duration, Instant};
 /// Ages of acknowledgements and commits that the percentiles are of.
 const KEPT: usize = 4096;
 
-macro_rules! counters {
-    ($($(#[$meta:meta])* $name:ident,)+) => {
-        /// Counters of ingest, since the hub started.
-        #[derive(Debug, Default)]
-        pub struct IngestCounters {
-            $($name: AtomicU64,)+
-            acknowledged_after: Ages,
-            committed_in: Ages,
-            queued: AtomicU64,
-            in_hand_since: Mutex<Option<Instant>>,
-            queued_bytes: AtomicU64,
+macro_rules! counts {
+    ($($name:ident $help:literal $($metric:literal)?;)+) => {
+        /// What ingest counts.
+        #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+        pub struct IngestCounts {
+            $(#[doc = $help] pub $name: u64,)+
         }
 
-        /// Where the counters stand.
-        #[derive(Clone, Copy, Debug, Default, PartialEq)]
-        pub struct IngestSnapshot {
-            $($(#[$meta])* pub $name: u64,)+
-            /// 99th percentile of the time from a batch's arrival to its acknowledgement, seconds, of the last ones;
-            /// 0 before the first.
-            pub acknowledged_after_p99_s: f64,
-            /// 99th percentile of the time a transaction took, seconds, of the last ones.
-            pub committed_in_p99_s: f64,
-            /// Batches that came and are not answered yet.
-            pub queued: u64,
-            /// Their compressed bytes.
-            pub queued_bytes: u64,
+        impl AddAssign for IngestCounts {
+            fn add_assign(&mut self, more: Self) {
+                $(self.$name = self.$name.saturating_add(more.$name);)+
+            }
         }
 
-        impl IngestCounters {
-            $(pub(crate) fn $name(&self, more: u64) {
-                self.$name.fetch_add(more, Ordering::Relaxed);
-            })+
-
-            /// Where they stand.
-            pub fn snapshot(&self) -> IngestSnapshot {
-                IngestSnapshot {
-                    $($name: self.$name.load(Ordering::Relaxed),)+
-                    acknowledged_after_p99_s: self.acknowledged_after.p99().as_secs_f64(),
-                    committed_in_p99_s: self.committed_in.p99().as_secs_f64(),
-                    queued: self.queued.load(Ordering::Relaxed),
-                    queued_bytes: self.queued_bytes.load(Ordering::Relaxed),
-                }
+        impl IngestCounts {
+            /// Name, help and value of those that are a metric by themselves.
+            pub(crate) fn named(&self) -> impl Iterator<Item = (&'static str, &'static str, u64)> {
+                let all = [$((metric!($($metric)?), $help, self.$name),)+];
+                all.into_iter().filter(|(name, ..)| !name.is_empty())
             }
         }
     };
 }
 
-counters! {
-    /// Batches acknowledged.
-    batches,
-    /// Clips written.
-    clips,
-    /// Reports that were there already.
-    again,
-    /// Reports set aside.
-    set_aside,
-    /// Reports refused because they are too old.
-    too_old,
-    /// Counts found missing.
-    missing,
-    /// Counts that began anew: the state of a node was made anew, went back or was copied.
-    resets,
-    /// Clips of a node whose clock is off.
-    clock_off,
-    /// Frames of the clips written.
-    frames,
-    /// Those of them that skipped the detector.
-    frames_skipped,
-    /// Skipped frames that were drawn and compared by the audit, in the clips written.
-    audit_frames,
-    /// Those that were drawn and that the detector had no time for.
-    audit_missed,
-    /// Boxes that the detector found in them.
-    audit_detected,
-    /// Boxes that had been shown in them.
-    audit_shown,
-    /// Pairs of both.
-    audit_paired,
-    /// Energy of the clips written that have a figure, microjoules.
-    energy_uj,
-    /// Batches refused because too many wait, or their node has sent more than its share.
-    refused_busy,
-    /// Batches refused because the database could not be written.
-    refused_unavailable,
-    /// Batches refused because they cannot be read.
-    refused_unreadable,
-    /// Commits.
-    commits,
-    /// Transactions that failed.
-    database_errors,
-    /// Answers that could not be handed over or sent.
-    answers_lost,
+macro_rules! metric {
+    () => {
+        ""
+    };
+    ($name:literal) => {
+        $name
+    };
+}
+
+counts! {
+    batches "Batches acknowledged" "albireo_hub_batches_total";
+    clips "Clips written" "albireo_hub_clips_total";
+    again "Reports that were there already" "albireo_hub_reports_again_total";
+    set_aside "Reports that make no sense" "albireo_hub_reports_set_aside_total";
+    missing "Running counts of nodes found missing" "albireo_hub_reports_missing_total";
+    too_old "Reports refused because they are older than identities are known" "albireo_hub_reports_too_old_total";
+    resets "Running counts that began again: the state of a node was made new, went back or was copied" "albireo_hub_count_resets_total";
+    clock_off "Clips of nodes whose clock is off" "albireo_hub_clock_off_total";
+    commits "Commits" "albireo_hub_commits_total";
+    frames "Frames of the clips written" "albireo_hub_frames_total";
+    frames_skipped "Frames of the clips written that skipped the detector" "albireo_hub_frames_skipped_total";
+    database_errors "Transactions that failed" "albireo_hub_database_errors_total";
+    answers_lost "Answers that could not be sent" "albireo_hub_answers_lost_total";
+    audit_frames "Skipped frames that were drawn and compared by the audit, in the clips written";
+    audit_missed "Those that were drawn and that the detector was too busy for";
+    audit_detected "Boxes that the detector found in them";
+    audit_shown "Boxes that were shown in them";
+    audit_paired "Pairs of both";
+    energy_uj "Energy of the clips written that have a figure, microjoules";
+    refused_busy "Batches refused because too many wait, or their node has sent more than its share";
+    refused_unavailable "Batches refused because the database could not be written";
+    refused_unreadable "Batches refused because they cannot be read";
+}
+
+/// What ingest counts and measures, since the hub started.
+#[derive(Debug, Default)]
+pub struct IngestCounters {
+    counts: Mutex<IngestCounts>,
+    acknowledged_after: Ages,
+    committed_in: Ages,
+    queued: AtomicU64,
+    queued_bytes: AtomicU64,
+    in_hand_since: Mutex<Option<Instant>>,
+}
+
+/// The counters at one moment.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct IngestSnapshot {
+    /// The counts.
+    pub counts: IngestCounts,
+    /// 99th percentile of the time from a batch's arrival to its acknowledgement, seconds, of the last ones; 0 before the first.
+    pub acknowledged_after_p99_s: f64,
+    /// 99th percentile of the time a transaction took, seconds, of the last ones.
+    pub committed_in_p99_s: f64,
+    /// Batches that came and are not answered yet.
+    pub queued: u64,
+    /// Their compressed bytes.
+    pub queued_bytes: u64,
 }
 
 impl IngestCounters {
-    pub(crate) fn refuse(&self, reason: RefusalReason) {
-        match reason {
-            RefusalReason::Busy => self.refused_busy(1),
-            RefusalReason::Unavailable => self.refused_unavailable(1),
-            RefusalReason::Unreadable => self.refused_unreadable(1),
+    /// The counters now.
+    pub fn snapshot(&self) -> IngestSnapshot {
+        IngestSnapshot {
+            counts: *self.counts.lock(),
+            acknowledged_after_p99_s: self.acknowledged_after.p99().as_secs_f64(),
+            committed_in_p99_s: self.committed_in.p99().as_secs_f64(),
+            queued: self.queued.load(Ordering::Relaxed),
+            queued_bytes: self.queued_bytes.load(Ordering::Relaxed),
         }
+    }
+
+    /// Adds to the counts.
+    pub(crate) fn add(&self, more: IngestCounts) {
+        *self.counts.lock() += more;
+    }
+
+    pub(crate) fn refuse(&self, reason: RefusalReason) {
+        let mut counts = self.counts.lock();
+        *match reason {
+            RefusalReason::Busy => &mut counts.refused_busy,
+            RefusalReason::Unavailable => &mut counts.refused_unavailable,
+            RefusalReason::Unreadable => &mut counts.refused_unreadable,
+        } += 1;
+    }
+
+    pub(crate) fn answer_lost(&self) {
+        self.counts.lock().answers_lost += 1;
     }
 
     pub(crate) fn acknowledged_after(&self, age: Duration) {
@@ -138,7 +150,7 @@ impl IngestCounters {
         self.queued_bytes.load(Ordering::Relaxed)
     }
 
-    /// Counts a batch among those that wait, until what is returned is dropped.
+    /// IngestCounts a batch among those that wait, until what is returned is dropped.
     pub(crate) fn queue(self: &Arc<Self>, bytes: usize) -> Queued {
         let bytes = bytes as u64;
         self.queued.fetch_add(1, Ordering::Relaxed);

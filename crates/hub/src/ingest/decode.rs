@@ -16,7 +16,7 @@ const KEPT: usize = 2 << 10;
 
 /// A batch that was read.
 #[derive(Debug)]
-pub(crate) struct Batch {
+pub struct Batch {
     pub(crate) node: String,
     /// Bytes of its JSON.
     pub(crate) bytes: usize,
@@ -28,7 +28,7 @@ pub(crate) struct Batch {
 /// A report of a batch.
 #[derive(Debug)]
 pub(crate) struct Received {
-    /// Its identity, where it tells one.
+    /// Its identity, where it has one.
     pub(crate) id: Option<Uuid>,
     pub(crate) count: Option<u64>,
     pub(crate) content: Result<Taken, NotTaken>,
@@ -52,13 +52,18 @@ pub(crate) enum NotTaken {
 
 /// Why a whole batch is not taken.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum DecodeError {
+pub enum DecodeError {
     /// It cannot be read.
     #[error(transparent)]
     Batch(#[from] BatchError),
     /// It came on another node's key.
     #[error("it came on the key of node `{key}` and says that it is of node `{batch}`")]
-    OtherNode { key: String, batch: String },
+    OtherNode {
+        /// The node of the key.
+        key: String,
+        /// The node that the batch names.
+        batch: String,
+    },
     /// It has nothing in it.
     #[error("no reports")]
     Empty,
@@ -84,7 +89,10 @@ struct RawBatch<'a> {
 }
 
 /// Reads the payload of a query on the key of `node`, received at `hub_ms`, milliseconds since the Unix epoch.
-pub(crate) fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, DecodeError> {
+///
+/// # Errors
+/// [`DecodeError`]: nothing of it is taken. A report in it that makes no sense does not make the batch unreadable.
+pub fn decode(node: &str, payload: &[u8], hub_ms: i64) -> Result<Batch, DecodeError> {
     let json = decompress_batch(payload)?;
     let (v, of, t_ms, reports) = match serde_json::from_slice::<ReportBatch>(&json) {
         Ok(batch) => {

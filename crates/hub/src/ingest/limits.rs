@@ -1,6 +1,6 @@
-//! What one node may send: so much that no honest one meets a limit, and so little that one that is not stops nobody.
+//! What one node may send: enough for every honest node, too little for another to stop the rest.
 
-use crate::store::rows::text;
+use crate::store::record::text;
 use crate::store::tables::EventRow;
 use parking_lot::Mutex;
 use std::collections::{HashMap, HashSet, VecDeque};
@@ -13,10 +13,10 @@ const MOST_WAITING: u32 = 2;
 /// What a batch costs at least, bytes: many small ones are no less work.
 const LEAST_COST: usize = 1 << 10;
 
-/// When a node that has used up its allowance is told to come again, at most.
+/// Longest time after which a node that has used up its allowance may come again.
 const LONGEST_WAIT: Duration = Duration::from_secs(3600);
 
-/// Refusals a second that a node is told of; further ones it is not answered at all.
+/// Refusals a second that a node is answered; further ones get no answer.
 const REFUSALS_PER_S: f64 = 10.0;
 
 /// Nodes whose share is followed.
@@ -52,7 +52,7 @@ struct Share {
     cameras: f64,
     /// Bytes that it may still send; below zero until a batch that was taken is paid for.
     left: f64,
-    /// Refusals that it may still be told of.
+    /// Refusals that it may still be answered.
     refusals: f64,
     seen: Instant,
 }
@@ -116,7 +116,7 @@ impl NodeLimits {
         }
     }
 
-    /// Whether `node` is told of one more refusal.
+    /// Whether one more refusal of `node` is answered.
     pub(crate) fn may_refuse(&self, node: &str, now: Instant) -> bool {
         let mut shares = self.shares.lock();
         let (_, share) = entry(&mut shares, node, self.camera_bytes, now);
@@ -131,7 +131,7 @@ impl NodeLimits {
         }
     }
 
-    /// Notes how many cameras a node has; each new one brings a share of its own.
+    /// Notes how many cameras a node has; each new one brings its share.
     pub(crate) fn has_cameras(&self, node: &str, cameras: usize) {
         if let Some(share) = self.shares.lock().get_mut(node) {
             let more = cameras as f64 - share.cameras;

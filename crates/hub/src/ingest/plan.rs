@@ -10,6 +10,9 @@ const DAY_MS: i64 = 86_400_000;
 /// The first day of 2026, milliseconds since the Unix epoch: no identity is older.
 const FIRST_MS: i64 = 1_767_225_600_000;
 
+/// How far the hub's clock may be behind that of a node for the node's to be believed.
+const MOST_BEHIND_DAYS: i64 = 366;
+
 /// Ranges of missing counts that are kept of a node; beyond it the oldest are forgotten.
 const MOST_RANGES: usize = 32;
 
@@ -24,14 +27,15 @@ pub(crate) struct Present {
 }
 
 impl Present {
-    /// Whether both are right, as far as anybody can tell.
+    /// Whether both are right, as far as can be known.
     pub(crate) const fn clocks_agree(self) -> bool {
         self.hub_ms.saturating_sub(self.node_ms).saturating_abs() <= DAY_MS
     }
 }
 
 /// Where a report of that identity is kept. The day is that of the identity itself, unless its clock cannot be believed:
-/// then it is the day of receipt.
+/// then it is the day of receipt by the later of both clocks. A hub whose clock was behind would forget the identity as soon
+/// as its clock is right.
 ///
 /// # Errors
 /// When it is older than identities are known, in words: it may have been stored before.
@@ -40,8 +44,10 @@ pub(crate) fn key(id: Uuid, present: Present) -> Result<ReportKey, String> {
     // The first 48 bits of a UUID of version 7 are its time.
     let made_ms = i64::try_from(id.as_u128() >> 80).unwrap_or(i64::MAX);
     let own_day = made_ms.div_euclid(DAY_MS);
+    let node_today = present.node_ms.div_euclid(DAY_MS);
+    let latest = today.max(FIRST_MS / DAY_MS) + MOST_BEHIND_DAYS;
     let undated = ReportKey {
-        day: -today,
+        day: -today.max(node_today.min(latest)),
         id,
         own_day,
     };
@@ -71,7 +77,7 @@ pub(crate) enum Seen {
     Expected,
     /// These did not come, from the first to the last.
     Gap(u64, u64),
-    /// It was seen before: the node's state was made anew, went back or was copied. Missing ones are told from here.
+    /// It was seen before: the node's state was made new, went back or was copied. Missing ones are counted from here.
     Reset,
 }
 
@@ -83,7 +89,7 @@ pub(crate) struct Counts {
     /// The highest since then.
     highest: u64,
     /// Ranges that did not come, below `base` too: a database restored from a backup of before the node's first report
-    /// does not know that it had them.
+    /// does not know of them.
     wanted: Vec<(u64, u64)>,
 }
 

@@ -1,8 +1,8 @@
-//! Sends answers, on a thread of its own: a reply to a slow network may block for seconds.
+//! Sends answers on a separate thread: a reply to a slow network may block for seconds.
 
 use super::IngestCounters;
 use crate::per_node::{PerNode, Place};
-use albireo_wire::{FleetKeys, RefusalReason, ReportAnswer, ReportRefusal, VERSION};
+use albireo_wire::{FleetKeys, RefusalReason, ReportRefusal, VERSION};
 use serde::Serialize;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -45,7 +45,7 @@ pub(crate) fn refusal(
 }
 
 impl Replies {
-    /// Starts the thread; it ends when the last sender is gone.
+    /// Starts the thread; it ends when the last sender is dropped.
     ///
     /// # Errors
     /// When the system gives no thread.
@@ -63,13 +63,8 @@ impl Replies {
         Ok((replies, thread))
     }
 
-    /// Acknowledges.
-    pub(crate) fn answer(&self, query: Query, answer: &ReportAnswer) {
-        self.hand_over(query, answer, false);
-    }
-
-    /// Gives any answer.
-    pub(crate) fn give(&self, query: Query, answer: &impl Serialize) {
+    /// Answers.
+    pub(crate) fn answer(&self, query: Query, answer: &impl Serialize) {
         self.hand_over(query, answer, false);
     }
 
@@ -80,11 +75,11 @@ impl Replies {
 
     fn hand_over(&self, query: Query, message: &impl Serialize, error: bool) {
         let Ok(payload) = serde_json::to_vec(message) else {
-            return self.counters.answers_lost(1);
+            return self.counters.answer_lost();
         };
         let node = FleetKeys::node_of(query.key_expr().as_str()).unwrap_or_default();
         let Some(place) = self.places.place(node) else {
-            return self.counters.answers_lost(1);
+            return self.counters.answer_lost();
         };
         let reply = Reply {
             query,
@@ -93,7 +88,7 @@ impl Replies {
             _place: place,
         };
         if self.sender.try_send(reply).is_err() {
-            self.counters.answers_lost(1);
+            self.counters.answer_lost();
         }
     }
 }
@@ -112,7 +107,7 @@ fn send(replies: &Receiver<Reply>, counters: &IngestCounters) {
             query.reply(query.key_expr().clone(), payload).wait()
         };
         if let Err(error) = sent {
-            counters.answers_lost(1);
+            counters.answer_lost();
             tracing::debug!(%error, "an answer was not sent");
         }
     }

@@ -1,5 +1,7 @@
 //! What is decided of a report, by table.
 
+mod hostile;
+
 use super::plan::{Counts, Present, Seen, key};
 use proptest::prelude::*;
 use std::collections::BTreeSet;
@@ -29,9 +31,14 @@ fn the_day_of_a_report_is_that_of_its_identity_unless_that_cannot_be_believed() 
     }
     // A little ahead, as clocks are.
     assert_eq!(day(NOW_MS + 3_600_000, 3_600_000), 20_780);
-    // The clock of the board at its boot, one of another decade, one that ran ahead.
-    for made_ms in [0, 1_600_000_000_000, NOW_MS + 2 * DAY_MS, NOW_MS * 2] {
-        assert_eq!(day(made_ms, made_ms - NOW_MS), -20_780);
+    // The clock of the board at its boot, one of another decade, ones that ran ahead.
+    for (made_ms, wanted) in [
+        (0, 20_780),
+        (1_600_000_000_000, 20_780),
+        (NOW_MS + 2 * DAY_MS, 20_782),
+        (NOW_MS * 2, 20_780 + 366),
+    ] {
+        assert_eq!(day(made_ms, made_ms - NOW_MS), -wanted);
     }
     // An identity that tells no time.
     let random = Builder::from_random_bytes([9; 16]).into_uuid();
@@ -51,6 +58,17 @@ fn a_report_older_than_identities_are_known_is_refused_where_the_clocks_agree() 
         node_ms: NOW_MS,
     };
     assert_eq!(key(id(NOW_MS), hub).unwrap().day, -20_880);
+}
+
+#[test]
+fn a_hub_whose_clock_was_behind_keeps_identities_once_it_is_right() {
+    for behind_ms in [100 * DAY_MS, NOW_MS] {
+        let hub = Present {
+            hub_ms: NOW_MS - behind_ms,
+            node_ms: NOW_MS,
+        };
+        assert_eq!(key(id(NOW_MS), hub).unwrap().day, -20_780);
+    }
 }
 
 /// What is seen of counts of reports that are new.

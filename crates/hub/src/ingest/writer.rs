@@ -1,27 +1,23 @@
 //! The threads of ingest: one reads what waits, the other commits it and lets the answers go.
 
-use super::commit::{Committed, Numbers, write};
+use super::counters::IngestCounts;
 use super::decode::{Batch, decode};
-use super::limits::{ClockCheck, EventLimits, NodeLimits};
+use super::limits::{EventLimits, NodeLimits};
+use super::recorder::{Recorded, Recorder};
 use super::{IngestCounters, Replies, ReportQueue, Waiting, refusal};
 use crate::config::{HistoryConfig, IngestConfig};
 use crate::desired::Desires;
 use crate::events::EventsChanged;
-use crate::presence::{Fleet, News};
+use crate::presence::Fleet;
 use crate::readiness::Readiness;
-use crate::store::retention::{STEP, retain};
-use crate::store::{Database, Store, StoreError};
-use albireo_service::clock::unix_milliseconds;
-use albireo_wire::{RefusalReason, ReportAnswer};
+use crate::store::{Store, StoreError};
+use albireo_service::clock::{Now, unix_milliseconds};
+use albireo_wire::RefusalReason;
 use std::future::Future;
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::time::{Duration, Instant};
 use tokio::sync::oneshot;
-use uuid::Uuid;
-
-/// Time between two looks for what is too old, when nothing was found.
-const RETENTION: Duration = Duration::from_secs(60);
 
 /// Presence is written also when no report comes.
 const IDLE: Duration = Duration::from_millis(250);
@@ -34,6 +30,12 @@ const READY: usize = 16;
 
 /// What a batch that cannot be read costs its node, bytes.
 const UNREADABLE_COST: usize = 64 << 10;
+
+/// When a node comes again after the database could not be written, milliseconds.
+const UNAVAILABLE_RETRY_MS: u64 = 5_000;
+
+/// Reports of one commit.
+const COMMIT_REPORTS: usize = 4000;
 
 /// Bytes of JSON of the batches of one commit.
 const COMMIT_BYTES: usize = 16 << 20;
@@ -76,15 +78,9 @@ pub(crate) fn start(
         event_limits: EventLimits::default(),
         ready: sender,
     };
-    let database = setup.store.database();
     let writer = Writer {
-        database,
-        identity: None,
+        recorder: Recorder::new(&setup.store, &setup.history, Now::system()),
         limits,
-        numbers: Numbers::default(),
-        event_limits: EventLimits::default(),
-        clock: ClockCheck::new(Instant::now(), unix_milliseconds()),
-        retention_due: Instant::now(),
         setup,
     };
     let reading = thread("reports", move || reader.run(&waiting))?;
@@ -151,13 +147,8 @@ impl Reader {
 /// Commits batches, and what presence has for the database.
 struct Writer {
     setup: WriterSetup,
-    database: Box<dyn Database>,
-    identity: Option<Uuid>,
+    recorder: Recorder,
     limits: Arc<NodeLimits>,
-    numbers: Numbers,
-    event_limits: EventLimits,
-    clock: ClockCheck,
-    retention_due: Instant,
 }
 
 impl Writer {
@@ -177,7 +168,7 @@ impl Writer {
                 bytes += batch.bytes;
                 waiting.push(one);
                 batches.push(batch);
-                let full = reports >= self.setup.config.commit_reports || bytes >= COMMIT_BYTES;
+                let full = reports >= COMMIT_REPORTS || bytes >= COMMIT_BYTES;
                 next = if full { None } else { ready.try_recv().ok() };
             }
             self.commit(waiting, &batches);
@@ -191,10 +182,13 @@ impl Writer {
 
     /// Commits a group of batches; where the database takes no group, each batch alone.
     fn commit(&mut self, waiting: Vec<Waiting>, batches: &[Batch]) {
-        let retention = self.retention_due <= Instant::now();
+        let retention = self.recorder.retention_is_due(Instant::now());
         // Until a first transaction has succeeded an empty one is tried: a database that only reads is found at the start.
-        let is_proven = self.identity.is_some();
-        if is_proven && batches.is_empty() && !retention && !self.setup.fleet.has_news() {
+        if self.recorder.is_proven()
+            && batches.is_empty()
+            && !retention
+            && !self.setup.fleet.has_news()
+        {
             return;
         }
         match self.transaction(batches, retention) {
@@ -222,82 +216,42 @@ impl Writer {
         }
     }
 
-    fn transaction(&mut self, batches: &[Batch], retention: bool) -> Result<Committed, StoreError> {
+    fn transaction(&mut self, batches: &[Batch], retention: bool) -> Result<Recorded, StoreError> {
         let begun = Instant::now();
         let news = self.setup.fleet.take_news();
-        let done = self.try_transaction(batches, &news, retention);
+        let done = (self.recorder).record(batches, &news, retention, Now::system());
         let counters = &self.setup.counters;
         match &done {
             Ok(_) => {
-                counters.commits(1);
+                counters.add(IngestCounts {
+                    commits: 1,
+                    ..IngestCounts::default()
+                });
                 counters.committed_in(begun.elapsed());
             }
             Err(error) => {
-                counters.database_errors(1);
+                counters.add(IngestCounts {
+                    database_errors: 1,
+                    ..IngestCounts::default()
+                });
                 tracing::error!(%error, batches = batches.len(), "nothing was committed");
                 self.setup.fleet.give_back(news);
-                // What was handed out under this transaction means nothing any more.
-                self.numbers.forget();
-                self.database.disconnect();
             }
         }
         done
     }
 
-    fn try_transaction(
-        &mut self,
-        batches: &[Batch],
-        news: &News,
-        retention: bool,
-    ) -> Result<Committed, StoreError> {
-        let identity = match self.identity {
-            Some(identity) => identity,
-            None => self.database.identity()?,
-        };
-        let now_ms = unix_milliseconds();
-        let mut writing = self.database.begin()?;
-        let (numbers, limits) = (&mut self.numbers, &mut self.event_limits);
-        let mut events = news.write(&mut *writing, numbers, now_ms)?;
-        let mut committed = write(&mut *writing, numbers, limits, batches, now_ms)?;
-        events.append(&mut committed.events);
-        let mut deleted = 0;
-        if retention && self.clock.is_believed(Instant::now(), now_ms) {
-            deleted = retain(&mut *writing, &self.setup.history, now_ms)?;
-        }
-        writing.events(&events)?;
-        writing.commit()?;
-        self.identity = Some(identity);
-        if retention {
-            let more = deleted >= STEP.unsigned_abs();
-            let pause = if more { Duration::ZERO } else { RETENTION };
-            self.retention_due = Instant::now() + pause;
-        }
-        committed.events = events;
-        Ok(committed)
-    }
-
-    fn acknowledge(&mut self, waiting: Vec<Waiting>, batches: &[Batch], committed: Committed) {
+    fn acknowledge(&mut self, waiting: Vec<Waiting>, batches: &[Batch], recorded: Recorded) {
+        let Recorded { answers, committed } = recorded;
         let (setup, counters) = (&self.setup, &self.setup.counters);
-        counters.clips(committed.clips);
-        counters.again(committed.again);
-        counters.set_aside(committed.set_aside);
-        counters.too_old(committed.too_old);
-        counters.missing(committed.missing);
-        counters.resets(committed.resets);
-        counters.clock_off(committed.clock_off);
-        counters.frames(committed.frames);
-        counters.frames_skipped(committed.skipped);
-        counters.audit_frames(committed.audit.frames);
-        counters.audit_missed(committed.audit.missed);
-        counters.audit_detected(committed.audit.detected);
-        counters.audit_shown(committed.audit.shown);
-        counters.audit_paired(committed.audit.paired);
-        counters.energy_uj(committed.energy_uj);
+        counters.add(IngestCounts {
+            batches: batches.len() as u64,
+            ..committed.counts
+        });
         if !committed.events.is_empty() {
             setup.events.tell();
         }
         for batch in batches {
-            self.clock.hear(&batch.node, batch.clocks_agree);
             setup.fleet.reported(&batch.node, unix_milliseconds());
         }
         for (place, at_ms, used) in committed.used {
@@ -305,19 +259,13 @@ impl Writer {
                 setup.fleet.used(&batch.node, at_ms, used);
             }
         }
-        let outcomes = batches.iter().zip(committed.outcomes);
-        for (waiting, (batch, outcome)) in waiting.into_iter().zip(outcomes) {
+        let outcomes = batches.iter().zip(committed.outcomes).zip(answers);
+        for (waiting, ((batch, outcome), mut answer)) in waiting.into_iter().zip(outcomes) {
             self.limits.has_cameras(&batch.node, outcome.cameras);
-            counters.batches(1);
             counters.acknowledged_after(waiting.since.elapsed());
             let mut desired = setup.desires.of(&batch.node);
             desired.send_full_status = setup.fleet.needs_full_status(&batch.node);
-            let answer = ReportAnswer {
-                refused: outcome.refused,
-                missing: outcome.wanted,
-                desired: Some(desired),
-                ..ReportAnswer::new(self.identity.unwrap_or_default())
-            };
+            answer.desired = Some(desired);
             setup.replies.answer(waiting.query, &answer);
         }
     }
@@ -326,7 +274,7 @@ impl Writer {
         let reason = RefusalReason::Unavailable;
         for waiting in waiting {
             self.setup.counters.refuse(reason);
-            let retry = Some(self.setup.config.unavailable_retry_ms);
+            let retry = Some(UNAVAILABLE_RETRY_MS);
             let refusal = refusal(reason, error.to_string(), retry);
             self.setup.replies.refuse(waiting.query, refusal);
         }

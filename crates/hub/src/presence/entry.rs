@@ -1,10 +1,13 @@
 //! What is known of one node.
 
-use super::fleet::{NodeView, Remembered};
-use super::news::NodeNews;
+use super::fleet::NodeView;
+use super::settings::{ReportedSettings, labels};
 use super::state::{PresenceState, Token};
 use super::today::Today;
-use albireo_wire::{HealthState, Heartbeat, NodeStatus, StatusMessage, TargetStatus, VERSION};
+use crate::store::record::text;
+use crate::store::tables::NodeRow;
+use albireo_wire::{HealthState, Heartbeat, NodeStatus, StatusMessage, VERSION};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -29,12 +32,12 @@ impl Run {
 
 /// One node.
 #[derive(Clone, Debug)]
-pub(super) struct Entry {
-    pub(super) state: PresenceState,
-    pub(super) since_ms: i64,
+pub(crate) struct Entry {
+    pub(crate) state: PresenceState,
+    pub(crate) since_ms: i64,
     pub(super) why: String,
     pub(super) heard: Option<Instant>,
-    pub(super) heard_ms: Option<i64>,
+    pub(crate) heard_ms: Option<i64>,
     pub(super) token: Token,
     pub(super) run: Option<Run>,
     /// The run heard before the present one, and when.
@@ -44,13 +47,13 @@ pub(super) struct Entry {
     pub(super) seq: u64,
     pub(super) health: HealthState,
     pub(super) reasons: String,
-    pub(super) waiting: u64,
+    pub(crate) waiting: u64,
     pub(super) revision: u64,
-    /// Where its target stands, if it holds one.
-    pub(super) holds: Option<TargetStatus>,
     pub(super) today: Today,
     /// The last full status as JSON: a third of the size of the same in fields.
     status: Option<Arc<str>>,
+    /// What of it is asked for often.
+    pub(super) reported: Option<Arc<ReportedSettings>>,
     pub(super) needs_full: bool,
     pub(super) notified: Option<Instant>,
     /// It is on the list of those to be written.
@@ -60,11 +63,6 @@ pub(super) struct Entry {
 }
 
 impl Entry {
-    /// Whether its node is online or degraded.
-    pub(super) fn is_heard(&self) -> bool {
-        matches!(self.state, PresenceState::Online | PresenceState::Degraded)
-    }
-
     /// A node of which nothing is known.
     pub(super) fn new(now_ms: i64) -> Self {
         Self {
@@ -82,9 +80,9 @@ impl Entry {
             reasons: String::new(),
             waiting: 0,
             revision: 0,
-            holds: None,
             today: Today::default(),
             status: None,
+            reported: None,
             needs_full: true,
             notified: None,
             dirty: false,
@@ -93,11 +91,11 @@ impl Entry {
     }
 
     /// A node as the database has it.
-    pub(super) fn remembered(node: Remembered, now: Instant) -> Self {
+    pub(super) fn remembered(node: NodeRow, now: Instant) -> Self {
         let mut entry = Self::new(node.since_ms);
-        entry.state = node.state;
+        entry.state = PresenceState::named(&node.state).unwrap_or(PresenceState::Silent);
         entry.why = node.why;
-        entry.heard = node.state.is_heard().then_some(now);
+        entry.heard = entry.state.is_heard().then_some(now);
         entry.heard_ms = node.heard_ms;
         entry.run = node.run.map(|number| Run {
             number: u32::try_from(number).unwrap_or(0),
@@ -114,7 +112,7 @@ impl Entry {
         entry
     }
 
-    /// Whether the node is to be notified to tell all: it is missing, and the last notice was a while ago.
+    /// Whether the node is to be asked for a full status: it is missing, and the last notice was a while ago.
     pub(super) fn ask_for_all(&mut self, now: Instant) -> bool {
         let due = |notified: Instant| now.saturating_duration_since(notified) >= NOTIFY_EVERY;
         let notice = self.needs_full && self.notified.is_none_or(due);
@@ -124,7 +122,7 @@ impl Entry {
         notice
     }
 
-    /// A heartbeat as the status it stands for: all but its numbers is as before. Nothing when it is of a run that is
+    /// A heartbeat as a status: all but its numbers is as before. Nothing when it is of a run that is
     /// not known.
     pub(super) fn alive(&self, heartbeat: Heartbeat) -> Option<StatusMessage> {
         let run = self.run.filter(|run| run.number == heartbeat.run)?;
@@ -169,37 +167,43 @@ impl Entry {
             .map(|(part, reason)| format!("{part}: {reason}"))
             .collect();
         self.reasons = reasons.join("; ");
-        self.holds = (status.target).map(|held| held.status.unwrap_or(TargetStatus::Measuring));
         let text = serde_json::to_string(status).unwrap_or_default();
         if self.status.as_deref() == Some(&text) {
             return false;
         }
         self.status = Some(text.into());
+        self.reported = Some(Arc::new(status.into()));
         self.status_dirty = true;
         true
     }
 
     /// What is to be written.
-    pub(super) fn news(&mut self) -> NodeNews {
-        let status = std::mem::take(&mut self.status_dirty)
-            .then(|| self.status.as_deref().map(str::to_owned))
-            .flatten();
+    pub(super) fn row(&mut self, name: &str) -> NodeRow {
+        let changed = std::mem::take(&mut self.status_dirty);
         let run = self.run.as_ref();
-        NodeNews {
-            state: self.state,
+        NodeRow {
+            name: name.to_owned(),
+            // Of a node that is new.
+            first_seen_ms: self.since_ms,
+            state: self.state.name().to_owned(),
             since_ms: self.since_ms,
-            why: self.why.clone(),
+            why: text(&self.why),
             heard_ms: self.heard_ms,
             run: run.map(|run| run.number.into()),
             started_ns: run.and_then(|run| i64::try_from(run.started_ns).ok()),
             revision: i64::try_from(self.revision).unwrap_or(i64::MAX),
-            status,
+            status: self.status.as_deref().filter(|_| changed).map(text),
         }
     }
 
-    /// The last full status as JSON.
-    pub(super) fn status(&self) -> Option<&Arc<str>> {
-        self.status.as_ref()
+    /// Its labels.
+    pub(crate) fn labels(&self) -> &BTreeMap<String, String> {
+        labels(self.reported.as_deref())
+    }
+
+    /// Energy of `day`, microjoules: the larger of measured and estimated.
+    pub(crate) fn used_uj(&self, day: i64) -> i64 {
+        self.today.key(day)
     }
 
     /// The node as it is shown on `day`.

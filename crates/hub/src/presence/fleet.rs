@@ -2,9 +2,11 @@
 
 use super::entry::{Entry, Run};
 use super::news::{News, Notice};
-use super::state::{Facts, Limits, PresenceState, Token, judge};
+use super::settings::NodeSettings;
+use super::state::{Limits, PresenceInput, PresenceState, Token, judge};
 use super::today::{TodaysEnergy, Used, day_of};
 use crate::config::PresenceConfig;
+use crate::store::tables::NodeRow;
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{Heartbeat, NodeStatus, StatusMessage, TargetStatus};
 use parking_lot::{Mutex, RwLock};
@@ -47,34 +49,6 @@ pub struct NodeView {
     pub status: Option<serde_json::Value>,
 }
 
-/// What a list is sorted and filtered by; nothing of it is copied.
-#[derive(Debug)]
-pub(crate) struct Glance<'a> {
-    pub(crate) name: &'a Arc<str>,
-    pub(crate) state: PresenceState,
-    pub(crate) since_ms: i64,
-    pub(crate) heard_ms: Option<i64>,
-    pub(crate) waiting: u64,
-    /// Energy of today, microjoules: the larger of measured and estimated.
-    pub(crate) used_uj: i64,
-    /// The last full status as JSON.
-    pub(crate) status: Option<&'a Arc<str>>,
-}
-
-/// A node as the database has it.
-#[derive(Clone, Debug)]
-pub(crate) struct Remembered {
-    pub(crate) name: String,
-    pub(crate) state: PresenceState,
-    pub(crate) since_ms: i64,
-    pub(crate) why: String,
-    pub(crate) heard_ms: Option<i64>,
-    pub(crate) run: Option<i64>,
-    pub(crate) started_ns: Option<i64>,
-    pub(crate) revision: i64,
-    pub(crate) status: Option<String>,
-}
-
 /// What all nodes are counted by, beside their states.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FleetTallies {
@@ -82,9 +56,9 @@ pub struct FleetTallies {
     pub twins: u64,
     /// Nodes that are heard and have not taken yet what is desired of them.
     pub behind: u64,
-    /// Reports that wait in their outboxes, as far as they have told.
+    /// Reports that wait in their outboxes, as far as they reported.
     pub waiting: u64,
-    /// Nodes that are heard and hold a target, by where it stands, in the order of [`TargetStatus::ALL`].
+    /// Nodes that are heard and hold a target, by its status, in the order of [`TargetStatus::ALL`].
     pub targets: [u64; TargetStatus::ALL.len()],
 }
 
@@ -119,7 +93,7 @@ impl Fleet {
     }
 
     /// Takes what the database remembers. Who was heard then has until the silent limit from `now` on to be heard again.
-    pub(crate) fn remember(&self, nodes: Vec<Remembered>, now: Instant) {
+    pub(crate) fn remember(&self, nodes: Vec<NodeRow>, now: Instant) {
         let mut map = self.nodes.write();
         for node in nodes {
             let name: Arc<str> = node.name.as_str().into();
@@ -127,7 +101,7 @@ impl Fleet {
         }
     }
 
-    /// Takes a status; whether the node should be notified to tell all.
+    /// Takes a status; whether the node should be asked for a full status.
     pub(crate) fn heard(
         &self,
         node: &str,
@@ -179,7 +153,7 @@ impl Fleet {
         entry.ask_for_all(now)
     }
 
-    /// Takes a heartbeat; whether the node should be notified to tell all.
+    /// Takes a heartbeat; whether the node should be asked for a full status.
     pub(crate) fn alive(
         &self,
         node: &str,
@@ -217,10 +191,10 @@ impl Fleet {
         }
     }
 
-    /// Drops a node, unless it is online or degraded: it would be back at once. Returns whether it is gone.
+    /// Drops a node, unless it is online or degraded: it would be back at once. Returns whether it was dropped.
     pub(crate) fn forget(&self, node: &str) -> bool {
         let mut nodes = self.nodes.write();
-        if nodes.get(node).is_some_and(Entry::is_heard) {
+        if nodes.get(node).is_some_and(|entry| entry.state.is_heard()) {
             return false;
         }
         nodes.remove(node);
@@ -251,7 +225,7 @@ impl Fleet {
         let mut swept = self.swept.lock();
         let mut nodes = self.nodes.write();
         let most = nodes.len() / 10 + 1;
-        // Behind the last one it begins anew.
+        // Behind the last one it begins again at the first.
         for from in [swept.take().map_or(Unbounded, Excluded), Unbounded] {
             let mut last = None;
             let range = nodes.range_mut::<Arc<str>, _>((from, Unbounded));
@@ -263,6 +237,13 @@ impl Fleet {
             if swept.is_some() {
                 break;
             }
+        }
+    }
+
+    /// Gives every node that time more to be heard: the hub could hear none meanwhile.
+    pub(crate) fn pass_over(&self, time: Duration) {
+        for entry in self.nodes.write().values_mut() {
+            entry.heard = entry.heard.map(|heard| heard + time);
         }
     }
 
@@ -285,7 +266,7 @@ impl Fleet {
                 Some(ago.max(self.limits.silent))
             }
         };
-        let facts = Facts {
+        let facts = PresenceInput {
             heard_ago,
             token: entry.token,
             health: entry.health,
@@ -343,11 +324,14 @@ impl Fleet {
         let mut nodes = self.nodes.write();
         let mut news = News::default();
         for name in names {
-            if let Some(entry) = nodes.get_mut(&name) {
+            // A node that was forgotten and came back is listed twice.
+            if let Some(entry) = nodes.get_mut(&name).filter(|entry| entry.dirty) {
                 entry.dirty = false;
-                news.nodes.push((name.to_string(), entry.news()));
+                news.nodes.push(entry.row(&name));
             }
         }
+        // Hubs on one database write in the same order, so that none waits for another that waits for it.
+        news.nodes.sort_by(|a, b| a.name.cmp(&b.name));
         news.notices = std::mem::take(&mut *self.notices.lock());
         news
     }
@@ -355,8 +339,8 @@ impl Fleet {
     /// Takes back what was not written.
     pub(crate) fn give_back(&self, news: News) {
         let mut nodes = self.nodes.write();
-        for (name, node) in news.nodes {
-            let name: Arc<str> = name.into();
+        for node in news.nodes {
+            let name: Arc<str> = node.name.into();
             if let Some(entry) = nodes.get_mut(&name) {
                 entry.status_dirty |= node.status.is_some();
                 self.mark(&name, entry);
@@ -383,14 +367,16 @@ impl Fleet {
     pub fn tallies(&self, desired: impl Fn(&str) -> u64) -> FleetTallies {
         let (now, mut tallies) = (Instant::now(), FleetTallies::default());
         for (name, entry) in self.nodes.read().iter() {
-            let heard = entry.is_heard();
+            let heard = entry.state.is_heard();
             let two = (entry.identity.as_ref()).is_some_and(|(_, until)| *until > now);
             tallies.twins += u64::from(two);
             tallies.behind += u64::from(heard && entry.revision < desired(name));
             tallies.waiting += entry.waiting;
-            let stands = (entry.holds.filter(|_| heard))
+            let target = (entry.reported.as_ref()).and_then(|reported| reported.target);
+            let status = target.map(|held| held.status.unwrap_or(TargetStatus::Measuring));
+            let place = (status.filter(|_| heard))
                 .and_then(|at| TargetStatus::ALL.iter().position(|one| *one == at));
-            if let Some(count) = stands.and_then(|at| tallies.targets.get_mut(at)) {
+            if let Some(count) = place.and_then(|at| tallies.targets.get_mut(at)) {
                 *count += 1;
             }
         }
@@ -409,27 +395,26 @@ impl Fleet {
         nodes.get(node).map(|entry| entry.view(node, day))
     }
 
-    /// All nodes, in the order of their names.
-    pub(crate) fn views(&self) -> Vec<NodeView> {
-        let day = day_of(unix_milliseconds());
-        (self.nodes.read().iter())
-            .map(|(name, entry)| entry.view(name, day))
+    /// What is known of a node's settings.
+    pub(crate) fn settings(&self, node: &str) -> Option<NodeSettings> {
+        let nodes = self.nodes.read();
+        let (name, entry) = nodes.get_key_value(node)?;
+        Some(NodeSettings::of(name, entry))
+    }
+
+    /// The settings of all nodes, in the order of their names.
+    pub(crate) fn all_settings(&self) -> Vec<NodeSettings> {
+        let nodes = self.nodes.read();
+        nodes
+            .iter()
+            .map(|(name, entry)| NodeSettings::of(name, entry))
             .collect()
     }
 
     /// Shows every node to `each`, in the order of their names.
-    pub(crate) fn glance(&self, mut each: impl FnMut(Glance<'_>)) {
-        let day = day_of(unix_milliseconds());
+    pub(crate) fn each(&self, mut each: impl FnMut(&Arc<str>, &Entry)) {
         for (name, entry) in self.nodes.read().iter() {
-            each(Glance {
-                name,
-                state: entry.state,
-                since_ms: entry.since_ms,
-                heard_ms: entry.heard_ms,
-                waiting: entry.waiting,
-                used_uj: entry.today.key(day),
-                status: entry.status(),
-            });
+            each(name, entry);
         }
     }
 

@@ -8,11 +8,13 @@ use crate::desired::Desires;
 use crate::error::HubError;
 use crate::ingest::{Replies, refusal};
 use crate::per_node::{PerNode, Place};
+use crate::readiness::Readiness;
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{
     ConfigChanged, FleetKeys, Heartbeat, PullRequest, RefusalReason, StatusMessage, VERSION,
 };
 use bytes::Bytes;
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -33,9 +35,9 @@ const MOST_OF_A_NODE: u32 = 16;
 const LARGEST_STATUS: usize = 64 << 10;
 /// Notices that may wait; one more is not sent, and the next status finds out anyway.
 const NOTICES: usize = 65_536;
-/// Time between two looks at a tenth of the nodes.
+/// Interval at which a tenth of the nodes are checked.
 const SWEEP: Duration = Duration::from_millis(500);
-/// Pause after so many notices: thousands of nodes that ask at once are a storm of the hub's own making.
+/// Pause after this many notices: the hub must not make thousands of nodes ask at once.
 const NOTICES_AT_ONCE: usize = 50;
 const NOTICE_PAUSE: Duration = Duration::from_millis(10);
 
@@ -115,6 +117,9 @@ pub(crate) struct ListenSetup<'a> {
     pub(crate) desires: Arc<Desires>,
     pub(crate) replies: Replies,
     pub(crate) counters: Arc<ListenCounters>,
+    pub(crate) readiness: Arc<Readiness>,
+    /// Whether the hub hears nodes through a router of their own only.
+    pub(crate) is_client: bool,
     pub(crate) shutdown: CancellationToken,
 }
 
@@ -130,19 +135,24 @@ pub(crate) async fn listen(
         desires,
         replies,
         counters,
+        readiness,
+        is_client,
         shutdown,
     } = setup;
     let keys = FleetKeys::all(prefix)?;
     let (sender, heard) = mpsc::channel(QUEUE);
     let notifier = start_notifier(session.clone(), prefix.to_owned())
         .map_err(HubError::system("the thread of notices cannot be started"))?;
-    let hearing = take(
+    let hearing = Hearing {
         heard,
-        Arc::clone(&fleet),
-        notifier.clone(),
-        Arc::clone(&counters),
-        shutdown,
-    );
+        fleet: Arc::clone(&fleet),
+        notifier: notifier.clone(),
+        counters: Arc::clone(&counters),
+        router: is_client.then(|| session.clone()),
+        readiness,
+        tokens_gone: HashSet::new(),
+        alone_since: None,
+    };
     let inbox = Inbox {
         queue: sender,
         places: PerNode::new(MOST_OF_A_NODE),
@@ -173,7 +183,7 @@ pub(crate) async fn listen(
             .history(true)
             .callback(move |sample| {
                 if let Some(node) = FleetKeys::node_of(sample.key_expr().as_str()) {
-                    // A token that is not taken costs time only: status tells the rest.
+                    // A token that is not taken costs time only: the status has the rest.
                     inbox.put(node, What::Token(sample.kind() == SampleKind::Put));
                 }
             })
@@ -197,7 +207,7 @@ pub(crate) async fn listen(
                 (Some(Ok(_)), Some(node)) => {
                     let mut desired = desires.of(&node);
                     desired.send_full_status = fleet.needs_full_status(&node);
-                    replies.give(query, &desired);
+                    replies.answer(query, &desired);
                 }
                 (Some(Err(error)), _) => {
                     let reason = RefusalReason::Unreadable;
@@ -217,10 +227,10 @@ pub(crate) async fn listen(
         _pulls: pulls,
         notifier,
     };
-    Ok((listening, hearing))
+    Ok((listening, hearing.run(shutdown)))
 }
 
-/// A thread that sends notices, since a put may block; it ends when the last sender is gone.
+/// A thread that sends notices, since a put may block; it ends when the last sender is dropped.
 fn start_notifier(session: Session, prefix: String) -> std::io::Result<Notifier> {
     let (sender, notices) = sync_channel::<(String, u64)>(NOTICES);
     std::thread::Builder::new()
@@ -257,54 +267,101 @@ const TAKEN_AT_ONCE: usize = 1024;
 /// Pause after them: thousands of messages a second would wake this task, and Zenoh's threads would pay for each waking.
 const TAKEN_EVERY: Duration = Duration::from_millis(5);
 
-async fn take(
-    mut heard: mpsc::Receiver<Heard>,
+/// Takes what is heard.
+struct Hearing {
+    heard: mpsc::Receiver<Heard>,
     fleet: Arc<Fleet>,
     notifier: Notifier,
     counters: Arc<ListenCounters>,
-    shutdown: CancellationToken,
-) {
-    let mut sweep = tokio::time::interval(SWEEP);
-    let mut several = Vec::with_capacity(TAKEN_AT_ONCE);
-    loop {
-        tokio::select! {
-            () = shutdown.cancelled() => return,
-            count = heard.recv_many(&mut several, TAKEN_AT_ONCE) => if count == 0 {
-                return;
-            },
-            _ = sweep.tick() => {
-                fleet.sweep(Instant::now(), unix_milliseconds());
-                continue;
-            }
-        }
-        let all = several.len() < TAKEN_AT_ONCE;
-        for one in several.drain(..) {
-            take_one(one, &fleet, &notifier, &counters);
-        }
-        if all {
-            tokio::time::sleep(TAKEN_EVERY).await;
-        }
-    }
+    /// The session, where all nodes are heard through one router.
+    router: Option<Session>,
+    readiness: Arc<Readiness>,
+    /// Nodes whose token went since the last sweep. All of them go with a lost router, which says nothing of the nodes.
+    tokens_gone: HashSet<String>,
+    /// When the router was lost.
+    alone_since: Option<Instant>,
 }
 
-fn take_one(one: Heard, fleet: &Fleet, notifier: &Notifier, counters: &ListenCounters) {
-    let (now, now_ms) = (Instant::now(), unix_milliseconds());
-    let Heard { node, what, _place } = one;
-    match what {
-        What::Token(present) => fleet.token(&node, present, now, now_ms),
-        What::Status(payload) => {
-            let heard = if Heartbeat::is_one(&payload) {
-                Heartbeat::read(&payload).map(|sign| fleet.alive(&node, sign, now, now_ms))
-            } else {
-                albireo_wire::read::<StatusMessage>(&payload)
-                    .map(|message| fleet.heard(&node, &message, now, now_ms))
-            };
-            match heard {
-                Ok(true) => notifier.notify(&node, 0),
-                Ok(false) => {}
-                Err(error) => {
-                    counters.unreadable.fetch_add(1, Ordering::Relaxed);
-                    tracing::debug!(node, %error, "a status cannot be read");
+impl Hearing {
+    async fn run(mut self, shutdown: CancellationToken) {
+        let mut sweep = tokio::time::interval(SWEEP);
+        let mut several = Vec::with_capacity(TAKEN_AT_ONCE);
+        loop {
+            tokio::select! {
+                () = shutdown.cancelled() => return,
+                count = self.heard.recv_many(&mut several, TAKEN_AT_ONCE) => if count == 0 {
+                    return;
+                },
+                _ = sweep.tick() => {
+                    self.sweep().await;
+                    continue;
+                }
+            }
+            let all = several.len() < TAKEN_AT_ONCE;
+            for one in several.drain(..) {
+                self.take(one);
+            }
+            if all {
+                tokio::time::sleep(TAKEN_EVERY).await;
+            }
+        }
+    }
+
+    /// Looks for nodes that became silent or offline; while the router is away none does.
+    async fn sweep(&mut self) {
+        let (now, now_ms) = (Instant::now(), unix_milliseconds());
+        let gone = std::mem::take(&mut self.tokens_gone);
+        let is_alone = match &self.router {
+            Some(session) => session.info().transports().await.next().is_none(),
+            None => false,
+        };
+        match (is_alone, self.alone_since) {
+            (true, since) => {
+                if since.is_none() {
+                    tracing::warn!("the router is lost: no node is heard until it is back");
+                    self.alone_since = Some(now);
+                }
+                self.readiness.hold("zenoh", "the router is not connected");
+                return;
+            }
+            (false, Some(since)) => {
+                self.fleet.pass_over(now.saturating_duration_since(since));
+                self.alone_since = None;
+                self.readiness.release("zenoh");
+            }
+            (false, None) => {}
+        }
+        for node in gone {
+            self.fleet.token(&node, false, now, now_ms);
+        }
+        self.fleet.sweep(now, now_ms);
+    }
+
+    fn take(&mut self, one: Heard) {
+        let (now, now_ms) = (Instant::now(), unix_milliseconds());
+        let Heard { node, what, _place } = one;
+        let fleet = &self.fleet;
+        match what {
+            What::Token(true) => {
+                self.tokens_gone.remove(&node);
+                fleet.token(&node, true, now, now_ms);
+            }
+            What::Token(false) => drop(self.tokens_gone.insert(node)),
+            What::Status(payload) => {
+                self.tokens_gone.remove(&node);
+                let heard = if Heartbeat::is_one(&payload) {
+                    Heartbeat::read(&payload).map(|sign| fleet.alive(&node, sign, now, now_ms))
+                } else {
+                    albireo_wire::read::<StatusMessage>(&payload)
+                        .map(|message| fleet.heard(&node, &message, now, now_ms))
+                };
+                match heard {
+                    Ok(true) => self.notifier.notify(&node, 0),
+                    Ok(false) => {}
+                    Err(error) => {
+                        self.counters.unreadable.fetch_add(1, Ordering::Relaxed);
+                        tracing::debug!(node, %error, "a status cannot be read");
+                    }
                 }
             }
         }

@@ -1,45 +1,24 @@
 //! The state of a node as a function of what is known. Pure: docs/fleet.md has the same predicates in words.
 
+use crate::named::named;
 use albireo_wire::HealthState;
-use serde::{Deserialize, Serialize};
 use std::time::Duration;
-use utoipa::ToSchema;
 
-/// How a node is.
-#[derive(
-    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum PresenceState {
-    /// It is heard, and everything works.
-    Online,
-    /// It is heard, and something does not work.
-    Degraded,
-    /// It was not heard for a while.
-    Silent,
-    /// It is gone.
-    Offline,
+named! {
+    /// How a node is.
+    pub enum PresenceState {
+        /// It is heard, and everything works.
+        Online = "online",
+        /// It is heard, and something does not work.
+        Degraded = "degraded",
+        /// It was not heard for a while.
+        Silent = "silent",
+        /// It is gone.
+        Offline = "offline",
+    }
 }
 
 impl PresenceState {
-    /// All of them.
-    pub const ALL: [Self; 4] = [Self::Online, Self::Degraded, Self::Silent, Self::Offline];
-
-    /// Its name.
-    pub const fn as_str(self) -> &'static str {
-        match self {
-            Self::Online => "online",
-            Self::Degraded => "degraded",
-            Self::Silent => "silent",
-            Self::Offline => "offline",
-        }
-    }
-
-    /// The state of that name.
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|state| state.as_str() == name)
-    }
-
     /// Whether it is heard.
     pub const fn is_heard(self) -> bool {
         matches!(self, Self::Online | Self::Degraded)
@@ -49,7 +28,7 @@ impl PresenceState {
 /// What is known of the liveliness token.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Token {
-    /// None was seen, or the node was heard since it went: it tells nothing.
+    /// None was seen, or the node was heard since it went: it says nothing.
     #[default]
     Unknown,
     /// It is there.
@@ -60,7 +39,7 @@ pub enum Token {
 
 /// What is known of a node.
 #[derive(Clone, Copy, Debug)]
-pub struct Facts<'a> {
+pub struct PresenceInput<'a> {
     /// Since the last status; `None` when none ever came.
     pub heard_ago: Option<Duration>,
     /// The token.
@@ -83,7 +62,7 @@ pub struct Limits {
 }
 
 /// The state, and why.
-pub fn judge(facts: &Facts<'_>, limits: Limits) -> (PresenceState, String) {
+pub fn judge(facts: &PresenceInput<'_>, limits: Limits) -> (PresenceState, String) {
     let Some(ago) = facts.heard_ago else {
         return (PresenceState::Silent, "no status has come yet".to_owned());
     };

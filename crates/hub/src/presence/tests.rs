@@ -1,8 +1,8 @@
 //! The state function by table, and the fleet over time.
 
-use super::fleet::Remembered;
 use super::*;
 use crate::config::PresenceConfig;
+use crate::store::tables::NodeRow;
 use albireo_wire::{HealthState, Heartbeat, StatusMessage, VERSION};
 use std::time::{Duration, Instant};
 
@@ -120,7 +120,7 @@ fn the_state_is_what_the_table_in_the_documentation_says() {
             "no status for 95 s",
         ),
     ] {
-        let facts = Facts {
+        let facts = PresenceInput {
             heard_ago,
             token,
             health,
@@ -169,9 +169,10 @@ fn a_node_that_is_not_heard_gets_silent_then_offline_and_comes_back() {
 #[test]
 fn a_node_that_was_silent_when_the_hub_stopped_gets_offline_after_its_time() {
     let fleet = Fleet::new(&PresenceConfig::default());
-    let remembered = Remembered {
+    let remembered = NodeRow {
         name: "a".to_owned(),
-        state: PresenceState::Silent,
+        first_seen_ms: 5_000,
+        state: "silent".to_owned(),
         since_ms: 100_000,
         why: "no status for 95 s".to_owned(),
         heard_ms: Some(5_000),

@@ -20,7 +20,7 @@ pub struct TodaysEnergy {
     /// Share of the frames that skipped the detector, 0 to 1; absent without a frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub skip_rate: Option<f64>,
-    /// Share of the detector's boxes on audited skipped frames that had been shown, 0 to 1; absent without such a box.
+    /// Share of the detector's boxes on audited skipped frames that were shown, 0 to 1; absent without such a box.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recall: Option<f64>,
 }
@@ -94,7 +94,7 @@ pub(crate) struct Used {
     pub(crate) skipped: u64,
     /// Boxes of the detector on audited skipped frames.
     pub(crate) detected: u64,
-    /// Those of them that had been shown.
+    /// Those of them that were shown.
     pub(crate) paired: u64,
 }
 

@@ -32,17 +32,8 @@ impl From<sqlx::Error> for StoreError {
         match &error {
             sqlx::Error::Database(database) => {
                 let code = database.code().unwrap_or_default();
-                // SQLite: CORRUPT, CONSTRAINT, MISMATCH, RANGE and plain ERROR are about what is done; BUSY, LOCKED,
-                // READONLY, IOERR, FULL, CANTOPEN are about its state. The low byte of its codes is the kind.
-                let passes = match code.parse::<u32>() {
-                    Ok(number) if code.len() < 5 => {
-                        matches!(number & 0xff, 5 | 6 | 7 | 8 | 10 | 13 | 14)
-                    }
-                    _ => {
-                        STATES.iter().any(|class| code.starts_with(class))
-                            || LOCKED.contains(&code.as_ref())
-                    }
-                };
+                let passes = STATES.iter().any(|class| code.starts_with(class))
+                    || LOCKED.contains(&code.as_ref());
                 if passes {
                     Self::Unavailable(format!("the database cannot be used now: {database}"))
                 } else {
@@ -72,8 +63,14 @@ impl From<rusqlite::Error> for StoreError {
                 | Code::ReadOnly
                 | Code::SystemIoFailure
                 | Code::DiskFull
-                | Code::CannotOpen,
+                | Code::CannotOpen
+                | Code::OperationInterrupted,
             ) => Self::Unavailable(format!("the database cannot be used now: {error}")),
+            Some(Code::NotADatabase) => Self::Refused(
+                "the file is no SQLite database; nothing of it was changed: give the hub another file in \
+                 database.url"
+                    .to_owned(),
+            ),
             _ => Self::Statement(error.to_string()),
         }
     }

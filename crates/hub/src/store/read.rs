@@ -1,4 +1,4 @@
-//! Reading, on connections of its own.
+//! Reading, on separate connections.
 
 mod audit;
 mod energy;
@@ -8,44 +8,14 @@ pub use audit::AuditCounts;
 pub use energy::{EnergyBy, EnergyGroup, EnergyQuery, Resolution};
 pub use history::{ClipQuery, ReportCounts, StoredClip, StoredEvent, StoredSetAside};
 
+use super::tables::NodeRow;
 use super::{Store, StoreError};
-use crate::presence::{PresenceState, Remembered};
-use sqlx::Any;
-use sqlx::Row as _;
-use sqlx::any::{AnyArguments, AnyRow};
 
 impl Store {
-    fn query(&self, text: &str) -> sqlx::query::Query<'static, Any, AnyArguments> {
-        sqlx::query(self.dialect.sql(text))
-    }
-
-    async fn all(
-        &self,
-        query: sqlx::query::Query<'static, Any, AnyArguments>,
-    ) -> Result<Vec<AnyRow>, StoreError> {
-        Ok(query.fetch_all(&self.readers).await?)
-    }
-
     /// Every node as it was known last.
-    pub(crate) async fn remembered(&self) -> Result<Vec<Remembered>, StoreError> {
-        let rows = self
-            .all(self.query("SELECT * FROM nodes WHERE state <> 'forgotten'"))
-            .await?;
-        rows.iter()
-            .map(|row| {
-                let state: String = row.try_get("state")?;
-                Ok(Remembered {
-                    name: row.try_get("name")?,
-                    state: PresenceState::named(&state).unwrap_or(PresenceState::Silent),
-                    since_ms: row.try_get("since_ms")?,
-                    why: row.try_get("why")?,
-                    heard_ms: row.try_get("heard_ms")?,
-                    run: row.try_get("run")?,
-                    started_ns: row.try_get("started_ns")?,
-                    revision: row.try_get("revision")?,
-                    status: row.try_get("status")?,
-                })
-            })
-            .collect()
+    pub(crate) async fn nodes(&self) -> Result<Vec<NodeRow>, StoreError> {
+        let text = "SELECT * FROM nodes WHERE state <> 'forgotten'";
+        let rows = self.query(text, Vec::new()).await?;
+        rows.iter().map(NodeRow::try_from).collect()
     }
 }

@@ -65,7 +65,7 @@ pub(crate) fn retain(
             before(history.set_aside_days),
         ),
     ] {
-        deleted += writing.execute(text, &[bound, STEP])?;
+        deleted += writing.execute(text, &[bound.into(), STEP.into()])?;
     }
     Ok(deleted)
 }

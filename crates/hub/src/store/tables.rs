@@ -1,7 +1,6 @@
 //! The rows of the tables that grow.
 
 use super::record::{Cell, Record, record};
-use super::rows::row;
 use uuid::Uuid;
 
 record! {
@@ -178,29 +177,13 @@ record! {
     }
 }
 
-row! {
+record! {
     /// Something that happened.
     pub(crate) struct EventRow {
         at_ms: i64,
         kind: String,
         node: Option<String>,
         detail: String,
-    }
-}
-
-impl Record for EventRow {
-    fn columns() -> Vec<&'static str> {
-        vec!["at_ms", "kind", "node", "detail"]
-    }
-
-    fn cells(&self) -> Vec<Cell> {
-        let Self {
-            at_ms,
-            kind,
-            node,
-            detail,
-        } = self.clone();
-        vec![at_ms.into(), kind.into(), node.into(), detail.into()]
     }
 }
 
@@ -221,9 +204,10 @@ record! {
 }
 
 record! {
-    /// What is known of a node between reports.
+    /// What is known of a node between reports; its status is absent where it did not change.
     pub(crate) struct NodeRow {
-        id: i64,
+        name: String,
+        first_seen_ms: i64,
         state: String,
         since_ms: i64,
         why: String,
@@ -235,47 +219,19 @@ record! {
     }
 }
 
-/// With what a clip was made. Clips with the same have one number in the place of seven texts.
-#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub(crate) struct SetupKey {
-    /// Policy.
-    pub(crate) policy: String,
-    /// Name of the knob; empty without one.
-    pub(crate) knob: String,
-    /// Its value as it is written shortest; empty without one.
-    pub(crate) value: String,
-    /// Detector model.
-    pub(crate) model: String,
-    /// Execution provider.
-    pub(crate) provider: String,
-    /// Where the energy comes from.
-    pub(crate) power_source: String,
-    /// How its total came about.
-    pub(crate) total_from: String,
-}
-
-impl SetupKey {
-    /// Its columns, in order.
-    pub(crate) const COLUMNS: [&str; 7] = [
-        "policy",
-        "knob",
-        "value",
-        "model",
-        "provider",
-        "power_source",
-        "total_from",
-    ];
-
-    /// Its texts, in the order of the columns.
-    pub(crate) fn texts(&self) -> [&str; 7] {
-        [
-            &self.policy,
-            &self.knob,
-            &self.value,
-            &self.model,
-            &self.provider,
-            &self.power_source,
-            &self.total_from,
-        ]
+record! {
+    /// With what a clip was made: clips with the same share one number. Texts that a clip has not are empty.
+    #[derive(Eq, PartialOrd, Ord, Hash)]
+    pub(crate) struct SetupKey {
+        policy: String,
+        /// Name of the threshold.
+        knob: String,
+        /// Its value, in the shortest text that reads back as the same.
+        value: String,
+        model: String,
+        provider: String,
+        power_source: String,
+        /// How the total energy was found.
+        total_from: String,
     }
 }

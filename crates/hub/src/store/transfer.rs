@@ -1,13 +1,12 @@
 //! Copies a hub's SQLite file into an empty PostgreSQL database.
 
 use super::migrate::{LOCK, MARK, VERSION};
-use super::{Dialect, Store, StoreError};
+use super::postgres::objects;
+use super::sqlite::cell;
+use super::{Kind, Store, StoreError};
 use crate::config::DatabaseConfig;
-use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OpenFlags, OptionalExtension, TransactionBehavior};
-use serde_json::{Map, Value};
 use sqlx::{AssertSqlSafe, Connection as _, PgConnection};
-use std::fmt::Write as _;
 
 /// Rows of one statement.
 const BATCH: usize = 500;
@@ -28,7 +27,7 @@ const TABLES: [&str; 15] = [
     "desired",
     "orders",
     "order_nodes",
-    "campaigns",
+    "runs",
 ];
 
 /// How far a transfer has come.
@@ -54,7 +53,7 @@ pub async fn to_postgres(
     to: &DatabaseConfig,
     progress: &(dyn Fn(Progress) + Sync),
 ) -> Result<u64, StoreError> {
-    if Dialect::of(&to.url) != Dialect::Postgres || !to.url.contains("://") {
+    if Kind::of(&to.url) != Kind::Postgres || !to.url.contains("://") {
         return Err(StoreError::Refused(format!(
             "{} is not the URL of a PostgreSQL database: write postgres://USER:PASSWORD@HOST/DATABASE",
             to.shown()
@@ -106,11 +105,8 @@ pub async fn to_postgres(
             while batch.len() < BATCH
                 && let Some(row) = read.next()?
             {
-                let mut cells = Map::new();
-                for (at, column) in columns.iter().enumerate() {
-                    cells.insert(column.clone(), json(row.get_ref(at)?)?);
-                }
-                batch.push(Value::Object(cells));
+                let cells = (0..columns.len()).map(|at| cell(row.get_ref(at)?));
+                batch.push(cells.collect::<Result<Vec<_>, StoreError>>()?);
             }
             if batch.is_empty() {
                 break;
@@ -121,7 +117,7 @@ pub async fn to_postgres(
                  SELECT * FROM jsonb_populate_recordset(NULL::{table}, $1::jsonb)"
             );
             let inserted = sqlx::query(AssertSqlSafe(insert))
-                .bind(Value::Array(batch).to_string())
+                .bind(objects(&columns, batch))
                 .execute(&mut *target)
                 .await?;
             if inserted.rows_affected() != sent {
@@ -144,7 +140,7 @@ pub async fn to_postgres(
 }
 
 fn open(from: &str) -> Result<Connection, StoreError> {
-    let file = from.trim_start_matches("sqlite:").trim_start_matches("//");
+    let file = super::sqlite::file(from);
     Connection::open_with_flags(file, OpenFlags::SQLITE_OPEN_READ_WRITE)
         .map_err(|error| StoreError::Refused(format!("{file} cannot be opened: {error}")))
 }
@@ -197,26 +193,6 @@ async fn go_on_counting(
             .await?;
     }
     Ok(())
-}
-
-/// A cell as PostgreSQL reads it from JSON: bytes are hexadecimal text.
-fn json(cell: ValueRef<'_>) -> Result<Value, StoreError> {
-    Ok(match cell {
-        ValueRef::Null => Value::Null,
-        ValueRef::Integer(number) => number.into(),
-        ValueRef::Real(number) => number.into(),
-        ValueRef::Text(text) => std::str::from_utf8(text)
-            .map_err(|error| StoreError::Statement(format!("a text is not UTF-8: {error}")))?
-            .into(),
-        ValueRef::Blob(bytes) => {
-            let mut text = String::from("\\x");
-            for byte in bytes {
-                // Writing to a string cannot fail.
-                let _ = write!(text, "{byte:02x}");
-            }
-            text.into()
-        }
-    })
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! A value or a target for selected nodes, by hand: who would change, who cannot, and what became of it.
 
 use super::desired::DesiredValue;
-use super::fleet::NodeFacts;
 use super::selector::Selector;
 use super::tuner::{NewOrder, OutcomeLine, Tuner};
+use crate::presence::NodeSettings;
 use crate::setting::is_applied;
 use crate::store::StoreError;
 use albireo_wire::DesiredSetting;
@@ -24,7 +24,7 @@ pub(crate) struct ChangeRequest {
 pub(crate) struct Change {
     /// What was ordered.
     pub(crate) setting: DesiredSetting,
-    /// Its revision; absent in a dry run, and where nobody was to change.
+    /// Its revision; absent in a dry run, and if no node would change.
     pub(crate) revision: Option<u64>,
     /// What is known at once.
     pub(crate) lines: Vec<OutcomeLine>,
@@ -47,7 +47,7 @@ impl Tuner {
             dry_run,
             why,
         } = request;
-        let taken = Self::taken(&*self.campaigns.lock().await);
+        let taken = self.taken().await?;
         let (mut lines, mut nodes, mut known) = (Vec::new(), Vec::new(), HashSet::new());
         let line = |node: &str, outcome, from, detail: String| OutcomeLine {
             node: node.to_owned(),
@@ -56,13 +56,13 @@ impl Tuner {
             to: setting,
             detail,
         };
-        for facts in self.fleet.nodes() {
-            if !select.selects(&facts.name, &facts.labels()) {
+        for facts in self.fleet.all_settings() {
+            if !select.selects(&facts.name, facts.labels()) {
                 continue;
             }
-            known.insert(facts.name.clone());
+            known.insert(facts.name.to_string());
             let from = facts.setting();
-            if let Some(other) = taken.get(&facts.name) {
+            if let Some(other) = taken.get(&*facts.name) {
                 let detail = format!("takes part in {other}: end or return that first");
                 lines.push(line(&facts.name, "refused", from, detail));
             } else if let Some(detail) =
@@ -79,7 +79,7 @@ impl Tuner {
                 };
                 lines.push(line(&facts.name, "would_change", from, detail.to_owned()));
             } else {
-                nodes.push((facts.name, from));
+                nodes.push((facts.name.to_string(), from));
             }
         }
         for name in select.named().filter(|name| !known.contains(*name)) {
@@ -116,11 +116,11 @@ impl Tuner {
     }
 }
 
-/// Why the node cannot have that, as far as its status tells.
-fn unable(facts: &NodeFacts, setting: DesiredSetting) -> Option<String> {
+/// Why the node cannot have that, according to its status.
+fn unable(facts: &NodeSettings, setting: DesiredSetting) -> Option<String> {
     match setting {
         DesiredSetting::Threshold(knob) => {
-            let name = facts.knob_name().filter(|name| *name != knob.name)?;
+            let name = facts.threshold_name().filter(|name| *name != knob.name)?;
             let words = format!(
                 "the threshold of its policy is `{name}`, not `{}`",
                 knob.name
@@ -132,13 +132,13 @@ fn unable(facts: &NodeFacts, setting: DesiredSetting) -> Option<String> {
     }
 }
 
-/// Whether the node has it, and nothing else is desired that would take it away. Where nothing is to be held, whatever
-/// else is desired stands.
-fn has_it(facts: &NodeFacts, desired: Option<DesiredValue>, setting: DesiredSetting) -> bool {
+/// Whether the node has it, and nothing else is desired that would take it away. Where no target is wanted, a desired
+/// threshold stays.
+fn has_it(facts: &NodeSettings, desired: Option<DesiredValue>, setting: DesiredSetting) -> bool {
     let desired = desired.map(|desired| desired.setting);
     let wanted = match setting {
         DesiredSetting::Target(None) => !matches!(desired, Some(DesiredSetting::Target(Some(_)))),
         _ => desired == Some(setting),
     };
-    wanted && facts.status.is_some() && is_applied(setting, facts.knob(), facts.target())
+    wanted && facts.is_known() && is_applied(setting, facts.threshold(), facts.target())
 }

@@ -155,8 +155,8 @@ pub struct Silence {
 }
 
 impl Silence {
-    /// The probability that so many of this group are silent, or more, if the change has nothing to do with it: Fisher's
-    /// exact test, one side. 1 where there is nobody to compare with.
+    /// The probability that this many of this group are silent, or more, if the change has nothing to do with it: Fisher's
+    /// exact test, one side. 1 without nodes to compare with.
     pub fn by_chance(self, others: Self) -> f64 {
         if self.silent == 0 || others.nodes == 0 {
             return 1.0;

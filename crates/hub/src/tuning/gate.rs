@@ -36,7 +36,7 @@ pub struct GateError {
 
 impl Gate {
     /// The gates of a rollout that names none: the skip rate may fall by 0.05, a clip may cost 5 % more energy, the latency's 99th
-    /// percentile may rise by 10 %, the shares of degraded frames and detector errors by 0.01 each.
+    /// percentile may rise by 10 %, the share of degraded frames by 0.01.
     pub fn defaults() -> Vec<Self> {
         let gate = |metric, bound, relative, where_measured| Self {
             metric,
@@ -49,7 +49,6 @@ impl Gate {
             gate(Metric::Joules, 0.05, true, true),
             gate(Metric::LatencyP99, 0.10, true, false),
             gate(Metric::Degraded, 0.01, false, false),
-            gate(Metric::DetectorErrors, 0.01, false, true),
         ]
     }
 }
@@ -73,7 +72,7 @@ impl FromStr for Gate {
         } else {
             return Err(fault("it has neither `<=` nor `>=`".to_owned()));
         };
-        let metric = Metric::by_name(name.trim()).ok_or_else(|| {
+        let metric = Metric::named(name.trim()).ok_or_else(|| {
             let names: Vec<_> = Metric::ALL.iter().map(|metric| metric.name()).collect();
             fault(format!("the metrics are {}", names.join(", ")))
         })?;

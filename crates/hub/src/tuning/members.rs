@@ -1,11 +1,13 @@
-//! The nodes of a rollout or a trial: what each is to have, and what it has said.
+//! The nodes of a rollout or a trial: what each is to have, and what it answered.
 
+use crate::presence::NodeSettings;
 use crate::setting::is_applied;
 use albireo_wire::DesiredSetting;
 use albireo_wire::Threshold;
 use rand_core::{RngCore, SeedableRng};
 use rand_pcg::Pcg64Mcg;
 use serde::{Deserialize, Serialize};
+use std::collections::HashSet;
 use utoipa::ToSchema;
 
 /// Milliseconds since the Unix epoch, by the hub's clock.
@@ -22,7 +24,7 @@ pub enum Target {
     Untouched,
     /// The value of its stage or group.
     New,
-    /// The value it had before.
+    /// Its value before.
     Old,
 }
 
@@ -33,7 +35,7 @@ pub enum Outcome {
     /// Nothing was asked of it.
     #[default]
     Untouched,
-    /// Asked; it has not said anything yet.
+    /// Asked; it has not answered yet.
     Pending,
     /// It is out of reach; it will find the value when it returns.
     Waiting,
@@ -54,13 +56,13 @@ pub enum Outcome {
 }
 
 impl Outcome {
-    /// Whether the node has said what became of the value, or is known not to be able to.
+    /// Whether the node answered what became of the value, or is known to be unable to.
     pub const fn is_decided(&self) -> bool {
         !matches!(self, Self::Pending)
     }
 
     /// What follows from what is `seen` of a node that was asked, at `asked_ms`, for `wanted` with that revision. A node that was
-    /// away has its time anew from its return.
+    /// away has its time again from its return.
     pub(crate) fn next(
         &self,
         seen: &Seen,
@@ -72,7 +74,7 @@ impl Outcome {
     ) -> Self {
         use Outcome::{Applied, Missed, Pending, Refused, TimedOut, Untouched, Waiting};
         let has_it = seen.revision >= revision && is_applied(wanted, seen.knob, seen.target);
-        // A program that knows no targets takes the revision, and passes over what stands beside it.
+        // A program without targets takes the revision and ignores the target.
         let unable = (seen.cannot_hold.as_ref())
             .filter(|_| seen.reachable && matches!(wanted, DesiredSetting::Target(Some(_))));
         let refused = (seen.refused.as_ref())
@@ -96,7 +98,7 @@ impl Outcome {
         }
     }
 
-    /// Whether its time runs: the node was asked and has not said what became of it.
+    /// Whether its time runs: the node was asked and has not answered.
     pub(crate) const fn is_open(&self) -> bool {
         matches!(self, Self::Pending | Self::Waiting)
     }
@@ -132,12 +134,25 @@ pub struct Seen {
     pub revision: u64,
     /// Value in force on all of its cameras that it reported last; `None` when they differ or have none.
     pub knob: Option<Threshold>,
-    /// What it holds in the place of the knob's number.
+    /// The target that it holds.
     pub target: Option<albireo_wire::Target>,
-    /// Why it cannot hold any target, as far as it told.
+    /// Why it cannot hold any target, as far as it reported.
     pub cannot_hold: Option<String>,
     /// The desired value it reported last as refused: revision and reason.
     pub refused: Option<(u64, String)>,
+}
+
+impl From<&NodeSettings> for Seen {
+    fn from(node: &NodeSettings) -> Self {
+        Self {
+            reachable: node.reachable,
+            revision: node.revision,
+            knob: node.threshold(),
+            target: node.target(),
+            cannot_hold: node.cannot_hold(),
+            refused: node.refused(),
+        }
+    }
 }
 
 /// One node of a rollout or trial.
@@ -147,7 +162,7 @@ pub struct Member {
     pub node: String,
     /// Its stage or group, from 0.
     pub group: usize,
-    /// The value it had at the beginning.
+    /// Its value at the beginning.
     pub before: Threshold,
     /// What it is to have.
     pub target: Target,
@@ -249,6 +264,52 @@ pub fn shuffled(count: usize, seed: u64) -> Vec<usize> {
         order.swap(i, pick as usize);
     }
     order
+}
+
+/// Nodes to ask for a value.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Order {
+    /// The value.
+    pub knob: Threshold,
+    /// The nodes.
+    pub nodes: Vec<String>,
+    /// Whether it is the old value that returns.
+    pub is_return: bool,
+}
+
+/// The members that have to be asked, by value; `new` gives the new value of a member.
+pub(crate) fn due(members: &[Member], new: impl Fn(&Member) -> Threshold) -> Vec<Order> {
+    let mut orders: Vec<Order> = Vec::new();
+    for member in members.iter().filter(|member| member.is_due()) {
+        let is_return = member.target == Target::Old;
+        let knob = if is_return {
+            member.before
+        } else {
+            new(member)
+        };
+        match orders
+            .iter_mut()
+            .find(|order| order.knob == knob && order.is_return == is_return)
+        {
+            Some(order) => order.nodes.push(member.node.clone()),
+            None => orders.push(Order {
+                knob,
+                nodes: vec![member.node.clone()],
+                is_return,
+            }),
+        }
+    }
+    orders
+}
+
+/// Notes that the nodes of `order` were asked, with that revision.
+pub(crate) fn asked(members: &mut [Member], order: &Order, revision: u64, now: Millis) {
+    let nodes: HashSet<&str> = order.nodes.iter().map(String::as_str).collect();
+    for member in members {
+        if member.is_due() && nodes.contains(member.node.as_str()) {
+            member.asked(revision, now);
+        }
+    }
 }
 
 #[cfg(test)]

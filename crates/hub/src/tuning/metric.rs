@@ -1,67 +1,31 @@
 //! The figures of clips that gates bound and trials compare, per node.
 
 use super::effect::Scale;
+use crate::named::named;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::fmt;
-use utoipa::ToSchema;
 
-/// What a person asks about.
-#[derive(
-    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Metric {
-    /// Share of a clip's frames that skipped the detector.
-    SkipRate,
-    /// Joules of a clip.
-    Joules,
-    /// Energy-delay product of a clip, J·ms/frame.
-    Edp,
-    /// 99th percentile of a clip's latencies from reception to publication, ms.
-    LatencyP99,
-    /// Share of a clip's frames answered from prediction because the detector could not be had.
-    Degraded,
-    /// Share of a clip's frames whose detector run failed, where reports tell.
-    DetectorErrors,
-    /// Share of the detector's boxes on a clip's audited frames that had been shown: against the detector, not the truth.
-    Recall,
-    /// Share of the boxes shown on a clip's audited frames that the detector confirms: against the detector, not the truth.
-    Precision,
+named! {
+    /// What a person asks about.
+    pub enum Metric {
+        /// Share of a clip's frames that skipped the detector.
+        SkipRate = "skip_rate",
+        /// Joules of a clip.
+        Joules = "joules",
+        /// Energy-delay product of a clip, J·ms/frame.
+        Edp = "edp",
+        /// 99th percentile of a clip's latencies from reception to publication, ms.
+        LatencyP99 = "latency_p99",
+        /// Share of a clip's frames answered from prediction because the detector was not available.
+        Degraded = "degraded",
+        /// Share of the detector's boxes on a clip's audited frames that were shown: against the detector, not the truth.
+        Recall = "recall",
+        /// Share of the boxes shown on a clip's audited frames that the detector confirms: against the detector, not the truth.
+        Precision = "precision",
+    }
 }
 
 impl Metric {
-    /// All of them.
-    pub const ALL: [Self; 8] = [
-        Self::SkipRate,
-        Self::Joules,
-        Self::Edp,
-        Self::LatencyP99,
-        Self::Degraded,
-        Self::DetectorErrors,
-        Self::Recall,
-        Self::Precision,
-    ];
-
-    /// Its name in gates, messages and tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::SkipRate => "skip_rate",
-            Self::Joules => "joules",
-            Self::Edp => "edp",
-            Self::LatencyP99 => "latency_p99",
-            Self::Degraded => "degraded",
-            Self::DetectorErrors => "detector_errors",
-            Self::Recall => "recall",
-            Self::Precision => "precision",
-        }
-    }
-
-    /// The metric of that name.
-    pub fn by_name(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|metric| metric.name() == name)
-    }
-
     /// Whether more of it is worse.
     pub const fn more_is_worse(self) -> bool {
         !matches!(self, Self::SkipRate | Self::Recall | Self::Precision)
@@ -75,62 +39,37 @@ impl Metric {
             Self::Edp => &[Figure::EdpMeasured, Figure::EdpEstimated],
             Self::LatencyP99 => &[Figure::LatencyP99],
             Self::Degraded => &[Figure::Degraded],
-            Self::DetectorErrors => &[Figure::DetectorErrors],
             Self::Recall => &[Figure::Recall],
             Self::Precision => &[Figure::Precision],
         }
     }
 }
 
-impl fmt::Display for Metric {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
+named! {
+    /// One kind of number that clips have. Energy that was metered over a part of the clip only is in none of them.
+    pub enum Figure {
+        /// Share of frames that skipped the detector.
+        SkipRate = "skip_rate",
+        /// Joules of clips whose energy was measured.
+        JoulesMeasured = "joules_measured",
+        /// Joules of clips whose energy was estimated.
+        JoulesEstimated = "joules_estimated",
+        /// EDP of clips whose energy was measured.
+        EdpMeasured = "edp_measured",
+        /// EDP of clips whose energy was estimated.
+        EdpEstimated = "edp_estimated",
+        /// 99th percentile of latency, ms.
+        LatencyP99 = "latency_p99",
+        /// Share of degraded frames.
+        Degraded = "degraded",
+        /// Recall against the detector.
+        Recall = "recall",
+        /// Precision against the detector.
+        Precision = "precision",
     }
 }
 
-/// One kind of number that clips have. Energy that was metered over a part of the clip only is in none of them.
-#[derive(
-    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema,
-)]
-#[serde(rename_all = "snake_case")]
-pub enum Figure {
-    /// Share of frames that skipped the detector.
-    SkipRate,
-    /// Joules of clips whose energy was measured.
-    JoulesMeasured,
-    /// Joules of clips whose energy was estimated.
-    JoulesEstimated,
-    /// EDP of clips whose energy was measured.
-    EdpMeasured,
-    /// EDP of clips whose energy was estimated.
-    EdpEstimated,
-    /// 99th percentile of latency, ms.
-    LatencyP99,
-    /// Share of degraded frames.
-    Degraded,
-    /// Share of frames with a detector error.
-    DetectorErrors,
-    /// Recall against the detector.
-    Recall,
-    /// Precision against the detector.
-    Precision,
-}
-
 impl Figure {
-    /// All of them, in the order of tables.
-    pub const ALL: [Self; 10] = [
-        Self::SkipRate,
-        Self::JoulesMeasured,
-        Self::JoulesEstimated,
-        Self::EdpMeasured,
-        Self::EdpEstimated,
-        Self::LatencyP99,
-        Self::Degraded,
-        Self::DetectorErrors,
-        Self::Recall,
-        Self::Precision,
-    ];
-
     /// How a node's change is taken: shares by their difference, all else by its ratio.
     pub const fn scale(self) -> Scale {
         match self {
@@ -141,28 +80,6 @@ impl Figure {
             | Self::LatencyP99 => Scale::Relative,
             _ => Scale::Absolute,
         }
-    }
-
-    /// Its name in messages and tables.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::SkipRate => "skip_rate",
-            Self::JoulesMeasured => "joules_measured",
-            Self::JoulesEstimated => "joules_estimated",
-            Self::EdpMeasured => "edp_measured",
-            Self::EdpEstimated => "edp_estimated",
-            Self::LatencyP99 => "latency_p99",
-            Self::Degraded => "degraded",
-            Self::DetectorErrors => "detector_errors",
-            Self::Recall => "recall",
-            Self::Precision => "precision",
-        }
-    }
-}
-
-impl fmt::Display for Figure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(self.name())
     }
 }
 

@@ -5,8 +5,6 @@
 //! which value ([`Rollout::due`]). The whole state is serialised; a rollout read from the database continues where it was.
 
 mod command;
-#[cfg(test)]
-mod fleet_tests;
 mod plan;
 mod record;
 mod step;
@@ -18,7 +16,7 @@ pub(crate) use plan::check_why;
 pub use plan::{OnFailure, PlanError, RolloutPlan, RolloutRequest, StageSize};
 pub use record::{Entry, What};
 
-use super::members::{Member, Millis, Outcome, Seen, Target, shuffled};
+use super::members::{self, Member, Millis, Order, Outcome, Seen, shuffled};
 use super::metric::BeforeAfter;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
@@ -93,17 +91,6 @@ impl Phase {
     pub const fn has_ended(&self) -> bool {
         matches!(self, Self::Done | Self::Returned | Self::Stopped)
     }
-}
-
-/// Nodes to ask for a value.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Order {
-    /// The value.
-    pub knob: Threshold,
-    /// The nodes.
-    pub nodes: Vec<String>,
-    /// Whether it is the old value that returns.
-    pub is_return: bool,
 }
 
 /// Clips to measure: of the stage's nodes before they were asked and since they have the new value, and over the same hours of
@@ -239,48 +226,24 @@ impl Rollout {
         Ok(rollout)
     }
 
-    /// The nodes that have to be asked, by value. After the request stands in the database they are told with
-    /// [`Rollout::asked`].
+    /// The nodes that have to be asked, by value. Once the request is in the database, [`Rollout::asked`] notes
+    /// it.
     pub fn due(&self) -> Vec<Order> {
-        let mut orders: Vec<Order> = Vec::new();
-        // Also at its end there may be some: nodes that missed their deadline shall find the old value.
+        // At its end there may be some too: nodes that missed their deadline get the old value.
         if self.paused_ms.is_some() || self.phase == Phase::Stopped {
-            return orders;
+            return Vec::new();
         }
-        for member in self.members.iter().filter(|member| member.is_due()) {
-            let is_return = member.target == Target::Old;
-            let knob = if is_return { member.before } else { self.knob };
-            match orders
-                .iter_mut()
-                .find(|order| order.knob == knob && order.is_return == is_return)
-            {
-                Some(order) => order.nodes.push(member.node.clone()),
-                None => orders.push(Order {
-                    knob,
-                    nodes: vec![member.node.clone()],
-                    is_return,
-                }),
-            }
-        }
-        orders
+        members::due(&self.members, |_| self.knob)
     }
 
     /// Notes that the nodes of `order` were asked, with that revision.
     pub fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
-        let named: std::collections::HashSet<&str> =
-            order.nodes.iter().map(String::as_str).collect();
-        for member in self
-            .members
-            .iter_mut()
-            .filter(|m| m.is_due() && named.contains(m.node.as_str()))
-        {
-            member.asked(revision, now);
-        }
+        members::asked(&mut self.members, order, revision, now);
     }
 
     /// Takes in what is known of nodes. Returns whether anything changed.
     pub fn observe(&mut self, now: Millis, look: impl Fn(&str) -> Option<Seen>) -> bool {
-        // Time stands still in a pause: what nodes say meanwhile is taken as of then.
+        // Time stops in a pause: what nodes report meanwhile is taken as of then.
         let now = self.paused_ms.unwrap_or(now);
         let patience = seconds(self.plan.apply_within_s);
         let mut changed = false;

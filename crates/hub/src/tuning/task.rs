@@ -6,9 +6,9 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio_util::sync::CancellationToken;
 
-/// Time between two looks at what nodes have reported.
+/// Interval at which reports of nodes are read.
 const LOOK: Duration = Duration::from_millis(250);
-/// Looks between two looks at rollouts and trials, at other hubs' orders, and for drift.
+/// Such intervals between two checks of rollouts, trials, other hubs' changes and drift.
 const DRIVE_EVERY: u64 = 4;
 const LEARN_EVERY: u64 = 8;
 const DRIFT_EVERY: u64 = 20;

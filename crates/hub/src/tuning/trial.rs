@@ -8,9 +8,9 @@
 mod tests;
 
 use super::effect::{Effect, FEWEST_NODES, Interval};
-use super::members::{Member, Millis, Outcome, Seen, Target, shuffled};
+use super::members::{self, Member, Millis, Order, Outcome, Seen, Target, shuffled};
 use super::metric::{BeforeAfter, Figure};
-use super::rollout::{Candidate, Order, PlanError, Window, check_why, seconds};
+use super::rollout::{Candidate, PlanError, Window, check_why, seconds};
 use super::selector::Selector;
 use albireo_wire::Threshold;
 use serde::{Deserialize, Serialize};
@@ -247,40 +247,12 @@ impl Trial {
 
     /// The nodes that have to be asked, by value.
     pub fn due(&self) -> Vec<Order> {
-        let mut orders: Vec<Order> = Vec::new();
-        for member in self.members.iter().filter(|member| member.is_due()) {
-            let is_return = member.target == Target::Old;
-            let knob = if is_return {
-                member.before
-            } else {
-                self.plan.values[member.group]
-            };
-            match orders
-                .iter_mut()
-                .find(|o| o.knob == knob && o.is_return == is_return)
-            {
-                Some(order) => order.nodes.push(member.node.clone()),
-                None => orders.push(Order {
-                    knob,
-                    nodes: vec![member.node.clone()],
-                    is_return,
-                }),
-            }
-        }
-        orders
+        members::due(&self.members, |member| self.plan.values[member.group])
     }
 
     /// Notes that the nodes of `order` were asked, with that revision.
     pub fn asked(&mut self, order: &Order, revision: u64, now: Millis) {
-        let named: std::collections::HashSet<&str> =
-            order.nodes.iter().map(String::as_str).collect();
-        for member in self
-            .members
-            .iter_mut()
-            .filter(|m| m.is_due() && named.contains(m.node.as_str()))
-        {
-            member.asked(revision, now);
-        }
+        members::asked(&mut self.members, order, revision, now);
     }
 
     /// Takes in what is known of nodes. Returns whether anything changed.

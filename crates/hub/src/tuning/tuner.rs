@@ -1,14 +1,13 @@
 //! Carries orders out: keeps them in the database, notifies the nodes, and follows what the nodes report.
 
 use super::desired::DesiredValue;
-use super::fleet::{Fleet, NodeFacts};
-use super::members::{Millis, Outcome};
+use super::members::{Millis, Outcome, Seen};
 use crate::config::TuningConfig;
 use crate::desired::Desires;
-use crate::presence::Notifier;
+use crate::presence::{Fleet, NodeSettings, Notifier};
 use crate::setting::is_applied;
 use crate::store::tables::EventRow;
-use crate::store::{OrderNodeRow, OrderRow, Store, StoreError, Writer, columns};
+use crate::store::{OrderNodeRow, OrderRow, Store, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::DesiredSetting;
 use albireo_wire::Threshold;
@@ -27,7 +26,7 @@ const NOTIFY_AGAIN_MS: Millis = 5_000;
 /// revisions that nodes have; a node that reports nonsense must not use them up.
 const FARTHEST_AHEAD: u64 = 1 << 32;
 
-/// What is desired, and the nodes that are to have it again with what each had in its place.
+/// What is desired, and the nodes that are to have it again with what each has now.
 type SetBack = (DesiredSetting, Vec<(String, Option<DesiredSetting>)>);
 
 /// What an order came to at one node.
@@ -38,7 +37,7 @@ pub struct OutcomeLine {
     /// `applied`, `refused`, `waiting` (out of reach: applied on its return), `timed_out`, `pending`, `superseded`; `unchanged` where it
     /// has the value already, `would_change` in a dry run.
     pub outcome: &'static str,
-    /// What it had before, if that was known: a threshold or a target.
+    /// Its setting before, if that was known: a threshold or a target.
     pub from: Option<DesiredSetting>,
     /// What was ordered: a threshold or a target.
     pub to: DesiredSetting,
@@ -81,17 +80,10 @@ struct OpenOrder {
 impl OpenOrder {
     /// Its row with that outcome at `node`.
     fn row(&self, node: &str, outcome: &str, at_ms: Millis, detail: String) -> OrderNodeRow {
-        let (from_knob, from_value, from_target) = match self.from.map(columns) {
-            Some((knob, value, None)) => (Some(knob), Some(value), None),
-            Some((_, _, target)) => (None, None, target),
-            None => (None, None, None),
-        };
         OrderNodeRow {
             revision: i64::try_from(self.revision).unwrap_or(i64::MAX),
             node: node.to_owned(),
-            from_value,
-            from_knob,
-            from_target,
+            setting_before: self.from,
             outcome: outcome.to_owned(),
             at_ms,
             detail,
@@ -99,7 +91,7 @@ impl OpenOrder {
     }
 }
 
-/// A node that has not what is desired of it, although it had taken it.
+/// A node that took what is desired of it and has something else now.
 #[derive(Clone, Debug, PartialEq, Serialize, ToSchema)]
 pub struct Drift {
     /// The node.
@@ -120,8 +112,7 @@ pub struct Drift {
 /// Tunes the fleet.
 pub struct Tuner {
     pub(super) store: Store,
-    writer: tokio::sync::Mutex<Writer>,
-    pub(super) fleet: Arc<dyn Fleet>,
+    pub(super) fleet: Arc<Fleet>,
     /// Where pulls and acknowledgements are answered from.
     desires: Arc<Desires>,
     notifier: Notifier,
@@ -133,7 +124,7 @@ pub struct Tuner {
     open: Mutex<HashMap<String, OpenOrder>>,
     followers: Mutex<HashMap<u64, mpsc::UnboundedSender<OutcomeLine>>>,
     drift: Mutex<BTreeMap<String, Drift>>,
-    pub(super) campaigns: tokio::sync::Mutex<super::campaigns::Campaigns>,
+    pub(super) runs: tokio::sync::Mutex<super::runs::Runs>,
 }
 
 impl std::fmt::Debug for Tuner {
@@ -153,14 +144,13 @@ impl Tuner {
     /// When the database cannot be read.
     pub(crate) async fn open(
         store: Store,
-        fleet: Arc<dyn Fleet>,
+        fleet: Arc<Fleet>,
         desires: Arc<Desires>,
         notifier: Notifier,
         config: TuningConfig,
         driver: String,
     ) -> Result<Self, StoreError> {
         let tuner = Self {
-            writer: tokio::sync::Mutex::new(store.writer()),
             store,
             fleet,
             desires,
@@ -171,7 +161,7 @@ impl Tuner {
             open: Mutex::default(),
             followers: Mutex::default(),
             drift: Mutex::default(),
-            campaigns: tokio::sync::Mutex::default(),
+            runs: tokio::sync::Mutex::default(),
         };
         tuner.learn().await?;
         for row in tuner.store.open_order_nodes().await? {
@@ -187,8 +177,8 @@ impl Tuner {
             let order = OpenOrder {
                 revision,
                 setting: desired.setting,
-                from: row.before(desired.setting)?,
-                // Its time counts anew: nobody listened meanwhile.
+                from: row.setting_before,
+                // Its time begins again: no hub listened meanwhile.
                 asked_ms: unix_milliseconds(),
                 notified_ms: 0,
                 outcome: Outcome::Pending,
@@ -229,7 +219,7 @@ impl Tuner {
     /// The highest revision that these nodes report: they take only what is above it.
     fn reported<'a>(&self, nodes: impl Iterator<Item = &'a String>) -> i64 {
         let highest = nodes
-            .filter_map(|node| self.fleet.node(node))
+            .filter_map(|node| self.fleet.settings(node))
             .map(|facts| facts.revision)
             .filter(|revision| self.implausible(*revision).is_none())
             .max();
@@ -246,27 +236,8 @@ impl Tuner {
         Ok(())
     }
 
-    /// Runs `work` in a transaction of the writing connection, which is given up after an error.
-    pub(super) async fn write<T>(
-        &self,
-        work: impl AsyncFnOnce(&mut crate::store::Writing<'_>) -> Result<T, StoreError>,
-    ) -> Result<T, StoreError> {
-        let mut writer = self.writer.lock().await;
-        let worked = async {
-            let mut writing = writer.begin().await?;
-            let worked = work(&mut writing).await?;
-            writing.commit().await?;
-            Ok(worked)
-        };
-        let worked = worked.await;
-        if worked.is_err() {
-            writer.give_up().await;
-        }
-        worked
-    }
-
-    /// Orders a value or a target: when this returns it stands in the database, pulls are answered with it, and the nodes were
-    /// notified. What the nodes report is told to `follower`.
+    /// Orders a value or a target: when this returns it is in the database, pulls are answered with it, and the nodes were
+    /// notified. `follower` gets what the nodes report.
     pub(crate) async fn order(
         &self,
         order: NewOrder,
@@ -281,37 +252,40 @@ impl Tuner {
             notified_ms: now,
             outcome: Outcome::Pending,
         };
-        let reachable = |node: &str| self.fleet.node(node).is_some_and(|facts| facts.reachable);
+        let reachable = |node: &str| {
+            self.fleet
+                .settings(node)
+                .is_some_and(|facts| facts.reachable)
+        };
         let reported = self.reported(order.nodes.iter().map(|(node, _)| node));
-        let revision = self
-            .write(async |writing| {
-                let revision = writing.next_revision(reported).await?;
-                let (knob, value, target) = columns(order.setting);
-                let row = OrderRow {
-                    revision,
-                    at_ms: now,
-                    who: order.who.clone(),
-                    why: order.why.clone(),
-                    origin: order.origin.clone(),
-                    selector: order.selector.clone(),
-                    knob,
-                    value,
-                    target,
+        let mut row = OrderRow {
+            revision: 0,
+            at_ms: now,
+            who: order.who.clone(),
+            why: order.why.clone(),
+            origin: order.origin.clone(),
+            selector: order.selector.clone(),
+            setting: order.setting,
+        };
+        let mut nodes: Vec<_> = (order.nodes.iter())
+            .map(|(node, from)| {
+                let outcome = if reachable(node) {
+                    "pending"
+                } else {
+                    "waiting"
                 };
-                let nodes: Vec<_> = (order.nodes.iter())
-                    .map(|(node, from)| {
-                        let outcome = if reachable(node) {
-                            "pending"
-                        } else {
-                            "waiting"
-                        };
-                        open(revision.unsigned_abs(), *from).row(node, outcome, now, String::new())
-                    })
-                    .collect();
-                writing.order(row, &nodes).await?;
-                Ok(revision.unsigned_abs())
+                open(0, *from).row(node, outcome, now, String::new())
             })
-            .await?;
+            .collect();
+        let written = self.store.write(move |writing| {
+            row.revision = writing.next_revision(reported)?;
+            for node in &mut nodes {
+                node.revision = row.revision;
+            }
+            writing.order(&row, &nodes)?;
+            Ok(row.revision.unsigned_abs())
+        });
+        let revision = written.await?;
         if let Some(follower) = follower {
             let mut followers = self.followers.lock();
             followers.retain(|_, follower| !follower.is_closed());
@@ -366,11 +340,11 @@ impl Tuner {
         {
             let open = self.open.lock();
             for (node, order) in open.iter() {
-                let Some(facts) = self.fleet.node(node) else {
+                let Some(facts) = self.fleet.settings(node) else {
                     continue;
                 };
                 let mut order = order.clone();
-                let seen = facts.seen();
+                let seen = Seen::from(&facts);
                 let next = order.outcome.next(
                     &seen,
                     order.setting,
@@ -399,7 +373,8 @@ impl Tuner {
             }
         }
         if !rows.is_empty() {
-            self.write(async |writing| writing.outcomes(&rows).await)
+            (self.store)
+                .write(move |writing| writing.outcomes(&rows))
                 .await?;
         }
         for (node, order) in changed {
@@ -425,13 +400,13 @@ impl Tuner {
         Ok(())
     }
 
-    /// Looks for nodes that were changed after they had taken what is desired; sets them back where the configuration says
+    /// Looks for nodes that were changed after they took what is desired; sets them back where the configuration says
     /// so.
     pub(crate) async fn look_for_drift(&self, now: Millis) -> Result<(), StoreError> {
         let mut back: HashMap<String, SetBack> = HashMap::new();
         let (mut events, mut found) = (Vec::new(), Vec::new());
         for (node, desired) in self.desires.values.all() {
-            let Some(facts) = self.fleet.node(&node) else {
+            let Some(facts) = self.fleet.settings(&node) else {
                 continue;
             };
             if !drifted(&facts, desired) {
@@ -468,10 +443,11 @@ impl Tuner {
             }
         }
         if !events.is_empty() {
-            self.write(async |writing| writing.events(&events).await)
+            (self.store)
+                .write(move |writing| writing.events(&events))
                 .await?;
         }
-        // Only what stands in the history is known: after an error it is found again.
+        // Known is only what is in the history: after an error it is found again.
         (self.drift.lock()).extend(found.into_iter().map(|entry| (entry.node.clone(), entry)));
         for (setting, nodes) in back.into_values() {
             let counts: Vec<_> = (nodes.iter())
@@ -504,7 +480,7 @@ impl Tuner {
 }
 
 /// A change at the node, for the history.
-fn drift_event(node: &str, desired: DesiredValue, facts: &NodeFacts, now: Millis) -> EventRow {
+fn drift_event(node: &str, desired: DesiredValue, facts: &NodeSettings, now: Millis) -> EventRow {
     let detail = serde_json::json!({
         "revision": desired.revision,
         "desired": desired.setting,
@@ -519,8 +495,8 @@ fn drift_event(node: &str, desired: DesiredValue, facts: &NodeFacts, now: Millis
 }
 
 /// Whether a node has taken what is desired and has something else now.
-fn drifted(facts: &NodeFacts, desired: DesiredValue) -> bool {
-    facts.status.is_some()
+fn drifted(facts: &NodeSettings, desired: DesiredValue) -> bool {
+    facts.is_known()
         && facts.revision == desired.revision
-        && !is_applied(desired.setting, facts.knob(), facts.target())
+        && !is_applied(desired.setting, facts.threshold(), facts.target())
 }

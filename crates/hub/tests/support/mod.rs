@@ -62,7 +62,7 @@ impl Hub {
         let (given, stop) = (config.clone(), shutdown.clone());
         let task = tokio::spawn(async move { albireo_hub::run(&given, listener, stop).await });
         let hub = Self {
-            zenoh: config.zenoh.listen[0].clone(),
+            zenoh: [&config.zenoh.listen[..], &config.zenoh.connect].concat()[0].clone(),
             http,
             config,
             shutdown,

@@ -1,9 +1,8 @@
 //! The audit of a row of sums or of a clip.
 
 use crate::store::StoreError;
+use crate::store::record::Row;
 use albireo_wire::{AuditFigures, AuditSquares, AuditSums};
-use sqlx::Row as _;
-use sqlx::any::AnyRow;
 
 /// The columns that an audit is summed in.
 pub(super) const COLUMNS: [&str; 14] = [
@@ -36,9 +35,9 @@ pub struct AuditCounts {
 
 impl AuditCounts {
     /// That of a row with those columns; nulls count as nothing.
-    pub(super) fn of(row: &AnyRow) -> Result<Self, StoreError> {
+    pub(super) fn of(row: &Row) -> Result<Self, StoreError> {
         let number = |name: &str| -> Result<u64, StoreError> {
-            let number: Option<i64> = row.try_get(name)?;
+            let number: Option<i64> = row.get(name)?;
             Ok(u64::try_from(number.unwrap_or(0)).unwrap_or(0))
         };
         let sums = AuditSums {

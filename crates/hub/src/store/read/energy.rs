@@ -2,10 +2,10 @@
 
 use super::audit::{self, AuditCounts};
 use super::history::quality_name;
+use crate::store::record::Cell;
 use crate::store::{Store, StoreError};
 use albireo_wire::AuditFigures;
 use serde::{Deserialize, Serialize};
-use sqlx::Row as _;
 use utoipa::ToSchema;
 
 /// What sums are grouped by.
@@ -54,7 +54,7 @@ pub struct EnergyQuery {
     pub node: Option<String>,
     /// The groups with the most energy first, each quality for itself; else in the order of the groups.
     pub largest_first: bool,
-    /// At most so many groups.
+    /// Maximum number of groups.
     pub limit: i64,
 }
 
@@ -90,7 +90,7 @@ pub struct EnergyGroup {
     pub saved_joules_estimated: f64,
     /// Avoided calls in clips whose node did not know what a call adds: they are not in the estimate.
     pub unpriced_calls: i64,
-    /// What the detector, looking afterwards, found on skipped frames; absent where none was audited.
+    /// Audit results of skipped frames; absent where none was audited.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditFigures>,
     /// Estimate of what the audit added, joules: a part of `joules`.
@@ -143,7 +143,8 @@ impl Store {
             }
         }
         let sum = |column: &str| {
-            format!("CAST(COALESCE({{SUM_OF}}(t.{column})), 0) AS BIGINT) AS {column}")
+            // As a floating-point number: no sum is too large for it, and it is exact to 2^53.
+            format!("COALESCE(SUM(CAST(t.{column} AS DOUBLE PRECISION)), 0) AS {column}")
         };
         let sums: Vec<String> = [
             "clips",
@@ -163,28 +164,24 @@ impl Store {
         .map(sum)
         .collect();
         let order = if wanted.largest_first {
-            "SUM(t.energy_uj) DESC, 1, 2"
+            "energy_uj DESC, 1, 2"
         } else {
             "1, 2"
         };
         let text = format!(
-            "SELECT {group} AS grouped, CAST(t.quality AS BIGINT) AS quality, {} FROM {table} t {joins} \
+            "SELECT {group} AS grouped, t.quality AS quality, {} FROM {table} t {joins} \
              WHERE t.bucket_s >= $1 AND t.bucket_s < $2{filter} GROUP BY 1, 2 ORDER BY {order} LIMIT $3",
             sums.join(", ")
         );
-        let mut query = self
-            .query(&text)
-            .bind(wanted.since_s)
-            .bind(wanted.until_s)
-            .bind(wanted.limit);
-        if let Some(node) = &wanted.node {
-            query = query.bind(node.clone());
-        }
-        self.all(query)
+        let mut values: Vec<Cell> = [wanted.since_s, wanted.until_s, wanted.limit]
+            .map(Cell::from)
+            .into();
+        values.extend(wanted.node.as_deref().map(Cell::from));
+        self.query(text, values)
             .await?
             .iter()
             .map(|row| {
-                let number = |name: &str| row.try_get::<i64, _>(name);
+                let number = |name: &str| row.get::<i64>(name);
                 let joules = |name: &str| number(name).map(|uj| uj as f64 / 1e6);
                 let (frames, avoided) = (number("frames")?, number("avoided_calls")?);
                 let audit_counts = AuditCounts::of(row)?;
@@ -192,7 +189,7 @@ impl Store {
                     audit: audit_counts.figures(),
                     audit_joules: joules("audit_uj")?,
                     audit_counts,
-                    group: row.try_get("grouped")?,
+                    group: row.get("grouped")?,
                     quality: quality_name(number("quality")?),
                     clips: number("clips")?,
                     duration_s: number("duration_us")? as f64 / 1e6,

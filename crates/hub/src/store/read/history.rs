@@ -1,11 +1,10 @@
 //! Clips, events, what is known of reports, and what was set aside.
 
 use super::audit::AuditCounts;
+use crate::store::record::{Cell, Row};
 use crate::store::{Store, StoreError};
 use albireo_wire::AuditFigures;
 use serde::Serialize;
-use sqlx::Row as _;
-use sqlx::any::AnyRow;
 use utoipa::ToSchema;
 use uuid::Uuid;
 
@@ -22,7 +21,7 @@ pub struct ClipQuery {
     pub until_ms: Option<i64>,
     /// Received before the clip of this number.
     pub before_id: Option<i64>,
-    /// At most so many.
+    /// Maximum number.
     pub limit: i64,
 }
 
@@ -64,7 +63,7 @@ pub struct StoredClip {
     pub i: i64,
     /// Frames with state AI.
     pub ai: i64,
-    /// Frames answered from prediction because the detector could not be had.
+    /// Frames answered from prediction because the detector was not available.
     pub degraded: i64,
     /// Frames not processed.
     pub dropped: i64,
@@ -94,7 +93,7 @@ pub struct StoredClip {
     pub joules: Option<f64>,
     /// Energy-delay product, J·ms/frame.
     pub edp: Option<f64>,
-    /// What the detector, looking afterwards, found on skipped frames; absent without an audit.
+    /// Audit results of skipped frames; absent without an audit.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub audit: Option<AuditFigures>,
 }
@@ -113,21 +112,21 @@ const CLIPS: &str = "SELECT c.*, n.name AS node, m.name AS camera, s.policy, s.k
     s.provider, s.power_source FROM clips c JOIN cameras m ON m.id = c.camera_id JOIN nodes n ON n.id = m.node_id \
     JOIN setups s ON s.id = c.setup_id";
 
-fn clip(row: &AnyRow) -> Result<StoredClip, StoreError> {
-    let number = |name: &str| row.try_get::<i64, _>(name);
+fn clip(row: &Row) -> Result<StoredClip, StoreError> {
+    let number = |name: &str| row.get::<i64>(name);
     let milli = |name: &str| number(name).map(|us| us as f64 / 1e3);
-    let value: String = row.try_get("value")?;
+    let value: String = row.get("value")?;
     Ok(StoredClip {
         id: number("id")?,
-        node: row.try_get("node")?,
-        camera: row.try_get("camera")?,
-        report_id: report_id(row)?,
-        count: row.try_get("count")?,
+        node: row.get("node")?,
+        camera: row.get("camera")?,
+        report_id: row.get::<Uuid>("report_id")?.to_string(),
+        count: row.get("count")?,
         at_ms: number("at_ms")?,
         received_ms: number("received_ms")?,
-        clip: row.try_get("clip")?,
+        clip: row.get("clip")?,
         part: number("part")?,
-        ended_by: row.try_get("ended_by")?,
+        ended_by: row.get("ended_by")?,
         duration_s: number("duration_us")? as f64 / 1e6,
         frames: number("frames")?,
         e: number("frames_e")?,
@@ -141,25 +140,19 @@ fn clip(row: &AnyRow) -> Result<StoredClip, StoreError> {
         latency_p99_ms: milli("latency_p99_us")?,
         detector_calls: number("detector_calls")?,
         detector_mean_ms: milli("detector_mean_us")?,
-        policy: row.try_get("policy")?,
-        knob: row.try_get("knob")?,
+        policy: row.get("policy")?,
+        knob: row.get("knob")?,
         value: value.parse().ok(),
-        model: row.try_get("model")?,
-        provider: row.try_get("provider")?,
-        power_source: row.try_get("power_source")?,
+        model: row.get("model")?,
+        provider: row.get("provider")?,
+        power_source: row.get("power_source")?,
         quality: quality_name(number("quality")?),
         joules: row
-            .try_get::<Option<i64>, _>("energy_uj")?
+            .get::<Option<i64>>("energy_uj")?
             .map(|uj| uj as f64 / 1e6),
-        edp: row.try_get("edp")?,
+        edp: row.get("edp")?,
         audit: AuditCounts::of(row)?.figures(),
     })
-}
-
-fn report_id(row: &AnyRow) -> Result<String, StoreError> {
-    let bytes: Vec<u8> = row.try_get("report_id")?;
-    let id = Uuid::from_slice(&bytes).map_err(|error| StoreError::Statement(error.to_string()))?;
-    Ok(id.to_string())
 }
 
 /// Something that happened.
@@ -209,7 +202,7 @@ pub struct ReportCounts {
     pub refused: i64,
     /// Running counts that never came.
     pub missing: u64,
-    /// How often the running count began anew: the node's state was made anew, went back in time or was copied.
+    /// How often the running count began again: the node's state was made new, went back in time or was copied.
     pub resets: i64,
 }
 
@@ -230,19 +223,17 @@ impl Store {
             };
         }
         text += " ORDER BY c.id DESC LIMIT $4";
-        let mut query = self
-            .query(&text)
-            .bind(wanted.before_id.unwrap_or(i64::MAX))
-            .bind(wanted.since_ms.unwrap_or(i64::MIN))
-            .bind(wanted.until_ms.unwrap_or(i64::MAX))
-            .bind(wanted.limit);
+        let mut values: Vec<Cell> = vec![
+            wanted.before_id.unwrap_or(i64::MAX).into(),
+            wanted.since_ms.unwrap_or(i64::MIN).into(),
+            wanted.until_ms.unwrap_or(i64::MAX).into(),
+            wanted.limit.into(),
+        ];
         if let Some(node) = &wanted.node {
-            query = query.bind(node.clone());
-            if let Some(camera) = &wanted.camera {
-                query = query.bind(camera.clone());
-            }
+            values.push(node.as_str().into());
+            values.extend(wanted.camera.as_deref().map(Cell::from));
         }
-        self.all(query).await?.iter().map(clip).collect()
+        self.query(text, values).await?.iter().map(clip).collect()
     }
 
     /// Number of the last event; 0 without any.
@@ -250,11 +241,10 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub async fn last_event(&self) -> Result<i64, StoreError> {
-        let rows = self
-            .all(self.query("SELECT COALESCE(max(id), 0) AS id FROM events"))
-            .await?;
+        let text = "SELECT COALESCE(max(id), 0) AS id FROM events";
+        let rows = self.query(text, Vec::new()).await?;
         match rows.first() {
-            Some(row) => Ok(row.try_get("id")?),
+            Some(row) => Ok(row.get("id")?),
             None => Ok(0),
         }
     }
@@ -264,20 +254,17 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub async fn events_after(&self, id: i64, limit: i64) -> Result<Vec<StoredEvent>, StoreError> {
-        let query = self
-            .query("SELECT * FROM events WHERE id > $1 ORDER BY id LIMIT $2")
-            .bind(id)
-            .bind(limit);
-        self.all(query)
+        let text = "SELECT * FROM events WHERE id > $1 ORDER BY id LIMIT $2";
+        self.query(text, vec![id.into(), limit.into()])
             .await?
             .iter()
             .map(|row| {
-                let detail: String = row.try_get("detail")?;
+                let detail: String = row.get("detail")?;
                 Ok(StoredEvent {
-                    id: row.try_get("id")?,
-                    at_ms: row.try_get("at_ms")?,
-                    kind: row.try_get("kind")?,
-                    node: row.try_get("node")?,
+                    id: row.get("id")?,
+                    at_ms: row.get("at_ms")?,
+                    kind: row.get("kind")?,
+                    node: row.get("node")?,
                     detail: serde_json::from_str(&detail).unwrap_or_default(),
                 })
             })
@@ -294,25 +281,24 @@ impl Store {
         before_id: Option<i64>,
         limit: i64,
     ) -> Result<Vec<StoredSetAside>, StoreError> {
-        let query = self
-            .query(
-                "SELECT a.*, n.name AS node FROM set_aside a JOIN nodes n ON n.id = a.node_id \
-                 WHERE a.id < $1 AND ($2 = '' OR n.name = $2) ORDER BY a.id DESC LIMIT $3",
-            )
-            .bind(before_id.unwrap_or(i64::MAX))
-            .bind(node.unwrap_or_default().to_owned())
-            .bind(limit);
-        self.all(query)
+        let text = "SELECT a.*, n.name AS node FROM set_aside a JOIN nodes n ON n.id = a.node_id \
+                    WHERE a.id < $1 AND ($2 = '' OR n.name = $2) ORDER BY a.id DESC LIMIT $3";
+        let values = vec![
+            before_id.unwrap_or(i64::MAX).into(),
+            node.unwrap_or_default().into(),
+            limit.into(),
+        ];
+        self.query(text, values)
             .await?
             .iter()
             .map(|row| {
                 Ok(StoredSetAside {
-                    id: row.try_get("id")?,
-                    node: row.try_get("node")?,
-                    report_id: row.try_get("report_id")?,
-                    received_ms: row.try_get("received_ms")?,
-                    cause: row.try_get("cause")?,
-                    body: row.try_get("body")?,
+                    id: row.get("id")?,
+                    node: row.get("node")?,
+                    report_id: row.get("report_id")?,
+                    received_ms: row.get("received_ms")?,
+                    cause: row.get("cause")?,
+                    body: row.get("body")?,
                 })
             })
             .collect()
@@ -323,27 +309,27 @@ impl Store {
     /// # Errors
     /// When the database cannot be read.
     pub async fn report_counts(&self, node: &str) -> Result<Option<ReportCounts>, StoreError> {
-        let query = self
-            .query("SELECT r.* FROM report_counts r JOIN nodes n ON n.id = r.node_id WHERE n.name = $1")
-            .bind(node.to_owned());
-        let read = |row: &AnyRow| {
-            let missing: String = row.try_get("missing")?;
+        let text =
+            "SELECT r.* FROM report_counts r JOIN nodes n ON n.id = r.node_id WHERE n.name = $1";
+        let read = |row: &Row| {
+            let missing: String = row.get("missing")?;
             let ranges: Vec<(u64, u64)> = serde_json::from_str(&missing)?;
             // Whether reports with lower counts exist is not known.
-            let base: i64 = row.try_get("base")?;
+            let base: i64 = row.get("base")?;
             let missing = ranges
                 .iter()
                 .filter(|(first, _)| *first >= base.unsigned_abs());
             Ok(ReportCounts {
-                first_ms: row.try_get("first_ms")?,
-                last_ms: row.try_get("last_ms")?,
-                stored: row.try_get("stored")?,
-                set_aside: row.try_get("set_aside")?,
-                refused: row.try_get("refused")?,
+                first_ms: row.get("first_ms")?,
+                last_ms: row.get("last_ms")?,
+                stored: row.get("stored")?,
+                set_aside: row.get("set_aside")?,
+                refused: row.get("refused")?,
                 missing: missing.map(|(first, last)| last - first + 1).sum(),
-                resets: row.try_get("resets")?,
+                resets: row.get("resets")?,
             })
         };
-        self.all(query).await?.first().map(read).transpose()
+        let rows = self.query(text, vec![node.into()]).await?;
+        rows.first().map(read).transpose()
     }
 }

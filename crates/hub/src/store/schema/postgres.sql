@@ -227,21 +227,18 @@ CREATE TABLE events (
     detail TEXT NOT NULL
 );
 
--- What is desired of nodes, by whom it was ordered, what became of it; rollouts and trials. Values of knobs are texts, as in
--- `setups`: the shortest that reads back as the same number. `target` is what a node is to hold in the place of its knob's
--- number: `skip_rate=0.5`, or `off` where nothing is to be held; knob and value are then empty.
+-- What is desired of nodes, by whom it was ordered, what became of it; rollouts and trials. A setting is JSON, as in the API:
+-- {"threshold": {"name": "u", "value": 0.0003}}, {"target": {"skip_rate": 0.5}}, or {"target": null} for no target.
 CREATE TABLE counters (
     name TEXT NOT NULL PRIMARY KEY,
     value BIGINT NOT NULL
 );
-INSERT INTO counters (name, value) VALUES ('revision', 0);
+INSERT INTO counters (name, value) VALUES ('revision', 0), ('rollout', 0), ('trial', 0);
 
 CREATE TABLE desired (
     node TEXT NOT NULL PRIMARY KEY,
     revision BIGINT NOT NULL,
-    knob TEXT NOT NULL,
-    value TEXT NOT NULL,
-    target TEXT
+    setting TEXT NOT NULL
 );
 CREATE INDEX desired_by_revision ON desired (revision);
 
@@ -252,36 +249,33 @@ CREATE TABLE orders (
     why TEXT NOT NULL,
     origin TEXT NOT NULL,
     selector TEXT NOT NULL,
-    knob TEXT NOT NULL,
-    value TEXT NOT NULL,
-    target TEXT
+    setting TEXT NOT NULL
 );
 
--- What a node had before an order: a target, or the value in `from_value` of the knob in `from_knob`; null where that is the
--- order's own knob.
+-- `setting_before` is the setting that a node had, where that was known.
 CREATE TABLE order_nodes (
     revision BIGINT NOT NULL,
     node TEXT NOT NULL,
-    from_value TEXT,
+    setting_before TEXT,
     outcome TEXT NOT NULL,
     at_ms BIGINT NOT NULL,
     detail TEXT NOT NULL,
-    from_knob TEXT,
-    from_target TEXT,
     PRIMARY KEY (revision, node)
 );
 CREATE INDEX order_nodes_by_node ON order_nodes (node, revision);
 CREATE INDEX order_nodes_open ON order_nodes (revision)
     WHERE outcome IN ('pending', 'waiting', 'timed_out');
 
-CREATE TABLE campaigns (
-    id BIGINT GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+-- Rollouts and trials, each counted from 1.
+CREATE TABLE runs (
     kind TEXT NOT NULL,
+    id BIGINT NOT NULL,
     begun_ms BIGINT NOT NULL,
     ended_ms BIGINT,
     who TEXT NOT NULL,
     driver TEXT NOT NULL,
     driven_until_ms BIGINT NOT NULL,
-    state TEXT NOT NULL
+    state TEXT NOT NULL,
+    PRIMARY KEY (kind, id)
 );
-CREATE INDEX campaigns_open ON campaigns (id) WHERE ended_ms IS NULL;
+CREATE INDEX runs_open ON runs (kind, id) WHERE ended_ms IS NULL;

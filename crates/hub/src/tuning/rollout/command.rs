@@ -3,23 +3,22 @@
 use super::super::members::Millis;
 use super::record::{Entry, What};
 use super::{Phase, Rollout};
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use crate::named::named;
 
-/// What a person may ask of a rollout.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Command {
-    /// Time stands still for it.
-    Pause,
-    /// Time goes on; a stage that is held is soaked anew.
-    Resume,
-    /// The next stage now, whatever the gates say.
-    Next,
-    /// All nodes get their old values back.
-    Return,
-    /// It ends, and every node keeps what it has.
-    Stop,
+named! {
+    /// What a person may ask of a rollout.
+    pub enum Command {
+        /// Its time stops.
+        Pause = "pause",
+        /// Time goes on; a stage that is held is soaked again.
+        Resume = "resume",
+        /// The next stage now, whatever the gates say.
+        Next = "next",
+        /// All nodes get their old values back.
+        Return = "return",
+        /// It ends, and every node keeps what it has.
+        Stop = "stop",
+    }
 }
 
 /// Why a command cannot be followed.
@@ -27,7 +26,7 @@ pub enum Command {
 #[error("a rollout that is {phase} cannot be asked to {command}")]
 pub struct CommandError {
     phase: &'static str,
-    command: &'static str,
+    command: Command,
 }
 
 impl Rollout {
@@ -64,7 +63,7 @@ impl Rollout {
                 } else {
                     self.phase.name()
                 },
-                command: what.name(),
+                command,
             });
         }
         self.note(now, Entry::by(who, what));
@@ -82,7 +81,7 @@ impl Rollout {
         Ok(())
     }
 
-    /// Ends a pause: what had begun before it has lasted no longer for it.
+    /// Ends a pause, which does not count as time of what began before it.
     fn wake(&mut self, now: Millis) {
         let Some(paused) = self.paused_ms.take() else {
             return;

@@ -68,6 +68,8 @@ impl FromStr for StageSize {
         match text.strip_suffix('%') {
             Some(percent) => {
                 let percent: f64 = percent.trim().parse().map_err(|_| fault())?;
+                // As many digits as are written of it.
+                let percent = (percent * 1e4).round() / 1e4;
                 let usable = percent > 0.0 && percent <= 100.0;
                 usable
                     .then_some(Self::Share(percent / 100.0))
@@ -85,7 +87,7 @@ impl fmt::Display for StageSize {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Nodes(nodes) => write!(f, "{nodes}"),
-            Self::Share(share) => write!(f, "{}%", (share * 1e10).round() / 1e8),
+            Self::Share(share) => write!(f, "{}%", (share * 1e6).round() / 1e4),
         }
     }
 }

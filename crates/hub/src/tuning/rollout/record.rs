@@ -39,28 +39,6 @@ pub enum What {
     Stopped,
 }
 
-impl What {
-    /// Its name; for what people order, the verb.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Begun => "begun",
-            Self::Stage => "stage",
-            Self::Soaking => "soaking",
-            Self::Judged => "judged",
-            Self::Held => "held",
-            Self::Missed => "missed",
-            Self::Returning => "returning",
-            Self::Returned => "returned",
-            Self::Done => "done",
-            Self::Paused => "pause",
-            Self::Resumed => "resume",
-            Self::Next => "next",
-            Self::Return => "return",
-            Self::Stopped => "stop",
-        }
-    }
-}
-
 /// One thing that happened.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Entry {

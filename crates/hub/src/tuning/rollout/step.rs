@@ -51,7 +51,7 @@ impl Rollout {
                 }
             }
             Phase::Held { since_ms, .. } if now - since_ms >= seconds(self.plan.held_for_s) => {
-                self.go_back(now, "nobody decided in time".to_owned());
+                self.go_back(now, "no decision came in time".to_owned());
             }
             Phase::Soaking { .. }
             | Phase::Held { .. }
@@ -312,7 +312,7 @@ impl Rollout {
         }
     }
 
-    /// A node that stayed away beyond its deadline does not get the value when it returns: nobody would judge what it does there.
+    /// A node that stayed away beyond its deadline does not get the value when it returns: it would not be judged.
     fn withdraw_the_missed(&mut self, now: Millis) {
         let deadline = seconds(self.plan.offline_deadline_s);
         let mut missed = Vec::new();

@@ -1,4 +1,7 @@
+mod fleets;
+
 use super::super::gate::Verdict;
+use super::super::members::Target;
 use super::super::metric::{Figure, Figures, Mean};
 use super::*;
 use proptest::prelude::*;
@@ -338,7 +341,7 @@ fn a_return_after_the_end_leaves_nodes_alone_that_were_changed_since() {
 #[test]
 fn a_rollout_that_is_resumed_again_and_again_has_the_error_of_one() {
     let mut world = World::new(10);
-    let gates = vec!["detector_errors<=+0.01".parse().unwrap()];
+    let gates = vec!["recall>=-0.02".parse().unwrap()];
     let mut rollout = world.begin(RolloutPlan { gates, ..plan() });
     let mut total = 0.0;
     for _ in 0..6 {
@@ -382,7 +385,7 @@ fn a_failed_stage_is_held_where_the_plan_says_so_and_a_person_decides() {
 fn a_stage_that_cannot_be_judged_is_held_and_given_back_where_nobody_decides() {
     let mut world = World::new(10);
     let mut rollout = world.begin(RolloutPlan {
-        gates: vec!["detector_errors<=+0.01".parse().unwrap()],
+        gates: vec!["recall>=-0.02".parse().unwrap()],
         ..plan()
     });
     world.run_until(&mut rollout, "held");
@@ -395,10 +398,7 @@ fn a_stage_that_cannot_be_judged_is_held_and_given_back_where_nobody_decides() {
     let Phase::Held { reason, .. } = &rollout.phase else {
         panic!()
     };
-    assert!(
-        reason.contains("detector_errors<=+0.01 (not measured)"),
-        "{reason}"
-    );
+    assert!(reason.contains("recall>=-0.02 (not measured)"), "{reason}");
     let mut resumed = rollout.clone();
     resumed.command(Command::Resume, "ops", world.now).unwrap();
     assert_eq!(resumed.phase.name(), "soaking");

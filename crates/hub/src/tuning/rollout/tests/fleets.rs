@@ -3,9 +3,10 @@
 //! `ALBIREO_ROLLOUTS=1000 cargo test -p albireo-hub --release whole_rollouts -- --nocapture` prints the table of
 //! docs/fleet.md; by default there are just enough rollouts to see a broken promise.
 
-use super::super::metric::{Figure, Figures, Mean};
-use super::tests::{new, old};
-use super::*;
+use super::super::super::gate::Verdict;
+use super::super::super::metric::{Figure, Figures, Mean};
+use super::super::*;
+use super::{new, old};
 
 const HOUR: Millis = 3_600_000;
 /// Time between two steps of the simulation.
@@ -205,8 +206,7 @@ fn run(nodes: usize, stages: &[&str], driving_hours: f64, change: f64, rollouts:
             fleet.step(&mut rollout);
         }
         ends.rollouts += 1;
-        let failed =
-            (rollout.record.iter()).any(|e| e.verdict == Some(super::super::gate::Verdict::Failed));
+        let failed = (rollout.record.iter()).any(|e| e.verdict == Some(Verdict::Failed));
         match rollout.phase {
             Phase::Returning { .. } if failed => ends.failed += 1,
             Phase::Returning { .. } => ends.undecided += 1,

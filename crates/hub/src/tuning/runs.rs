@@ -1,23 +1,22 @@
 //! Drives rollouts and trials: asks nodes for values, brings the measurements, keeps the state in the database.
 
-use super::fleet::NodeFacts;
-use super::members::{Millis, Outcome};
+use super::members::{Millis, Order, Outcome, Seen};
 use super::metric::{BeforeAfter, Figure, Figures};
 use super::rollout::{
-    Candidate, Command, CommandError, Measurements, Order, PlanError, Rollout, RolloutRequest,
-    Window,
+    Candidate, Command, CommandError, Measurements, PlanError, Rollout, RolloutRequest, Window,
 };
 use super::selector::Selector;
 use super::trial::{Trial, TrialPhase, TrialPlan};
 use super::tuner::{NewOrder, Tuner, text};
+use crate::presence::NodeSettings;
 use crate::store::tables::EventRow;
-use crate::store::{CampaignRow, ClipSums, ClipWindow, Key, StoreError};
+use crate::store::{ClipSums, ClipWindow, RunRow, StoreError};
 use albireo_service::clock::unix_milliseconds;
 use albireo_wire::{DesiredSetting, Threshold, ThresholdName};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, HashMap};
 
-/// How long a hub drives what it has claimed without claiming it anew.
+/// How long a claim holds.
 const CLAIM_MS: Millis = 20_000;
 /// Time between two claims.
 const CLAIM_EVERY_MS: Millis = 4_000;
@@ -25,35 +24,36 @@ const CLAIM_EVERY_MS: Millis = 4_000;
 /// A rollout or a trial.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case")]
-pub(crate) enum Campaign {
+pub(crate) enum Run {
     Rollout(Rollout),
     Trial(Trial),
 }
 
 /// What this hub drives.
 #[derive(Debug, Default)]
-pub(crate) struct Campaigns {
-    running: BTreeMap<i64, Driven>,
+pub(crate) struct Runs {
+    /// By kind and number.
+    running: BTreeMap<(String, i64), Active>,
     claimed_ms: Millis,
 }
 
 #[derive(Debug)]
-struct Driven {
-    campaign: Campaign,
+struct Active {
+    run: Run,
     who: String,
     why: String,
     /// It changed since it was kept.
     unsaved: bool,
 }
 
-impl Driven {
-    fn new(campaign: Campaign, who: String) -> Self {
-        let why = match &campaign {
-            Campaign::Rollout(rollout) => rollout.plan.why.clone(),
-            Campaign::Trial(trial) => trial.plan.why.clone(),
+impl Active {
+    fn new(run: Run, who: String) -> Self {
+        let why = match &run {
+            Run::Rollout(rollout) => rollout.plan.why.clone(),
+            Run::Trial(trial) => trial.plan.why.clone(),
         };
         Self {
-            campaign,
+            run,
             who,
             why,
             unsaved: false,
@@ -63,7 +63,7 @@ impl Driven {
 
 /// Why a rollout or trial cannot be begun or commanded.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum CampaignError {
+pub(crate) enum RunError {
     #[error(transparent)]
     Plan(#[from] PlanError),
     #[error(transparent)]
@@ -87,7 +87,7 @@ pub(crate) struct LeftOut {
     pub why: String,
 }
 
-impl Campaign {
+impl Run {
     fn due(&self) -> Vec<Order> {
         match self {
             Self::Rollout(rollout) => rollout.due(),
@@ -135,30 +135,28 @@ impl Campaign {
 }
 
 impl Tuner {
-    /// Nodes that take part in something: no second hand is laid on them.
-    pub(super) fn taken(campaigns: &Campaigns) -> HashMap<String, String> {
+    /// The nodes that take part in a rollout or trial, whichever hub drives it, and in which.
+    pub(super) async fn taken(&self) -> Result<HashMap<String, String>, StoreError> {
         let mut taken = HashMap::new();
-        for (id, driven) in &campaigns.running {
-            for member in driven.campaign.members() {
-                taken.insert(
-                    member.node.clone(),
-                    format!("{} {id}", driven.campaign.kind()),
-                );
+        for row in self.store.open_runs().await? {
+            let run: Run = serde_json::from_str(&row.state)?;
+            for member in run.members() {
+                taken.insert(member.node.clone(), format!("{} {}", row.kind, row.id));
             }
         }
-        taken
+        Ok(taken)
     }
 
     /// Drops what is desired of a node and takes it off the database's list; its clips and its history stay.
     ///
     /// # Errors
     /// While it takes part in a rollout or trial, and when the database cannot be written.
-    pub(crate) async fn forget(&self, node: &str, who: &str) -> Result<(), CampaignError> {
+    pub(crate) async fn forget(&self, node: &str, who: &str) -> Result<(), RunError> {
         // Held to the end, so that nothing begins with the node meanwhile.
-        let campaigns = self.campaigns.lock().await;
-        if Self::taken(&campaigns).contains_key(node) {
+        let _runs = self.runs.lock().await;
+        if self.taken().await?.contains_key(node) {
             let node = node.to_owned();
-            return Err(CampaignError::Taken { node });
+            return Err(RunError::Taken { node });
         }
         let now = unix_milliseconds();
         let event = EventRow {
@@ -167,11 +165,12 @@ impl Tuner {
             node: Some(node.to_owned()),
             detail: serde_json::json!({ "who": who }).to_string(),
         };
-        self.write(async |writing| {
-            writing.forget(node, now).await?;
-            writing.events(&[event]).await
-        })
-        .await?;
+        let forgotten = node.to_owned();
+        let written = self.store.write(move |writing| {
+            writing.forget(&forgotten, now)?;
+            writing.events(&[event])
+        });
+        written.await?;
         self.stop_following(node);
         Ok(())
     }
@@ -184,18 +183,18 @@ impl Tuner {
         taken: &HashMap<String, String>,
     ) -> (Vec<Candidate>, Vec<LeftOut>) {
         let (mut candidates, mut left_out) = (Vec::new(), Vec::new());
-        for facts in self.fleet.nodes() {
-            if !select.selects(&facts.name, &facts.labels()) {
+        for facts in self.fleet.all_settings() {
+            if !select.selects(&facts.name, facts.labels()) {
                 continue;
             }
             match able(&facts, knob, taken) {
                 Ok(before) => candidates.push(Candidate {
-                    node: facts.name,
+                    node: facts.name.to_string(),
                     before,
                     reachable: facts.reachable,
                 }),
                 Err(why) => left_out.push(LeftOut {
-                    node: facts.name,
+                    node: facts.name.to_string(),
                     why,
                 }),
             }
@@ -208,9 +207,9 @@ impl Tuner {
         &self,
         request: RolloutRequest,
         who: &str,
-    ) -> Result<(i64, Rollout, Vec<LeftOut>), CampaignError> {
-        let mut campaigns = self.campaigns.lock().await;
-        let taken = Self::taken(&campaigns);
+    ) -> Result<(i64, Vec<LeftOut>), RunError> {
+        let mut runs = self.runs.lock().await;
+        let taken = self.taken().await?;
         let (candidates, mut left_out) =
             self.candidates(&request.plan.select, &request.knob.name, &taken);
         let (has_it, candidates): (Vec<_>, Vec<_>) = candidates
@@ -224,9 +223,9 @@ impl Tuner {
         let seed = request.plan.seed.unwrap_or(now.unsigned_abs());
         let rollout = Rollout::begin(request, candidates, seed, who, now)?;
         let id = self
-            .begin(&mut campaigns, Campaign::Rollout(rollout.clone()), who, now)
+            .begin(&mut runs, Run::Rollout(rollout), who, now)
             .await?;
-        Ok((id, rollout, left_out))
+        Ok((id, left_out))
     }
 
     /// Begins a trial.
@@ -234,10 +233,10 @@ impl Tuner {
         &self,
         plan: TrialPlan,
         who: &str,
-    ) -> Result<(i64, Trial, Vec<LeftOut>), CampaignError> {
+    ) -> Result<(i64, Vec<LeftOut>), RunError> {
         plan.check()?;
-        let mut campaigns = self.campaigns.lock().await;
-        let taken = Self::taken(&campaigns);
+        let mut runs = self.runs.lock().await;
+        let taken = self.taken().await?;
         let knob = plan
             .values
             .first()
@@ -246,70 +245,58 @@ impl Tuner {
         let now = unix_milliseconds();
         let seed = plan.seed.unwrap_or(now.unsigned_abs());
         let trial = Trial::begin(plan, candidates, seed, now)?;
-        let id = self
-            .begin(&mut campaigns, Campaign::Trial(trial.clone()), who, now)
-            .await?;
-        Ok((id, trial, left_out))
+        let id = self.begin(&mut runs, Run::Trial(trial), who, now).await?;
+        Ok((id, left_out))
     }
 
     async fn begin(
         &self,
-        campaigns: &mut Campaigns,
-        campaign: Campaign,
+        runs: &mut Runs,
+        run: Run,
         who: &str,
         now: Millis,
-    ) -> Result<i64, CampaignError> {
-        let state = serde_json::to_string(&campaign).map_err(StoreError::from)?;
+    ) -> Result<i64, RunError> {
+        let state = serde_json::to_string(&run).map_err(StoreError::from)?;
         let driver = self.driver.clone();
-        let kind = campaign.kind();
+        let (kind, by) = (run.kind(), who.to_owned());
         let id = self
-            .write(async |writing| {
-                writing
-                    .begin_campaign(kind, who, &driver, now, now + CLAIM_MS, &state)
-                    .await
+            .store
+            .write(move |writing| {
+                writing.begin_run(kind, &by, &driver, now, now + CLAIM_MS, &state)
             })
             .await?;
-        campaigns
-            .running
-            .insert(id, Driven::new(campaign, who.to_owned()));
+        runs.running
+            .insert((kind.to_owned(), id), Active::new(run, who.to_owned()));
         Ok(id)
     }
 
     /// A rollout or trial as it is now: from memory where this hub drives it.
-    pub(crate) async fn campaign(
-        &self,
-        kind: &'static str,
-        id: i64,
-    ) -> Result<(CampaignRow, Campaign), CampaignError> {
-        let row = self
-            .store
-            .campaign(id)
-            .await?
-            .filter(|row| row.kind == kind);
-        let row = row.ok_or(CampaignError::Unknown { kind, id })?;
-        let campaigns = self.campaigns.lock().await;
-        let campaign = match campaigns.running.get(&id) {
-            Some(driven) => driven.campaign.clone(),
+    pub(crate) async fn run(&self, kind: &'static str, id: i64) -> Result<(RunRow, Run), RunError> {
+        let row = self.store.run(kind, id).await?;
+        let row = row.ok_or(RunError::Unknown { kind, id })?;
+        let runs = self.runs.lock().await;
+        let run = match runs.running.get(&(kind.to_owned(), id)) {
+            Some(active) => active.run.clone(),
             None => serde_json::from_str(&row.state).map_err(StoreError::from)?,
         };
-        Ok((row, campaign))
+        Ok((row, run))
     }
 
     /// The newest rollouts or trials.
-    pub(crate) async fn list_campaigns(
+    pub(crate) async fn list_runs(
         &self,
         kind: &str,
         before: i64,
         limit: i64,
-    ) -> Result<Vec<(CampaignRow, Campaign)>, CampaignError> {
-        let rows = self.store.campaigns(kind, before, limit).await?;
-        let campaigns = self.campaigns.lock().await;
-        let read = |row: CampaignRow| {
-            let campaign = match campaigns.running.get(&row.id) {
-                Some(driven) => driven.campaign.clone(),
+    ) -> Result<Vec<(RunRow, Run)>, RunError> {
+        let rows = self.store.runs(kind, before, limit).await?;
+        let runs = self.runs.lock().await;
+        let read = |row: RunRow| {
+            let run = match runs.running.get(&(row.kind.clone(), row.id)) {
+                Some(active) => active.run.clone(),
                 None => serde_json::from_str(&row.state).map_err(StoreError::from)?,
             };
-            Ok((row, campaign))
+            Ok((row, run))
         };
         rows.into_iter().map(read).collect()
     }
@@ -320,40 +307,33 @@ impl Tuner {
         id: i64,
         command: Command,
         who: &str,
-    ) -> Result<Rollout, CampaignError> {
+    ) -> Result<(), RunError> {
         const KIND: &str = "rollout";
-        let mut campaigns = self.campaigns.lock().await;
+        let key = (KIND.to_owned(), id);
+        let mut runs = self.runs.lock().await;
         let now = unix_milliseconds();
-        if !campaigns.running.contains_key(&id) {
-            let row = self
-                .store
-                .campaign(id)
-                .await?
-                .filter(|row| row.kind == KIND);
-            let row = row.ok_or(CampaignError::Unknown { kind: KIND, id })?;
+        if !runs.running.contains_key(&key) {
+            let row = self.store.run(KIND, id).await?;
+            let row = row.ok_or(RunError::Unknown { kind: KIND, id })?;
             if row.ended_ms.is_none() || command != Command::Return {
-                return Err(CampaignError::Elsewhere { kind: KIND, id });
+                return Err(RunError::Elsewhere { kind: KIND, id });
             }
-            // The old values can be had back after the end too.
-            let campaign: Campaign = serde_json::from_str(&row.state).map_err(StoreError::from)?;
-            let taken = Self::taken(&campaigns);
-            if let Some(member) = campaign
-                .members()
-                .iter()
-                .find(|m| taken.contains_key(&m.node))
-            {
-                return Err(CampaignError::Taken {
+            // The old values can return after the end too.
+            let run: Run = serde_json::from_str(&row.state).map_err(StoreError::from)?;
+            let taken = self.taken().await?;
+            if let Some(member) = run.members().iter().find(|m| taken.contains_key(&m.node)) {
+                return Err(RunError::Taken {
                     node: member.node.clone(),
                 });
             }
-            campaigns.running.insert(id, Driven::new(campaign, row.who));
+            runs.running.insert(key.clone(), Active::new(run, row.who));
         }
-        let Some(Driven {
-            campaign: Campaign::Rollout(rollout),
+        let Some(Active {
+            run: Run::Rollout(rollout),
             ..
-        }) = campaigns.running.get_mut(&id)
+        }) = runs.running.get_mut(&key)
         else {
-            return Err(CampaignError::Unknown { kind: KIND, id });
+            return Err(RunError::Unknown { kind: KIND, id });
         };
         if rollout.phase.has_ended() {
             rollout.leave_out(|member| {
@@ -363,54 +343,45 @@ impl Tuner {
         }
         if let Err(error) = rollout.command(command, who, now) {
             if rollout.phase.has_ended() {
-                campaigns.running.remove(&id);
+                runs.running.remove(&key);
             }
             return Err(error.into());
         }
-        let rollout = rollout.clone();
-        let campaign = Campaign::Rollout(rollout.clone());
-        if campaign.has_ended() {
-            self.save(id, &campaign, now).await?;
-            campaigns.running.remove(&id);
-        } else {
-            let state = serde_json::to_string(&campaign).map_err(StoreError::from)?;
-            let driver = self.driver.clone();
-            self.write(async |writing| {
-                writing
-                    .reopen_campaign(id, &driver, now + CLAIM_MS, &state)
-                    .await
-            })
-            .await?;
+        let run = Run::Rollout(rollout.clone());
+        let state = serde_json::to_string(&run).map_err(StoreError::from)?;
+        let driver = self.driver.clone();
+        let written = self
+            .store
+            .write(move |writing| writing.reopen_run(KIND, id, &driver, now + CLAIM_MS, &state));
+        written.await?;
+        if run.has_ended() {
+            self.save(id, &run, now).await?;
+            runs.running.remove(&key);
         }
-        Ok(rollout)
+        Ok(())
     }
 
     /// Ends a trial before its time, with what was measured until now.
-    pub(crate) async fn end_trial(&self, id: i64, who: &str) -> Result<Trial, CampaignError> {
+    pub(crate) async fn end_trial(&self, id: i64, who: &str) -> Result<(), RunError> {
         const KIND: &str = "trial";
+        let key = (KIND.to_owned(), id);
         let now = unix_milliseconds();
-        let mut campaigns = self.campaigns.lock().await;
-        let Some(Driven {
-            campaign: Campaign::Trial(trial),
+        let mut runs = self.runs.lock().await;
+        let Some(Active {
+            run: Run::Trial(trial),
             ..
-        }) = campaigns.running.get_mut(&id)
+        }) = runs.running.get_mut(&key)
         else {
-            let known = self
-                .store
-                .campaign(id)
-                .await?
-                .is_some_and(|row| row.kind == KIND);
-            return Err(if known {
-                CampaignError::Elsewhere { kind: KIND, id }
+            return Err(if self.store.run(KIND, id).await?.is_some() {
+                RunError::Elsewhere { kind: KIND, id }
             } else {
-                CampaignError::Unknown { kind: KIND, id }
+                RunError::Unknown { kind: KIND, id }
             });
         };
         let measured = self.measure(&trial.windows(now)).await?;
         trial.end(&measured, Some(who), now);
-        let trial = trial.clone();
-        self.save(id, &Campaign::Trial(trial.clone()), now).await?;
-        Ok(trial)
+        let run = Run::Trial(trial.clone());
+        Ok(self.save(id, &run, now).await?)
     }
 
     /// Goes on with everything that this hub drives.
@@ -418,20 +389,20 @@ impl Tuner {
     /// # Errors
     /// When the database cannot be used: what was not done is done at the next time.
     pub(crate) async fn drive(&self, now: Millis) -> Result<(), StoreError> {
-        let mut campaigns = self.campaigns.lock().await;
-        if now - campaigns.claimed_ms >= CLAIM_EVERY_MS {
-            self.claim(&mut campaigns, now).await?;
+        let mut runs = self.runs.lock().await;
+        if now - runs.claimed_ms >= CLAIM_EVERY_MS {
+            self.claim(&mut runs, now).await?;
         }
-        let ids: Vec<i64> = campaigns.running.keys().copied().collect();
+        let keys: Vec<_> = runs.running.keys().cloned().collect();
         let mut failed = None;
-        for id in ids {
-            let Some(driven) = campaigns.running.get_mut(&id) else {
+        for key in keys {
+            let Some(active) = runs.running.get_mut(&key) else {
                 continue;
             };
             // One that cannot go on does not keep the others from it.
-            match self.step(id, driven, now).await {
-                Ok(()) if driven.campaign.has_ended() => {
-                    campaigns.running.remove(&id);
+            match self.step(key.1, active, now).await {
+                Ok(()) if active.run.has_ended() => {
+                    runs.running.remove(&key);
                 }
                 Ok(()) => {}
                 Err(error) => failed = Some(error),
@@ -441,71 +412,75 @@ impl Tuner {
     }
 
     /// Goes on with one and keeps what changed; what could not be kept is kept the next time.
-    async fn step(&self, id: i64, driven: &mut Driven, now: Millis) -> Result<(), StoreError> {
-        let went = self.go_on(id, driven, now).await;
+    async fn step(&self, id: i64, active: &mut Active, now: Millis) -> Result<(), StoreError> {
+        let went = self.go_on(id, active, now).await;
         // Also before an error things may have changed: nodes that were asked, for instance.
-        driven.unsaved |= *went.as_ref().unwrap_or(&true);
-        if driven.unsaved {
-            self.save(id, &driven.campaign, now).await?;
-            driven.unsaved = false;
+        active.unsaved |= *went.as_ref().unwrap_or(&true);
+        if active.unsaved {
+            self.save(id, &active.run, now).await?;
+            active.unsaved = false;
         }
         went.map(drop)
     }
 
-    async fn claim(&self, campaigns: &mut Campaigns, now: Millis) -> Result<(), StoreError> {
+    async fn claim(&self, runs: &mut Runs, now: Millis) -> Result<(), StoreError> {
         let driver = self.driver.clone();
+        let free = self.store.claims_free_before(now);
         let mine = self
-            .write(async |writing| writing.claim_campaigns(&driver, now, now + CLAIM_MS).await)
+            .store
+            .write(move |writing| writing.claim_runs(&driver, free, now + CLAIM_MS))
             .await?;
-        campaigns.claimed_ms = now;
-        campaigns.running.retain(|id, _| mine.contains(id));
-        for id in mine {
-            if campaigns.running.contains_key(&id) {
+        runs.claimed_ms = now;
+        runs.running.retain(|key, _| mine.contains(key));
+        for key in mine {
+            if runs.running.contains_key(&key) {
                 continue;
             }
-            let Some(row) = self.store.campaign(id).await? else {
+            let Some(row) = self.store.run(&key.0, key.1).await? else {
                 continue;
             };
-            match serde_json::from_str::<Campaign>(&row.state) {
-                Ok(campaign) => {
-                    tracing::info!(id, kind = campaign.kind(), "going on");
-                    campaigns.running.insert(id, Driven::new(campaign, row.who));
+            match serde_json::from_str::<Run>(&row.state) {
+                Ok(run) => {
+                    tracing::info!(kind = key.0, id = key.1, "resumed");
+                    runs.running.insert(key, Active::new(run, row.who));
                 }
-                Err(error) => tracing::error!(%error, id, "a rollout or trial cannot be read"),
+                Err(error) => {
+                    tracing::error!(%error, kind = key.0, id = key.1, "a rollout or trial cannot be read");
+                }
             }
         }
         Ok(())
     }
 
-    async fn go_on(&self, id: i64, driven: &mut Driven, now: Millis) -> Result<bool, StoreError> {
-        let mark = driven.campaign.mark();
+    async fn go_on(&self, id: i64, active: &mut Active, now: Millis) -> Result<bool, StoreError> {
+        let mark = active.run.mark();
         let mut changed = false;
-        for order in driven.campaign.due() {
+        for order in active.run.due() {
             let nodes = order.nodes.iter().map(|node| {
                 (
                     node.clone(),
-                    self.fleet.node(node).and_then(|f| f.setting()),
+                    self.fleet.settings(node).and_then(|f| f.setting()),
                 )
             });
             let new = NewOrder {
                 setting: DesiredSetting::Threshold(order.knob),
                 nodes: nodes.collect(),
-                who: driven.who.clone(),
+                who: active.who.clone(),
                 why: if order.is_return {
                     "the old value returns".to_owned()
                 } else {
-                    driven.why.clone()
+                    active.why.clone()
                 },
-                origin: format!("{} {id}", driven.campaign.kind()),
+                origin: format!("{} {id}", active.run.kind()),
                 selector: String::new(),
             };
             let revision = self.order(new, None).await?;
-            driven.campaign.asked(&order, revision, now);
+            active.run.asked(&order, revision, now);
             changed = true;
         }
-        let look = |node: &str| self.fleet.node(node).map(|facts| facts.seen());
-        match &mut driven.campaign {
-            Campaign::Rollout(rollout) => {
+        let look = |node: &str| self.fleet.settings(node).map(|facts| Seen::from(&facts));
+        match &mut active.run {
+            Run::Rollout(rollout) => {
                 changed |= rollout.observe(now, look);
                 if let Some(request) = rollout.tick(now) {
                     let measured = async {
@@ -523,7 +498,7 @@ impl Tuner {
                     }
                 }
             }
-            Campaign::Trial(trial) => {
+            Run::Trial(trial) => {
                 changed |= trial.observe(now, look);
                 if let Some(windows) = trial.tick(now) {
                     match self.measure(&windows).await {
@@ -536,14 +511,17 @@ impl Tuner {
                 }
             }
         }
-        Ok(changed || mark != driven.campaign.mark())
+        Ok(changed || mark != active.run.mark())
     }
 
-    async fn save(&self, id: i64, campaign: &Campaign, now: Millis) -> Result<(), StoreError> {
-        let state = serde_json::to_string(campaign)?;
-        let ended = campaign.has_ended().then_some(now);
-        self.write(async |writing| writing.save_campaign(id, ended, &state).await)
-            .await
+    async fn save(&self, id: i64, run: &Run, now: Millis) -> Result<(), StoreError> {
+        let state = serde_json::to_string(run)?;
+        let ended = run.has_ended().then_some(now);
+        let (kind, driver) = (run.kind(), self.driver.clone());
+        let written = self
+            .store
+            .write(move |writing| writing.save_run(kind, id, &driver, ended, &state));
+        written.await
     }
 
     /// The clips of each node in its two windows.
@@ -563,11 +541,11 @@ impl Tuner {
 
 /// The value that a node has, when it can take one of `knob`; otherwise why not.
 fn able(
-    facts: &NodeFacts,
+    facts: &NodeSettings,
     knob: &str,
     taken: &HashMap<String, String>,
 ) -> Result<Threshold, String> {
-    if let Some(other) = taken.get(&facts.name) {
+    if let Some(other) = taken.get(&*facts.name) {
         return Err(format!("takes part in {other}"));
     }
     if let Some(target) = facts.target() {
@@ -575,25 +553,25 @@ fn able(
             "holds the target {target}, which could not be given back: switch it off first"
         ));
     }
-    match facts.knob_name() {
-        None => Err("has not told its value yet, or its policy has none".to_owned()),
+    match facts.threshold_name() {
+        None => Err("has not reported a value yet, or its policy has none".to_owned()),
         Some(name) if name.as_str() != knob => {
             Err(format!("the threshold of its policy is `{name}`"))
         }
         Some(_) => facts
-            .knob()
+            .threshold()
             .ok_or_else(|| "its cameras have different values".to_owned()),
     }
 }
 
 fn window(node: &str, knob: Threshold, [from, until]: [Millis; 2]) -> ClipWindow {
-    Key([
-        node.into(),
-        knob.name.as_str().into(),
-        text(knob).as_str().into(),
-        from.into(),
-        until.into(),
-    ])
+    ClipWindow {
+        node: node.to_owned(),
+        knob: knob.name.to_string(),
+        value: text(knob),
+        from_ms: from,
+        until_ms: until,
+    }
 }
 
 /// The sums by node as figures: measured and estimated energy apart, partly metered energy in none.

@@ -1,9 +1,9 @@
 //! Hostile batches by the thousand, from the payload to the rows: no network, a real database.
 
-use super::commit::{Numbers, write};
-use super::decode::decode;
-use super::limits::EventLimits;
 use crate::config::DatabaseConfig;
+use crate::ingest::commit::{Numbers, write};
+use crate::ingest::decode::decode;
+use crate::ingest::limits::EventLimits;
 use crate::store::Store;
 use albireo_wire::{
     BatchCompression, ClipEnd, ClipEnergy, ClipReport, DroppedFrames, EnergyQuality, FrameStates,
@@ -216,9 +216,9 @@ async fn hostile_batches_break_nothing_and_what_is_acknowledged_is_accounted_for
         let done = done.expect("whatever a batch holds, the database takes what is made of it");
         writing.events(&done.events).unwrap();
         writing.commit().unwrap();
-        clips += done.clips;
-        again += done.again;
-        aside += done.set_aside;
+        clips += done.counts.clips;
+        again += done.counts.again;
+        aside += done.counts.set_aside;
         assert_eq!(done.outcomes.len(), group.len());
         for (batch, outcome) in group.iter().zip(&done.outcomes) {
             refused += outcome.refused.len() as u64;

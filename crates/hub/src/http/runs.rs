@@ -2,11 +2,10 @@
 
 use super::HubView;
 use super::body;
-use super::order::of_store;
-use crate::store::CampaignRow;
-use crate::tuning::campaigns::{Campaign, CampaignError, LeftOut, counts};
+use crate::store::RunRow;
 use crate::tuning::members::Member;
 use crate::tuning::rollout::{Command, Entry, Phase, Rollout, RolloutPlan, RolloutRequest, What};
+use crate::tuning::runs::{LeftOut, Run, RunError, counts};
 use crate::tuning::trial::{Trial, TrialPhase, TrialPlan, TrialResult};
 use albireo_service::http::{Caller, Problem};
 use albireo_wire::Threshold;
@@ -23,15 +22,15 @@ use utoipa::{IntoParams, ToSchema};
 /// Most rollouts or trials of one answer.
 const MOST: i64 = 200;
 
-impl From<CampaignError> for Problem {
-    fn from(error: CampaignError) -> Self {
+impl From<RunError> for Problem {
+    fn from(error: RunError) -> Self {
         let status = match &error {
-            CampaignError::Plan(_) => StatusCode::UNPROCESSABLE_ENTITY,
-            CampaignError::Command(_)
-            | CampaignError::Elsewhere { .. }
-            | CampaignError::Taken { .. } => StatusCode::CONFLICT,
-            CampaignError::Unknown { .. } => StatusCode::NOT_FOUND,
-            CampaignError::Store(error) => return of_store(error),
+            RunError::Plan(_) => StatusCode::UNPROCESSABLE_ENTITY,
+            RunError::Command(_) | RunError::Elsewhere { .. } | RunError::Taken { .. } => {
+                StatusCode::CONFLICT
+            }
+            RunError::Unknown { .. } => StatusCode::NOT_FOUND,
+            RunError::Store(_) => StatusCode::SERVICE_UNAVAILABLE,
         };
         Self::new(status, error.to_string())
     }
@@ -149,7 +148,7 @@ pub(super) struct Trials {
 }
 
 impl RolloutView {
-    fn new(row: Row, rollout: Rollout, whole: bool) -> Self {
+    fn new(row: RunRow, rollout: Rollout, whole: bool) -> Self {
         let stage = |group: usize| {
             let members: Vec<Member> = rollout
                 .members
@@ -188,7 +187,7 @@ impl RolloutView {
 }
 
 impl TrialView {
-    fn new(row: Row, trial: Trial, whole: bool) -> Self {
+    fn new(row: RunRow, trial: Trial, whole: bool) -> Self {
         Self {
             id: row.id,
             who: row.who,
@@ -206,44 +205,16 @@ impl TrialView {
     }
 }
 
-/// What the database keeps beside the state.
-struct Row {
-    id: i64,
-    who: String,
-    begun_ms: i64,
-    ended_ms: Option<i64>,
-}
-
-impl From<CampaignRow> for Row {
-    fn from(row: CampaignRow) -> Self {
-        Self {
-            id: row.id,
-            who: row.who,
-            begun_ms: row.begun_ms,
-            ended_ms: row.ended_ms,
-        }
-    }
-}
-
-fn fresh(id: i64, who: &str) -> Row {
-    Row {
-        id,
-        who: who.to_owned(),
-        begun_ms: albireo_service::clock::unix_milliseconds(),
-        ended_ms: None,
-    }
-}
-
 /// A page of rollouts or trials, and where the next one begins.
 async fn page(
     view: &HubView,
     kind: &str,
     which: &Which,
-) -> Result<(Vec<(CampaignRow, Campaign)>, Option<i64>), Problem> {
+) -> Result<(Vec<(RunRow, Run)>, Option<i64>), Problem> {
     let limit = which.limit.unwrap_or(20).clamp(1, MOST);
     let found = view
         .tuner()?
-        .list_campaigns(kind, which.before.unwrap_or(i64::MAX), limit)
+        .list_runs(kind, which.before.unwrap_or(i64::MAX), limit)
         .await?;
     let next = found
         .last()
@@ -255,8 +226,8 @@ async fn page(
 const NOT_OF_ITS_KIND: &str = "the database has something else under that number";
 
 async fn rollout(view: &HubView, id: i64) -> Result<RolloutView, Problem> {
-    match view.tuner()?.campaign("rollout", id).await? {
-        (row, Campaign::Rollout(rollout)) => Ok(RolloutView::new(row.into(), rollout, true)),
+    match view.tuner()?.run("rollout", id).await? {
+        (row, Run::Rollout(rollout)) => Ok(RolloutView::new(row, rollout, true)),
         _ => Err(Problem::new(StatusCode::NOT_FOUND, NOT_OF_ITS_KIND)),
     }
 }
@@ -279,14 +250,13 @@ pub(super) async fn begin_rollout(
     bytes: Result<Bytes, BytesRejection>,
 ) -> Result<(StatusCode, Json<RolloutView>), Problem> {
     let (knob, plan): (_, RolloutPlan) = body::with_threshold(body::object(bytes)?)?;
-    let begun = view
-        .tuner()?
-        .begin_rollout(RolloutRequest { knob, plan }, &caller.name)
-        .await?;
-    let (id, rollout, left_out) = begun;
-    let mut view = RolloutView::new(fresh(id, &caller.name), rollout, true);
-    view.left_out = left_out;
-    Ok((StatusCode::CREATED, Json(view)))
+    let request = RolloutRequest { knob, plan };
+    let (id, left_out) = (view.tuner()?).begin_rollout(request, &caller.name).await?;
+    let begun = RolloutView {
+        left_out,
+        ..rollout(&view, id).await?
+    };
+    Ok((StatusCode::CREATED, Json(begun)))
 }
 
 /// Rollouts, the newest first
@@ -299,12 +269,10 @@ pub(super) async fn rollouts(
     Query(which): Query<Which>,
 ) -> Result<Json<Rollouts>, Problem> {
     let (found, next) = page(&view, "rollout", &which).await?;
-    let rollouts = found
-        .into_iter()
-        .filter_map(|(row, campaign)| match campaign {
-            Campaign::Rollout(rollout) => Some(RolloutView::new(row.into(), rollout, false)),
-            Campaign::Trial(_) => None,
-        });
+    let rollouts = found.into_iter().filter_map(|(row, run)| match run {
+        Run::Rollout(rollout) => Some(RolloutView::new(row, rollout, false)),
+        Run::Trial(_) => None,
+    });
     Ok(Json(Rollouts {
         rollouts: rollouts.collect(),
         next,
@@ -343,13 +311,9 @@ pub(super) async fn command_rollout(
     Extension(caller): Extension<Caller>,
     Path((id, command)): Path<(i64, String)>,
 ) -> Result<Json<RolloutView>, Problem> {
-    let names = ["pause", "resume", "next", "return", "stop"];
-    let command = serde_json::from_value(command.clone().into()).map_err(|_| {
-        Problem::new(
-            StatusCode::NOT_FOUND,
-            format!("a rollout cannot be asked to `{command}`"),
-        )
-        .allowing(names)
+    let command = Command::named(&command).ok_or_else(|| {
+        let detail = format!("a rollout cannot be asked to `{command}`");
+        Problem::new(StatusCode::NOT_FOUND, detail).allowing(Command::ALL.map(Command::name))
     })?;
     view.tuner()?
         .command_rollout(id, command, &caller.name)
@@ -377,10 +341,12 @@ pub(super) async fn begin_trial(
         values.iter_mut().try_for_each(body::name_threshold)?;
     }
     let plan: TrialPlan = body::rest(object)?;
-    let (id, trial, left_out) = view.tuner()?.begin_trial(plan, &caller.name).await?;
-    let mut view = TrialView::new(fresh(id, &caller.name), trial, true);
-    view.left_out = left_out;
-    Ok((StatusCode::CREATED, Json(view)))
+    let (id, left_out) = view.tuner()?.begin_trial(plan, &caller.name).await?;
+    let begun = TrialView {
+        left_out,
+        ..trial(&view, id).await?
+    };
+    Ok((StatusCode::CREATED, Json(begun)))
 }
 
 /// Trials, the newest first
@@ -393,12 +359,10 @@ pub(super) async fn trials(
     Query(which): Query<Which>,
 ) -> Result<Json<Trials>, Problem> {
     let (found, next) = page(&view, "trial", &which).await?;
-    let trials = found
-        .into_iter()
-        .filter_map(|(row, campaign)| match campaign {
-            Campaign::Trial(trial) => Some(TrialView::new(row.into(), trial, false)),
-            Campaign::Rollout(_) => None,
-        });
+    let trials = found.into_iter().filter_map(|(row, run)| match run {
+        Run::Trial(trial) => Some(TrialView::new(row, trial, false)),
+        Run::Rollout(_) => None,
+    });
     Ok(Json(Trials {
         trials: trials.collect(),
         next,
@@ -406,8 +370,8 @@ pub(super) async fn trials(
 }
 
 async fn trial(view: &HubView, id: i64) -> Result<TrialView, Problem> {
-    match view.tuner()?.campaign("trial", id).await? {
-        (row, Campaign::Trial(trial)) => Ok(TrialView::new(row.into(), trial, true)),
+    match view.tuner()?.run("trial", id).await? {
+        (row, Run::Trial(trial)) => Ok(TrialView::new(row, trial, true)),
         _ => Err(Problem::new(StatusCode::NOT_FOUND, NOT_OF_ITS_KIND)),
     }
 }
