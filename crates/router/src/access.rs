@@ -1,6 +1,6 @@
 //! Generates the router's access rules from the certificates.
 //!
-//! Zenoh's rules have no templates, so each node gets rules of its own; what no rule allows is denied. A node may send its
+//! Zenoh's rules have no templates, so each node gets its own rules; what no rule allows is denied. A node may send its
 //! status and counters, query under its own name, and declare its own token. A hub may read all nodes and answer them. A
 //! router forwards everything. What the router sends to a session is bounded by what that session may declare and query, so
 //! the rules for that direction go by role.
@@ -31,7 +31,7 @@ pub enum AccessError {
         expected: String,
     },
     /// Nobody would be let in.
-    #[error("there is no certificate that is good: nobody would be let in")]
+    #[error("there is no valid certificate: no one would be let in")]
     Nobody,
 }
 
@@ -243,6 +243,8 @@ fn rules(good: &[&Entry], prefix: &str, pictures: bool) -> Result<Value, AccessE
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
+    use zenoh::key_expr::KeyExpr;
 
     fn entry(role: Role, name: &str, issue: u32, revoked_s: Option<i64>) -> Entry {
         Entry {
@@ -293,6 +295,36 @@ mod tests {
             .unwrap();
         let own = of(&access, "node/car-7/2");
         assert!(own.contains("car-7 shows pictures") && !own.contains("hub asks"));
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_names_are_taken_no_node_reaches_the_keys_of_another(
+            prefix in prop_oneof!["[a-z]{1,3}(/[a-z]{1,3})?", "[a-z/@*$ ]{1,4}"],
+            names in proptest::collection::vec(prop_oneof![4 => "[a-z0-9-]{1,3}", 1 => "[a-z/@*$#?. -]{1,3}"], 2..5),
+        ) {
+            let entries: Vec<_> = names.iter().map(|name| entry(Role::Node, name, 1, None)).collect();
+            let all: Vec<_> = entries.iter().collect();
+            let Ok(access) = rules(&all, &prefix, true) else { return Ok(()) };
+            let taken = zenoh::Config::default().insert_json5("access_control", &access.to_string());
+            prop_assert!(taken.is_ok(), "{taken:?}");
+            let rules = access["rules"].as_array().unwrap();
+            for policy in access["policies"].as_array().unwrap() {
+                let subject = policy["subjects"][0].as_str().unwrap();
+                for other in entries.iter().filter(|other| other.common_name() != subject) {
+                    let keys = FleetKeys::new(&prefix, &other.name).unwrap();
+                    let own = [keys.status(), keys.report(), keys.pull(), keys.changed(), keys.alive()]
+                        .map(|key| KeyExpr::new(key).unwrap());
+                    let sent = rules.iter().filter(|rule| {
+                        rule["flows"][0] == "ingress" && policy["rules"].as_array().unwrap().contains(&rule["id"])
+                    });
+                    for key in sent.flat_map(|rule| rule["key_exprs"].as_array().unwrap()) {
+                        let key = KeyExpr::new(key.as_str().unwrap()).unwrap();
+                        prop_assert!(!own.iter().any(|own| key.intersects(own)), "{subject} may send {key}, which is of {}", other.name);
+                    }
+                }
+            }
+        }
     }
 
     #[test]

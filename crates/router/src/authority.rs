@@ -1,7 +1,7 @@
 //! A certificate authority in a folder: certificates for nodes, hubs and routers, renewed and revoked.
 //!
 //! The common name of a certificate says whose it is: `ROLE/NAME/ISSUE`, `node/car-7/1`. Zenoh knows no lists of revoked
-//! certificates, and its access control goes by common names alone. So a certificate that is revoked takes its issue with
+//! certificates, and its access control knows common names alone. So a certificate that is revoked takes its issue with
 //! it: the rules no longer name that common name, and the next certificate of the same name has the next issue. A
 //! renewed certificate has the issue of the old one, which stays good until it ends.
 
@@ -102,7 +102,7 @@ impl<'a> Request<'a> {
     /// A certificate that is good from now on for `lasts`. It reaches back a day.
     ///
     /// # Errors
-    /// When that time cannot be told.
+    /// When that time cannot be written.
     pub fn lasting(
         role: Role,
         name: &'a str,
@@ -210,7 +210,7 @@ impl Authority {
         self.make(request, issue, request.hosts)
     }
 
-    /// Makes a certificate in the place of one that is good, with a new key. The old one stays good until it ends.
+    /// Replaces a certificate that is good by one with a new key. The old one stays good until it ends.
     ///
     /// # Errors
     /// When there is no good one, or a file cannot be written.

@@ -1,13 +1,12 @@
 //! Serves health and metrics of a router.
 
 use crate::probe::Probes;
+use albireo_service::metrics::MetricsPage;
 use axum::extract::State;
 use axum::http::StatusCode;
-use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use axum::routing::get;
 use axum::{Json, Router};
-use std::fmt::Write as _;
 use std::sync::{Arc, OnceLock};
 use zenoh::Session;
 
@@ -60,72 +59,38 @@ async fn readyz(State(view): State<RouterView>) -> Response {
     }
 }
 
-async fn metrics(State(view): State<RouterView>) -> Response {
-    let sessions = view.sessions().await;
-    let text = written(&view, sessions);
-    (
-        [(CONTENT_TYPE, "text/plain; version=0.0.4; charset=utf-8")],
-        text,
-    )
-        .into_response()
-}
-
-fn written(view: &RouterView, sessions: Option<usize>) -> String {
-    let mut text = String::new();
-    let mut family = |name: &str, kind: &str, help: &str, samples: &[(String, f64)]| {
-        // Writing to a String cannot fail.
-        let _ = writeln!(text, "# HELP {name} {help}\n# TYPE {name} {kind}");
-        for (labels, value) in samples {
-            let _ = writeln!(text, "{name}{labels} {value}");
-        }
-    };
-    let one = |value: f64| vec![(String::new(), value)];
-    family(
+async fn metrics(State(view): State<RouterView>) -> MetricsPage {
+    let mut page = MetricsPage::default();
+    page.gauges(
         "albireo_router_build_info",
-        "gauge",
         "The program that runs, always 1",
-        &[(
-            format!("{{version=\"{}\"}}", env!("CARGO_PKG_VERSION")),
-            1.0,
-        )],
+        [([("version", env!("CARGO_PKG_VERSION"))], 1.0)],
     );
-    family(
+    page.gauge(
         "albireo_router_ready",
-        "gauge",
         "Whether the router takes sessions",
-        &one(f64::from(u8::from(view.reason().is_none()))),
+        f64::from(u8::from(view.reason().is_none())),
     );
-    family(
+    page.gauge(
         "albireo_router_sessions",
-        "gauge",
         "Sessions of nodes, hubs and other routers; absent before the router listens",
-        &sessions.map_or_else(Vec::new, |sessions| one(sessions as f64)),
+        view.sessions().await.map(|sessions| sessions as f64),
     );
-    family(
+    page.gauge(
         "albireo_router_sessions_limit",
-        "gauge",
         "Most sessions: one more is refused",
-        &one(view.max_sessions as f64),
+        view.max_sessions as f64,
     );
-    family(
+    page.gauge(
         "albireo_router_probe_seconds",
-        "gauge",
         "How long it took to open a session at the last attempt; absent when it failed",
-        &(view.probes.took()).map_or_else(Vec::new, |took| one(took.as_secs_f64())),
+        view.probes.took().map(|took| took.as_secs_f64()),
     );
-    family(
+    page.counter(
         "albireo_router_probes_failed_total",
-        "counter",
         "Attempts of the router to open a session to itself that failed",
-        &one(view.probes.failed() as f64),
+        view.probes.failed() as f64,
     );
-    for figure in albireo_service::process::figures() {
-        if figure.counter {
-            let name = format!("{}_total", figure.name);
-            family(&name, "counter", figure.help, &one(figure.value));
-        } else {
-            family(figure.name, "gauge", figure.help, &one(figure.value));
-        }
-    }
-    text
+    page.process();
+    page
 }

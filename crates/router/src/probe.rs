@@ -1,5 +1,5 @@
-//! Opens a session to the router from time to time, as a node would. A router can run and take nobody any more
-//! (zenoh#2735); only an attempt tells.
+//! Opens a session to the router from time to time, as a node would. A router can run and accept no session any more
+//! (zenoh#2735); only an attempt shows it.
 
 use parking_lot::Mutex;
 use std::sync::Arc;

@@ -1,7 +1,8 @@
-//! What processes cost, as the kernel tells: processor time and resident memory.
+//! What processes cost, as the kernel reports it: processor time and resident memory.
 
 use rustix::param::{clock_ticks_per_second, page_size};
 use serde::Serialize;
+use std::fmt;
 use std::time::Instant;
 
 /// A process whose cost is followed.
@@ -54,7 +55,7 @@ impl Process {
         before.and_then(|before| share(before, sample))
     }
 
-    /// What is counted begins now: starting up is told apart from running.
+    /// Counting begins now, so that starting up is not counted.
     pub(crate) fn begin(&mut self) {
         self.first = read(self.pid);
         self.last = self.first;
@@ -71,6 +72,19 @@ impl Process {
     }
 }
 
+impl fmt::Display for ProcessCost {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let percent = self.cores.map_or(f64::NAN, |cores| cores * 100.0);
+        let megabytes = |bytes: Option<u64>| bytes.map_or(f64::NAN, |bytes| bytes as f64 / 1e6);
+        let (now, largest) = (megabytes(self.resident), megabytes(self.largest));
+        let name = &self.name;
+        write!(
+            f,
+            "{name:<16} {percent:.1} % of a core, {now:.0} MB, at most {largest:.0} MB"
+        )
+    }
+}
+
 fn share(before: Sample, after: Sample) -> Option<f64> {
     let seconds = (after.at - before.at).as_secs_f64();
     (seconds > 0.0).then(|| (after.cpu_s - before.cpu_s) / seconds)
@@ -78,7 +92,7 @@ fn share(before: Sample, after: Sample) -> Option<f64> {
 
 fn read(pid: u32) -> Option<Sample> {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
-    // The name stands in brackets and may have anything in it.
+    // The name is in brackets and may have anything in it.
     let (_, fields) = stat.rsplit_once(')')?;
     let fields: Vec<u64> = fields
         .split_whitespace()

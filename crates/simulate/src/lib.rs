@@ -1,5 +1,5 @@
 //! Plays a fleet of nodes to a hub over real Zenoh sessions: status, reports with their cursors, reactions to what is
-//! desired, outages. It tells what it sent, what was acknowledged, and what it and other processes cost.
+//! desired. It reports what it sent, what was acknowledged, and what it and other processes cost.
 
 mod cost;
 mod error;
@@ -13,7 +13,7 @@ pub use cost::ProcessCost;
 pub use error::SimulateError;
 pub use options::{Behaviour, LONGEST, MOST_NODES, MOST_SESSIONS, Options};
 pub use summary::Summary;
-pub use totals::{DelaySummary, SpreadSummary};
+pub use totals::DelaySummary;
 
 use cost::Process;
 use node::SimNode;
@@ -28,8 +28,10 @@ use totals::{Totals, read};
 
 /// Sessions that are opened at the same time.
 const OPEN_AT_ONCE: usize = 64;
+/// Time between two lines of progress.
+const PROGRESS_EVERY: Duration = Duration::from_secs(10);
 
-/// Plays the fleet until its time is over or `shutdown`. `progress` is told a line from time to time.
+/// Plays the fleet until its time is over or `shutdown`. `progress` gets a line from time to time.
 ///
 /// # Errors
 /// When the options are out of bounds or a session cannot be opened.
@@ -67,7 +69,7 @@ pub async fn run(
         playing.spawn(player.play(began, end.clone(), stop.clone()));
     }
 
-    let mut every = tokio::time::interval(options.every.max(Duration::from_millis(100)));
+    let mut every = tokio::time::interval(PROGRESS_EVERY);
     let until = began + options.duration;
     loop {
         tokio::select! {
@@ -108,13 +110,11 @@ pub async fn run(
         batches: read(&totals.batches),
         batch_bytes: read(&totals.bytes),
         pulls: read(&totals.pulls),
-        notices: read(&totals.notices),
         busy: read(&totals.busy),
         refused: read(&totals.refused),
         no_reply: read(&totals.no_reply),
         answers: totals.answers.summary(),
         settled: totals.settled.summary(),
-        spreads: totals.spreads(),
         costs,
     })
 }
@@ -167,15 +167,8 @@ fn line(began: Instant, totals: &Totals, processes: &mut [Process]) -> String {
         answers.p99_ms,
     );
     for process in processes {
-        if let Some(share) = process.sample() {
-            let resident = process.cost().resident.unwrap_or_default();
-            text.push_str(&format!(
-                "; {} {:.0} % {} MB",
-                process.name,
-                share * 100.0,
-                resident >> 20
-            ));
-        }
+        process.sample();
+        text += &format!("; {}", process.cost());
     }
     text
 }

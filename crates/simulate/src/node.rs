@@ -18,8 +18,6 @@ pub(crate) const FIRST_U: f64 = 3e-4;
 const CAMERA: &str = "front";
 /// Frames of a second.
 const FRAMES_PER_S: f64 = 30.0;
-/// A year, nanoseconds: a wrong clock is off by years.
-const YEAR_NS: u64 = 365 * 86_400 * 1_000_000_000;
 /// The range of `u`, as the policy has it.
 const RANGE: std::ops::RangeInclusive<f64> = 1e-9..=1.0;
 /// Between which values a target moves `u`.
@@ -37,8 +35,6 @@ pub(crate) struct SimNode {
     /// Region and model of its labels.
     labels: BTreeMap<String, String>,
     started_ns: u64,
-    /// Added to every time it tells.
-    clock_error_ns: u64,
     behaviour: Behaviour,
     clip_s: f64,
     /// Reports made, and those that a hub has acknowledged.
@@ -49,21 +45,18 @@ pub(crate) struct SimNode {
     values: Vec<(u64, f64)>,
     source: SettingSource,
     refused: Option<RefusedDesired>,
-    /// What it holds, and where that stands.
+    /// What it holds, and the status of that.
     target: Option<NodeTarget>,
-    refuses: bool,
     seq: u64,
     full_due: bool,
-    told_revision: Option<u64>,
+    reported_revision: Option<u64>,
 }
 
 impl SimNode {
     /// Node number `index` of a run that began at `started_ns`.
     pub(crate) fn new(index: usize, options: &Options, started_ns: u64) -> Self {
         let seed = mix(options.seed, index as u64);
-        let share = |salt: u64| unit(mix(seed, salt));
         let region = ["north", "east", "south", "west"][index % 4];
-        let wrong_clock = share(1) < options.wrong_clock_share;
         let backlog_ns = (options.backlog as f64 * options.clip_s * 1e9) as u64;
         Self {
             name: format!("{}{index:06}", options.name),
@@ -73,7 +66,6 @@ impl SimNode {
             ]
             .into(),
             started_ns: started_ns.saturating_sub(backlog_ns),
-            clock_error_ns: if wrong_clock { 30 * YEAR_NS } else { 0 },
             behaviour: options.behaviour,
             clip_s: options.clip_s,
             made: options.backlog,
@@ -83,10 +75,9 @@ impl SimNode {
             source: SettingSource::Configuration,
             refused: None,
             target: None,
-            refuses: share(4) < options.refusing_share,
             seq: 0,
             full_due: true,
-            told_revision: None,
+            reported_revision: None,
             seed,
         }
     }
@@ -116,7 +107,7 @@ impl SimNode {
         (count > 0).then(|| ReportBatch {
             v: VERSION,
             node: self.name.clone(),
-            t_ms: (now_ns + self.clock_error_ns) / 1_000_000,
+            t_ms: now_ns / 1_000_000,
             reports: (self.acknowledged..self.acknowledged + count)
                 .map(|n| self.report(n))
                 .collect(),
@@ -128,7 +119,7 @@ impl SimNode {
         self.acknowledged = (self.acknowledged + reports).min(self.made);
     }
 
-    /// Takes what is desired. Returns whether the status has to be told at once.
+    /// Takes what is desired. Returns whether the status has to be sent at once.
     pub(crate) fn take(&mut self, desired: &Desired) -> bool {
         self.full_due |= desired.send_full_status;
         let seen = self.refused.as_ref().map_or(0, |refused| refused.revision);
@@ -153,8 +144,6 @@ impl SimNode {
             self.refused = refuse("the threshold of the policy in use is `u`");
         } else if !RANGE.contains(&threshold.value) {
             self.refused = refuse("`u` must be a number from 1e-9 to 1");
-        } else if self.refuses {
-            self.refused = refuse("this simulated node takes no value");
         } else {
             self.refused = None;
             self.revision = desired.revision;
@@ -166,15 +155,10 @@ impl SimNode {
         true
     }
 
-    /// Holds a target, or nothing. Its street has a skip rate for each `u`, so that it stands at once where a controller
-    /// would come to; of power, time and recall it has no figures.
+    /// Holds a target, or nothing. Its street has a skip rate for each `u`, so that it is at once where a controller
+    /// would end; of power, time and recall it has no figures.
     fn hold(&mut self, target: Option<Target>, revision: u64) {
         self.full_due = true;
-        if self.refuses {
-            let reason = "this simulated node takes no target".to_owned();
-            self.refused = Some(RefusedDesired { revision, reason });
-            return;
-        }
         self.refused = None;
         self.revision = revision;
         self.target = target.map(|target| {
@@ -209,9 +193,9 @@ impl SimNode {
 
     /// The payload of the next status; a heartbeat where nothing changed.
     pub(crate) fn status_payload(&mut self, now_ns: u64) -> Result<Vec<u8>, serde_json::Error> {
-        let told = self.told_revision.replace(self.revision) == Some(self.revision);
+        let reported = self.reported_revision.replace(self.revision) == Some(self.revision);
         let message = self.status(now_ns);
-        if message.full.is_some() || !told {
+        if message.full.is_some() || !reported {
             return serde_json::to_vec(&message);
         }
         let StatusMessage {
@@ -228,9 +212,9 @@ impl SimNode {
         StatusMessage {
             v: VERSION,
             run: mix(self.seed, 2) as u32,
-            started_ns: self.started_ns + self.clock_error_ns,
+            started_ns: self.started_ns,
             seq,
-            t_ns: now_ns + self.clock_error_ns,
+            t_ns: now_ns,
             health: HealthState::Ready,
             waiting: self.waiting(),
             revision: self.revision,
@@ -317,8 +301,7 @@ impl SimNode {
             p95: middle * 1.6,
             p99,
         };
-        let started =
-            self.started_ns + self.clock_error_ns + (number as f64 * self.clip_s * 1e9) as u64;
+        let started = self.started_ns + (number as f64 * self.clip_s * 1e9) as u64;
         ClipReport {
             v: VERSION,
             id: self.report_id(number, started),

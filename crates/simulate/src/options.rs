@@ -44,8 +44,6 @@ pub struct Options {
     pub connect: String,
     /// A Zenoh configuration to begin with, for TLS.
     pub zenoh_config: Option<PathBuf>,
-    /// First part of every key.
-    pub prefix: String,
     /// What the nodes' names begin with.
     pub name: String,
     /// How long, once all sessions are open.
@@ -56,32 +54,18 @@ pub struct Options {
     pub clip_s: f64,
     /// Reports that a node gathers before it sends them.
     pub gather: u64,
-    /// Most reports of a batch when it has more.
-    pub batch: u64,
     /// Reports that every node has when it starts, as after an outage.
     pub backlog: u64,
-    /// Whether each node has a liveliness token.
-    pub tokens: bool,
     /// Whether each node listens to its notice.
     pub notices: bool,
-    /// When an outage begins, after the start: nothing is sent or heard, clips go on being made.
-    pub outage_after: Option<Duration>,
-    /// How long it lasts.
-    pub outage_for: Duration,
-    /// Share of the nodes whose clock is decades off.
-    pub wrong_clock_share: f64,
-    /// Share of the nodes that refuse every value.
-    pub refusing_share: f64,
     /// How figures depend on the threshold.
     pub behaviour: Behaviour,
     /// How long to go on at the end until everything is acknowledged.
     pub drain: Duration,
     /// Draws instances, figures and times; two runs of one seed are the same nodes.
     pub seed: u64,
-    /// Processes whose cost is told beside the simulator's own.
+    /// Processes whose cost is reported beside the simulator's own.
     pub watch: Vec<(String, u32)>,
-    /// Time between two lines of progress.
-    pub every: Duration,
 }
 
 impl Default for Options {
@@ -91,25 +75,17 @@ impl Default for Options {
             sessions: 4,
             connect: "tcp/127.0.0.1:7448".to_owned(),
             zenoh_config: None,
-            prefix: "albireo".to_owned(),
             name: "sim-".to_owned(),
             duration: Duration::from_secs(60),
             status_s: 30.0,
             clip_s: 40.0,
             gather: 12,
-            batch: 90,
             backlog: 0,
-            tokens: false,
             notices: true,
-            outage_after: None,
-            outage_for: Duration::ZERO,
-            wrong_clock_share: 0.0,
-            refusing_share: 0.0,
             behaviour: Behaviour::default(),
             drain: Duration::from_secs(30),
             seed: 1,
             watch: Vec::new(),
-            every: Duration::from_secs(10),
         }
     }
 }
@@ -129,7 +105,7 @@ impl Options {
         };
         within("nodes", self.nodes, MOST_NODES)?;
         within("sessions", self.sessions, MOST_SESSIONS.min(self.nodes))?;
-        if self.duration > LONGEST || self.outage_for > LONGEST || self.drain > LONGEST {
+        if self.duration > LONGEST || self.drain > LONGEST {
             return Err("no time may be longer than a day".to_owned());
         }
         for (what, seconds) in [("status", self.status_s), ("clip", self.clip_s)] {
@@ -140,8 +116,8 @@ impl Options {
             }
         }
         // More would not fit into the largest batch that a hub takes.
-        if !(1..=500).contains(&self.batch) || !(1..=500).contains(&self.gather) {
-            return Err("gather and batch must be from 1 to 500".to_owned());
+        if !(1..=500).contains(&self.gather) {
+            return Err("gather must be from 1 to 500".to_owned());
         }
         let on_this_machine = endpoint_host(&self.connect).is_some_and(is_loopback);
         if !on_this_machine {
@@ -190,6 +166,6 @@ mod tests {
             "more sessions than nodes"
         );
         assert!(with(&|o| o.clip_s = f64::NAN).is_err());
-        assert!(with(&|o| o.batch = 0).is_err());
+        assert!(with(&|o| o.gather = 0).is_err());
     }
 }

@@ -17,7 +17,6 @@ use tokio::time::Instant;
 use tokio_util::sync::CancellationToken;
 use zenoh::Session;
 use zenoh::bytes::Encoding;
-use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
 
@@ -28,6 +27,10 @@ const FIRST_PAUSE: Duration = Duration::from_secs(1);
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
 /// Things heard that may wait to be handled by the session's task.
 const HEARD: usize = 4096;
+/// Most reports of a batch.
+const MOST_REPORTS: u64 = 90;
+/// First part of every key.
+const PREFIX: &str = "albireo";
 
 /// What is done for a node at a time of its own.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -41,7 +44,7 @@ enum Due {
 
 /// What came for a node.
 enum Heard {
-    ConfigChanged(usize, u64),
+    ConfigChanged(usize),
     Desired(usize, Desired),
     /// So many reports, and what else was answered.
     Acknowledged(usize, u64, ReportAnswer, Duration),
@@ -49,7 +52,7 @@ enum Heard {
     Refused(usize, Option<RefusalReason>, Option<Duration>),
 }
 
-/// Within this time all nodes tell their first status.
+/// Within this time all nodes send their first status.
 const FIRST_STATUSES: Duration = Duration::from_secs(5);
 
 /// So long after the beginning the flood that all nodes make by beginning at once is over.
@@ -77,18 +80,13 @@ pub(crate) struct Player {
     /// From when on nothing is left of everybody's beginning at once.
     settled: Instant,
     _notices: Vec<Subscriber<()>>,
-    _tokens: Vec<LivelinessToken>,
 }
 
 /// Opens a client session to the endpoint, with the buffers of a node's uplink.
 pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, SimulateError> {
     let mut config = match &options.zenoh_config {
-        Some(file) => {
-            zenoh::Config::from_file(file).map_err(|error| SimulateError::ConfigFile {
-                file: file.clone(),
-                reason: error.to_string(),
-            })?
-        }
+        Some(file) => zenoh::Config::from_file(file)
+            .map_err(|error| SimulateError::zenoh(file.display().to_string(), error))?,
         None => zenoh::Config::default(),
     };
     // Thousands that lost their router come back spread out.
@@ -111,25 +109,11 @@ pub(crate) async fn open(options: &Options, index: usize) -> Result<Session, Sim
     ] {
         config
             .insert_json5(key, &value.to_string())
-            .map_err(|error| SimulateError::Setting {
-                key,
-                reason: error.to_string(),
-            })?;
+            .map_err(|error| SimulateError::zenoh(key, error))?;
     }
     zenoh::open(config)
         .await
-        .map_err(|error| SimulateError::Session {
-            index,
-            reason: error.to_string(),
-        })
-}
-
-fn refused(what: &'static str, node: &SimNode, error: &zenoh::Error) -> SimulateError {
-    SimulateError::Declaration {
-        what,
-        node: node.name.clone(),
-        reason: error.to_string(),
-    }
+        .map_err(|error| SimulateError::zenoh(format!("session {index}"), error))
 }
 
 pub(crate) fn now_ns() -> u64 {
@@ -148,30 +132,23 @@ impl Player {
         totals: Arc<Totals>,
     ) -> Result<Self, SimulateError> {
         let (tell, heard) = mpsc::channel(HEARD);
-        let (mut places, mut notices, mut tokens) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut places, mut notices) = (Vec::new(), Vec::new());
         for (index, node) in nodes.into_iter().enumerate() {
-            let keys = FleetKeys::new(&options.prefix, &node.name)?;
+            let keys = FleetKeys::new(PREFIX, &node.name)?;
             if options.notices {
                 let tell = tell.clone();
                 let notified = session
                     .declare_subscriber(keys.changed())
                     .callback(move |sample| {
-                        if let Ok(notice) =
-                            albireo_wire::read::<ConfigChanged>(&sample.payload().to_bytes())
+                        if albireo_wire::read::<ConfigChanged>(&sample.payload().to_bytes()).is_ok()
                         {
-                            // Too many at once: the answer to the next report tells the same.
-                            let _ = tell.try_send(Heard::ConfigChanged(index, notice.revision));
+                            // Too many at once: the answer to the next report has the same.
+                            let _ = tell.try_send(Heard::ConfigChanged(index));
                         }
                     });
-                notices.push(
-                    notified
-                        .await
-                        .map_err(|error| refused("notice", &node, &error))?,
-                );
-            }
-            if options.tokens {
-                let token = session.liveliness().declare_token(keys.alive()).await;
-                tokens.push(token.map_err(|error| refused("token", &node, &error))?);
+                notices.push(notified.await.map_err(|error| {
+                    SimulateError::zenoh(format!("notice of {}", node.name), error)
+                })?);
             }
             places.push(Place {
                 node,
@@ -191,7 +168,6 @@ impl Player {
             ending: false,
             settled: Instant::now(),
             _notices: notices,
-            _tokens: tokens,
         })
     }
 
@@ -218,11 +194,6 @@ impl Player {
                 .push(Reverse((began + spread(clip, 2), index, Due::Clip)));
             self.pull(index);
         }
-        let outage = self.options.outage_after.map(|after| {
-            let from = began + after;
-            (from, from + self.options.outage_for)
-        });
-        let away = move |at: Instant| outage.is_some_and(|(from, until)| from <= at && at < until);
         loop {
             if self.ending && self.places.iter().all(|place| place.node.waiting() == 0) {
                 break;
@@ -231,10 +202,7 @@ impl Player {
             let next = next.unwrap_or_else(|| Instant::now() + status);
             tokio::select! {
                 heard = self.heard.recv() => match heard {
-                    Some(heard) if !away(Instant::now()) => self.handle(heard),
-                    // What comes in an outage never arrived; a batch under way is as good as refused.
-                    Some(Heard::Acknowledged(index, ..) | Heard::Refused(index, ..)) => self.later(index, None),
-                    Some(_) => {}
+                    Some(heard) => self.handle(heard),
                     None => break,
                 },
                 () = tokio::time::sleep_until(next) => {
@@ -248,24 +216,22 @@ impl Player {
                                 status
                             };
                             self.due.push(Reverse((at + period.max(FIRST_STATUSES.min(status)), index, Due::Status)));
-                            if !away(at) { self.status(index).await }
+                            self.status(index).await;
                         }
-                        Due::StatusNow if !self.ending => {
-                            if !away(at) { self.status(index).await }
-                        }
+                        Due::StatusNow if !self.ending => self.status(index).await,
                         Due::Clip if !self.ending => {
                             self.due.push(Reverse((at + clip, index, Due::Clip)));
                             self.places[index].node.made += 1;
                             count(&self.totals.made, 1);
-                            if self.places[index].node.waiting() >= self.options.gather { self.send(index, away(at)) }
+                            if self.places[index].node.waiting() >= self.options.gather { self.send(index) }
                         }
-                        Due::Send => self.send(index, away(at)),
+                        Due::Send => self.send(index),
                         Due::Status | Due::StatusNow | Due::Clip => {}
                     }
                 }
                 () = end.cancelled(), if !self.ending => {
                     self.ending = true;
-                    for index in 0..self.places.len() { self.send(index, false) }
+                    for index in 0..self.places.len() { self.send(index) }
                 }
                 () = stop.cancelled() => break,
             }
@@ -293,11 +259,7 @@ impl Player {
 
     fn handle(&mut self, heard: Heard) {
         match heard {
-            Heard::ConfigChanged(index, revision) => {
-                count(&self.totals.notices, 1);
-                self.totals.heard_of(revision);
-                self.pull(index);
-            }
+            Heard::ConfigChanged(index) => self.pull(index),
             Heard::Desired(index, desired) => self.take(index, &desired),
             Heard::Acknowledged(index, reports, answer, took) => {
                 self.totals.answers.add(took);
@@ -312,7 +274,7 @@ impl Player {
                 if place.node.waiting() >= self.options.gather
                     || (self.ending && place.node.waiting() > 0)
                 {
-                    self.send(index, false);
+                    self.send(index);
                 }
                 if let Some(desired) = answer.desired {
                     self.take(index, &desired);
@@ -342,18 +304,11 @@ impl Player {
     }
 
     fn take(&mut self, index: usize, desired: &Desired) {
-        let node = &mut self.places[index].node;
-        let before = node.revision();
-        if !node.take(desired) {
-            return;
+        if self.places[index].node.take(desired) {
+            // A change is reported at once.
+            self.due
+                .push(Reverse((Instant::now(), index, Due::StatusNow)));
         }
-        let taken = node.revision() > before;
-        if taken || desired.revision > before {
-            self.totals.decided(desired.revision, taken);
-        }
-        // A change is told at once.
-        self.due
-            .push(Reverse((Instant::now(), index, Due::StatusNow)));
     }
 
     async fn status(&mut self, index: usize) {
@@ -372,16 +327,12 @@ impl Player {
         }
     }
 
-    fn send(&mut self, index: usize, away: bool) {
+    fn send(&mut self, index: usize) {
         let place = &mut self.places[index];
         if place.sending || place.node.waiting() == 0 {
             return;
         }
-        if away {
-            self.later(index, None);
-            return;
-        }
-        let Some(batch) = place.node.batch(self.options.batch, now_ns()) else {
+        let Some(batch) = place.node.batch(MOST_REPORTS, now_ns()) else {
             return;
         };
         place.sending = true;

@@ -160,7 +160,7 @@ impl List {
             .unwrap_or(0)
     }
 
-    /// Adds an entry, in the place of one with the same common name.
+    /// Adds an entry; one with the same common name is replaced.
     pub(super) fn put(&mut self, entry: Entry) {
         let same = |known: &Entry| {
             known.role == entry.role && known.name == entry.name && known.issue == entry.issue
